@@ -9,7 +9,7 @@ import numpy as np
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Fit, no_effect
 from twin.diagnose.observe import Group
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.tuning import Tuning, tuning_from
 from twin.diagnose.view import RunView
 from twin.machine.machine import Machine, load_machine
@@ -53,8 +53,8 @@ def no_tuning(rows: int) -> Tuning:
     return tuning_from((), np.zeros((rows, 0)), 0.01)
 
 
-def found_of(group: Group, tuning: Tuning | None = None, fit: Fit | None = None) -> Found:
+def found_of(group: Group, tuning: Tuning | None = None, fit: Fit | None = None) -> GroupState:
     """The state of a search that has found the effects of this fit; without one none."""
     tuning = tuning or (fit.about if fit else no_tuning(group.size))
     retuned = no_effect(group, tuning)
-    return Found(group, group, tuning, fit or retuned, retuned, 1.0, accepted=(fit,) if fit else ())
+    return GroupState(group, group, tuning, fit or retuned, retuned, 1.0, accepted=(fit,) if fit else ())

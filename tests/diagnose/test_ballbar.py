@@ -1,4 +1,4 @@
-"""A circle of which a ballbar saw the radius alone: both axes are searched together, on the second plant's circles."""
+"""Circles measured by a ballbar (radius only): both axes are searched together, on circles of the second plant."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RADIUS, FEED = 0.05, 0.1
 
 
 def circle_of(samples: int = 4000) -> np.ndarray:
-    """Set points (sample, 2): counter-clockwise, at rest, clockwise, each a turn and OVERLAP on both sides."""
+    """Set points (sample, 2): counter-clockwise, at rest, clockwise; each one turn plus OVERLAP at both ends."""
     there = np.linspace(-OVERLAP, 2.0 * math.pi + OVERLAP, samples)
     angle = np.concatenate([there, np.full(100, there[-1]), there[::-1]])
     return RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -44,13 +44,13 @@ def at(positions: np.ndarray) -> Trace:
 
 
 def seen(bar: Ballbar, positions: np.ndarray) -> np.ndarray:
-    """What the bar sees of both axes (sample, 2), less the set points."""
+    """Positions of both axes from the bar (sample, 2), minus the set points."""
     found = bar.positions(bar.deviation(at(positions)))
     return np.column_stack([found[axis, "position"] for axis in bar.axes]) - bar.commanded
 
 
-def test_geometry_is_not_seen() -> None:
-    """Centre, sizes of the scales and squareness leave nothing, and come back as what was built in."""
+def test_geometry_leaves_no_residual() -> None:
+    """Centre, scale errors and squareness leave no residual and are estimated with their values."""
     commanded = circle_of()
     bar = bar_on(commanded)
     x, y = commanded.T
@@ -61,8 +61,8 @@ def test_geometry_is_not_seen() -> None:
     np.testing.assert_allclose(sizes, list(built_in.values()), atol=1e-8)
 
 
-def test_the_way_along_the_circle_is_not_seen() -> None:
-    """Both axes late by the same 10 ms leave nothing; a wave along the radius stands where it is, whatever the lag."""
+def test_a_common_lag_leaves_no_residual() -> None:
+    """A lag of 10 ms on both axes leaves no residual; a radial wave keeps its angle under the lag."""
     commanded = circle_of()
     bar = bar_on(commanded)
     late = np.vstack([np.repeat(commanded[:1], 10, axis=0), commanded[:-10]])
@@ -76,7 +76,7 @@ def test_the_way_along_the_circle_is_not_seen() -> None:
 
 @pytest.fixture(scope="module")
 def worn() -> object:
-    """The example that measures a run of the second plant by a ballbar."""
+    """The example that measures a run of the second plant with a ballbar."""
     spec = importlib.util.spec_from_file_location("worn_machine", ROOT / "examples" / "iso230" / "worn_machine.py")
     assert spec is not None
     assert spec.loader is not None
@@ -97,7 +97,7 @@ def diagnosis_of(
 ) -> Diagnosis:
     """The second plant with these effects runs the circle, a ballbar measures it, the campaign is diagnosed.
 
-    With a seed the machine has parameters within the tolerance and everything that is normal, its drive trains from 150 Hz on.
+    With a seed the machine has random parameters within the tolerance and all normal imperfections, with drive trains from 150 Hz.
     """
     document = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
     factors = unit_factors() if seed is None else draw_factors(np.random.default_rng(seed), machine.parameter_tolerance)
@@ -123,8 +123,10 @@ def diagnosis_of(
         ("position_gain", "X", "factor", 0.94),
     ],
 )
-def test_what_a_circle_knows(effect: str, axis: str, size: str, value: float, worn: object, mikron: Machine, tmp_path: Path) -> None:
-    """One fault, on a machine 20 um/m out of square with the bar off centre: named alone, with its size."""
+def test_one_fault_is_named_from_a_circle(
+    effect: str, axis: str, size: str, value: float, worn: object, mikron: Machine, tmp_path: Path
+) -> None:
+    """One fault on a machine with 20 um/m squareness error and the bar off centre is the only effect named, with its size."""
     found = diagnosis_of([{"name": effect, "axis": axis, size: value}], worn, mikron, tmp_path)
     assert found.verdict == "effect"
     assert [(s.effect.name, s.axis) for s, _, _ in found.settings] == [(effect, axis)]
@@ -141,21 +143,22 @@ def test_what_a_circle_knows(effect: str, axis: str, size: str, value: float, wo
 def test_a_healthy_circle_names_nothing(
     seed: int | None, radius: float, feed: float, feedforward: str, worn: object, mikron: Machine, tmp_path: Path
 ) -> None:
-    """Seeds 2 to 4: drive trains of 174 and 177, of 167 and of 168 Hz, softer than is normal where more than a radius is seen. Seed 9: what is
-    normal shows at the reversals alone, where the whole circle looks like noise."""
+    """Seeds 2 to 4 have drive trains of 174 and 177, of 167, and of 168 Hz, softer than normal for complete records. With seed 9 the normal
+    imperfections are visible at the reversals only, while the circle as a whole looks like noise.
+    """
     found = diagnosis_of([], worn, mikron, tmp_path, seed, radius, feed, feedforward)
     assert (found.verdict, found.settings) == ("none", [])
 
 
 @pytest.mark.slow
-def test_backlash_is_named_beside_all_that_is_normal(worn: object, mikron: Machine, tmp_path: Path) -> None:
+def test_backlash_is_named_on_an_imperfect_machine(worn: object, mikron: Machine, tmp_path: Path) -> None:
     found = diagnosis_of([{"name": "backlash", "axis": "X", "clearance": 12e-6}], worn, mikron, tmp_path, seed=2)
     assert [(s.effect.name, s.axis) for s, _, _ in found.settings] == [("backlash", "X")]
     assert found.settings[0][0].parameters["clearance"] == pytest.approx(12e-6, rel=0.05)
 
 
 def test_each_reading_counts_once() -> None:
-    """For the axis that the bar points along more; what both are seen to do there is the deviation of the radius without geometry."""
+    """Each reading counts for the axis closer to the direction of the bar; its value there is the radial deviation without geometry."""
     bar = bar_on(circle_of())
     rows = {axis: bar.readings_of(axis) for axis in bar.axes}
     assert np.array_equal(rows["X"] ^ rows["Y"], bar.measured)
@@ -166,14 +169,14 @@ def test_each_reading_counts_once() -> None:
 
 
 def test_a_bar_needs_a_circle() -> None:
-    """A straight line has nothing that a bar measures, two turns with their overlaps have two thirds."""
+    """A straight line has no readings; two turns with their overlaps have readings for two thirds."""
     straight = np.column_stack([np.linspace(0.0, 0.1, 500), np.zeros(500)])
     assert not bar_on(straight).measured.any()
     assert bar_on(circle_of()).measured.mean() == pytest.approx(2.0 / 3.0, abs=0.02)
 
 
 def test_nothing_is_identified_from_a_radius(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixture[str]) -> None:
-    """A ballbar's positions hold no lag, so a fit of them is refused; a wrong table too."""
+    """Positions from a ballbar contain no lag, so `identify` refuses them; a wrong table is refused too."""
     bar = ["--radius-mm", "100", "--feed-mm-per-min", "1500", "--campaign", str(tmp_path / "bar")]
     assert main(["iso", "230-4", str(ROOT / "examples/iso230/ballbar.csv"), "--plot", str(tmp_path / "bar.png"), *bar]) == 0
     capsys.readouterr()

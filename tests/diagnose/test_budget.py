@@ -1,4 +1,4 @@
-"""The gap budget: what an effect is worth at the tool point, against closed forms; noise as in the gaps."""
+"""The gap budget: contributions at the tool point compared with closed forms; noise as in the gaps."""
 
 from dataclasses import replace
 
@@ -20,19 +20,19 @@ from twin.simulation.gap import SignalGap
 
 SAMPLES, RATE = 1500, 1e-5
 RUNS = {"a": 3.0, "b": 41.0**0.5}
-"""Noise [um] of two runs, 5 um RMS."""
+"""Noise [um] of two runs, 5 um RMS in total."""
 KINDS = {"X": "linear", "Y": "linear", "Z": "linear", "A": "rotary", "C": "rotary"}
 
 
 def standing(samples, **at):
-    """A motion in which every axis stands at `at` [m, rad], 0 where none is given."""
+    """A motion in which every axis is at rest at `at` [m, rad], default 0."""
     time = PERIOD_S * np.arange(samples)
     return Trace(time, {(axis, "load_position"): np.full(samples, at.get(axis, 0.0)) for axis in KINDS}, KINDS)
 
 
 @pytest.fixture(scope="module")
 def of_drift():
-    """The budget of a machine whose screw grows, and the machine."""
+    """The budget of a machine with thermal drift of a screw, and the machine."""
     group = group_of([np.zeros(SAMPLES)])
     setting = Setting(EFFECTS["thermal_drift"], "X", {"rate": RATE})
     fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), no_tuning(SAMPLES))
@@ -40,7 +40,7 @@ def of_drift():
     return budget_of(machine, corrected_machine(machine, found), found, group.views, [None], {}), machine, setting
 
 
-def test_a_screw_that_grows_moves_the_tool_although_the_scale_reads_right(of_drift):
+def test_thermal_drift_moves_the_tool_but_not_the_scale(of_drift):
     budget, machine, _ = of_drift
     (row,) = [r for r in budget.rows if r.kind == "effect"]
     lag = 1.0 / machine.axis("X").loops.position_gain_per_s
@@ -48,17 +48,17 @@ def test_a_screw_that_grows_moves_the_tool_although_the_scale_reads_right(of_dri
     assert row.tool_point == pytest.approx(np.sqrt(np.mean(grown**2)), rel=0.02)
     assert row.position == pytest.approx(row.tool_point, rel=1e-9)
     assert row.signals["position"] < 0.05 * row.position  # the loop keeps the scale on its set point
-    assert row.alone == pytest.approx(row.tool_point, rel=0.02)  # nothing else is there to overlap with
+    assert row.alone == pytest.approx(row.tool_point, rel=0.02)  # no other contribution overlaps
     assert row.at_s == pytest.approx(PERIOD_S * (SAMPLES - 1))
 
 
-def test_contributions_that_have_nothing_to_do_with_each_other_make_the_whole(of_drift):
+def test_independent_contributions_add_up_to_the_total(of_drift):
     budget = of_drift[0]
     assert budget.one_out == pytest.approx(budget.explained, rel=1e-6)
     assert budget.one_in == pytest.approx(budget.explained, rel=0.02)
 
 
-def test_the_overlap_is_that_of_all_rows(of_drift):
+def test_overlap_is_computed_from_all_rows(of_drift):
     row = of_drift[0].rows[0]
     pair = Budget((replace(row, tool_point=3e-6, alone=6e-6), replace(row, tool_point=4e-6, alone=8e-6)), 7e-6, 0.0, 0.0, {})
     assert (pair.one_out, pair.one_in) == pytest.approx((5e-6, 10e-6))
@@ -66,7 +66,7 @@ def test_the_overlap_is_that_of_all_rows(of_drift):
     assert all(f" {um} um" in overlap_text(document) for um in (5, 7, 10))
 
 
-def test_the_document_gives_people_their_units(of_drift):
+def test_the_document_uses_um_and_arcsec(of_drift):
     budget, machine, setting = of_drift
     document = document_of(budget, machine, {setting.key: 0.9}, {setting.key: 0.1})
     (row,) = [r for r in document["rows"] if r["kind"] == "effect"]
@@ -77,21 +77,21 @@ def test_the_document_gives_people_their_units(of_drift):
 
 
 @pytest.mark.parametrize(("tilt", "turn"), [(0.0, 0.0), (-0.6, 1.1)])
-def test_a_linear_axis_moves_the_tool_as_far_however_the_table_stands(tilt, turn):
+def test_a_linear_axis_moves_the_tool_by_the_same_distance_at_any_table_angle(tilt, turn):
     tool = ToolPoint(load_machine())
     base, other = standing(3, A=tilt, C=turn), standing(3, A=tilt, C=turn, Y=2e-6)
     np.testing.assert_allclose(tool.distance(base, other, ("Y",)), 2e-6, rtol=1e-6)
 
 
-def test_a_turn_of_the_table_moves_the_tool_by_its_distance_from_the_axis():
+def test_a_table_rotation_moves_the_tool_by_angle_times_distance():
     tool, angle = ToolPoint(load_machine()), 1e-6
     near, far = (tool.distance(standing(2, X=x), standing(2, X=x, C=angle), ("C",))[0] for x in (0.05, 0.15))
     reach = [np.hypot(x + near_x, y) for x in (0.05, 0.15) for near_x, y in [_from_turning_axis(tool)]]
     assert (near, far) == pytest.approx((angle * reach[0], angle * reach[1]), rel=1e-6)
 
 
-def test_a_chain_with_other_axes_counts_its_slides_alone():
-    """The columns of the transformation are X Y Z A C: B of another machine must not be taken for A."""
+def test_a_chain_with_other_axes_uses_its_linear_axes_only():
+    """The columns of the transformation are X Y Z A C: axis B of another machine must not be used as A."""
     machine = script("examples/kinematics/run.py", "kinematics_example").machine_of("table_table")
     tool, still, moved = ToolPoint(machine), dict.fromkeys("XYZBC", 0.0), {"X": 3e-6, "Y": 4e-6, "Z": 0.0, "B": 1.0, "C": 1.0}
     base, other = (Trace(np.arange(2.0), {(a, LOAD): np.full(2, v) for a, v in at.items()}, machine.kinds) for at in (still, moved))
@@ -100,12 +100,12 @@ def test_a_chain_with_other_axes_counts_its_slides_alone():
 
 
 def _from_turning_axis(tool):
-    """Where the tool stands from the axis of C, in X and Y of the bed, when all axes stand at 0."""
+    """Position of the tool relative to the C axis, in X and Y of the bed, with all axes at 0."""
     offset = tool.kinematics.tip_in_bed(np.zeros(5))[0] - tool.kinematics.turn_anchor
     return offset[0], offset[1]
 
 
-def test_a_row_is_in_multiples_of_the_noise_that_the_gaps_name():
+def test_noise_of_the_budget_is_that_of_the_gaps():
     machine = load_machine().with_axes(["X"])
     gaps = {
         run: {"X": {"position": SignalGap(1.0, 2.0, noise, "um"), "current": SignalGap(1.0, 2.0, 0.04, "A")}} for run, noise in RUNS.items()
@@ -114,7 +114,7 @@ def test_a_row_is_in_multiples_of_the_noise_that_the_gaps_name():
     assert noise == {("X", "position"): pytest.approx(5e-6), ("X", "current"): pytest.approx(0.04)}
 
 
-def test_an_axis_that_stands_counts_where_its_screw_grows(of_drift):
+def test_drift_of_an_axis_at_rest_counts(of_drift):
     _, _, setting = of_drift
     machine = load_machine()
     time = PERIOD_S * np.arange(SAMPLES)

@@ -1,4 +1,4 @@
-"""Runs left out: the formula against a fit that really lacks them."""
+"""Cross-validation: the closed-form shift compared with a fit without the run."""
 
 from types import SimpleNamespace
 
@@ -14,12 +14,12 @@ RUNS, SAMPLES, EFFECTS, NUISANCES = 3, 40, 2, 3
 PRIOR = np.diag([1e-6] * EFFECTS + [DEFAULT.prior_weight] * NUISANCES)
 
 
-def linear(told_in: range = range(RUNS)):
-    """A linear fit of noise about a truth, (found, fit, X, y); the second effect shows in the runs `told_in` only."""
+def linear(runs_with_effect: range = range(RUNS)):
+    """A linear fit with noise around known coefficients, (state, fit, X, y, best); the second effect acts only in the runs `runs_with_effect`."""
     rng = np.random.default_rng(4)
     x = rng.normal(size=(RUNS * SAMPLES, EFFECTS + NUISANCES))
     runs = np.arange(RUNS * SAMPLES) // SAMPLES
-    x[~np.isin(runs, told_in), 1] = 0.0
+    x[~np.isin(runs, runs_with_effect), 1] = 0.0
     y = x @ np.array([1.0, -2.0, 0.3, 0.0, -0.3]) + rng.normal(size=len(x))
     best = np.linalg.solve(x.T @ x + PRIOR, x.T @ y)
     channels = [SimpleNamespace(run=k, rows=slice(k * SAMPLES, (k + 1) * SAMPLES)) for k in range(RUNS)]
@@ -28,33 +28,33 @@ def linear(told_in: range = range(RUNS)):
         about=tuning_from([Nuisance("X", name) for name in "abc"], x[:, EFFECTS:], 0.01),
         tuning=best[EFFECTS:],
         free=[None] * EFFECTS,
-        left=lambda group: y - x @ best,
+        residual=lambda group: y - x @ best,
     )
     group = SimpleNamespace(channels=channels, credit=np.ones(len(x)), thresholds=DEFAULT)
     return SimpleNamespace(group=group, fit=fit, thresholds=DEFAULT), fit, x, y, best
 
 
-def test_each_run_is_predicted_as_by_a_fit_of_the_others():
+def test_each_run_is_predicted_by_a_fit_to_the_others():
     found, fit, x, y, best = linear()
     loss = 0.0
     for k in range(RUNS):
         out = np.arange(len(y)) // SAMPLES == k
-        weight = np.where(out, 1.0 - DEFAULT.known_alone, 1.0)
+        weight = np.where(out, 1.0 - DEFAULT.information_in_fold, 1.0)
         without = np.linalg.solve(x.T @ (weight[:, None] * x) + PRIOR, x.T @ (weight * y))
         loss += 0.5 * np.sum((y[out] - x[out] @ without) ** 2)
         effects, tuning = leave_out(found, [k])
         np.testing.assert_allclose(np.concatenate([effects, tuning]), without - best, atol=1e-9)
     assert held_out_loss(found, fit, folds_of(RUNS)) == pytest.approx(loss, rel=1e-9)
-    assert loss > 1.02 * 0.5 * np.sum(fit.left(None) ** 2)  # it is no fit's own loss
+    assert loss > 1.02 * 0.5 * np.sum(fit.residual(None) ** 2)  # larger than the loss in sample
 
 
-def test_a_run_that_alone_tells_a_parameter_cannot_be_left_out():
-    """The others would leave it to chance: the fit to all is judged, and must bring as much more as one that left none out."""
-    found, fit, *_ = linear(told_in=range(1))
+def test_a_run_that_alone_determines_a_parameter_cannot_be_held_out():
+    """The other runs leave the parameter undetermined. The fit to all runs is used instead, with the higher evidence threshold of a single run."""
+    found, fit, *_ = linear(runs_with_effect=range(1))
     effects, tuning = leave_out(found, [0])
     assert not effects.any()
     assert not tuning.any()
-    own = 0.5 * np.sum(fit.left(None)[:SAMPLES] ** 2)
+    own = 0.5 * np.sum(fit.residual(None)[:SAMPLES] ** 2)
     others = held_out_loss(found, fit, [[1], [2]])
     assert held_out_loss(found, fit, [[0], [1], [2]]) == pytest.approx(
         own + others + DEFAULT.evidence_in_sample - DEFAULT.evidence, rel=1e-9

@@ -1,4 +1,4 @@
-"""The files of a diagnosis by contract, on a small campaign of the examination's plant; bad campaigns are refused in one line."""
+"""Files of a diagnosis, on a small campaign of the examination's plant; bad campaigns are refused with one line."""
 
 from collections.abc import Iterator
 import dataclasses
@@ -95,8 +95,8 @@ def test_effects_and_candidates_have_one_form(document: dict[str, Any]) -> None:
             assert p["low"] <= p["value"] <= p["high"]
 
 
-def test_what_would_not_show_is_listed_and_told(diagnosed: Path, document: dict[str, Any]) -> None:
-    """Y stands still: nothing is said of it. Of X a few effects would not show in two short runs."""
+def test_effects_that_are_not_visible_are_listed(diagnosed: Path, document: dict[str, Any]) -> None:
+    """Y is at rest and not diagnosed. A few effects on X are not visible in two short runs."""
     unseen = document["not_visible"]
     assert unseen
     for entry in unseen:
@@ -107,7 +107,7 @@ def test_what_would_not_show_is_listed_and_told(diagnosed: Path, document: dict[
     assert any("axis Y does not move" in note for note in document["notes"])
 
 
-def test_the_same_seed_says_the_same_on_any_number_of_threads(campaign: Path, tmp_path: Path) -> None:
+def test_the_result_depends_on_the_seed_but_not_on_threads(campaign: Path, tmp_path: Path) -> None:
     machine = load_machine()
     folder = changed(campaign, tmp_path, lambda signals: {key: v for key, v in signals.items() if key[0] == "X"})
     read = read_campaign(folder, machine)
@@ -120,8 +120,8 @@ def test_the_same_seed_says_the_same_on_any_number_of_threads(campaign: Path, tm
     assert said(2, 4) != first
 
 
-def test_the_budget_is_asked_on_a_program_as_well(diagnosed: Path, document: dict[str, Any], case: Any) -> None:
-    """200 mm forth and back in X: a scale on the load sees the backlash for as long as the loop takes to cross it, where X turns round."""
+def test_the_budget_is_computed_for_a_program(diagnosed: Path, document: dict[str, Any], case: Any) -> None:
+    """200 mm back and forth in X: at each reversal the scale on the load shows the backlash until the loop has crossed it."""
     on_program = document["budget_on_program"]
     assert (on_program["program"], on_program["unit"]) == ("x_200mm.csv", document["budget"]["unit"])
     (row,) = [r for r in on_program["rows"] if r["kind"] == "effect"]
@@ -130,7 +130,7 @@ def test_the_budget_is_asked_on_a_program_as_well(diagnosed: Path, document: dic
     setpoint = read_trace(ROOT / "examples" / "x_200mm.csv", axes=load_machine().kinds, need=("setpoint",))
     assert len(row["at_mm"]) == 3
     assert 0.0 <= row["at_s"] <= setpoint.time[-1]
-    assert "The same on x_200mm.csv" in (diagnosed / "report.html").read_text(encoding="utf-8")
+    assert "Gap budget on x_200mm.csv" in (diagnosed / "report.html").read_text(encoding="utf-8")
 
 
 def test_every_number_is_plain_json(diagnosed: Path) -> None:
@@ -163,7 +163,7 @@ def test_corrected_machine_loads_and_holds_the_effects(diagnosed: Path, document
         assert axis.motor.torque_constant_nm_per_a == pytest.approx(other.motor.torque_constant_nm_per_a, rel=0.1)
 
 
-def test_next_measurement_of_an_earlier_diagnosis_does_not_stay(tmp_path: Path) -> None:
+def test_next_measurement_of_an_earlier_diagnosis_is_deleted(tmp_path: Path) -> None:
     file = tmp_path / "next_measurement.csv"
     file.write_text("of another diagnosis", encoding="utf-8")
     write_proposal(Proposal("none needed", None), file)
@@ -175,7 +175,7 @@ def test_next_measurement_can_be_run(diagnosed: Path) -> None:
     assert np.ptp(trace.get("X", "setpoint")) > 0
 
 
-def test_report_says_the_verdict_and_needs_nothing_beside_it(diagnosed: Path, document: dict[str, Any]) -> None:
+def test_report_states_the_verdict_and_is_self_contained(diagnosed: Path, document: dict[str, Any]) -> None:
     page = (diagnosed / "report.html").read_text(encoding="utf-8")
     assert "backlash on axis X" in re.search(r"<h1>(.*?)</h1>", page, re.S).group(1)
     value = parameters_of(document["effects"][0])[0]
@@ -198,7 +198,7 @@ def test_recording_reads_back_with_three_runs_and_the_stretch(diagnosed: Path) -
     assert any(path.endswith("X/following_error/event_telling_stretch") for path in held)
 
 
-def test_recording_has_what_is_left_of_the_guilty_axis_effect_by_effect(diagnosed: Path) -> None:
+def test_recording_has_the_residual_effect_by_effect(diagnosed: Path) -> None:
     held = read_recording(diagnosed / "diagnosis.rrd")
     steps = {path: held[path]["Scalars:scalars"] for path in sorted(held) if path.startswith(f"{STEPS}/")}
     assert [path.split("/")[-1].replace("\\", "") for path in steps] == ["00 machine file", "01 re-tuned", "02 + backlash on axis X"]
@@ -212,7 +212,7 @@ def test_recording_opens_on_the_telling_stretch(diagnosed: Path, document: dict[
     assert (played["min"], played["max"]) == pytest.approx((1e9 * stretch["from_s"], 1e9 * stretch["to_s"]))
 
 
-def test_numbers_are_told_in_engineers_units() -> None:
+def test_numbers_have_engineering_units() -> None:
     assert interval_text("m", 1.26e-5, 1.242e-5, 1.278e-5, EFFECTS["backlash"].size) == ("12.60 um", "12.42 to 12.78 um")
     assert interval_text("1", 1.12, 1.10, 1.14, EFFECTS["position_gain"].size) == ("+12.0 %", "+10.0 to +14.0 %")
     assert interval_text("s", 2.5e-4, 2.5e-4, 2.5e-4) == ("0.250 ms", "")
@@ -221,10 +221,11 @@ def test_numbers_are_told_in_engineers_units() -> None:
     assert effect_title({"effect": "cross_axis_coupling", "axis": "X", "from_axis": "Y"}) == "cross axis coupling on axis X from Y"
 
 
-def test_a_quick_look_that_does_not_hold_is_not_decided() -> None:
+def test_a_quick_look_with_a_remaining_gap_is_not_decided() -> None:
     document = {"verdict": "unknown", "decided": False, "effects": [], "where": [], "gap": {"after": 31.0}}
     assert (
-        verdict_sentence(document) == "Not decided: a quick look finds no effect, but leaves 31 times the noise; diagnose without --quick."
+        verdict_sentence(document)
+        == "Not decided: the quick look found no effect, but the gap is 31 times the noise; diagnose without --quick."
     )
 
 
@@ -238,7 +239,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 def changed(campaign: Path, folder: Path, change: Any) -> Path:
-    """A copy of the campaign's reversal with its signals changed."""
+    """A copy of the campaign's reversal run with changed signals."""
     trace = read_trace(campaign / "reversal.parquet", axes=load_machine().kinds)
     signals = change(dict(trace.signals))
     kinds = {axis: trace.kinds.get(axis, "linear") for axis, _ in signals}
@@ -297,7 +298,7 @@ def test_another_machine_by_name_is_noted(campaign: Path) -> None:
     read = read_campaign(campaign, machine)
     assert not any("names machine" in note for note in notes_of(read, machine))
     other = dataclasses.replace(read, machine_name="DMU 50")
-    assert "campaign.toml names machine DMU 50, it is held against Mikron UCP 710" in notes_of(other, machine)
+    assert "campaign.toml names machine DMU 50, it is compared with Mikron UCP 710" in notes_of(other, machine)
 
 
 def test_seed_that_is_no_number(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Samples that the twin does not follow count as doubt: there a fit is not bent."""
+"""Samples that the twin does not follow have a larger model error and hardly influence a fit."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def noise():
     return SIGMA * np.random.default_rng(4).normal(size=SAMPLES)
 
 
-def test_what_changes_is_trusted_to_a_share(channel):
+def test_model_error_is_a_share_of_the_response(channel):
     change = np.zeros(SAMPLES)
     change[1000] = 500.0
     doubt = channel.doubted(change, np.zeros(SAMPLES), PERIOD).doubt
@@ -27,12 +27,12 @@ def test_what_changes_is_trusted_to_a_share(channel):
     assert np.count_nonzero(doubt) == 11  # 10 ms before and after
 
 
-def test_noise_alone_leaves_the_weights(channel):
+def test_noise_alone_does_not_change_the_weights(channel):
     weights = channel.doubted(np.zeros(SAMPLES), noise(), PERIOD).weight
     assert np.mean(weights < 0.9 / SIGMA) < 0.02
 
 
-def test_a_break_away_loses_its_weight_and_the_rest_keeps_it(channel):
+def test_a_break_away_loses_its_weight_and_other_samples_keep_it(channel):
     left = noise()
     left[1500:1510] += 100.0
     doubted = channel.doubted(np.zeros(SAMPLES), left, PERIOD)
@@ -42,7 +42,7 @@ def test_a_break_away_loses_its_weight_and_the_rest_keeps_it(channel):
     assert np.mean(doubted.weight[:1400] > 0.9 / SIGMA) > 0.98
 
 
-def test_doubt_of_what_was_left_before_is_forgotten(channel):
+def test_model_error_of_an_earlier_residual_is_discarded(channel):
     left = noise()
     left[1500:1510] += 100.0
     again = channel.doubted(np.zeros(SAMPLES), left, PERIOD).doubted(np.zeros(SAMPLES), noise(), PERIOD)

@@ -1,4 +1,4 @@
-"""Two encoders without a common zero: a constant of each run that is fitted, also after correction; and axes that another one pushes."""
+"""Encoders without a common zero: a constant in each run is fitted, also after correction. Axes that are pushed by another axis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.simulation.two_encoders import motor_minus_scale, shifted
 
 YZ = load_machine().with_axes(["Y", "Z"])
 SPRING = {"name": "transmission_compliance", "axis": "Z", "stiffness": 1e9}
-"""The weight of Z winds it up by 3.5 um."""
+"""The weight of Z winds the spring up by 3.5 um."""
 TILT = {
     "name": "law", "axis": "Z", "from_axis": "Y", "block": "measurement", "output": "displacement", "variables": ["position"],
     "formula": "line", "height": 1e-5, "reach": 0.1,
@@ -28,7 +28,7 @@ TILT = {
 
 
 def recorded(machine: Machine, moving: str, name: str, offset: float = 0.0) -> MeasuredRun:
-    """A run in which one axis goes to and fro; the motor encoder of Z has another zero."""
+    """A run in which one axis moves back and forth; the motor encoder of Z has a different zero."""
     way = moves_in_turn(0.0, [0.03, -0.03], 0.1, 1.0, 20.0, 0.1, 1e-3)[1]
     position = np.column_stack([way if axis == moving else np.zeros_like(way) for axis in YZ.axis_names])
     trace = simulate(machine, Setpoints(position, 1e-3), sample_period=1e-3, noise_seed=len(name)).trace
@@ -40,7 +40,7 @@ def elastic() -> Machine:
     return with_effects(YZ, [SPRING])
 
 
-def test_weight_on_a_spring_is_no_gap_where_encoders_have_no_common_zero(elastic: Machine) -> None:
+def test_constant_windup_is_no_gap_if_encoders_have_no_common_zero(elastic: Machine) -> None:
     runs, zeros = with_common_zeros([recorded(elastic, "Z", "first", 80e-6), recorded(elastic, "Z", "second", 80e-6)], YZ)
     assert set(zeros) == {"Z"}
     assert all(run.own_zeros == {"Z"} for run in runs)
@@ -48,7 +48,7 @@ def test_weight_on_a_spring_is_no_gap_where_encoders_have_no_common_zero(elastic
     assert gap.rms < 2.0 * gap.noise
 
 
-def test_constants_that_a_correction_leaves_are_zeros_but_no_trend(elastic: Machine) -> None:
+def test_constants_after_correction_are_zeros_but_a_trend_is_not(elastic: Machine) -> None:
     run = recorded(elastic, "Z", "run")
     times = (0.0, 60.0, 120.0)
     offsets = np.array([2e-6, -4e-6, 2e-6])
@@ -64,14 +64,14 @@ def test_constants_that_a_correction_leaves_are_zeros_but_no_trend(elastic: Mach
     np.testing.assert_allclose(means, drift.mean() - drift, atol=1e-9)
 
 
-def test_an_axis_that_another_one_pushes_at_rest_is_looked_at() -> None:
+def test_an_axis_at_rest_that_is_pushed_is_observed() -> None:
     pushed = view_of(YZ, recorded(with_effects(YZ, [TILT]), "Y", "pushed"))
     assert pushed.pushed == {"Z"}
     assert [c.name for c in observe([pushed], ("Z",)).channels] == ["motor_minus_scale"]
     assert not view_of(YZ, recorded(YZ, "Y", "still")).pushed
 
 
-def test_what_follows_no_motion_is_not_pushed() -> None:
+def test_an_oscillation_without_motion_of_others_is_not_a_push() -> None:
     run = recorded(YZ, "Y", "hunting")
     swing = 5e-6 * np.sin(2.0 * np.pi * 7.0 * run.trace.time)
     signals = {**run.trace.signals, ("Z", "motor_position"): run.trace.get("Z", "motor_position") + swing}

@@ -1,4 +1,4 @@
-"""Fits of effects in closed loop: when slopes from a fit next to this one serve, and when they are taken again."""
+"""Closed-loop fits: known slopes are reused while their predictions hold, and recomputed otherwise."""
 
 import pytest
 
@@ -25,7 +25,7 @@ def fitted():
 
 
 def fitted_from(monkeypatch, fitted, start, known):
-    """A fit from another start with known slopes, and how many slopes it took."""
+    """A fit from another start with known slopes, and the number of slopes it computed."""
     group, tuning, _ = fitted
     taken = []
     slopes = fit._slopes
@@ -35,15 +35,15 @@ def fitted_from(monkeypatch, fitted, start, known):
     return found, len(taken)
 
 
-def test_slopes_that_promise_next_to_nothing_are_not_taken_again(monkeypatch, fitted):
-    """At the optimum no slope promises anything, not even one of the wrong sign."""
+def test_slopes_without_a_predicted_gain_are_not_recomputed(monkeypatch, fitted):
+    """At the optimum no slope predicts a gain, not even one with the wrong sign."""
     wrong = {name: -column for name, column in fitted[2].slopes.items()}
     again, taken = fitted_from(monkeypatch, fitted, fitted[2].settings[0], wrong)
     assert taken == 0
     assert again.loss <= fitted[2].loss
 
 
-def test_slopes_that_lead_nowhere_are_taken_again(monkeypatch, fitted):
+def test_slopes_that_do_not_reduce_the_loss_are_recomputed(monkeypatch, fitted):
     wrong = {name: -column for name, column in fitted[2].slopes.items()}
     again, taken = fitted_from(monkeypatch, fitted, START, wrong)
     assert taken >= 2

@@ -1,4 +1,4 @@
-"""Gaps on runs left out, where what a fold leaves open is a machine that cannot be simulated."""
+"""Gaps on held-out runs, including folds whose machine cannot be simulated."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ FOLDS = [[0], [1], [2]]
 
 @pytest.fixture
 def machines(monkeypatch, request):
-    """Machines are words; `unstable` holds those that cannot be simulated: they diverge, or a spring is stiffer than a tick follows."""
+    """Machines are strings; `unstable` holds those that cannot be simulated because they diverge or a spring is too stiff for the step."""
     error = getattr(request, "param", SimulationError)
     unstable = set()
 
@@ -45,19 +45,19 @@ def test_each_run_is_predicted_by_the_others(machines):
 
 
 @pytest.mark.parametrize("machines", [SimulationError, InputError], indirect=True)
-def test_an_unstable_machine_gives_way_to_the_one_fitted_to_all(machines):
+def test_an_unstable_machine_is_replaced_by_the_one_fitted_to_all(machines):
     machines.add("without [1]")
     assert after() == (["without [0]", "fitted to all", "without [2]"], ["first", "third"])
 
 
-def test_a_corrected_machine_that_diverges_is_said(machines):
+def test_a_diverging_corrected_machine_raises(machines):
     machines.update({"without [1]", "fitted to all"})
     with pytest.raises(SimulationError):
         after()
 
 
 @pytest.mark.parametrize(("after", "worse"), [(0.5, False), (1.2, False), (1.6, True), (40.0, True)])
-def test_a_correction_that_makes_the_gap_larger_is_seen(monkeypatch, after, worse):
+def test_a_correction_that_increases_the_gap_is_detected(monkeypatch, after, worse):
     level = {"before": 1.1, "after": after}
     monkeypatch.setattr(
         corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(level[which], level[which], 1.0, "um")}}
@@ -68,12 +68,12 @@ def test_a_correction_that_makes_the_gap_larger_is_seen(monkeypatch, after, wors
     assert not corrected.is_worse("Y", *levels)
 
 
-def test_axes_that_correction_makes_worse_stay_as_the_file_says(mikron):
+def test_axes_that_a_correction_makes_worse_keep_the_machine_file(mikron):
     group = group_of([np.full(50, 3.0), np.full(50, -2.0)])
     nuisances = nuisances_of(mikron, ("X",), group.thresholds)
     found = found_of(group, tuning_from(nuisances, np.eye(group.size)[:, : len(nuisances)], 0.01))
     nominal = with_effects(mikron, []).document
-    stays = corrected.as_filed(found)
+    stays = corrected.uncorrected(found)
     assert stays.unknown
     for machine_of in (lambda f: corrected.corrected_machine(mikron, [f]), lambda f: corrected.fitted_without(mikron, [f], [0])):
         assert machine_of(found).document != nominal

@@ -1,4 +1,4 @@
-"""When effects are no answer: an axis that stays loud, or keeps most of a gap that is hardly loud."""
+"""When effects do not explain an axis: a large gap remains, or most of a moderate gap."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Moves that are proposed: inside the travel and the limits, back where they began, and what each is for."""
+"""Proposed moves stay within travel and limits, return to their start, and excite what they are meant to."""
 
 import math
 
@@ -25,7 +25,7 @@ def test_a_proposed_move_can_be_run(kind: str, axis: str) -> None:
     assert all("jerk" in w for w in warnings) if kind == "chirp" else not warnings
 
 
-def test_each_does_what_it_is_for() -> None:
+def test_each_move_excites_its_quantity() -> None:
     axis = MACHINE.axis("X")
     q = {kind: move_of(kind, [axis]).get("X", "setpoint") for kind in KINDS}
     speed = {kind: np.diff(values) / 1e-3 for kind, values in q.items()}
@@ -36,7 +36,7 @@ def test_each_does_what_it_is_for() -> None:
     spectrum = np.abs(np.fft.rfft(np.diff(speed["chirp"]) * np.hanning(len(speed["chirp"]) - 1)))
     hz = np.fft.rfftfreq(len(speed["chirp"]) - 1, 1e-3)
     assert spectrum[(hz > 5.0) & (hz < 75.0)].min() > 3.0 * spectrum[hz > 150.0].max()
-    # half the way the jerk builds up what the other half takes away: d = 2 j (a / j)^3, unless limit or speed come first
+    # jerk-limited move: d = 2 j (a / j)^3, unless the acceleration or speed limit is reached
     reach = np.ptp(q["accelerations"])
     most = min(axis.max_acceleration, (axis.max_velocity * axis.max_jerk) ** 0.5, (reach * axis.max_jerk**2 / 2.0) ** (1 / 3))
     assert reach == pytest.approx(0.35 * (axis.travel[1] - axis.travel[0]))

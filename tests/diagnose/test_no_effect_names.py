@@ -1,4 +1,4 @@
-"""No effect is named in the code of the diagnosis: what it must know of an effect stands on the effect, so that a new one is one file."""
+"""The code of the diagnosis names no effect: its properties are fields of the effect, so that a new effect is a single file."""
 
 import ast
 from pathlib import Path
@@ -13,14 +13,14 @@ FILES = [*sorted((PACKAGE / "diagnose").glob("*.py")), PACKAGE / "exam" / "detec
 
 
 def docstrings(tree: ast.AST) -> set[ast.Constant]:
-    """String constants that stand as statements: docstrings of modules, functions, classes and constants."""
+    """String constants that are statements: docstrings of modules, functions, classes and constants."""
     return {n.value for n in ast.walk(tree) if isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant)}
 
 
 def names_in(source: str) -> list[str]:
-    """Effect names that stand in the string literals of a source.
+    """Effect names in the string literals of a source.
 
-    A name that is an English word ("inertia") may stand in a sentence; a literal that is the name, or a name with an underscore, may not.
+    A name that is an English word ("inertia") is allowed in a sentence. A literal that equals the name, or a name with an underscore, is not.
     """
     tree = ast.parse(source)
     plain = docstrings(tree)
@@ -35,12 +35,10 @@ def names_in(source: str) -> list[str]:
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_no_effect_is_named(file):
-    assert names_in(file.read_text(encoding="utf-8")) == [], (
-        "let the effect say it: a field of Effect or Parameter, see twin/effects/effect.py"
-    )
+    assert names_in(file.read_text(encoding="utf-8")) == [], "add a field to Effect or Parameter instead, see twin/effects/effect.py"
 
 
-def test_a_name_is_seen():
+def test_a_name_is_detected():
     source = (
         '"""backlash."""\nSPECIAL = {"inertia": 2.0}\nif name == "backlash":\n    print(f"mass and inertia; torque_ripple of {name}")\n'
     )

@@ -1,4 +1,4 @@
-"""Which sizes are believed: what is found on machines, and more than their normal spread."""
+"""Plausible sizes: found on machines, and larger than their normal spread."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ MACHINE = load_machine()
 @pytest.mark.parametrize(
     ("effect", "axis", "parameters", "believed"),
     [
-        # 6.2 kg at 0.1 m, found with another share of mass and radius: the moment is that of a machine
+        # 6.2 kg at 0.1 m with a different split of mass and radius: the moment is plausible
         ("table_unbalance", "A", {"mass_kg": 2.3, "radius_m": 0.27, "angle_rad": 5.5}, True),
         ("table_unbalance", "A", {"mass_kg": 0.5, "radius_m": 0.05, "angle_rad": 5.5}, False),
         ("table_unbalance", "A", {"mass_kg": 400.0, "radius_m": 0.9, "angle_rad": 5.5}, False),
@@ -32,13 +32,13 @@ MACHINE = load_machine()
         ("backlash", "X", {"clearance": 1e-8}, False),
     ],
 )
-def test_sizes_believed(effect, axis, parameters, believed):
+def test_plausible_sizes(effect, axis, parameters, believed):
     assert is_plausible(Setting(EFFECTS[effect], axis, parameters), MACHINE) == believed
 
 
 @pytest.mark.parametrize(("slope", "kept"), [(1.0, True), (0.01, False)])
-def test_an_effect_that_has_no_size_is_not_there(slope: float, kept: bool) -> None:
-    """Known by a weak slope, this clearance of 4 um could as well be 700 times smaller: that is no backlash."""
+def test_an_effect_with_an_undetermined_size_is_removed(slope: float, kept: bool) -> None:
+    """With a weak slope this clearance of 4 um could be 700 times smaller, so it is not accepted as backlash."""
     group = group_of([np.zeros(1000)], "Z")
     settings = (Setting(EFFECTS["backlash"], "Z", {"clearance": 4e-6}),)
     free = free_parameters(settings, MACHINE)
@@ -50,7 +50,7 @@ def test_an_effect_that_has_no_size_is_not_there(slope: float, kept: bool) -> No
 @pytest.mark.parametrize(
     ("effect", "size", "known", "kept"),
     [
-        # viscous friction is an effect beyond 4 %
+        # viscous friction is an effect above 4 %
         ("viscous_friction", 1.3, 0.01, True),
         ("viscous_friction", 1.05, 0.01, False),
         ("viscous_friction", 0.95, 0.01, False),
@@ -59,7 +59,7 @@ def test_an_effect_that_has_no_size_is_not_there(slope: float, kept: bool) -> No
         ("position_dependent_friction", 0.09, 0.13, False),  # from -17 to 35 %
     ],
 )
-def test_what_may_be_nothing_or_tolerance_is_no_effect(effect: str, size: float, known: float, kept: bool) -> None:
+def test_a_size_that_may_be_zero_or_tolerance_is_removed(effect: str, size: float, known: float, kept: bool) -> None:
     """`known` is the standard deviation of the size."""
     parameter = EFFECTS[effect].size
     others = {"wavelength": 0.05} if effect == "position_dependent_friction" else {}

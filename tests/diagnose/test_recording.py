@@ -1,4 +1,4 @@
-"""What the replay of a diagnosis shows, and whether a radius is all that was seen: without a diagnosis."""
+"""Steps shown in the replay of a diagnosis, and detection of ballbar-only groups."""
 
 from types import SimpleNamespace
 
@@ -22,5 +22,5 @@ def test_two_laws_of_one_axis_are_two_steps():
     assert list(steps)[:2] == ["machine file", "re-tuned"]
 
 
-def test_axes_that_never_move_are_not_seen_by_a_radius():
+def test_axes_that_never_move_are_not_a_ballbar_group():
     assert not group_of([np.zeros(50)], moving=np.zeros(50, bool)).by_radius

@@ -1,4 +1,4 @@
-"""The order of a search: effects first, then slip before break-away, which would stand in for effects that are missing."""
+"""Order of a search: effects first, then slip before break-away, which would otherwise absorb missing effects."""
 
 from dataclasses import replace
 
@@ -6,40 +6,40 @@ import numpy as np
 
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import search
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 
 
 def searched(monkeypatch, mikron, winners: list[list[str]], slips: int, quick: bool = False) -> list[str]:
-    """What a search did, in order, whose rounds find these winners, and whose slip changes so many times."""
+    """Steps of a search in order. Its rounds accept these winners, and its slip changes this many times."""
     done: list[str] = []
     rounds, changes = iter(winners), iter([True] * slips)
 
-    def one_round(found: Found, *_: object) -> tuple[Found, list[str]]:
+    def one_round(found: GroupState, *_: object) -> tuple[GroupState, list[str]]:
         done.append("round")
         return found, next(rounds, [])
 
-    def with_slip(found: Found, *_: object) -> Found:
+    def with_slip(found: GroupState, *_: object) -> GroupState:
         done.append("slip")
         return replace(found) if next(changes, False) else found
 
-    def with_effects(found: Found, winners: list[str], *_: object) -> Found:
+    def with_effects(found: GroupState, winners: list[str], *_: object) -> GroupState:
         done.extend(winners)
         return replace(found)
 
     monkeypatch.setattr(search, "_round", one_round)
-    monkeypatch.setattr(search, "with_slip_beside", with_slip)
-    monkeypatch.setattr(search, "_with_effects", with_effects)
-    monkeypatch.setattr(search, "_without_superfluous", lambda found, *_: found)
+    monkeypatch.setattr(search, "with_refitted_slip", with_slip)
+    monkeypatch.setattr(search, "_with_accepted", with_effects)
+    monkeypatch.setattr(search, "_without_redundant_effects", lambda found, *_: found)
     found = found_of(group_of([np.full(50, 3.0)]))
-    search._searched(found, mikron, [[0]], map, lambda _: None, quick)
+    search._search_rounds(found, search.Context(mikron, [[0]], map, lambda _: None, quick))
     return done
 
 
-def test_slip_is_sized_when_no_effect_earns_its_place(monkeypatch, mikron):
+def test_slip_is_sized_when_no_effect_is_accepted(monkeypatch, mikron):
     assert searched(monkeypatch, mikron, [["backlash"], ["stribeck"]], 0) == ["round", "backlash", "round", "stribeck", "round", "slip"]
 
 
-def test_effects_are_looked_for_again_beside_another_slip(monkeypatch, mikron):
+def test_effects_are_searched_again_after_slip_changes(monkeypatch, mikron):
     assert searched(monkeypatch, mikron, [["backlash"], [], ["stribeck"]], 1) == [
         "round", "backlash", "round", "slip", "round", "stribeck", "round", "slip",
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Slip before break-away, which every axis has a little of, is found from records with measuring noise and encoders of finite resolution."""
+"""Slip before break-away, a normal imperfection of every axis, is identified from records with noise and finite encoder resolution."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tests.diagnose.law.test_keep import X, runs_of
-from twin.diagnose.corrected import within
-from twin.diagnose.fit import answer, fit_effects, no_effect
+from twin.diagnose.corrected import limited_deviations
+from twin.diagnose.fit import fit_effects, no_effect, simulated_response
 from twin.diagnose.imperfections import moved_to, with_imperfections
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.simulations import in_turn
-from twin.diagnose.slip import with_slip_beside
-from twin.diagnose.state import Found
+from twin.diagnose.slip import with_refitted_slip
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
@@ -35,8 +35,8 @@ def group():
     return observe([view_of(X, run) for run in runs_of([SLIP])], ("X",))
 
 
-def test_noise_in_the_loop_is_no_error_of_the_control_law(group):
-    """What a shaken simulation saw was rounded otherwise than what the machine saw: the law of the controller is not to answer for that."""
+def test_noise_in_the_loop_does_not_change_the_control_law(group):
+    """The inputs of a simulation with noise are rounded differently from the recorded ones. This is no error of the control law."""
     assert X.noise(AXIS).position_resolution > 0.0
     nuisance = Nuisance("X", "slip", DEFAULT)
     answer = group.response(lambda m: nuisance.apply(m, 1.0 + 0.5 * m.parameter_tolerance), axes=("X",), shaken=True)
@@ -53,15 +53,15 @@ def test_slip_is_found_with_its_size(group):
 
 
 WOUND = 3e-6
-"""Windup of the drive train at the start of a record [m]: it makes the load creep where it stands."""
+"""Initial windup of the drive train [m]; it makes the resting load creep."""
 
 SHARE = 0.08
-"""Slip as the search without effects left it, as a share of the largest normal one."""
+"""Slip found by a search without effects, as a share of the largest normal one."""
 
 
 @pytest.fixture(scope="module")
 def wound_up():
-    """The diagnosis of a machine with more friction, before its slip is sized beside that: its slip is far too small."""
+    """The state of a machine with higher friction before its slip is fitted again; the slip is far too small."""
     spring = {"name": "transmission_compliance", "axis": "X", "stiffness": 3e9}
     friction = {"name": "coulomb_friction", "axis": "X", "factor": 1.3}
     machine = with_effects(X, [spring, SLIP, friction])
@@ -73,7 +73,7 @@ def wound_up():
         runs.append(MeasuredRun(f"run{seed}", trace, "velocity+torque", 0.0))
     rigid = observe([view_of(X, run) for run in runs], ("X",))
     there = [Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.3})]
-    left = rigid.residual - answer(rigid, there)
+    left = rigid.residual - simulated_response(rigid, there)
     tuning = with_imperfections(tuning_of(rigid, X, in_turn), rigid, X, left, in_turn)
     theta = tuning.solve(left)[: len(tuning.nuisances)]
     i = [n.quantity for n in tuning.nuisances].index("slip")
@@ -81,38 +81,38 @@ def wound_up():
     group, tuning = moved_to(rigid, tuning, theta, in_turn)
     fit = fit_effects(group, X, tuning, there, in_turn, 2)
     assert fit is not None
-    return Found(group, rigid, tuning, fit, no_effect(group, tuning), 1.0, (fit,))
+    return GroupState(group, rigid, tuning, fit, no_effect(group, tuning), 1.0, (fit,))
 
 
 def slip_of(found):
     i = [n.quantity for n in found.tuning.nuisances].index("slip")
-    return within(found, X.parameter_tolerance)[i] / X.parameter_tolerance * DEFAULT.normal_slip_linear_m
+    return limited_deviations(found, X.parameter_tolerance)[i] / X.parameter_tolerance * DEFAULT.normal_slip_linear_m
 
 
-def test_slip_is_sized_by_how_an_axis_creeps_where_it_stands(wound_up):
-    better = with_slip_beside(wound_up, X, in_turn)
+def test_slip_is_sized_by_the_creep_of_a_resting_axis(wound_up):
+    better = with_refitted_slip(wound_up, X, in_turn)
     assert slip_of(better) == pytest.approx(TRAVEL, rel=0.25)
     assert better.fit.loss < 0.9 * wound_up.fit.loss
 
 
-def test_slip_of_the_right_size_stays(wound_up):
-    better = with_slip_beside(wound_up, X, in_turn)
-    again = with_slip_beside(better, X, in_turn)
+def test_slip_of_the_right_size_is_kept(wound_up):
+    better = with_refitted_slip(wound_up, X, in_turn)
+    again = with_refitted_slip(better, X, in_turn)
     assert slip_of(again) == pytest.approx(slip_of(better), rel=0.1)
 
 
-def test_slip_that_was_missed_is_found(group):
-    """Next to noise, but without slip: sizes tried on a rigid machine may all have been far from the true one."""
+def test_missed_slip_is_found(group):
+    """The residual is near noise but the slip is missing: all sizes tried on a rigid machine may have been far from the true one."""
     plain = tuning_of(group, X, in_turn)
     bare = no_effect(group, plain)
-    missed = Found(group, group, plain, bare, bare, 1.0, ())
-    assert missed.fit.loss < DEFAULT.little_left * group.expected_loss
-    found = with_slip_beside(missed, X, in_turn)
+    missed = GroupState(group, group, plain, bare, bare, 1.0, ())
+    assert missed.fit.loss < DEFAULT.small_residual * group.expected_loss
+    found = with_refitted_slip(missed, X, in_turn)
     assert slip_of(found) == pytest.approx(TRAVEL, rel=0.3)
     assert found.fit.loss < missed.fit.loss
 
 
-def test_no_slip_is_looked_for_where_effects_are_missing(wound_up):
+def test_slip_is_not_fitted_while_effects_are_missing(wound_up):
     bare = replace(wound_up, fit=no_effect(wound_up.group, wound_up.tuning))
-    assert bare.fit.loss > DEFAULT.little_left * wound_up.group.expected_loss
-    assert with_slip_beside(bare, X, in_turn) is bare
+    assert bare.fit.loss > DEFAULT.small_residual * wound_up.group.expected_loss
+    assert with_refitted_slip(bare, X, in_turn) is bare

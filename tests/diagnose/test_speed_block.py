@@ -1,4 +1,4 @@
-"""The speed controller held against its recorded inputs: only where each of its set points was recorded."""
+"""The speed controller is compared with its recorded inputs only if each of its set points was recorded."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def test_law_of_the_speed_controller(period_s: float, blocks: int) -> None:
 @pytest.mark.parametrize("period_s", [5e-4, 2e-3])
 @pytest.mark.parametrize("faulty", [False, True])
 def test_a_drive_that_closes_the_position_loop(period_s: float, faulty: bool) -> None:
-    """Its speed loop is fed with what the drive makes of the NC's command; a healthy one follows its law, a weak one does not."""
+    """The drive computes the input of its speed loop from the command of the NC. A healthy drive follows its law, one with low gain does not."""
     nominal = dsc_machine()
     real = with_effects(nominal, [parse_setting("speed_gain:X:factor=0.6", nominal)]) if faulty else nominal
     setpoints = setpoints_of(read_trace(EXAMPLE), nominal)
@@ -46,8 +46,8 @@ def test_a_drive_that_closes_the_position_loop(period_s: float, faulty: bool) ->
 
 
 @pytest.mark.parametrize("delay_s", [5.25e-3, 5.3e-3, 5e-4])
-def test_what_is_in_force_is_what_the_drive_follows(delay_s: float) -> None:
-    """Made of the recorded command and position it is what the simulated drive follows, at each of its cycles that is recorded."""
+def test_the_reconstructed_set_point_is_that_of_the_drive(delay_s: float) -> None:
+    """The set point reconstructed from recorded command and position equals that of the simulated drive at each recorded cycle."""
     machine = dsc_machine().with_values({"axis.X.loops.dsc_delay_s": delay_s})
     trace = simulate(machine, setpoints_of(read_trace(EXAMPLE), machine)).trace
     axis = machine.axis("X")
@@ -61,7 +61,7 @@ def test_what_is_in_force_is_what_the_drive_follows(delay_s: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, 0.7])
 def test_diagnosis_of_a_drive_that_closes_the_position_loop(factor: float) -> None:
-    """No block of a healthy one is blamed; a weak speed gain is found in the speed controller."""
+    """No block of a healthy drive is blamed; a low speed gain is found in the speed controller."""
     nominal = dsc_machine()
     real = nominal if factor == 1.0 else with_effects(nominal, [parse_setting(f"speed_gain:X:factor={factor}", nominal)])
     setpoints = setpoints_of(read_trace(EXAMPLE), nominal)
@@ -74,7 +74,7 @@ def test_diagnosis_of_a_drive_that_closes_the_position_loop(factor: float) -> No
 
 
 def dsc_machine() -> Machine:
-    """X of the home machine under a control like a SINUMERIK with dynamic servo control."""
+    """X of the default machine under a control like a SINUMERIK with dynamic servo control."""
     return (
         load_machine()
         .with_axes(["X"])

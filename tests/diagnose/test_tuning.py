@@ -1,4 +1,4 @@
-"""One more nuisance beside a tuning: what is predicted for it is what the tuning that has it gives."""
+"""One more nuisance next to a tuning: its predicted gain equals that of the extended tuning."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def drawn():
     rng = np.random.default_rng(3)
     nuisances = [Nuisance("X", "inertia"), Nuisance("X", "viscous")]
     columns = rng.normal(0.0, 5.0, (ROWS, 3))
-    columns[:, 2] += columns[:, 0]  # not told apart by itself
+    columns[:, 2] += columns[:, 0]  # partly collinear
     return (
         tuning_from(nuisances, np.asfortranarray(columns[:, :2]), SPREAD),
         columns[:, 2],
@@ -33,27 +33,27 @@ def test_a_trial_predicts_loss_and_size(drawn):
     assert trial.gain > 10.0
 
 
-def test_what_the_tuning_explains_gains_nothing(drawn):
+def test_a_collinear_nuisance_gains_nothing(drawn):
     tuning, _, residual = drawn
     trial = trial_of(tuning, tuning.jacobian @ np.array([1.0, 2.0]), residual)
     assert trial.gain < 0.05 * trial_of(tuning, residual, residual).gain
 
 
-def test_what_only_parameters_far_off_the_tolerance_explain_is_left(drawn):
-    """Nobody re-tunes a torque constant by a tenth where machines differ by a hundredth."""
+def test_a_residual_that_needs_parameters_beyond_the_tolerance_remains(drawn):
+    """A torque constant is not re-tuned by 10 % if machines differ by 1 %."""
     tuning = drawn[0]
     for deviations, explained in (((2.0, -1.0), True), ((2.0, 15.0), False)):
         rows = tuning.jacobian @ np.array(deviations)
         group = group_of([rows])
         found = found_of(group, tuning)
-        assert excess_of(group, found.fit)["X"] < 0.0  # re-tuned without bounds it is gone
+        assert excess_of(group, found.fit)["X"] < 0.0  # unbounded re-tuning explains it
         assert (beyond_tolerance(found) < 0.0) is explained
 
 
-def test_a_column_that_is_held_explains_as_little_as_one_that_is_not_there(drawn):
+def test_a_held_column_acts_like_a_missing_one(drawn):
     tuning, column, residual = drawn
     rng = np.random.default_rng(4)
-    # columns of very different size, as effects have them
+    # columns of very different scale, as those of effects
     further = np.asfortranarray(np.column_stack([1e4 * column, rng.normal(size=ROWS), 1e-3 * residual]))
     every = tuning.with_free(further)
     for held in ([0], [2], [0, 1]):

@@ -127,8 +127,8 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
     assert found["effects"][0]["parameters"]["force"]["value"] == pytest.approx(2.5, rel=0.02)
     assert {p["block"] for p in found["where"]} == {"mechanics"}
     assert found["notes"] == [  # no signal is missing
-        "a single run: nothing could be left out of the fit",
-        "a quick look: gaps are the decoupled plant's, not MuJoCo's; laws that no effect describes, and effects that these runs would not show, were not asked for",
+        "single run: no run can be held out of the fit",
+        "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked",
     ]
     assert found["not_visible"] is None
     corrected = load_machine(tmp_path / "d" / "machine.toml")

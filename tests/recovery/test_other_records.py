@@ -18,7 +18,7 @@ from twin.diagnose.settings import DEFAULT
 from twin.diagnose.sizes import without_implausible
 from twin.diagnose.verdict import named
 from twin.diagnose.view import view_of
-from twin.diagnose.where import _gather, _lead
+from twin.diagnose.where import _assign_effect, _merge_echoes
 from twin.effects import EFFECTS, Setting
 from twin.exam.questions import RICHNESS
 from twin.machine.machine import load_machine
@@ -79,8 +79,8 @@ def test_each_of_two_effects_keeps_its_own_place():
     """Both effects keep their own blocks; the share of a block without an effect goes to the larger one, except a twentieth."""
     listed = [{"axis": "X", "block": b, "_share": e} for b, e in (("transmission", 100.0), ("mechanics", 20.0), ("speed controller", 10.0))]
     for name, parameters in (("backlash", {"clearance": 1e-5}), ("coulomb_friction", {"factor": 1.3})):
-        _lead(listed, Setting(EFFECTS[name], "X", parameters), load_machine())
-    _gather(listed, DEFAULT.echo)
+        _assign_effect(listed, Setting(EFFECTS[name], "X", parameters), load_machine())
+    _merge_echoes(listed, DEFAULT.echo)
     assert {p["block"]: p["_share"] for p in listed} == pytest.approx({"transmission": 109.5, "mechanics": 20.0, "speed controller": 0.5})
     by_block = {p["block"]: p for p in listed}
     assert by_block["transmission"]["effect"] == "backlash"
@@ -91,7 +91,7 @@ def test_a_gain_is_placed_where_two_p_controllers_show_it():
     machine = load_machine()
     p_only = machine.with_axis("X", speed_integral_time_s=math.inf)
     listed = [{"axis": "X", "block": "position controller", "_excess": 100.0}]
-    _lead(listed, Setting(EFFECTS["speed_gain"], "X", {"factor": 1.3}), p_only)
+    _assign_effect(listed, Setting(EFFECTS["speed_gain"], "X", {"factor": 1.3}), p_only)
     assert [p["block"] for p in listed] == ["speed controller"]
 
 
@@ -105,7 +105,7 @@ def test_noise_between_motor_and_scale_is_that_of_a_drive_train_that_gives(tmp_p
 
 
 def transmission_residuals(found):
-    left = found.fit.left(found.group) / found.group.weights
+    left = found.fit.residual(found.group) / found.group.weights
     return [(c, left[c.rows]) for c in found.group.channels if (c.axis, c.name) == ("C", "motor_minus_scale")]
 
 

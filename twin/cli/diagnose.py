@@ -1,4 +1,4 @@
-"""`twin diagnose`: where a measured campaign differs from the twin, which effect causes it, how far the gap shrinks."""
+"""`twin diagnose`: where a measured campaign differs from the twin, which effect causes it, and how far a correction reduces the gap."""
 
 from __future__ import annotations
 
@@ -16,18 +16,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_machine(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
     parser.add_argument(
-        "--quick", action="store_true", help="a first look in less than half the time: fewer candidates, and quiet axes are not searched"
+        "--quick",
+        action="store_true",
+        help="quick look in less than half the time: fewer candidates, and axes at noise level are not searched",
     )
     parser.add_argument(
-        "--program", metavar="INPUT", help="part program, or trace with set points, on which each effect's share of the error is asked too"
+        "--program", metavar="INPUT", help="part program or trace with set points, for which the gap budget is also computed"
     )
     add_place(parser)
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the noise that the twin draws (default 0)")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the simulated noise (default 0)")
     add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Diagnose a campaign; print the verdict and write the evidence."""
+    """Diagnose a campaign, write the files and print the verdict."""
     from twin.diagnose import diagnose
     from twin.diagnose.output import summary_text, write_diagnosis
     from twin.recordings.campaign import MeasuredRun, read_campaign

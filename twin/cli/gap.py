@@ -1,4 +1,4 @@
-"""`twin gap`: simulate every run of a measured campaign and compare signal by signal."""
+"""`twin gap`: simulate every run of a measured campaign and compare it signal by signal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from twin.files import write_json
 from twin.progress import Progress
 
 SHOWN = 12
-"""Outliers that are listed on the terminal; the HTML page lists all."""
+"""Outliers listed on the terminal; the HTML page lists all."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,13 +18,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_campaign(parser)
     add_machine(parser)
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
-    parser.add_argument("--html", metavar="FILE", help="write a report with a picture")
+    parser.add_argument("--html", metavar="FILE", help="write a report with a figure")
     parser.add_argument("--all", action="store_true", help="print every run, axis and signal")
     add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Simulate and compare; print the verdict, the axes, then the outliers."""
+    """Simulate and compare; print the verdict, the gap of each axis and the outliers."""
     from twin.effects import settings_of
     from twin.recordings.campaign import read_campaign
     from twin.simulation.campaign_gap import AS_EXPECTED, gap
@@ -36,7 +36,7 @@ def carry_out(args: argparse.Namespace) -> int:
     with Progress("comparing", total=len(campaign.runs)) as bar:
         found = gap(campaign, machine, progress=lambda _run: bar(None))
     print(found.verdict)
-    print("\nlargest gap (RMS of measured minus simulated) of each axis, how many times noise alone, in which run")
+    print("\nlargest gap of each axis (RMS of measured minus simulated), multiple of noise alone, and run")
     print(found.summary_table())
     outliers = found.outliers
     if outliers:
@@ -57,7 +57,7 @@ def carry_out(args: argparse.Namespace) -> int:
         )
         print(table(["run", "axis", "signal", "RMS", "max", "noise alone", "x noise"], rows, left=3))
     if args.all:
-        print("\neach: RMS, largest, RMS that noise alone makes")
+        print("\nper signal: RMS, maximum, RMS of noise alone")
         print(found.full_table())
     if args.json:
         write_json(found.document(), Path(args.json), "gap")

@@ -1,7 +1,7 @@
-"""Diagnosis of the sim-to-real gap: where it lies, which effect causes it, how far it shrinks.
+"""Diagnosis of the sim-to-real gap: its location, its cause, and how far a correction reduces it.
 
-campaign -> observe (residuals of cut blocks and closed loop, noise) -> screen and fit every effect on every axis
-         -> select (one by one while they earn their place) -> check on runs left out -> diagnosis
+campaign -> observe (noise, residuals of single blocks and of the closed loop) -> screen and fit all effects on all axes
+         -> accept the effects that reach the evidence they need -> validate on held-out runs -> diagnosis
 """
 
 from twin.diagnose.diagnosis import Diagnosis

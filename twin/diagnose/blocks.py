@@ -1,11 +1,11 @@
-"""Residual of each block of an axis by itself, fed with its measured inputs: it shows which block is at fault.
+"""Residual of each block of an axis by itself, with its measured inputs. It shows which block is at fault.
 
     position controller   set point and position in, speed set point out (channel `controller`)
     speed controller      speed set point and speed in, current out: the compiled PI law run over the record
     mechanics             current in, motion out: force balance Kt i / r - M a - Fc sign v - D v - bias, below 40 Hz
-    transmission          motor position against scale (channel `motor_minus_scale`), with `measurement` behind it
+    transmission          motor position against scale (channel `motor_minus_scale`), includes `measurement`
 
-The score of a block is the mean square of its residual, divided by that of the nominal twin with noise. It is about 1 if the block
+The score of a block is the mean square of its residual divided by that of the nominal twin with noise. It is about 1 if the block
 works as the machine file says.
 """
 
@@ -32,15 +32,15 @@ from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.setpoints import command_of
 
 MOTION = ("velocity", "motor_position", "position")
-"""Signals of the motion of an axis; one of them is enough."""
+"""Signals of the motion of an axis; one of them is sufficient."""
 CHANNEL_SHOWS = {"controller": "position controller", "motor_minus_scale": "transmission"}
-"""Block of which a channel shows the law; the others show the mechanics in closed loop."""
+"""Block whose law a channel compares. The other channels show the mechanics in closed loop."""
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 
 
 @dataclass
 class BlockResidual:
-    """Residual of one block of one axis in one run with its noise level, on the samples `index` of the trace."""
+    """Residual of one block of one axis in one run, its noise level, and the sample numbers `index` in the trace."""
 
     run: int
     axis: str
@@ -55,14 +55,14 @@ class BlockResidual:
 
     @property
     def excess(self) -> float:
-        """Sum of squares above what noise makes."""
+        """Sum of squares above noise."""
         return max(float(np.sum(self.normed**2)) - len(self.residual), 0.0)
 
 
 def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapper: Callable = map) -> list[BlockResidual]:  # type: ignore[type-arg]
-    """Residuals of all blocks of a group over its runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics.
+    """Residuals of all blocks of a group in all runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics.
 
-    `mapper` maps over the runs, on threads or not.
+    `mapper` maps over the runs.
     """
     found = []
     for channel in group.channels:
@@ -75,19 +75,19 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
 
 
 def samples_of(channel: Channel, view: RunView) -> np.ndarray:
-    """Samples of the trace that a channel holds where it is no whole signal: position cycles, or where the set point moves."""
+    """Sample numbers of a channel that does not cover the whole trace: position cycles, or samples at which the set point moves."""
     if channel.name == "controller":
         return np.arange(0, len(view.trace.time), max(1, round(view.machine.position_cycle / view.trace.period)))
     return np.flatnonzero(view.rows_of(channel.axis, channel.name))
 
 
 def _level_of(channel: Channel) -> float:
-    """Noise level of a channel: its median noise and the model error of a healthy twin."""
+    """Noise level of a channel: root sum of squares of median noise and model error of a healthy twin."""
     return float(np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model)))))
 
 
 def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int) -> list[BlockResidual]:
-    """Speed controller and mechanics of all axes of a group that move in a run."""
+    """Residuals of speed controller and mechanics for all axes of a group that move in a run."""
     view, found = group.views[r], []
     moving = [a for a in group.axes if view.trace.moves(a)]
     if not moving:
@@ -109,25 +109,26 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
 
 
 def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """`current_error` where the axis moves, and where that is."""
+    """`current_error` where the axis moves, and the sample numbers."""
     moving = np.flatnonzero(view.reference(axis.name)[2])
     return current_error(view, axis, trace)[moving], moving
 
 
 def shows_speed_controller(view: RunView, axis: Axis) -> bool:
-    """Does the record hold what the speed controller gets, and the current that it gives, at each position cycle?"""
+    """Are the inputs and the output of the speed controller recorded at each position cycle?"""
     return view.on_each_cycle and all(view.trace.has(axis.name, s) for s in ("velocity", "velocity_setpoint", axis.effort))
 
 
 def current_error(view: RunView, axis: Axis, trace: Trace) -> np.ndarray:
-    """Recorded current minus the one that the controller would command for the recorded speeds (sample,) [A], without what its integrator
-    drifts by: it sums up all that lies between the samples of the speed."""
+    """Recorded current minus the current that the controller would command for the recorded speeds (sample,) [A], without slow drift: the
+    integrator accumulates the speed error between the samples.
+    """
     error = trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace)
     return error - moving_mean(error, round(view.thresholds.drift_s / view.trace.period))
 
 
 def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = True) -> np.ndarray:
-    """The current (sample,) that the controller would command for the recorded speeds [A]; `limited` by what drive and motor can."""
+    """The current (sample,) that the controller would command for the recorded speeds [A]; `limited` applies the limits of drive and motor."""
     machine = view.machine.with_axes([axis.name])
     a = view.machine.axis_names.index(axis.name)
     ticks = max(1, round(trace.period / machine.base_tick))
@@ -155,10 +156,10 @@ def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = T
 
 @compiled
 def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, speed, ticks_of, out):  # type: ignore[no-untyped-def]
-    """Speed and current controller of one axis over recorded inputs; speed between the samples is interpolated.
+    """Speed and current controller of one axis over recorded inputs; the speed is interpolated between samples.
 
-    `setpoint`, `feedforward` (sample, speed cycle), or (sample, 1) where they hold for the whole sample.
-    `ticks_of` a sample, a speed cycle, a current cycle; `out` (sample,) gets the current.
+    `setpoint`, `feedforward` (sample, speed cycle), or (sample, 1) if constant over a sample. `ticks_of`: ticks per sample, per speed cycle,
+    per current cycle. `out` (sample,) receives the current.
     """
     ticks, speed_ticks, current_ticks = ticks_of
     for k in range(len(speed)):
@@ -175,12 +176,12 @@ def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, sp
             if tick % current_ticks == 0:
                 current_controller(0, drives, state, state.current_setpoint[0], state.current[0])
             if n == 0 and not drives.current_loop[0]:
-                out[k] = state.current[0]  # a command is recorded when it is given
+                out[k] = state.current[0]  # a command is recorded at its own tick
             winding(0, drives, state, w)
 
 
 def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Drive force minus the force that the motion needs [N or Nm], where the axis slides; and those samples."""
+    """Drive force minus the force that the motion needs [N or Nm] while the axis slides, and the sample numbers."""
     from scipy.signal import savgol_filter
 
     count = len(trace.time)
@@ -203,10 +204,10 @@ def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.
 
 
 def inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inertia with the rotor, and bias force, of an axis along the nominal motion (sample,)."""
+    """Inertia including the rotor, and bias force, of an axis along the nominal motion (sample,)."""
     group = [x.name for x in view.machine.axes if x.kind == "rotary"] if axis.kind == "rotary" else [axis.name]
     index = [view.machine.axis_names.index(name) for name in group]
-    # springs carry no mass: without effects inertia and bias are the same
+    # springs have no mass: effects do not change inertia and bias
     change = apply_effects(with_effects(view.machine.with_axes(group), []))
     loads = loads_along(change, view.motion.part(tuple(index)))
     column = group.index(axis.name)
@@ -244,7 +245,7 @@ def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
 
 
 def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) -> dict[str, np.ndarray]:
-    """Regressors that a residual may scale with, by name, on the samples `index`."""
+    """Regressors for a residual, by name, at the samples `index`."""
     a = view.machine.axis_names.index(name)
     axis = view.machine.axis(name)
     q, v, acceleration = (m[index, a] for m in (view.motion.position, view.motion.speed, view.motion.acceleration))
@@ -260,7 +261,7 @@ def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) 
         "position": q - q.mean(),
         "time": t - t.mean(),
     }
-    if axis.kind == "rotary" or axis.ratio != 1.0:  # a direct drive has no turn
+    if axis.kind == "rotary" or axis.ratio != 1.0:  # a direct drive has no motor turn
         regressors |= {"motor turn (sin)": np.sin(angle), "motor turn (cos)": np.cos(angle)}
     if view.trace.has(name, axis.effort):
         regressors["current"] = view.trace.get(name, axis.effort)[index]
@@ -271,7 +272,7 @@ def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) 
 
 
 def moving_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """Mean over `window` samples around each (sample,)."""
+    """Centred moving mean over `window` samples (sample,)."""
     window = max(1, min(window | 1, len(values) - 1 + len(values) % 2))
     return np.convolve(np.pad(values, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(values)]
 

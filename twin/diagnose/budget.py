@@ -1,16 +1,15 @@
-"""The gap budget: what each effect, each re-tuned parameter and each normal imperfection is worth on its own.
+"""The gap budget: the contribution of each effect, re-tuned parameter and normal imperfection.
 
-A row answers "what would the corrected machine do without this?". The corrected machine is simulated with and without it, and the
-difference is read in several currencies:
+The corrected machine is simulated with and without a contribution. The difference is given as
 
-    tool point    true tool point in the part frame: what the part sees, also where no encoder sees it
-    position      true position of the row's axis
-    signals       what the record of the axis shows: position, motor position, current
-    times noise   RMS over all axes, runs and these signals, in multiples of what noise makes
+    tool point    RMS of the true tool point in the part frame, including motion that no encoder measures
+    position      RMS of the true position of the contribution's axis
+    signals       RMS of the recorded signals of the axis: position, motor position, current
+    times noise   RMS over all axes, runs and these signals, in multiples of their noise
 
-Contributions overlap. `alone` is the same asked from the other end: the nominal machine with this and nothing else. How much they overlap
-is what the contributions make together where they have nothing to do with each other, the root of the sum of their squares, against what
-the corrected machine changes: more says that they cancel each other, less that they add up in step.
+Contributions overlap. `alone` is the same difference for the nominal machine with this contribution only. The root sum of squares of all
+contributions is the combined change if they are independent. If it is larger than the combined change, contributions partly cancel; if it is
+smaller, they add up in phase.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.diagnose.corrected import normal_imperfections, within
-from twin.diagnose.simulations import Answer, Ask, Mapper, in_turn, simulate_groups
-from twin.diagnose.state import Found
+from twin.diagnose.corrected import limited_deviations, normal_imperfections
+from twin.diagnose.simulations import Mapper, Result, SimulationRequest, in_turn, simulate_groups
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tool_point import LOAD, ToolPoint
 from twin.diagnose.view import RunView
@@ -34,15 +33,16 @@ from twin.recordings.trace import Trace
 from twin.simulation.gap import LEAST_NOISE, SignalGap, gap_unit, is_moving, sensor_noise
 
 SIGNALS = ("position", "motor_position", "current")
-"""Signals of a row, and those over which its multiple of noise is taken."""
+"""Signals of a row; its multiple of noise is taken over them."""
 
 UNIT = "um at the tool point, RMS"
 
 
 @dataclass(frozen=True)
 class Row:
-    """One contribution: RMS over all runs, SI. `largest` [m] at the tool point, in run `run` at `at_s`, where the tool point stands `at`
-    [m] in the part frame."""
+    """One contribution: RMS over all runs, SI. `largest` [m] is the largest change at the tool point, in run `run` at time `at_s`, with the tool point
+    `at` [m] in the part frame.
+    """
 
     kind: str  # effect, law, re-tuned or normal
     name: str
@@ -61,8 +61,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Budget:
-    """Contributions, largest at the tool point first, and the tool-point gap [m] that they make up: of the corrected machine from the
-    nominal one (`explained`), what is left on runs left out (`left`) and what noise makes (`floor`)."""
+    """Contributions, largest at the tool point first, and the tool-point gap [m]: change from the nominal to the corrected machine (`explained`),
+    remaining gap on held-out runs (`left`), noise (`floor`).
+    """
 
     rows: tuple[Row, ...]
     explained: float
@@ -72,34 +73,34 @@ class Budget:
 
     @property
     def one_out(self) -> float:
-        """The contributions together, each taken out of the corrected machine, as if they had nothing to do with each other."""
+        """Root sum of squares of the contributions, each removed from the corrected machine."""
         return float(np.sqrt(sum(row.tool_point**2 for row in self.rows)))
 
     @property
     def one_in(self) -> float:
-        """The same, each added alone to the nominal machine."""
+        """Root sum of squares of the contributions, each added alone to the nominal machine."""
         return float(np.sqrt(sum(row.alone**2 for row in self.rows)))
 
     @property
     def before(self) -> float:
-        """Tool-point gap of the nominal machine: what is explained and what is left, which have nothing to do with each other."""
+        """Tool-point gap of the nominal machine: root sum of squares of the explained and the remaining gap, which are independent."""
         return float(np.hypot(self.explained, self.left))
 
 
 class _Part(NamedTuple):
-    """Something that can be taken out of the corrected machine."""
+    """A contribution that can be removed from the corrected machine."""
 
     kind: str
     name: str
     axis: str
-    moved: tuple[str, ...]  # axes whose motion it changes
+    moved: tuple[str, ...]  # axes whose motion changes
     without: Machine
     alone: Machine
     setting: Setting | None
 
 
 class _Change(NamedTuple):
-    """Squares that a change makes in one run: of the tool point and the axis' true position, by signal; and the largest at the tool."""
+    """Mean squares of a change in one run: tool point, true position of the axis, signals; and the largest change at the tool point."""
 
     tool: float
     position: float
@@ -115,69 +116,72 @@ UNCHANGED = _Change(0.0, 0.0, {}, 0.0, 0.0, ())
 def budget_of(
     machine: Machine,
     corrected: Machine,
-    found: Sequence[Found],
+    states: Sequence[GroupState],
     views: Sequence[RunView],
-    left: Sequence[Trace | None],
+    residual: Sequence[Trace | None],
     noise: Mapping[tuple[str, str], float],
     mapper: Mapper = in_turn,
 ) -> Budget:
-    """The budget over the motion of `views`; `left` is what the corrected machine leaves of each run's record (None: not measured), `noise`
-    is that of each axis and signal [SI]."""
-    parts = list(_parts(machine, corrected, found))
+    """The budget over the motion of `views`. `residual` is the position residual of the corrected machine in each run (None: not measured), `noise`
+    the noise of each axis and signal [SI].
+    """
+    parts = list(_parts(machine, corrected, states))
     tool = ToolPoint(machine)
     both = simulated_each(
         [(view, own, machine.axis_names) for own in (corrected, machine) for view in views], mapper, lambda i, trace: trace
     )
     plan, nominal = both[: len(views)], both[len(views) :]
     jobs = [(part, run) for part in parts for run in range(len(views))]
-    asked = [(views[run], own, part.moved) for part, run in jobs for own in (part.without, part.alone)]
+    requested = [(views[run], own, part.moved) for part, run in jobs for own in (part.without, part.alone)]
 
     def change(i: int, trace: Trace | None) -> _Change:
         part, run = jobs[i // 2]
         return _change(machine, tool, views[run], (nominal if i % 2 else plan)[run], trace, part)
 
-    each = simulated_each(asked, mapper, change)
+    each = simulated_each(requested, mapper, change)
     changes = list(zip(each[::2], each[1::2]))
     samples = np.array([len(view.trace.time) for view in views], float)
     names = [view.name for view in views]
     rows = [_row(machine, part, [c for c, (p, _) in zip(changes, jobs) if p is part], samples, names, noise) for part in parts]
     explained = _rms([tool.squares(plan[r], nominal[r], machine.axis_names) for r in range(len(views))], samples)
-    measured = [r for r, trace in enumerate(left) if trace is not None]
-    by_axis = {axis: _rms([tool.squares_of(plan[r], left[r], (axis,)) for r in measured], samples[measured]) for axis in machine.axis_names}
+    measured = [r for r, trace in enumerate(residual) if trace is not None]
+    by_axis = {
+        axis: _rms([tool.squares_of(plan[r], residual[r], (axis,)) for r in measured], samples[measured]) for axis in machine.axis_names
+    }
     floor = _rms([tool.noise_squares(plan[r]) for r in range(len(views))], samples)
-    whole = _rms([tool.squares_of(plan[r], left[r], machine.axis_names) for r in measured], samples[measured])
+    whole = _rms([tool.squares_of(plan[r], residual[r], machine.axis_names) for r in measured], samples[measured])
     order = sorted(rows, key=lambda row: (-row.tool_point, row.axis, row.name))
     return Budget(tuple(order), explained, whole, floor, by_axis)
 
 
-def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iterable[_Part]:
-    """Everything by which the corrected machine differs from the nominal one."""
+def _parts(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -> Iterable[_Part]:
+    """All differences between the corrected and the nominal machine."""
     rotary = tuple(a.name for a in machine.axes if a.kind == "rotary")
     settings = list(settings_of(corrected))
-    for f in found:
+    for f in states:
         for setting in f.fit.settings:
-            rest = [s for s in settings if s.key != setting.key]
+            others = [s for s in settings if s.key != setting.key]
             moved = rotary if setting.effect.edits_bodies else (setting.axis,)
             own = next((s for s in settings if s.key == setting.key), None)
             if own is None:
                 continue
             yield _Part(
-                "effect", setting.effect.name, setting.axis, moved, with_effects(corrected, rest), with_effects(machine, [own]), setting
+                "effect", setting.effect.name, setting.axis, moved, with_effects(corrected, others), with_effects(machine, [own]), setting
             )
-    effects = {s.key for f in found for s in f.fit.settings}
-    normal = normal_imperfections(machine, found)
+    effects = {s.key for f in states for s in f.fit.settings}
+    normal = normal_imperfections(machine, states)
     listed = effects | {s.key for s in normal}
-    for own in settings:  # what stands in no list: laws that were measured
+    for own in settings:  # unlisted laws
         if own.key not in listed:
-            rest = [s for s in settings if s is not own]
-            yield _Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, rest), with_effects(machine, [own]), own)
+            others = [s for s in settings if s is not own]
+            yield _Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), own)
     for own in normal:
         if own.key in effects:
-            continue  # in series with the effect of the same name: one row
-        rest = [s for s in settings if s.key != own.key]
-        yield _Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, rest), with_effects(machine, [own]), None)
-    for f in found:
-        for nuisance, deviation in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)):
+            continue  # in series with the effect of the same name, in one row
+        others = [s for s in settings if s.key != own.key]
+        yield _Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), None)
+    for f in states:
+        for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
             if nuisance.quantity in NORMAL or abs(float(deviation)) < 1e-6:
                 continue
             name = "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity
@@ -189,23 +193,23 @@ def _parts(machine: Machine, corrected: Machine, found: Sequence[Found]) -> Iter
 
 
 def simulated_each(
-    asked: Sequence[tuple[RunView, Machine, Sequence[str]]], mapper: Mapper, of: Callable[[int, Trace | None], Answer]
-) -> list[Answer]:
-    """What `of` takes from the true motion and signals of axes in each run, without noise; it gets None where the machine cannot run.
+    requested: Sequence[tuple[RunView, Machine, Sequence[str]]], mapper: Mapper, of: Callable[[int, Trace | None], Result]
+) -> list[Result]:
+    """Result of `of` for the noise-free simulation of each request (view, machine, axes); `of` gets None if the simulation fails.
 
-    Axes that stand are among them: their screws grow, and they are the lever of a rotary axis.
+    Axes at rest are simulated too: their screws grow, and they are the lever of a rotary axis.
     """
 
-    def ask(view: RunView, machine: Machine, axes: Sequence[str]) -> Ask:
+    def request(view: RunView, machine: Machine, axes: Sequence[str]) -> SimulationRequest:
         own = machine.with_feedforward(view.feedforward) if view.feedforward else machine
-        return Ask(view, axes, lambda _: own)
+        return SimulationRequest(view, axes, lambda _: own)
 
-    outcomes = simulate_groups([ask(*one) for one in asked], mapper, lambda i, run: of(i, run.without_noise))
+    outcomes = simulate_groups([request(*one) for one in requested], mapper, lambda i, run: of(i, run.without_noise))
     return [of(i, None) if isinstance(outcome, TwinError) else outcome for i, outcome in enumerate(outcomes)]
 
 
 def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None, other: Trace | None, part: _Part) -> _Change:
-    """What a run's motion changes by."""
+    """Change of the motion of a run."""
     if base is None or other is None:
         return UNCHANGED
     shown = [a for a in part.moved if other.has(a, LOAD) and base.has(a, LOAD)]
@@ -258,15 +262,15 @@ def _row(
 
 
 def overlap_text(budget: dict[str, Any]) -> str:
-    """How much the contributions of the contract's `budget` overlap, in words."""
+    """Overlap of the contributions in `budget` of diagnosis.json, in words."""
     return (
-        f"all together change {budget['explained']:.3g} um; taken out one at a time they make {budget['one_out']:.3g} um (root of the sum of "
-        f"squares), put in one at a time {budget['one_in']:.3g} um"
+        f"combined change {budget['explained']:.3g} um; removed one at a time {budget['one_out']:.3g} um (root sum of "
+        f"squares), added one at a time {budget['one_in']:.3g} um"
     )
 
 
 def positions_left(run: Trace, predicted: Trace, machine: Machine) -> Trace:
-    """What a prediction leaves of the recorded positions: (axis, 'position') [m, rad]."""
+    """Position residual of a prediction: (axis, 'position') [m, rad]."""
     signals = {
         (axis.name, "position"): run.get(axis.name, signal) - predicted.get(axis.name, signal)
         for axis in machine.axes
@@ -277,7 +281,7 @@ def positions_left(run: Trace, predicted: Trace, machine: Machine) -> Trace:
 
 
 def noise_of(gaps: Mapping[str, Mapping[str, Mapping[str, SignalGap]]], machine: Machine) -> dict[tuple[str, str], float]:
-    """Noise [SI] of each signal of each axis, RMS over the runs: that of the gaps, by run, axis and signal."""
+    """Noise [SI] of each signal of each axis, RMS over the runs; `gaps` by run, axis and signal."""
     found: dict[tuple[str, str], float] = {}
     for axis in machine.axes:
         for signal in SIGNALS:
@@ -289,7 +293,7 @@ def noise_of(gaps: Mapping[str, Mapping[str, Mapping[str, SignalGap]]], machine:
 
 
 def _noise(machine: Machine, noise: Mapping[tuple[str, str], float], axis: str, signal: str) -> float:
-    """Noise of a signal [SI]; of one that was not recorded, or shows none, what its sensor would add."""
+    """Noise of a signal [SI]; if it was not recorded or is zero, that of its sensor."""
     own = machine.axis(axis)
     name = own.effort if signal == "current" else signal
     return noise.get((axis, signal)) or sensor_noise(machine, own, name) or LEAST_NOISE.get(name, LEAST_NOISE["current"])
@@ -300,7 +304,7 @@ def _rms(squares: Sequence[float], samples: np.ndarray) -> float:
 
 
 def document_of(budget: Budget, machine: Machine, probability: dict[Any, float], halves: dict[Any, float]) -> dict[str, Any]:
-    """The contract's `budget`. `probability` and `halves`, half the interval of the size as a share of it, by effect and axis."""
+    """The value of `budget` in diagnosis.json. `probability` and `halves` (half interval over size) by effect and axis."""
 
     def row(r: Row) -> dict[str, Any]:
         key = r.setting.key if r.setting else None

@@ -1,6 +1,6 @@
-"""Where to start each effect: a few settings per effect and axis, from its usual sizes and from spectra of the residual.
+"""Starting values of each effect: a few settings per effect and axis, from usual sizes and from spectra of the residual.
 
-A start is simulated once; its size is then scaled linearly, and effects with a phase are combined from sine and cosine.
+A start is simulated once. Its size is then scaled linearly; effects with a phase are combined from sine and cosine.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from twin.machine.machine import Axis, Machine
 
 @dataclass(frozen=True)
 class Start:
-    """Settings to simulate, and how to read them: one setting, or a sine and a cosine of the same effect."""
+    """Settings to simulate: a single one, or a sine and a cosine of the same effect."""
 
     settings: tuple[Setting, ...]
 
@@ -35,7 +35,7 @@ class Start:
 
     @property
     def key(self) -> tuple[str, str, str | None]:
-        """Effect, axis and from_axis: what makes a candidate."""
+        """Effect, axis and from_axis: the identity of a candidate."""
         return self.settings[0].key
 
 
@@ -65,7 +65,7 @@ def _start(effect: Effect, machine: Machine, axis: Axis, source: str | None, val
 
 
 def _values(effect: Effect, machine: Machine, axis: Axis, read: StartValues) -> list[dict[str, float]]:
-    """Start values of the parameters that are not shape."""
+    """Starting values of the parameters, except shape parameters."""
     choices: list[list[tuple[str, float]]] = []
     size = effect.size
     for p in effect.parameters:
@@ -87,7 +87,7 @@ def _values(effect: Effect, machine: Machine, axis: Axis, read: StartValues) -> 
 
 
 def _sizes(p: Parameter, low: float, high: float) -> list[float]:
-    """One usual size, or as many as the parameter asks for; a factor is tried on both sides of 1 where both are usual."""
+    """Starting sizes: one usual size, or as many as the parameter specifies; a factor is tried on both sides of 1 if both are usual."""
     neutral = p.neutral or 0.0
     if low < neutral < high:
         ends = [low, high] if p.is_factor else [high, low] if p.starts > 1 else [high]
@@ -98,7 +98,7 @@ def _sizes(p: Parameter, low: float, high: float) -> list[float]:
 
 
 def softened(start: Start, machine: Machine, share: float) -> Setting:
-    """The setting of a spring that gives `share` as much as the start's; what else is fitted to a stiffness follows it."""
+    """The setting of a spring with `share` times the compliance of the start; parameters that depend on the stiffness follow."""
     first = start.settings[0]
     fitted = {p.name for p in start.effect.parameters if p.fitted is not None}
     values = {name: value for name, value in first.parameters.items() if name not in fitted}
@@ -107,9 +107,9 @@ def softened(start: Start, machine: Machine, share: float) -> Setting:
 
 
 def combine(start: Start, sizes: Sequence[float], machine: Machine) -> Setting:
-    """The setting that a linear combination of the start's answers stands for: `sizes` multiply the deviation from neutral.
+    """The setting that a linear combination of the start's responses represents: `sizes` multiply the deviation from neutral.
 
-    For a lag they multiply what it delays.
+    For a lag they multiply the delay.
     """
     first = start.settings[0]
     size = start.effect.size

@@ -1,4 +1,4 @@
-"""One signal of one axis in one run: what is left of it beside the twin, in noise and in doubt."""
+"""One signal of one axis in one run: residual, noise and model error."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from twin.diagnose.view import RunView, rests
 
 @dataclass(frozen=True)
 class Scatter:
-    """What noise makes of a channel in some realisations: their `deviations` (realisation, sample) from the expectation, sensors and loop,
-    and the variance `jitter` (sample,) of what noise in the loop alone makes."""
+    """Noise of a channel in several realisations: `deviations` (realisation, sample) from the expectation, and the variance `jitter` (sample,)
+    of the motion that noise in the loop causes.
+    """
 
     deviations: np.ndarray
     jitter: np.ndarray
@@ -23,11 +24,11 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Channel:
-    """Residual of one channel of one axis in one run: measured minus the nominal twin's expectation (sample,).
+    """Residual of one channel of one axis in one run: measured minus the expectation of the nominal twin (sample,).
 
-    `sigma` (sample,) is what noise alone makes of it, `correlation` how many samples count as one. `doubt` (sample,) is how far the twin
-    may be wrong about the effects that it has found, `model` (sample,) how far it may be wrong about a healthy machine; both are faults
-    that are the same in many samples. `scatter` is what sigma was taken from.
+    `sigma` (sample,) is the standard deviation of the noise, `correlation` the number of samples that carry the information of one independent
+    sample. `doubt` (sample,) is the model error of the effects found, `model` (sample,) the model error of a healthy machine; both are correlated
+    over many samples. `sigma` was estimated from `scatter`.
     """
 
     run: int
@@ -36,7 +37,7 @@ class Channel:
     residual: np.ndarray
     sigma: np.ndarray
     correlation: float
-    rows: slice = field(default_factory=lambda: slice(0, 0))  # place in the stacked vector of the group
+    rows: slice = field(default_factory=lambda: slice(0, 0))  # rows in the stacked vector of the group
     doubt: np.ndarray | float = 0.0
     model: np.ndarray | float = 0.0
     scatter: Scatter | None = field(default=None, repr=False)
@@ -44,10 +45,10 @@ class Channel:
 
     @functools.cached_property
     def is_clean(self) -> bool:
-        """Nothing but noise: neither in power, nor in slow means, nor in single peaks."""
+        """True if mean square, moving averages and peaks are those of noise."""
         u = self.residual / np.hypot(self.sigma, self.model)
         n, t = len(u), self.thresholds
-        if self.name == "controller":  # rounding, not noise: bounded, and alike over many samples at constant speed
+        if self.name == "controller":  # rounding, not noise: bounded, and constant over many samples at constant speed
             means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
             return bool(float(np.mean(u**2)) < t.clean_law_square and np.abs(means).max() < t.clean_law_mean)
         if float(np.mean(u**2)) > t.clean_square + t.clean_spread * np.sqrt(2.0 / n):
@@ -63,7 +64,7 @@ class Channel:
         return True
 
     def settled(self, view: RunView) -> np.ndarray:
-        """True for the samples that no longer show how the axis was stuck before (sample,)."""
+        """Mask (sample,) of the samples that do not depend on how the axis stuck before."""
         free = ~rests(view, self.axis, self.thresholds.settled_s)
         if self.name == "controller":
             return np.ones(len(self.residual), bool)
@@ -71,36 +72,37 @@ class Channel:
 
     @property
     def noise_weight(self) -> np.ndarray:
-        """What a sample weighs where no effect is doubted (sample,)."""
+        """Weight of each sample without the model error of effects (sample,)."""
         return self._weight(np.square(self.model))
 
     @property
     def spread(self) -> np.ndarray:
-        """Noise, model error and doubt together (sample,)."""
+        """Root sum of squares of noise, model error and doubt (sample,)."""
         return np.hypot(np.hypot(self.sigma, self.model), self.doubt)
 
     @property
     def expected(self) -> np.ndarray:
-        """Square that noise and doubt make of a weighted sample (sample,). Model error lowers what a sample weighs, not what is expected of
-        it: thresholds are shares of this, and a healthy machine need not use up its model error."""
+        """Expected square of a weighted sample from noise and doubt (sample,). The model error of a healthy machine is not part of it: it lowers the
+        weight, but a healthy machine need not show it.
+        """
         return (np.square(self.sigma) + np.square(self.doubt)) * self._weight(np.square(self.doubt)) ** 2
 
     @property
     def weight(self) -> np.ndarray:
-        """What a sample weighs (sample,)."""
+        """Weight of each sample (sample,)."""
         return self._weight(np.square(self.model) + np.square(self.doubt))
 
     def _weight(self, faults: np.ndarray | float) -> np.ndarray:
-        """1 / sqrt(sigma^2 correlation + faults n / shapes), (sample,): n samples of the same fault count as so many shapes."""
+        """1 / sqrt(sigma^2 correlation + faults n / shapes), (sample,): n samples of one model error count as `shapes` independent ones."""
         many = max(len(self.sigma) / self.thresholds.shapes, 1.0)
         return 1.0 / np.sqrt(self.sigma**2 * self.correlation + faults * many)
 
-    def doubted(self, change: np.ndarray, left: np.ndarray, period: float) -> Channel:
-        """The channel where effects that change it by `change` (sample,) are trusted to a share of that; `period` of the record [s].
+    def doubted(self, change: np.ndarray, residual: np.ndarray, period: float) -> Channel:
+        """The channel with the model error of effects whose response is `change` (sample,); `period` of the record [s].
 
-        `left` (sample,) is what they do not explain: as far as it stands out of noise around a sample, the twin is wrong there.
+        The error is a share of the response. Where the mean square of `residual` (sample,) around a sample exceeds noise, the excess is added.
         """
         t = self.thresholds
         doubt = t.doubt * maximum_filter1d(np.abs(change), 2 * round(t.lag_s / period) + 1)
-        around = uniform_filter1d(np.square(left), 2 * round(0.5 * t.event_s / period) + 1)
+        around = uniform_filter1d(np.square(residual), 2 * round(0.5 * t.event_s / period) + 1)
         return replace(self, doubt=np.sqrt(doubt**2 + np.maximum(around - t.by_chance * (self.sigma**2 + doubt**2), 0.0)))

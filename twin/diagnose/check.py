@@ -1,4 +1,4 @@
-"""Is a campaign this machine's, and what do its signals leave open?"""
+"""Does a campaign belong to the machine, and what do its missing signals leave open?"""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from twin.simulation.setpoints import check_travel, setpoints_of
 
 
 def check_campaign(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFAULT) -> None:
-    """Refuse what another machine recorded: set points outside the travel, motion that does not follow them; and what holds no signal
-    or no motion."""
+    """Refuse campaigns of another machine (set points outside the travel, motion that does not follow them), without signals or without motion."""
     if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
         raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
     if not any(run.trace.moves(axis) for run in campaign.runs for axis in run.trace.axes):
-        raise InputError(f"{campaign.path}: no axis moves in any run; a machine at rest shows no effect, record runs that move the axes")
+        raise InputError(f"{campaign.path}: no axis moves in any run; record runs that move the axes")
     for run in campaign.runs:
         check_travel(setpoints_of(run.trace, machine), machine, f"{campaign.path}: run {run.name}")
         for axis in run.trace.axes:
@@ -33,43 +32,43 @@ def check_campaign(campaign: Campaign, machine: Machine, thresholds: Thresholds 
             if largest > max(allowed, thresholds.off_set_point * float(np.ptp(setpoint))):
                 raise InputError(
                     f"{campaign.path}: run {run.name}: axis {axis} is up to {largest * 1e3:.3g} {'mm' if machine.axis(axis).kind == 'linear' else 'mrad'} "
-                    f"off its set point, beyond any effect on machine {machine.name}; check the machine file, signs and units of the record"
+                    f"off its set point, more than any effect on machine {machine.name} can cause; check the machine file, and signs and units of the record"
                 )
 
 
 def _recorded(axis: Axis, signal: str, campaign: Campaign) -> bool:
-    """Is a signal recorded in any run? The command of an axis without current loop stands for its current; one encoder is enough."""
+    """Is a signal recorded in any run? The command of an axis without current loop counts as its current; one encoder is sufficient."""
     if signal == "position" and axis.encoder == "motor":
         return True
     if signal in ("velocity", "velocity_setpoint") and not axis.has_speed_integral and axis.loops.speed_mean_cycles:
-        signal = axis.effort  # the law of both controllers is seen in the command as a whole
+        signal = axis.effort  # the command contains the law of both controllers
     return any(run.trace.has(axis.name, axis.effort if signal == "current" else signal) for run in campaign.runs)
 
 
 def _plain(name: str) -> str:
-    """A name without case and signs: 'Mikron UCP 710' and 'mikron_ucp710' are the same."""
+    """A name in lower case without punctuation: 'Mikron UCP 710' and 'mikron_ucp710' are the same."""
     return "".join(c for c in name.lower() if c.isalnum())
 
 
 def _names(machine: Machine) -> set[str]:
-    """The names by which a campaign may call its machine: the machine's own, that of its file, that of its model."""
+    """Names of the machine that a campaign may use: its own, that of its file, that of its model."""
     files = [path.stem for path in (machine.path, machine.model_path) if path is not None]
     return {_plain(name) for name in (machine.name, *files)}
 
 
 def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
-    """What the recorded signals leave open."""
+    """Notes on what the recorded signals leave open."""
     notes = []
     if campaign.machine_name and _plain(campaign.machine_name) not in _names(machine):
-        notes.append(f"campaign.toml names machine {campaign.machine_name}, it is held against {machine.name}")
+        notes.append(f"campaign.toml names machine {campaign.machine_name}, it is compared with {machine.name}")
     recorded = {a for run in campaign.runs for a in run.trace.axes}
     axes = [a for a in machine.axis_names if a in recorded]
     for signal, lost in (
-        ("motor_position", "transmission and measurement cannot be cut from the mechanics"),
-        ("velocity_setpoint", "the position controller cannot be cut from the speed controller"),
-        ("current", "faults of controller, motor and load look alike"),
-        ("velocity", "the speed controller cannot be cut"),
-        ("position", "what the scale sees is not known"),
+        ("motor_position", "transmission and measurement cannot be separated from the mechanics"),
+        ("velocity_setpoint", "the position controller cannot be separated from the speed controller"),
+        ("current", "faults of controller, motor and load cannot be separated"),
+        ("velocity", "the speed controller cannot be isolated"),
+        ("position", "the position of the load is unknown"),
     ):
         lacking: dict[str, list[str]] = {}
         for a in axes:
@@ -78,7 +77,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         notes += [f"no {name.replace('_', ' ')} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
     still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]
     if still:
-        notes.append(f"axis {', '.join(still)} does not move: nothing is said of it")
+        notes.append(f"axis {', '.join(still)} does not move: it is not diagnosed")
     if len(campaign.runs) == 1:
-        notes.append("a single run: nothing could be left out of the fit")
+        notes.append("single run: no run can be held out of the fit")
     return notes

@@ -1,14 +1,14 @@
-"""The control law held against what the controller saw: set point and position in, what it made of them out.
+"""Error of the control law at the measured inputs: set point and position in, command out.
 
-Where a speed set point is recorded it is the output of the position controller:
+If the speed set point is recorded, it is the output of the position controller:
 
     e = v* - Kv (s(t - d) - q) - a_v ds/dt
 
-Where both controllers are P and the record has a sample at each of their cycles, their command u is the output of both:
+If both controllers are P controllers and the record has a sample at each of their cycles, the output of both is their command u:
 
-    e = u K / Kp - (Kv (s(t - d) - q) + a_v ds/dt - w),    w the speed that they differentiate from q
+    e = u K / Kp - (Kv (s(t - d) - q) + a_v ds/dt - w),    w the speed that the control differentiates from q
 
-e in axis units a second; q the measuring system that closes the loop.
+e in axis units per second; q is the measuring system that closes the loop.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from twin.simulation.in_force import closed_on
 from twin.units import AXIS_UNITS
 
 Characteristic = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""What a position controller adds to its law (sample,) for a following error and a speed set point (sample,), SI."""
+"""What a position controller adds to its law (sample,), as a function of following error and speed set point, SI."""
 
 
 def characteristic_of(settings: Sequence[Setting], axis: Axis) -> Characteristic | None:
-    """What effects and unlisted laws make of the position controller of an axis, as a function of its inputs; None where nothing does."""
+    """Sum of what effects and unlisted laws add to the position controller of an axis; None if nothing."""
     own = [s for s in settings if s.axis == axis.name]
     more = (math.prod(s.factor_on("position_gain_per_s") for s in own) - 1.0) * axis.loops.position_gain_per_s
     laws = [(law_in(s), s) for s in own if s.effect.name == LAW and s.effect.block == "position controller"]
@@ -50,14 +50,14 @@ def characteristic_of(settings: Sequence[Setting], axis: Axis) -> Characteristic
 
 
 INPUTS = ("following_error", "speed_setpoint")
-"""What the law of a position controller that nobody listed may be a characteristic of."""
+"""Inputs of an unlisted law of a position controller."""
 
 
 def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | None = None) -> np.ndarray | None:
-    """e at the position cycles (cycle,) of a trace, measured or simulated; None where the measured signals do not show it.
+    """e at the position cycles (cycle,) of a trace, measured or simulated; None if the measured signals do not contain it.
 
-    `added` is what a simulated controller adds to the law. That one is fed with the measured position, as the block is cut: where an
-    axis came to rest by chance, e is that of where it really was.
+    `added` is what a simulated controller adds to the law. It is evaluated at the measured position, because the rest position of an axis is
+    partly random.
     """
     measured, name = view.trace, axis.name
     signal = closed_on(measured, axis)
@@ -78,27 +78,27 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (
         wanted - _differentiated(position, view, axis)
     )
-    error[np.abs(u) > view.thresholds.clipped * axis.motor.peak_current_a] = 0.0  # a clipped command says nothing about the law
-    error[: axis.loops.speed_mean_cycles + 1] = 0.0  # and the first ones not where the axis was before
+    error[np.abs(u) > view.thresholds.clipped * axis.motor.peak_current_a] = 0.0  # a saturated command does not follow the law
+    error[: axis.loops.speed_mean_cycles + 1] = 0.0  # the position before the first samples is unknown
     return error
 
 
 def law_sigma(view: RunView, axis: Axis) -> float:
-    """What rounding of the record leaves of e (standard deviation)."""
+    """Standard deviation of e due to rounding of the record."""
     noise = view.machine.noise(axis)
     least = view.thresholds.law_floor * noise.speed or 1e-9
     if view.trace.has(axis.name, "velocity_setpoint"):
         return max(_rounding(view.trace, axis) / np.sqrt(12.0), least)
-    # the controller may have seen one count of its encoder more or less than the record holds
+    # the controller may have read one encoder count more or less than recorded
     resolution = max(noise.motor_resolution if closed_on(view.trace, axis) == "motor_position" else noise.position_resolution, 1e-12)
     return max(resolution / (max(axis.loops.speed_mean_cycles, 1) * view.machine.speed_cycle), least)
 
 
 def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
-    """How far e may be wrong though the controller is right (cycle,): standard deviation, a fault that is the same in many samples.
+    """Standard deviation of e for a healthy controller due to model error, correlated over many samples (cycle,).
 
-    A law fitted to a recording differs from the one that runs in the control, by a share of the speed; and by how it reads between its
-    cycles. A law whose delays are whole cycles is that of the control's design, and exact.
+    A law fitted to a recording deviates from the real one by a share of the speed, and by its interpolation between the cycles. A law whose
+    delays are whole cycles is the designed one and exact.
     """
     t = view.thresholds
     if not _part_of_cycle(view, axis) and axis.loops.dsc_delay_s == 0.0:
@@ -109,10 +109,10 @@ def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
 
 
 def between_cycles(view: RunView, axis: Axis) -> np.ndarray:
-    """How far a delayed set point may be from the one that the control reads (sample,) [m or rad].
+    """Largest difference between a delayed set point and the one that the control reads (sample,) [m or rad].
 
-    A delay of n + p cycles falls between two set points of the control. Nobody recorded what lies there; a straight line and a curve differ
-    by p (1 - p) / 2 Tp^2 |a|. A control that delays by whole cycles, or of which the file says how it interpolates, leaves nothing open.
+    A delay of n + p cycles falls between two set points of the control. A straight line and a curve differ there by p (1 - p) / 2 Tp^2 |a|.
+    The difference is zero if the delay is a whole number of cycles or the machine file gives the interpolation.
     """
     tp = view.machine.position_cycle
     part = _part_of_cycle(view, axis)
@@ -123,7 +123,7 @@ def between_cycles(view: RunView, axis: Axis) -> np.ndarray:
 
 
 def _part_of_cycle(view: RunView, axis: Axis) -> float:
-    """Part of a cycle by which the delay of the set point exceeds whole ones, 0 where it is a whole number."""
+    """Fractional part of the set-point delay in cycles; 0 for whole numbers."""
     part = (axis.loops.position_delay_s / view.machine.position_cycle + 1e-6) % 1.0
     return part if part > 1e-3 else 0.0
 
@@ -135,7 +135,7 @@ def _around(values: np.ndarray, view: RunView) -> np.ndarray:
 
 
 def _cycle_samples(view: RunView, axis: Axis) -> int:
-    """Samples from one value of e to the next."""
+    """Samples per value of e."""
     return max(1, round(view.machine.position_cycle / view.trace.period)) if view.trace.has(axis.name, "velocity_setpoint") else 1
 
 
@@ -160,7 +160,7 @@ def _differentiated(position: np.ndarray, view: RunView, axis: Axis) -> np.ndarr
 
 
 def _rounding(trace: Trace, axis: Axis) -> float:
-    """Step of the decimal grid on which the recorded speed set point lies, in SI (0: none seen)."""
+    """Step of the decimal grid of the recorded speed set point, SI; 0 if it is not rounded."""
     factor = AXIS_UNITS[axis.kind].speed[1]
     values = trace.get(axis.name, "velocity_setpoint") * factor
     for digits in range(1, 7):

@@ -1,4 +1,4 @@
-"""The corrected machine, and how far the gap shrinks with it on runs left out of the fit."""
+"""The corrected machine, and its gap on held-out runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.fit import no_effect
-from twin.diagnose.state import Found
+from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.diagnose.tuning import tuning_from
 from twin.effects import Setting, settings_of, with_effects
@@ -23,26 +24,22 @@ from twin.simulation.decoupled_plant import Motion
 from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_each
 
 FEWER_REALISATIONS = 2
-"""Realisations of noise where the decoupled plant alone is simulated."""
+"""Realisations of noise in a quick look, which uses the decoupled plant only."""
 
 
-CHANCE = 0.3
-"""Gap over noise by which a machine without faults may look worse once it is re-tuned."""
-
-
-def as_filed(found: Found) -> Found:
-    """The state of a group whose axes stay as the machine file says: what was found predicts other runs worse than that."""
-    group = found.rigid
+def uncorrected(state: GroupState) -> GroupState:
+    """The state of a group whose axes keep the values of the machine file, because the correction predicts held-out runs worse."""
+    group = state.rigid
     nothing = tuning_from((), np.zeros((group.size, 0)), 0.0, group.thresholds.prior_weight)
     fit = no_effect(group, nothing)
-    return replace(found, group=group, tuning=nothing, fit=fit, retuned=fit, accepted=(), unknown=True)
+    return replace(state, group=group, tuning=nothing, fit=fit, retuned=fit, accepted=(), unknown=True)
 
 
-def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
+def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine:
     """The machine file with re-tuned values and the effects found."""
     values: dict[str, Any] = {}
-    for f in found:
-        for nuisance, deviation in zip(f.tuning.nuisances, within(f, machine.parameter_tolerance)):
+    for f in states:
+        for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
             for path in nuisance.paths(machine):
                 old: Any = machine.document
                 for key in path.split("."):
@@ -50,65 +47,65 @@ def corrected_machine(machine: Machine, found: Sequence[Found]) -> Machine:
                 factor = 1.0 + float(deviation)
                 values[path] = [factor * v for v in old] if isinstance(old, list) else factor * old
     return with_added(
-        with_effects(machine.with_values(values), normal_imperfections(machine, found)), [s for f in found for s in f.fit.settings]
+        with_effects(machine.with_values(values), normal_imperfections(machine, states)), [s for f in states for s in f.fit.settings]
     )
 
 
-def normal_imperfections(machine: Machine, found: Sequence[Found]) -> list[Setting]:
-    """What every machine has a little of and this one shows, as settings of the effects that it would be if it were large."""
-    for f in found:
+def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list[Setting]:
+    """Normal imperfections found on this machine, as settings of the effects that they are if they are large."""
+    for f in states:
         normal = [n.quantity in NORMAL for n in f.tuning.nuisances]
         shown = [n for n in f.tuning.nuisances if n.quantity in NORMAL]
-        machine = tuned(shown, within(f, machine.parameter_tolerance)[normal])(machine)
+        machine = tuned(shown, limited_deviations(f, machine.parameter_tolerance)[normal])(machine)
     return list(settings_of(machine))
 
 
-def within(f: Found, tolerance: float) -> np.ndarray:
-    """Deviations of the nuisances as fractions (nuisance,): the fit's, or where those leave the tolerance far behind the best inside it."""
-    t = f.thresholds
-    known = len(f.tuning.nuisances)
-    deviations = f.fit.tuning[:known] * f.tuning.spread
+def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
+    """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them."""
+    t = state.thresholds
+    count = len(state.tuning.nuisances)
+    deviations = state.fit.tuning[:count] * state.tuning.spread
     if np.any(np.abs(deviations) > t.widest * tolerance):
-        inside = bounded(f.tuning, f.group.residual - f.fit.response, f.fit.tuning, t.widest * tolerance)
-        deviations = inside[:known] * f.tuning.spread
-    deviations = f.tuning.base + deviations
-    too_stiff = [n.quantity == "slip" and d < t.least_slip * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.tuning, t.widest * tolerance)
+        deviations = inside[:count] * state.tuning.spread
+    deviations = state.tuning.base + deviations
+    too_stiff = [n.quantity == "slip" and d < t.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What was simulated of the recorded runs, `before` and `after` correction, by run; the runs that took no part in their own fit."""
+    """Predictions of the recorded runs, `before` and `after` correction, by run; and the names of the held-out runs."""
 
     predictions: dict[str, dict[str, Prediction]]
     runs: list[str]
 
     @property
     def traces(self) -> dict[str, Trace]:
-        """What is expected of each run after correction."""
+        """Predicted trace of each run after correction."""
         return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
-    def left(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
-        """Mean square of the gap over noise after correction, over runs, axes and signals."""
+    def mean_square(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
+        """Mean square of gap over noise after correction, over runs, axes and signals."""
         squares = list(itertools.chain(*self._squares(machine, runs).values()))
         return float(np.mean(squares)) if squares else 0.0
 
     def levels(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, float]:
-        """RMS of the gap over noise of each axis before or after correction, over runs and signals."""
+        """RMS of gap over noise of each axis before or after correction, over runs and signals."""
         of_axis: dict[str, list[float]] = {}
         for (axis, _), squares in self._squares(machine, runs, which).items():
             of_axis.setdefault(axis, []).extend(squares)
         return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in of_axis.items()}
 
     def loudest(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
-        """RMS of the gap over noise of each axis after correction, over runs, in the signal where it is largest."""
+        """RMS of gap over noise of each axis after correction, over runs, in its worst signal."""
         of_axis: dict[str, float] = {}
         for (axis, _), squares in self._squares(machine, runs).items():
             of_axis[axis] = max(of_axis.get(axis, 0.0), float(np.sqrt(np.mean(squares))))
         return of_axis
 
     def _squares(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[tuple[str, str], list[float]]:
-        """Squares of the gap over noise before or after correction, one a run: of each axis and signal."""
+        """Squares of gap over noise before or after correction, by axis and signal, one per run."""
         found: dict[tuple[str, str], list[float]] = {}
         for run in runs:
             for axis, signals in gap_of(machine, run, self.predictions[which][run.name]).items():
@@ -118,39 +115,39 @@ class HeldOut:
         return found
 
 
-def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[str, float]) -> bool:
-    """Has correction made the gap of these axes larger, by more than chance? `before` and `after` it: gap over noise by axis."""
+def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[str, float], thresholds: Thresholds = DEFAULT) -> bool:
+    """Does the correction increase the gap of these axes by more than chance? `before` and `after`: gap over noise by axis."""
     was, now = (float(np.hypot.reduce([level for axis, level in of.items() if axis in axes] or [0.0])) for of in (before, after))
-    return now > was + CHANCE
+    return now > was + thresholds.worse_by_chance
 
 
 def held_out_gaps(
     runs: Sequence[MeasuredRun],
     motions: Sequence[Motion],
     machine: Machine,
-    found: Sequence[Found],
+    states: Sequence[GroupState],
     folds: Sequence[Sequence[int]],
     engine: bool,
     threads: int,
 ) -> HeldOut:
-    """Gap of every run with the nominal machine and with the machine fitted without that run, in MuJoCo.
+    """Predictions of each run by the nominal machine and by the machine fitted without that run, in MuJoCo.
 
-    `motions` are the runs' nominal ones, for what noise makes; without `engine` only the decoupled plant along them is simulated. Where the machine
-    fitted without some runs cannot be simulated (next to unstable a run more or less decides), theirs is the one fitted to all.
+    `motions` are the nominal motions of the runs, for the realisations of noise. Without `engine` only the decoupled plant is simulated. If the
+    machine fitted without a fold cannot be simulated (it is nearly unstable), the machine fitted to all runs predicts that fold.
     """
     left_out = [list(fold) if len(folds) > 1 else [] for fold in folds]
     realisations = REALISATIONS if engine else FEWER_REALISATIONS
     nominal = [Job(machine, run, realisations, motion=motion, engine=engine) for run, motion in zip(runs, motions)]
 
     def corrected(without: Sequence[int], fold: Sequence[int]) -> list[Job]:
-        variant = fitted_without(machine, found, without)
+        variant = fitted_without(machine, states, without)
         return [Job(variant, runs[i], realisations, motion=motions[i], engine=engine) for i in fold]
 
     by_fold = [corrected(without, fold) for without, fold in zip(left_out, folds)]
     jobs = [*nominal, *itertools.chain(*by_fold)]
     try:
         simulated = predict_each(jobs, threads=threads)
-    except TwinError:  # unstable, or a size that no tick can follow
+    except TwinError:  # unstable, or too stiff for the simulation step
         left_out = [without if _can_run(of_fold, threads) else [] for without, of_fold in zip(left_out, by_fold)]
         jobs = [*nominal, *itertools.chain(*(corrected(without, fold) for without, fold in zip(left_out, folds)))]
         simulated = predict_each(jobs, threads=threads)
@@ -169,19 +166,19 @@ def _can_run(jobs: Sequence[Job], threads: int) -> bool:
     return True
 
 
-def fitted_without(machine: Machine, found: Sequence[Found], fold: Sequence[int]) -> Machine:
-    """The corrected machine as it is when the runs of a fold are left out of the fit."""
+def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequence[int]) -> Machine:
+    """The corrected machine with the runs of a fold held out of the fit."""
     settings: list[Setting] = []
     variant, tolerance = machine, machine.parameter_tolerance
-    for f in found:
+    for f in states:
         t = f.thresholds
         shift, tuning_shift = leave_out(f, fold) if fold else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.tuning)))
         moved = f.fit.settings
         for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
             moved = free.moved(moved, float(step))
         settings += moved
-        deviations = within(f, tolerance)
-        # what all runs together say is not there does not appear because the one that says so is left out
+        deviations = limited_deviations(f, tolerance)
+        # an imperfection that is absent in the fit to all runs stays absent
         absent = [n.quantity in SPRINGS and d < t.least_imperfection * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
         deviations = deviations + np.where(absent, 0.0, tuning_shift[: len(deviations)] * f.tuning.spread)
         variant = tuned(f.tuning.nuisances, np.clip(deviations, -t.widest * tolerance, t.widest * tolerance))(variant)

@@ -1,4 +1,4 @@
-"""Fits judged on runs that they did not see, and inside the tolerance."""
+"""Cross-validation of a fit, and its loss with the nuisances bounded by the tolerance."""
 
 from __future__ import annotations
 
@@ -10,45 +10,45 @@ import scipy.linalg
 
 from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
-from twin.diagnose.state import Found, is_cut
+from twin.diagnose.state import GroupState, is_cut
 from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.diagnose.tuning import FREE, Tuning, solved
 from twin.effects import Setting
 
 FOLDS = 3
-"""Parts into which the runs are divided; each is predicted by a fit of the others."""
+"""Number of cross-validation folds."""
 
 DESCENTS = 200
-"""Sweeps of the bounded least squares over a dozen parameters: more change nothing."""
+"""Sweeps of the bounded least squares; a dozen parameters have converged after these."""
 
 
 def folds_of(runs: int) -> list[list[int]]:
-    """Runs left out together; a single run cannot be left out."""
+    """Runs that are held out together. A single run cannot be held out."""
     count = min(FOLDS, runs)
     return [[i for i in range(runs) if i % count == k] for k in range(count)]
 
 
-def retuned_within(found: Found, tolerance: float) -> Fit:
-    """Re-tuning alone with every parameter inside +-tolerance."""
-    return replace(found.retuned, tuning=bounded(found.retuned.about, found.group.residual, found.retuned.tuning, tolerance))
+def retuned_within(state: GroupState, tolerance: float) -> Fit:
+    """Re-tuning alone with all parameters within +-tolerance."""
+    return replace(state.retuned, tuning=bounded(state.retuned.about, state.group.residual, state.retuned.tuning, tolerance))
 
 
 def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Tuning (nuisance,) that fits a residual best inside +-tolerance: bounded least squares by coordinate descent."""
+    """Tuning (nuisance,) within +-tolerance that fits a residual best: bounded least squares by coordinate descent."""
     if not tuning.nuisances:
         return start
     return _inside(tuning, residual, start, _bounds(tuning, tolerance), tuning.prior_weight)
 
 
 def _bounds(tuning: Tuning, tolerance: float) -> np.ndarray:
-    """Largest size of each column in units of its spread: nuisances end at the tolerance, further columns nowhere."""
+    """Bound of each column in spreads: the tolerance for nuisances, infinite for further columns."""
     bound = np.full(tuning.jacobian.shape[1], np.inf)
     bound[: len(tuning.nuisances)] = tolerance / tuning.spread if tuning.spread else 0.0
     return bound
 
 
 def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.ndarray, weight: float) -> np.ndarray:
-    """The same inside +-bound (nuisance,) spreads."""
+    """Bounded least squares with bounds +-bound (column,) in spreads and prior weight `weight` of the nuisances."""
     slope = tuning.jacobian.T @ residual
     normal = tuning.normal + np.diag(np.where(np.arange(len(start)) < len(tuning.nuisances), weight - tuning.prior_weight, 0.0))
     theta = np.clip(start, -bound, bound)
@@ -59,13 +59,13 @@ def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.n
     return theta
 
 
-def left_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
-    """What a fit leaves (row,), weighted, when the nuisances cost nothing inside the tolerance and cannot leave it.
+def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
+    """Residual of a fit (row,), weighted, with flat priors for the nuisances inside the tolerance and hard bounds at its edge.
 
-    `normal` False: normal imperfections are as free as they were found.
+    With `normal` False normal imperfections are not bounded.
     """
     tuning = fit.about
-    residual = found.group.residual - fit.response
+    residual = state.group.residual - fit.response
     if not len(fit.tuning):
         return residual
     bound = _bounds(tuning, tolerance)
@@ -74,44 +74,44 @@ def left_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -
     return residual - tuning.jacobian @ _inside(tuning, residual, fit.tuning, bound, 1.0)
 
 
-def loss_within(found: Found, fit: Fit, tolerance: float, normal: bool = True) -> float:
-    """Half the squares of that, counted as evidence."""
-    return 0.5 * float(found.group.credit @ left_within(found, fit, tolerance, normal) ** 2)
+def loss_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> float:
+    """Half the squares of that residual, weighted as evidence."""
+    return 0.5 * float(state.group.credit @ residual_within(state, fit, tolerance, normal) ** 2)
 
 
-def beyond_tolerance(found: Found) -> float:
-    """Half the squares above noise that a fit leaves when no parameter of the machine leaves the tolerance far behind."""
-    tolerance = found.fit.about.spread / float(UNIFORM)
-    return loss_within(found, found.fit, found.thresholds.widest * tolerance, normal=False) - 0.5 * float(
-        found.group.credit @ found.group.expected
+def beyond_tolerance(state: GroupState) -> float:
+    """Half the squared residual above noise if no parameter may exceed its tolerance by more than `widest`."""
+    tolerance = state.fit.about.spread / float(UNIFORM)
+    return loss_within(state, state.fit, state.thresholds.widest * tolerance, normal=False) - 0.5 * float(
+        state.group.credit @ state.group.expected
     )
 
 
-def evidence_needed(found: Found, setting: Setting, folds: int) -> float:
-    """Evidence that an effect must bring: the more was measured, the more of it a small fault of the model can imitate.
+def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
+    """Evidence that an effect needs. It grows with the length of the record, because a small model error can imitate more of it.
 
-    Most where the block of the effect was not cut: then all that is imperfect in the loop shows in the same channels.
+    It is largest if the block of the effect is not isolated: then all model errors of the loop are visible in the same channels.
     """
-    t = found.thresholds
+    t = state.thresholds
     least = t.evidence if folds > 1 else t.evidence_in_sample
-    return least + (t.imperfect if is_cut(found.group, setting) else t.imperfect_uncut) * found.group.expected_loss
+    return least + (t.imperfect if is_cut(state.group, setting) else t.imperfect_uncut) * state.group.expected_loss
 
 
-def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
-    """Half the squares on runs left out, each fold predicted by the fit without it.
+def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
+    """Robust loss on held-out runs, each fold predicted by the fit without it.
 
-    With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: leaving out rows f moves the optimum by
-    -(N - X_f'X_f)^-1 X_f' r_f, so that the residual left out is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
+    With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: holding out rows f moves the optimum by
+    -(N - X_f'X_f)^-1 X_f' r_f, so that the held-out residual is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f.
     """
-    group, t = found.group, found.thresholds
+    group, t = state.group, state.thresholds
     linear = _linear(group, fit)
     loss = 0.0
     for fold in folds:
         shift = np.zeros(len(linear.normal))
-        if len(folds) > 1 and linear.knows_alone(fold, t.known_alone):
+        if len(folds) > 1 and linear.knows_alone(fold, t.information_in_fold):
             loss += t.evidence_in_sample - t.evidence
         elif len(folds) > 1:
-            shift = linear.shift(fold, t.known_alone)
+            shift = linear.shift(fold, t.information_in_fold)
         for run in linear.of(fold):
             for rows in linear.rows[run]:
                 rf = linear.left[rows] - fit.columns[rows] @ shift[: linear.own] - fit.about.jacobian[rows] @ shift[linear.own :]
@@ -119,39 +119,39 @@ def held_out_loss(found: Found, fit: Fit, folds: Sequence[Sequence[int]]) -> flo
     return loss
 
 
-def leave_out(found: Found, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of free parameters and tuning when the runs of a fold are left out."""
-    fit, group = found.fit, found.group
+def leave_out(state: GroupState, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of free parameters and tuning if the runs of a fold are held out."""
+    fit, group = state.fit, state.group
     linear = _linear(group, fit)
-    alone = group.thresholds.known_alone
+    alone = group.thresholds.information_in_fold
     shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold, alone) else linear.shift(fold, alone)
     return shift[: linear.own], shift[linear.own :]
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """A fit about its optimum, X = [columns, jacobian]: by run X'X (run, column, column) and X'r (run, column), r the residual `left`."""
+    """A linearised fit, X = [columns, jacobian]: X'X of each run (run, column, column) and X'r (run, column), r the residual."""
 
     rows: Sequence[Sequence[slice]]  # of each run
-    own: int  # columns of the fit, the first ones
+    own: int  # number of leading columns that belong to the fit
     products: np.ndarray
     slopes: np.ndarray
     normal: np.ndarray  # N = X'X + prior
     left: np.ndarray
 
     def of(self, fold: Sequence[int]) -> list[int]:
-        """The runs of a fold in which something was measured."""
+        """Runs of a fold in which something was measured."""
         return [run for run in fold if run < len(self.rows)]
 
     def shift(self, fold: Sequence[int], share: float) -> np.ndarray:
-        """How far the optimum moves without these runs. What they alone know stays where it is: only this share of them is left out."""
+        """Shift of the optimum without these runs. Only `share` of their information is removed, so that a direction known from them alone stays."""
         information = share * self.products[self.of(fold)].sum(axis=0)
         return -solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0))
 
     def knows_alone(self, fold: Sequence[int], alone: float) -> bool:
-        """Is some direction of the fit's own parameters p known from these runs alone?
+        """Is a direction of the fit's own parameters p determined by these runs alone?
 
-        Information about p beside the other columns q: S = N_pp - N_pq N_qq^-1 N_qp, of all runs against that of the others.
+        Information about p with the other columns q eliminated: S = N_pp - N_pq N_qq^-1 N_qp, of all runs compared with that of the others.
         """
         if not self.own:
             return False
@@ -165,21 +165,21 @@ def _linear(group: Group, fit: Fit) -> _Linear:
     rows = [[c.rows for c in group.channels if c.run == run] for run in range(runs)]
     jacobian, own = fit.about.jacobian, fit.columns.shape[1]
     n = own + jacobian.shape[1]
-    products, slopes, left = np.zeros((len(rows), n, n)), np.zeros((len(rows), n)), fit.left(group)
+    products, slopes, residual = np.zeros((len(rows), n, n)), np.zeros((len(rows), n)), fit.residual(group)
     products[:, own:, own:] = fit.about.products(rows)
     for run, slices in enumerate(rows):
         for part in slices:
             columns = fit.columns[part]
             products[run, :own, :own] += columns.T @ columns
             products[run, own:, :own] += jacobian[part].T @ columns
-            slopes[run, :own] += columns.T @ left[part]
-            slopes[run, own:] += jacobian[part].T @ left[part]
+            slopes[run, :own] += columns.T @ residual[part]
+            slopes[run, own:] += jacobian[part].T @ residual[part]
         products[run, :own, own:] = products[run, own:, :own].T
     normal = products.sum(axis=0) + np.diag(np.concatenate([np.full(own, FREE), fit.about.prior]))
-    return _Linear(rows, own, products, slopes, normal, left)
+    return _Linear(rows, own, products, slopes, normal, residual)
 
 
 def _information(normal: np.ndarray, p: int) -> np.ndarray:
-    """Information about the first p parameters with the others free; never quite none, so that no direction divides by zero."""
+    """Information about the first p parameters with the others free; regularised, so that no direction divides by zero."""
     information = normal[:p, :p] - normal[:p, p:] @ solved(normal[p:, p:], normal[p:, :p])
     return information + 1e-7 * np.diag(np.diag(normal)[:p]) + 1e-9 * np.eye(p)

@@ -1,4 +1,4 @@
-"""The diagnosis of a campaign: where, which, how far; and its contract, `diagnosis.json`."""
+"""The diagnosis of a campaign and its document, `diagnosis.json`."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.settings import DEFAULT, Thresholds
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
-from twin.diagnose.where import left_of
+from twin.diagnose.where import largest_remaining_block
 from twin.effects import Setting
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.gap import COMPARED, Prediction, SignalGap
 
 
-@dataclass
+@dataclass(frozen=True)
 class Diagnosis:
-    """Everything that was found; `document()` is `diagnosis.json`."""
+    """All results of a diagnosis; `document()` is `diagnosis.json`."""
 
     campaign: Campaign
     machine: Machine
     corrected: Machine
     verdict: str
-    found: list[Found]
-    settings: list[tuple[Setting, Found, float]]
+    found: list[GroupState]
+    settings: list[tuple[Setting, GroupState, float]]
     where: list[dict[str, Any]]
     gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]]  # before/after -> run -> axis -> signal
     held_out: list[str]
@@ -49,10 +49,10 @@ class Diagnosis:
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[Law, ...] = ()
-    decided: bool = True  # False: a quick look found no effect, and left a gap
+    decided: bool = True  # False: a quick look found no effect but a gap remains
 
     def document(self) -> dict[str, Any]:
-        """The contract."""
+        """The document of `diagnosis.json`."""
         before, after = self._pooled("before"), self._pooled("after")
         return {
             "verdict": self.verdict,
@@ -63,7 +63,7 @@ class Diagnosis:
             "gap": {
                 "before": before,
                 "after": after,
-                "noise_floor": 1.0,  # what the others are multiples of
+                "noise_floor": 1.0,  # unit of the other gaps
                 "unit": "RMS over axes and signals, in multiples of what noise alone makes",
                 "retuning_share": retuning_share(self.waterfall),
                 "held_out_runs": self.held_out,
@@ -83,7 +83,7 @@ class Diagnosis:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}
 
     def _budget_on_program(self, program: str, budget: Budget) -> dict[str, Any]:
-        """The contributions on a program that was not measured: what is left there nobody knows."""
+        """The contributions on a program that was not measured. The unexplained gap is not known there."""
         document = self._contributions(budget)
         return {"program": program, "unit": document["unit"], "change": document["before"], "rows": document["rows"]}
 
@@ -97,19 +97,19 @@ class Diagnosis:
         return document_of(budget, self.machine, {s.key: p for s, _, p in self.settings}, halves)
 
     def _unexplained(self) -> list[dict[str, Any]]:
-        """What the corrected machine leaves of each axis on runs left out, above noise."""
+        """Gap above noise of each axis that the corrected machine leaves on held-out runs."""
         rows = []
         for found in self.found:
             for axis in found.group.axes:
                 level = self.axis_level("after", axis)
-                if axis in self.axes and level > self.thresholds.left_over and self.budget is not None:
-                    block, law = left_of(found, axis)
+                if axis in self.axes and level > self.thresholds.unexplained_gap and self.budget is not None:
+                    block, law = largest_remaining_block(found, axis)
                     tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
         return sorted(rows, key=lambda row: -row["times_noise"])
 
     def axis_level(self, which: str, axis: str) -> float:
-        """RMS over runs and signals of gap over noise, on one axis."""
+        """RMS over runs and signals of gap over noise of one axis."""
         values = [
             (g.rms / g.noise) ** 2
             for run, axes in self.gaps[which].items()
@@ -121,25 +121,22 @@ class Diagnosis:
         return float(np.sqrt(np.mean(values))) if values else 1.0
 
     def explained(self, axes: Collection[str]) -> float:
-        """1 - (after^2 - floor^2) / (before^2 - floor^2) summed over the axes on which an effect acts, on runs left out of the fit.
-
-        From 0 to 1: a gap below the floor, or one that grew, is no share.
-        """
+        """1 - (after^2 - floor^2) / (before^2 - floor^2) summed over axes, on held-out runs; clipped to 0 to 1."""
         before, after = (sum(max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for axis in axes) for which in ("before", "after"))
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
     def keeps_its_gap(self, axis: str) -> bool:
-        """Does correction leave so much of an axis' gap that effects are no answer?"""
+        """Does the correction leave so much of an axis' gap that its effects do not explain it?"""
         return keeps_its_gap(self.axis_level("before", axis), self.axis_level("after", axis))
 
     @property
     def axes(self) -> list[str]:
-        """Axes of which something was measured."""
+        """Measured axes."""
         return sorted({name for axes in self.gaps["before"].values() for name in axes}, key=self.machine.axis_names.index)
 
     @cached_property
     def waterfall(self) -> list[tuple[str, float]]:
-        """Levels of the gap step by step, see `twin.diagnose.waterfall`."""
+        """Gap after each step of the correction, see `twin.diagnose.waterfall`."""
         ends = {axis: (self.axis_level("before", axis) ** 2, self.axis_level("after", axis) ** 2) for axis in self.axes}
         return waterfall(self.found, ends, self.machine.parameter_tolerance)
 
@@ -164,8 +161,8 @@ class Diagnosis:
                     }
         return out
 
-    def _effect(self, setting: Setting, found: Found, probability: float) -> dict[str, Any]:
-        shown_by = found.group.axes if setting.effect.edits_bodies else (setting.axis,)
+    def _effect(self, setting: Setting, state: GroupState, probability: float) -> dict[str, Any]:
+        shown_by = state.group.axes if setting.effect.edits_bodies else (setting.axis,)
         axes = [a for a in self.axes if a in shown_by]
         return {
             "effect": setting.effect.name,
@@ -174,19 +171,19 @@ class Diagnosis:
             "block": setting.effect.block,
             "probability": probability,
             "explained": self.explained(axes),
-            "parameters": self._parameters(setting, found),
+            "parameters": self._parameters(setting, state),
         }
 
-    def _parameters(self, setting: Setting, found: Found, sizes: Sizes | None = None) -> dict[str, Any]:
-        """Values with 95 % intervals: of what was found those of the final fit, of other candidates those of `sizes`.
+    def _parameters(self, setting: Setting, state: GroupState, sizes: Sizes | None = None) -> dict[str, Any]:
+        """Values with 95 % intervals: from the final fit for effects found, from `sizes` for other candidates.
 
-        One that was screened only has no width: nothing was fitted.
+        A candidate that was only screened has no interval.
         """
         axis = self.machine.axis(setting.axis)
-        of = found.fit.sizes() if setting.key in found.keys else sizes if sizes is not None and setting in sizes.settings else None
+        of = state.fit.sizes() if setting.key in state.keys else sizes if sizes is not None and setting in sizes.settings else None
         index = [s.key for s in of.settings].index(setting.key) if of is not None else None
         out = {}
-        covariance = of.covariance(found.inflation) if of is not None else np.zeros((0, 0))
+        covariance = of.covariance(state.inflation) if of is not None else np.zeros((0, 0))
         for parameter in setting.effect.parameters:
             if parameter.name not in setting.parameters:
                 continue
@@ -209,7 +206,7 @@ class Diagnosis:
         return out
 
     def _candidates(self) -> list[dict[str, Any]]:
-        """Every effect and axis tried, best first: fitted ones with their evidence, the others as screened."""
+        """All effects and axes tried, best first: fitted ones with their evidence, the others with their gain in screening."""
         rows: list[tuple[tuple[bool, float, float], dict[str, Any]]] = []
         chosen = {s.key: (s, p) for s, _, p in self.settings}
         for found in self.found:
@@ -241,11 +238,11 @@ class Diagnosis:
         }
 
     def _not_visible(self) -> list[dict[str, Any]] | None:
-        """Effects that these runs and signals would not show if the machine had them: by how much they would have to be larger than usual.
+        """Effects that would not be visible in these runs and signals, with the multiple of their usual size from which they would.
 
-        `usual_sizes` None: whatever their size. None at all: not asked, in a quick look.
+        `usual_sizes` None: at no size. None instead of the list: not computed, in a quick look.
         """
-        if any(found.unseen is None for found in self.found):
+        if any(found.not_visible is None for found in self.found):
             return None
         named = {setting.key for setting, _, _ in self.settings}
         return [
@@ -256,12 +253,12 @@ class Diagnosis:
                 "usual_sizes": sizes if math.isfinite(sizes) else None,
             }
             for found in self.found
-            for (effect, axis, source), sizes in sorted((found.unseen or {}).items(), key=lambda item: str(item[0]))
+            for (effect, axis, source), sizes in sorted((found.not_visible or {}).items(), key=lambda item: str(item[0]))
             if (effect, axis, source) not in named
         ]
 
     def _ambiguous(self) -> list[dict[str, Any]]:
-        """Rivals that this campaign cannot separate from what was found."""
+        """Rivals that the campaign does not separate from the effects found."""
         out = []
         for setting, found, _ in self.settings:
             for candidates in found.rounds:

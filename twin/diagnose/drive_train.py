@@ -1,7 +1,7 @@
-"""Normal elasticity and damping of a drive train, found by simulation at several sizes.
+"""Normal elasticity and damping of a drive train, identified by simulation at several sizes.
 
-The response is not proportional to the elasticity. Where the first mode lies near the rate of the set points, each set point excites it,
-and 5 % of the frequency or half the damping decides how strongly. A response scaled from another size would be wrong there.
+The response is not linear in the elasticity. If the first mode is close to the rate of the set points, each set point excites it, and 5 % of
+its frequency or half the damping decides how strongly. Scaling a response from another size would be wrong there.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 AROUND = (0.72, 0.8, 0.87, 0.94, 1.0, 1.06, 1.12, 1.19, 1.27, 1.38)
-"""Frequencies tried, as multiples of the linear estimate; neighbours lie within the width of a mode."""
+"""Trial frequencies, as multiples of the linear estimate; neighbours are closer than the width of a mode."""
 
 MEETING = (0.82, 0.88, 0.94, 1.0, 1.06)
-"""Frequencies tried, as multiples of the rate of the set points."""
+"""Trial frequencies, as multiples of the rate of the set points."""
 
 DAMPED = (-0.9, -0.45, 0.45, 0.9)
-"""Exponents of `normal_damping` tried beside the assumed damping."""
+"""Trial exponents of `normal_damping`, besides the assumed damping."""
 
 
 Point = tuple[float, float]
-"""A drive train: share of the normal elasticity, damping exponent."""
+"""A drive train: share of the largest normal elasticity, damping exponent."""
 
 
-class _Tried:
-    """Losses of trial drive trains on the runs in which one shows most; each trial is simulated once."""
+class _TrialLosses:
+    """Losses of trial drive trains in the runs with the largest response; each trial is simulated once."""
 
     def __init__(self, group: Group, tuning: Tuning, axis: str, residual: np.ndarray, shows: np.ndarray, tolerance: float) -> None:
         runs = _runs_that_show(group, axis, shows)
@@ -46,18 +46,18 @@ class _Tried:
             tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread, tuning.prior_weight, tuning.further
         )
         self.residual, self.axis, self.tolerance = residual[rows], axis, tolerance
-        self.losses: dict[Point, float] = {}  # half the squares that re-tuning leaves
+        self.losses: dict[Point, float] = {}  # loss after re-tuning
 
     def best_of(self, points: Sequence[Point], mapper: Mapper) -> Point:
-        """The point of which re-tuning leaves least; of several the first in order."""
+        """The point with the smallest loss after re-tuning; the smallest point among equals."""
         new = [at for at in dict.fromkeys(points) if at not in self.losses]
-        for at, answer in zip(new, answers_of(self.group, self.axis, new, self.tolerance, mapper)):
+        for at, answer in zip(new, responses_of(self.group, self.axis, new, self.tolerance, mapper)):
             self.losses[at] = self.tuning.loss(self.residual - answer) if isinstance(answer, np.ndarray) else math.inf
         return min((self.losses[at], at) for at in points)[1]
 
 
 def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
-    """The fewest runs that hold the share `train_shown` of the squares of `shows` (row,), the response to a drive train."""
+    """The smallest set of runs that holds the share `train_shown` of the squares of `shows` (row,), the response to a drive train."""
     squares: dict[int, float] = {}
     for c in group.channels:
         if c.axis == axis:
@@ -67,8 +67,8 @@ def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
     return set(order[: int(np.searchsorted(parts, group.thresholds.train_shown)) + 1])
 
 
-def answers_of(group: Group, axis: str, points: Sequence[Point], tolerance: float, mapper: Mapper) -> list[np.ndarray | TwinError]:
-    """Response (row,) to the drive train at each of these points, or the error of one that cannot be simulated."""
+def responses_of(group: Group, axis: str, points: Sequence[Point], tolerance: float, mapper: Mapper) -> list[np.ndarray | TwinError]:
+    """Response (row,) to the drive train at each point, or the error of its simulation."""
     elasticity, damping = (Nuisance(axis, quantity, group.thresholds) for quantity in ("elasticity", "damping"))
 
     def with_train(machine: Machine, at: Point) -> Machine:
@@ -87,13 +87,13 @@ def with_drive_train(
     mapper: Mapper,
     largest: float,
 ) -> Tuning:
-    """The tuning with the elasticity of an axis' drive train added, and its damping if that explains enough; each linear about its size.
+    """The tuning with the elasticity of an axis' drive train, and its damping if that has enough evidence; each linear about its size.
 
-    `linear` is the estimate under a proportional response, `largest` the share of the normal elasticity from which it is an effect. The
-    tuning comes back unchanged if no size near it explains `residual` (row,).
+    `linear` is the estimate for a linear response, `largest` the share of the normal elasticity from which it is an effect. The tuning is
+    unchanged if no size near the estimate explains `residual` (row,).
     """
     tolerance, t = machine.parameter_tolerance, group.thresholds
-    tried = _Tried(group, tuning, axis, residual, linear.column, tolerance)
+    tried = _TrialLosses(group, tuning, axis, residual, linear.column, tolerance)
 
     def best_of(points: Sequence[Point]) -> Point:
         return tried.best_of(points, mapper)
@@ -105,21 +105,21 @@ def with_drive_train(
     near_cycle = [r / machine.position_cycle for r in MEETING]
     modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > t.train_finer for r in AROUND)]
     found = best_of([at(f) for f in modes])
-    if tried.tuning.loss(tried.residual) - tried.losses[found] < t.imperfection_earned:
+    if tried.tuning.loss(tried.residual) - tried.losses[found] < t.imperfection_evidence:
         return tuning
     found = best_of([found, *((found[0], d) for d in DAMPED)])
     for step in (t.train_finer, 0.5 * t.train_finer):
         found = best_of([found, *((found[0] * (1.0 + side * step) ** 2, found[1]) for side in (-1, 1))])
         found = best_of([found, *((found[0], found[1] + side * 5.0 * step) for side in (-1, 1))])
-    share, damped = found
+    share, damping = found
     if share >= largest:
         return tuning
     best_of([(share, 0.0)])
     worth = tried.losses[share, 0.0] - tried.losses[found]
-    points = [(share, 0.0), found] if damped and worth >= t.imperfection_earned else [(share, 0.0)]
-    plain, *beside = answers_of(group, axis, points, tolerance, mapper)
-    whole = beside[0] if beside else None
-    if isinstance(plain, TwinError) or isinstance(whole, TwinError):  # unstable in a run in which it does not show
+    points = [(share, 0.0), found] if damping and worth >= t.imperfection_evidence else [(share, 0.0)]
+    plain, *damped_response = responses_of(group, axis, points, tolerance, mapper)
+    whole = damped_response[0] if damped_response else None
+    if isinstance(plain, TwinError) or isinstance(whole, TwinError):  # unstable in one of the other runs
         return tuning
     tuning = tuning.with_column(Nuisance(axis, "elasticity", t), plain * (UNIFORM / share))
-    return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping", t), (whole - plain) * (UNIFORM / damped))
+    return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping", t), (whole - plain) * (UNIFORM / damping))

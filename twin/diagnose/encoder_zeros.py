@@ -1,8 +1,8 @@
-"""Two encoders of an axis whose zeros differ: a constant of each run that is fitted, never a fault.
+"""Motor encoder and scale whose zeros differ: a constant in each run that is fitted and is no fault.
 
-The difference d of motor encoder and scale has in run k the mean m_k and the deviation w_k. It is one of zeros where it is more than
-noise in some run, constant in each run (w_k small beside the largest |m|), and does not follow time or place from run to run, as a
-screw that grows or a wrong lead does: m_k = a + b t_k + c x_k explains little more than its mean.
+The difference d of motor encoder and scale has the mean m_k and the standard deviation w_k in run k. It is a difference of zeros if it
+exceeds noise in some run, is constant within each run (w_k small compared with the largest |m|), and does not follow time or position from
+run to run, as thermal growth of the screw or a lead error does: m_k = a + b t_k + c x_k explains little more than the mean.
 """
 
 from __future__ import annotations
@@ -20,31 +20,28 @@ from twin.simulation.gap import encoders_noise
 from twin.simulation.two_encoders import has_both, motor_minus_scale, shifted
 from twin.units import ARCSEC
 
-FEWEST_RUNS = 5
-"""Runs from which a trend over time and place, three numbers, says something."""
-
 
 def with_common_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, thresholds: Thresholds = DEFAULT
 ) -> tuple[tuple[MeasuredRun, ...], dict[str, float]]:
-    """The runs with differences of zeros taken out, and the largest difference of each axis that has one [m or rad]."""
-    found: dict[str, float] = {}
+    """The runs without differences of zeros, and the largest difference of each axis that has one [m or rad]."""
+    largest: dict[str, float] = {}
     for axis in machine.axes:
-        mine = [k for k, run in enumerate(runs) if has_both(run.trace, axis.name)]
-        offsets = {k: _difference(runs[k].trace, axis.name) for k in mine}
-        if offsets and _is_of_zeros([runs[k] for k in mine], list(offsets.values()), axis, machine, thresholds):
-            found[axis.name] = max((mean for mean, _ in offsets.values()), key=abs)
+        runs_of_axis = [k for k, run in enumerate(runs) if has_both(run.trace, axis.name)]
+        offsets = {k: _difference(runs[k].trace, axis.name) for k in runs_of_axis}
+        if offsets and _is_of_zeros([runs[k] for k in runs_of_axis], list(offsets.values()), axis, machine, thresholds):
+            largest[axis.name] = max((mean for mean, _ in offsets.values()), key=abs)
             runs = [
                 replace(_shifted(run, axis, offsets[k][0]), own_zeros=run.own_zeros | {axis.name}) if k in offsets else run
                 for k, run in enumerate(runs)
             ]
-    return tuple(runs), found
+    return tuple(runs), largest
 
 
 def without_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, zeros: Mapping[tuple[str, int], float]
 ) -> tuple[tuple[MeasuredRun, ...], dict[str, float]]:
-    """The runs with fitted differences of zeros, by axis and run [m or rad], taken out; and the largest of each axis that has a clear one."""
+    """The runs without fitted differences of zeros, given by axis and run [m or rad]; and the largest clear one of each axis."""
     clear: dict[str, float] = {}
     for (name, k), offset in zeros.items():
         axis = machine.axis(name)
@@ -58,23 +55,23 @@ def without_zeros(
 def zeros_left(
     runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace], axes: Collection[str]
 ) -> dict[tuple[str, int], float]:
-    """The constants (axis, run) [m or rad] that predictions leave between two encoders of these axes: what is no trend of a screw that grows."""
-    found: dict[tuple[str, int], float] = {}
+    """Constants (axis, run) [m or rad] that predictions leave between the two encoders of these axes, without the trend of a growing screw."""
+    zeros: dict[tuple[str, int], float] = {}
     for name in sorted(axes):
-        mine = [k for k, run in enumerate(runs) if has_both(run.trace, name)]
-        means = np.array([_difference(runs[k].trace, name)[0] - _difference(predicted[runs[k].name], name)[0] for k in mine])
-        when = np.array([runs[k].started_at for k in mine])
-        when = when - when.mean() if mine else when
-        if machine.axis(name).kind == "linear" and when.any():
-            means = means - when * float(when @ means) / float(when @ when)
-        found |= {(name, k): float(mean) for k, mean in zip(mine, means)}
-    return found
+        runs_of_axis = [k for k, run in enumerate(runs) if has_both(run.trace, name)]
+        means = np.array([_difference(runs[k].trace, name)[0] - _difference(predicted[runs[k].name], name)[0] for k in runs_of_axis])
+        started_at = np.array([runs[k].started_at for k in runs_of_axis])
+        started_at = started_at - started_at.mean() if runs_of_axis else started_at
+        if machine.axis(name).kind == "linear" and started_at.any():
+            means = means - started_at * float(started_at @ means) / float(started_at @ started_at)
+        zeros |= {(name, k): float(mean) for k, mean in zip(runs_of_axis, means)}
+    return zeros
 
 
 def at_rest_without_zeros(
     runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace], axes: Collection[str]
 ) -> tuple[MeasuredRun, ...]:
-    """The runs where one of these axes stands still, with the constant that a prediction leaves between its two encoders taken out."""
+    """The runs in which one of these axes is at rest, without the constant that the prediction leaves between its two encoders."""
 
     def aligned(run: MeasuredRun) -> MeasuredRun:
         for name in axes:
@@ -94,7 +91,7 @@ def notes_of_zeros(found: dict[str, float], machine: Machine) -> list[str]:
     for name, offset in found.items():
         unit, factor = units[machine.axis(name).kind]
         lines.append(
-            f"axis {name}: the zeros of its two encoders differ by up to {offset * factor:.4g} {unit}; fitted in each run, no fault"
+            f"axis {name}: the zeros of its two encoders differ by up to {offset * factor:.4g} {unit}; this is fitted in each run and is no fault"
         )
     return lines
 
@@ -113,16 +110,16 @@ def _is_of_zeros(
     noise = encoders_noise(machine, axis)
     if largest < thresholds.zero_least * noise or np.any(deviations > thresholds.zero_constant * largest):
         return False
-    left = means - means.mean()
-    if len(runs) < FEWEST_RUNS or float(left @ left) < 0.01 * float(means @ means):
+    centred = means - means.mean()
+    if len(runs) < thresholds.trend_runs or float(centred @ centred) < 0.01 * float(means @ means):
         return True
     when = [run.started_at + 0.5 * float(run.trace.time[-1] - run.trace.time[0]) for run in runs]
     place = [float(np.mean(run.trace.get(axis.name, "position"))) for run in runs]
     trend = np.column_stack([np.ones(len(runs)), when, place])
-    rest = means - trend @ np.linalg.lstsq(trend, means, rcond=None)[0]
-    return float(rest @ rest) > (1.0 - thresholds.zero_by_trend) * float(left @ left)
+    detrended = means - trend @ np.linalg.lstsq(trend, means, rcond=None)[0]
+    return float(detrended @ detrended) > (1.0 - thresholds.zero_by_trend) * float(centred @ centred)
 
 
 def _shifted(run: MeasuredRun, axis: Axis, offset: float) -> MeasuredRun:
-    """The run with the encoder that does not close the position loop brought to the zero of the other one."""
+    """The run with the encoder that does not close the position loop shifted to the zero of the other one."""
     return replace(run, trace=shifted(run.trace, axis, offset))

@@ -1,4 +1,4 @@
-"""What the report shows besides numbers, taken from a diagnosis: the telling stretches, the map of blocks, levels by run, re-tuned values."""
+"""Contents of the report besides numbers: the intervals to show, the map of blocks, levels by run, re-tuned values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.blocks import MOTION
-from twin.diagnose.corrected import within
+from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
@@ -22,17 +22,17 @@ BLOCKS_NEED = {
     "transmission": (("position",), ("motor_position",)),
     "measurement": (("position",), ("motor_position",)),
 }
-"""Blocks in the order of the loop, and the recorded signals, one of each, without which a block cannot be seen."""
+"""Blocks in the order of the loop, and the signals that a block needs; one signal of each group is sufficient."""
 
 CONTROLLERS = ("position controller", "speed controller")
 
 MARGIN = 0.15
-"""Part of a stretch that is shown before and after it."""
+"""Share of an interval that is shown before and after it."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A place to look at: axis, run, from and to [s], block ('' where none was named)."""
+    """An interval to show: axis, run, start and stop [s], block ('' if none was named)."""
 
     axis: str
     run: str
@@ -42,7 +42,7 @@ class Stretch:
 
 
 def blocks_map(diagnosis: Diagnosis, document: dict[str, Any]) -> tuple[list[str], list[list[tuple[str, float, float]]]]:
-    """Axes that moved, and per axis and block (state, share, level): state 'place', 'healthy' or 'unseen'."""
+    """Axes that moved, and (state, share, level) per axis and block; the state is 'place', 'healthy' or 'unseen'."""
     placed = {(p["axis"], p["block"]): p for p in document["where"]}
     axes = [a for a in diagnosis.machine.axis_names if any(run.trace.moves(a) for run in diagnosis.campaign.runs)]
     rows = []
@@ -59,10 +59,10 @@ def blocks_map(diagnosis: Diagnosis, document: dict[str, Any]) -> tuple[list[str
 
 
 def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
-    """Was the law of a block held against what was recorded?
+    """Was the law of a block compared with the record?
 
-    That of the position controller, or of two P controllers together, has a channel. The command of an axis without current loop stands
-    for its current.
+    The law of the position controller, or of two P controllers together, has a channel. The command of an axis without current loop counts as
+    its current.
     """
     own = diagnosis.machine.axis(axis)
     law = any((c.axis, c.name) == (axis, "controller") for f in diagnosis.found for c in f.group.channels)
@@ -77,7 +77,7 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
 
 
 def stretches(diagnosis: Diagnosis, document: dict[str, Any]) -> list[Stretch]:
-    """Telling stretches, the most telling first: one per place and effect; without any, the largest gap of the campaign."""
+    """Intervals to show, largest excess first: one per place and effect; without places, the largest gap of the campaign."""
     found: list[Stretch] = []
     effects = {(e["effect"], e["axis"]) for e in document["effects"]}
     for place in document["where"]:
@@ -92,7 +92,7 @@ def stretches(diagnosis: Diagnosis, document: dict[str, Any]) -> list[Stretch]:
 
 
 def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list[Stretch]:
-    """The half second in which the position of one of the axes differs most from the nominal twin."""
+    """The half second with the largest position gap of one of the axes to the nominal twin."""
     stretch_s = diagnosis.thresholds.stretch_s
     best: tuple[float, Stretch] | None = None
     for run in diagnosis.campaign.runs:
@@ -115,7 +115,7 @@ def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list
 
 
 def run_levels(diagnosis: Diagnosis) -> tuple[list[str], list[tuple[str, list[tuple[float, float] | None]]]]:
-    """Axes, and per run the gap over noise of each axis before and after; None where the axis did not move."""
+    """Axes, and per run the gap over noise of each axis before and after correction; None if the axis did not move."""
     axes = [a for a in diagnosis.machine.axis_names if any(run.trace.moves(a) for run in diagnosis.campaign.runs)]
     rows = []
     for run in diagnosis.campaign.runs:
@@ -137,6 +137,6 @@ def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     return [
         (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity.replace("_", " "), float(deviation))
         for found in diagnosis.found
-        for nuisance, deviation in zip(found.tuning.nuisances, within(found, diagnosis.machine.parameter_tolerance))
+        for nuisance, deviation in zip(found.tuning.nuisances, limited_deviations(found, diagnosis.machine.parameter_tolerance))
         if nuisance.quantity not in NORMAL
     ]

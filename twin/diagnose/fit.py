@@ -2,10 +2,9 @@
 
     minimise  | z - D(p) - J theta |^2 + w | theta / s |^2
 
-z is the weighted residual of the nominal twin, D(p) the simulated change that the effects with parameters p make, J the
-simulated change per toleranced parameter, s their spread. The weight w stands for what many samples do not know: a small fault of
-the model is repeated in each of them, and must not pull a parameter beyond its tolerance. theta is eliminated, so that an effect is only credited with
-what re-tuning cannot explain.
+z is the weighted residual of the nominal twin, D(p) the simulated response to effects with parameters p, J the simulated response to
+toleranced parameters, s their spread. The weight w accounts for model error: it repeats in every sample and must not pull a parameter out
+of its tolerance. theta is eliminated, so that an effect is credited only with what re-tuning cannot explain.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import Mapper, in_turn
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import Tuning, beside
+from twin.diagnose.tuning import Tuning, stacked_columns
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
@@ -31,12 +30,12 @@ from twin.machine.machine import Machine
 from twin.simulation.run import all_or_raise
 
 Slope = tuple[tuple[str, str, str | None], str]
-"""Effect, axis and from_axis, and the parameter: what a column of a fit is the slope of."""
+"""Key of a column of a fit: effect, axis and from_axis, and the parameter."""
 
 
 @dataclass(frozen=True)
 class Free:
-    """One free parameter of one setting, in a scale in which a step of 1 is of the order of its usual range."""
+    """A free parameter of a setting, scaled so that a step of 1 is of the order of its usual range."""
 
     setting: int
     parameter: Parameter
@@ -60,7 +59,7 @@ class Free:
 
 
 def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: Thresholds = DEFAULT) -> list[Free]:
-    """What a fit may move: everything that the settings give a number, shapes included."""
+    """All parameters that have a value in the settings, shapes included."""
     free = []
     for i, setting in enumerate(settings):
         axis = machine.axis(setting.axis)
@@ -72,7 +71,7 @@ def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: T
             low, high = p.usual_range(machine, axis)
             by_ratio = p.logarithmic and value > 0.0 and not (p is size and p.is_factor)
             if by_ratio:
-                # a step that shifts the far end of a wave by more than part of a wave has no slope
+                # the step must shift the end of the record by a small part of a wavelength, or the slope is not valid
                 waves = p.scan.waves(value, axis, thresholds.wave_run_s) if p.scan else 0.0
                 free.append(Free(i, p, True, min(0.15, thresholds.wave_step / max(waves, 1e-9))))
             elif p.periodic:
@@ -84,7 +83,7 @@ def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: T
 
 
 class Sizes(NamedTuple):
-    """Settings of a fit, its free parameters, the information about them (free, free) in scale units, and the weight of the tolerance."""
+    """Settings of a fit, free parameters, their information matrix (free, free) in scale units, and the prior weight of the tolerance."""
 
     settings: tuple[Setting, ...]
     free: tuple[Free, ...]
@@ -94,74 +93,74 @@ class Sizes(NamedTuple):
     def covariance(self, inflation: float = 1.0) -> np.ndarray:
         """Covariance of the free parameters in scale units.
 
-        The weight that keeps the tolerance from being pulled by many samples keeps this from shrinking with them; what is not modelled
-        has `inflation` times the power of noise.
+        The prior weight keeps it from shrinking with the number of samples, because model error is the same in all of them. `inflation` is the
+        loss of the fit over that of noise.
         """
         return np.linalg.pinv(self.information) * self.prior_weight * inflation
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Effects fitted to a group: settings, tuning, loss, and what is needed for intervals and for leaving runs out."""
+    """Effects fitted to a group: settings, tuning, loss, and the columns needed for intervals and cross-validation."""
 
     settings: tuple[Setting, ...]
     free: list[Free]
     loss: float
-    tuning: np.ndarray  # in units of the spread
+    tuning: np.ndarray  # theta, in units of the spread
     response: np.ndarray  # D(p), (row,)
     columns: np.ndarray  # dD/dp in scale units, (row, free)
-    about: Tuning  # what `tuning` is a tuning of
+    about: Tuning  # the tuning whose coefficients `tuning` holds
 
     @property
     def slopes(self) -> dict[Slope, np.ndarray]:
-        """The columns by effect and parameter, for a fit next to this one."""
+        """Columns by effect and parameter, as starting slopes for another fit."""
         return {(self.settings[f.setting].key, f.parameter.name): self.columns[:, i] for i, f in enumerate(self.free)}
 
     @property
     def retuning(self) -> np.ndarray:
-        """What the tuning changes (row,)."""
+        """Response to the tuning (row,)."""
         return self.about.jacobian @ self.tuning
 
-    def left(self, group: Group) -> np.ndarray:
-        """What effects and tuning leave of a group's residual (row,), weighted."""
+    def residual(self, group: Group) -> np.ndarray:
+        """Residual of a group after effects and tuning (row,), weighted."""
         return group.residual - self.response - self.retuning
 
-    def reweighed(self, scale: np.ndarray, about: Tuning, residual: np.ndarray) -> Fit:
-        """The same settings where every row weighs `scale` (row,) times as much, with tuning and residual (row,) weighed like that."""
+    def reweighted(self, scale: np.ndarray, about: Tuning, residual: np.ndarray) -> Fit:
+        """The same settings with each row weight multiplied by `scale` (row,); `about` and `residual` (row,) are already reweighted."""
         response = self.response * scale
         left = residual - response
         tuning, loss = about.solve(left), about.loss(left)
         return replace(self, response=response, columns=self.columns * scale[:, None], about=about, tuning=tuning, loss=loss)
 
     @property
-    def straight_slopes(self) -> dict[Slope, np.ndarray]:
-        """Those of them that hold elsewhere, too."""
-        return straight(self.slopes, self.settings)
+    def linear_effect_slopes(self) -> dict[Slope, np.ndarray]:
+        """Slopes of the linear effects only."""
+        return slopes_of_linear_effects(self.slopes, self.settings)
 
     def sizes(self) -> Sizes:
-        """What is known of the free parameters, without the rows that it was found from."""
+        """The free parameters with their information, without the rows."""
         return Sizes(self.settings, tuple(self.free), self.information(), self.about.prior_weight)
 
     def information(self) -> np.ndarray:
-        """Information of the channels about the free parameters (free, free) in scale units, tuning eliminated."""
+        """Information matrix of the free parameters (free, free) in scale units, tuning eliminated."""
         return self.about.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
 
 
-def straight(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
-    """The slopes of effects in proportion to their size; those of the others hold nowhere but where they were taken."""
+def slopes_of_linear_effects(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
+    """Slopes of effects that are linear in their size. Slopes of other effects are only valid where they were computed."""
     keys = {s.key for s in settings if s.effect.is_linear}
     return {name: column for name, column in slopes.items() if name[0] in keys}
 
 
 def no_effect(group: Group, tuning: Tuning) -> Fit:
-    """Re-tuning alone."""
-    return held(group, tuning, (), np.zeros(group.size))
+    """A fit of re-tuning alone."""
+    return fit_with_fixed_effects(group, tuning, (), np.zeros(group.size))
 
 
-def held(group: Group, tuning: Tuning, settings: tuple[Setting, ...], response: np.ndarray) -> Fit:
-    """Re-tuning beside effects that stay as they are and change the channels by `response` (row,)."""
-    left = group.residual - response
-    return Fit(settings, [], tuning.loss(left), tuning.solve(left), response, np.zeros((group.size, 0)), tuning)
+def fit_with_fixed_effects(group: Group, tuning: Tuning, settings: tuple[Setting, ...], response: np.ndarray) -> Fit:
+    """A fit of re-tuning with fixed effects whose response is `response` (row,)."""
+    residual = group.residual - response
+    return Fit(settings, [], tuning.loss(residual), tuning.solve(residual), response, np.zeros((group.size, 0)), tuning)
 
 
 def fit_effects(
@@ -176,12 +175,12 @@ def fit_effects(
     known: Mapping[Slope, np.ndarray] = MappingProxyType({}),
     residual: np.ndarray | None = None,
 ) -> Fit | None:
-    """Gauss-Newton from these settings; None where they cannot be simulated. `mapper` maps over threads.
+    """Gauss-Newton from these settings; None if they cannot be simulated. `mapper` maps over simulations.
 
-    Slopes are taken over `slope` and then over the last move, at least `narrowest`: what is known to a thousandth needs them there.
-    `steps` and `narrowest` left out are those of the thresholds. `moving`: the settings whose parameters move, all by default; the others
-    stay as they are, and stand in the tuning as free columns where they may answer. `known` slopes (row,), from a fit next to this one, are
-    taken again only where they do not hold what they promise. `residual` (row,) is what is to be explained, that of the group by default.
+    Finite-difference steps start at `slope` and then follow the last move, down to `narrowest`: parameters that are known to a thousandth need
+    small steps. `steps` and `narrowest` default to the thresholds. `moving` are the indices of the settings that are fitted (default: all); the
+    others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if their predicted gain does not come true. `residual` (row,) is
+    the residual to explain (default: that of the group).
     """
     settings, t = tuple(settings), group.thresholds
     residual = group.residual if residual is None else residual
@@ -189,16 +188,19 @@ def fit_effects(
     if not settings:
         return no_effect(group, tuning)
     try:
-        response = answer(group, settings, mapper)
+        response = simulated_response(group, settings, mapper)
     except TwinError:
         return None
     best = tuning.loss(residual - response)
     free = [f for f in free_parameters(settings, machine, t) if moving is None or f.setting in moving]
-    columns, reach = beside(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)), np.full(len(free), t.slope)
-    asked = [i for i, f in enumerate(free) if _name(f, settings) not in known]
+    columns, step_sizes = (
+        stacked_columns(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)),
+        np.full(len(free), t.slope),
+    )
+    outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     for _ in range(t.fit_steps if steps is None else steps):
         try:
-            for i, column in zip(asked, _slopes(group, settings, response, [(free[i], reach[i]) for i in asked], mapper)):
+            for i, column in zip(outdated, _slopes(group, settings, response, [(free[i], step_sizes[i]) for i in outdated], mapper)):
                 columns[:, i] = column
         except TwinError:
             return None
@@ -207,27 +209,27 @@ def fit_effects(
         move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
         lower = _lower(group, residual, tuning, settings, free, move, best, mapper)
         if lower is not None:
-            gain, promised = best - lower.loss, _promised(gradient, information, lower.move)
+            gain, predicted = best - lower.loss, _predicted_gain(gradient, information, lower.move)
             best, settings, response = lower.loss, lower.settings, lower.response
-            reach = np.clip(np.abs(lower.move), narrowest, t.slope)
+            step_sizes = np.clip(np.abs(lower.move), narrowest, t.slope)
             if gain < t.converged * max(1.0, 0.002 * best):
                 break
-            # slopes that promise what they hold serve for the next step, too, and so do those that promise nothing that decides
-            holds = gain > t.slopes_hold * promised or promised - gain < t.price
-            asked = [] if holds else list(range(len(free)))
-        elif len(asked) < len(free):
-            if _promised(gradient, information, move) < t.price:
+            # reuse slopes whose predicted gain came true, or is too small to matter
+            valid = gain > t.slopes_hold * predicted or predicted - gain < t.price
+            outdated = [] if valid else list(range(len(free)))
+        elif len(outdated) < len(free):
+            if _predicted_gain(gradient, information, move) < t.price:
                 break
-            asked = list(range(len(free)))  # slopes from elsewhere led nowhere
-        elif best < t.above_noise * group.expected_loss or np.all(reach <= narrowest):
+            outdated = list(range(len(free)))  # the known slopes did not reduce the loss
+        elif best < t.above_noise * group.expected_loss or np.all(step_sizes <= narrowest):
             break
         else:
-            reach = np.full(len(free), narrowest)
+            step_sizes = np.full(len(free), narrowest)
     return Fit(settings, free, best, tuning.solve(residual - response), response, columns, tuning)
 
 
-def _promised(gradient: np.ndarray, information: np.ndarray, move: np.ndarray) -> float:
-    """By how much the slopes say that a move lowers the loss."""
+def _predicted_gain(gradient: np.ndarray, information: np.ndarray, move: np.ndarray) -> float:
+    """Predicted drop of the loss for a move."""
     return float(gradient @ move - 0.5 * move @ information @ move)
 
 
@@ -252,13 +254,13 @@ def _lower(
     best: float,
     mapper: Mapper,
 ) -> _Lower | None:
-    """Where a move, or a part of it, leaves less than `best`."""
+    """The largest of three fractions of a move that reduces the loss below `best`; None if none does."""
     for part in (1.0, 0.4, 0.1):
         tried = settings
         for f, m in zip(free, part * move):
             tried = f.moved(tried, float(m))
         try:
-            response = answer(group, tried, mapper)
+            response = simulated_response(group, tried, mapper)
         except TwinError:
             continue
         loss = tuning.loss(residual - response)
@@ -267,26 +269,26 @@ def _lower(
     return None
 
 
-def answer(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) -> np.ndarray:
-    """Simulated change of the group's channels by these effects (row,); `mapper` maps over simulations."""
-    return all_or_raise(answers(group, [settings], mapper))[0]
+def simulated_response(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) -> np.ndarray:
+    """Simulated response of the group's channels to these effects (row,); `mapper` maps over simulations."""
+    return all_or_raise(simulated_responses(group, [settings], mapper))[0]
 
 
-def answers(group: Group, several: Sequence[Sequence[Setting]], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
-    """The answer to each of several sets of effects, or the error of one that cannot be simulated."""
+def simulated_responses(group: Group, several: Sequence[Sequence[Setting]], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+    """Response to each of several sets of effects, or the error of its simulation."""
     moved = [_moved_by(settings, group) for settings in several]
     return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)], mapper=mapper)
 
 
 def _moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
-    """Axes that effects change: in the decoupled plant their own only, unless they edit bodies that several axes carry."""
+    """Axes on which effects act. In the decoupled plant this is their own axis, unless they edit bodies that several axes carry."""
     return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
 
 
-def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only: Collection[str] = ()) -> Tuning:
-    """The tuning of a fit as it acts on the machine that has the fit's effects: they decide when a load changes sides.
+def relinearised_tuning(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only: Collection[str] = ()) -> Tuning:
+    """The tuning of a fit, linearised on the machine with the fit's effects: backlash, for example, decides when the load changes sides.
 
-    Or that of these quantities `only`.
+    `only` restricts it to these quantities.
     """
     if not fit.about.nuisances:
         return fit.about
@@ -295,12 +297,12 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only
 
     steps, variations = {}, []
     for i, nuisance in enumerate(tuning.nuisances):
-        if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # what creeps shows in shaken simulations alone
+        if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # creep is only visible with noise in the loop
             continue
         step = max(t.nearby, tuning.spread)
         if nuisance.quantity == "damping":
             step = t.nearby * machine.parameter_tolerance
-        elif nuisance.quantity in NORMAL:  # a mode is as wide as its damping, and what is smaller than the least stays out of a machine
+        elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
             step = max(t.within_mode * abs(float(tuning.base[i])), 1.05 * t.least_imperfection * machine.parameter_tolerance)
         steps[i] = step
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
@@ -312,19 +314,19 @@ def tuning_beside(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only
 
 
 def _slopes(
-    group: Group, settings: tuple[Setting, ...], response: np.ndarray, asked: Sequence[tuple[Free, float]], mapper: Mapper
+    group: Group, settings: tuple[Setting, ...], response: np.ndarray, step_sizes: Sequence[tuple[Free, float]], mapper: Mapper
 ) -> list[np.ndarray]:
-    """Change per scale unit of each parameter, over a step of so many, towards the inside of the bounds."""
+    """Finite-difference slope per scale unit of each parameter for the given step, taken towards the inside of the bounds."""
     steps = []
-    for f, reach in asked:
-        both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (reach, -reach))]
+    for f, size in step_sizes:
+        both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (size, -size))]
         steps.append(next(((moved, actual) for moved, actual in both if abs(actual) > 1e-6), None))
-    changed = iter(all_or_raise(answers(group, [step[0] for step in steps if step is not None], mapper)))
+    changed = iter(all_or_raise(simulated_responses(group, [step[0] for step in steps if step is not None], mapper)))
     return [np.zeros(group.size) if step is None else (next(changed) - response) / step[1] for step in steps]
 
 
 def _distance(f: Free, before: Sequence[Setting], after: Sequence[Setting]) -> float:
-    """How far a parameter moved, in scale units."""
+    """Change of a parameter in scale units."""
     a, b = f.value(before), f.value(after)
     if f.logarithmic:
         return math.log(b / a) / f.unit if a > 0 and b > 0 else 0.0

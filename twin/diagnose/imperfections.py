@@ -1,4 +1,4 @@
-"""Normal imperfections of a group of axes: an elastic drive train, and slip before break-away. They are found and added to its machine."""
+"""Normal imperfections of a group of axes: an elastic drive train, and slip before break-away. They are identified and added to its machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from twin.diagnose.drive_train import with_drive_train
 from twin.diagnose.observe import Group, Variation, channels_of, noise_seed
 from twin.diagnose.settings import Thresholds
-from twin.diagnose.simulations import Ask, Mapper, Variant, in_turn, simulate_groups
+from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_groups
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
 from twin.errors import TwinError
@@ -20,52 +20,52 @@ from twin.machine.machine import Machine
 from twin.simulation.run import all_or_raise
 
 SHARES = (0.05, 0.2, 0.8)
-"""Sizes at which a normal imperfection is tried, as shares of the largest normal one: the response is not proportional."""
+"""Trial sizes of a normal imperfection, as shares of the largest normal one; the response is not linear."""
 
 KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
-"""Group of each normal imperfection: those of one group on an axis are left out together."""
+"""Kind of each normal imperfection. Imperfections of the same kind on an axis are removed together."""
 
 
-def dirty_channels(group: Group, left: np.ndarray) -> set[tuple[str, str]]:
-    """(axis, channel) of which `left` (row,), not weighted, is more than noise, or may be: a circle is long beside what its reversals show."""
-    return {(c.axis, c.name) for c in group.channels if group.by_radius or not replace(c, residual=left[c.rows]).is_clean}
+def channels_above_noise(group: Group, residual: np.ndarray) -> set[tuple[str, str]]:
+    """(axis, channel) where `residual` (row,), not weighted, exceeds noise. All channels of a ballbar: on a circle, reversals are few samples."""
+    return {(c.axis, c.name) for c in group.channels if group.by_radius or not replace(c, residual=residual[c.rows]).is_clean}
 
 
 def shows_slip(dirty: Collection[tuple[str, str]], axis: str) -> bool:
-    """Is a channel among them that slip of an axis changes?"""
+    """Does slip of an axis change one of these channels?"""
     return any((axis, name) in dirty for name in ("position", "velocity", "current"))
 
 
 def largest_normal(group: Group, quantity: str) -> float:
-    """Size up to which an imperfection is re-tuned, in parts of the largest normal one.
+    """Largest normal size of an imperfection, in units of the largest normal one.
 
-    A radius does not part a drive train that gives somewhat more than is normal from friction: it is no fault up to `widest`, as a parameter is none.
+    A ballbar does not separate an elastic drive train from friction, so its elasticity may be larger by the factor `widest`.
     """
     return group.thresholds.widest if quantity == "elasticity" and group.by_radius else 1.0
 
 
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Mapper) -> Tuning:
-    """The tuning with the normal imperfections that `residual` (row,) shows, each linear about its size.
+    """The tuning with the normal imperfections that `residual` (row,) contains, each linear about its size.
 
-    An imperfection is tried only where a channel shows more than noise: elasticity in motor minus scale (in position or current if one
-    of the two encoders was not recorded), slip in position, speed or current.
+    An imperfection is tried only if a channel exceeds noise: elasticity in motor minus scale (in position or current if one of the two
+    encoders was not recorded), slip in position, speed or current.
     """
     if not tuning.nuisances:
         return tuning
     t = group.thresholds
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
     plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters])
-    left = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
-    dirty = dirty_channels(group, left)
+    remaining = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
+    above_noise = channels_above_noise(group, remaining)
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
-    giving = [a for a in group.axes if dirty & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
-    wanted = [Nuisance(a, "elasticity", t) for a in giving] + [Nuisance(a, "slip", t) for a in group.axes if shows_slip(dirty, a)]
+    elastic = [a for a in group.axes if above_noise & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
+    tried = [Nuisance(a, "elasticity", t) for a in elastic] + [Nuisance(a, "slip", t) for a in group.axes if shows_slip(above_noise, a)]
     current = plain
-    for nuisance in wanted:
+    for nuisance in tried:
         trials = functools.partial(_at_shares, current, group, machine, nuisance, residual, mapper)
-        best = max(trials(SHARES), key=lambda tried: tried.gain, default=None)
+        best = max(trials(SHARES), key=lambda trial: trial.gain, default=None)
         largest = largest_normal(group, nuisance.quantity)
-        if best is None or not 0.0 < best.size < largest or best.gain < t.imperfection_earned:
+        if best is None or not 0.0 < best.size < largest or best.gain < t.imperfection_evidence:
             continue
         if nuisance.quantity == "elasticity":
             current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper, largest)
@@ -75,7 +75,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
 
 
 def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trials: Callable[[Sequence[float]], list[Trial]], t: Thresholds) -> Tuning:
-    """The tuning with slip, linear about its size; unchanged if that size is not normal or explains too little."""
+    """The tuning with slip, linear about its size; unchanged if the size is not normal or has too little evidence."""
     for _ in range(2):
         better = next(iter(trials([best.size])), best)
         if better is best or better.gain < best.gain:
@@ -84,16 +84,16 @@ def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trials: Callable[[Se
         best = better
         if near:
             break
-        if not 0.0 < best.size < 1.0 or best.gain < t.imperfection_earned:
+        if not 0.0 < best.size < 1.0 or best.gain < t.imperfection_evidence:
             return tuning
     return tuning.with_column(slip, best.column)
 
 
 def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, mapper: Mapper) -> tuple[Group, Tuning]:
-    """Group and tuning about the machine with the normal imperfections that `residual` (row,) shows, because effects act on that machine.
+    """Group and tuning linearised about the machine with the normal imperfections that `residual` (row,) contains; effects act on that machine.
 
-    A force on an elastic drive train also winds it up, which the sum of the two responses lacks. Two stiff springs may ring together in
-    the twin as on no real machine, or cannot be simulated. Then one imperfection, one kind or all are left out, whichever leaves least.
+    A force on an elastic drive train also winds it up, which the sum of the two responses does not contain. Two stiff springs may ring together
+    in the simulation as on no real machine, or be unstable. Then one imperfection, one kind or all are removed, whichever gives the smallest loss.
     """
     tuning = replace(tuning, base=np.zeros(len(tuning.nuisances)))
     theta, explained = tuning.solve(residual)[: len(tuning.nuisances)], group.residual - residual
@@ -129,7 +129,7 @@ def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray, mapper: Mapper) ->
 def _at_shares(
     tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, mapper: Mapper, shares: Sequence[float]
 ) -> list[Trial]:
-    """A nuisance simulated at these shares of the largest normal size; without those that cannot be simulated."""
+    """A nuisance simulated at these shares of the largest normal size; sizes that cannot be simulated are omitted."""
     variations = [
         Variation(functools.partial(nuisance.apply, factor=1.0 + share * machine.parameter_tolerance), axes=(nuisance.owner,))
         for share in shares
@@ -147,8 +147,10 @@ def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Grou
     present = {run: tuple(a for a in group.axes if view.moves(a)) for run, view in enumerate(views)}
     runs = [run for run, axes in present.items() if axes]
     seeds = [None] * len(runs) + [noise_seed(group.seed, run) for run in runs]
-    asks = [Ask(views[run], present[run], noise_seed=seed) for run, seed in zip([*runs, *runs], seeds)]
-    found = all_or_raise(simulate_groups(asks, mapper, lambda i, run: channels_of(run.without_noise, asks[i].view, asks[i].axes)))
+    requests = [SimulationRequest(views[run], present[run], noise_seed=seed) for run, seed in zip([*runs, *runs], seeds)]
+    found = all_or_raise(
+        simulate_groups(requests, mapper, lambda i, run: channels_of(run.without_noise, requests[i].view, requests[i].axes))
+    )
     nominal: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
     shaken: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
     for i, run in enumerate(runs):
@@ -156,7 +158,7 @@ def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Grou
     channels = []
     for c in group.channels:
         key = (c.axis, c.name)
-        if c.name == "motor_minus_scale":  # moves with the motion, and trembles with each draw of noise
+        if c.name == "motor_minus_scale":  # follows the motion and differs between realisations of noise
             shift = nominal[c.run][key] - group.nominal[c.run][key]
         else:
             shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]

@@ -1,4 +1,4 @@
-"""The one further measurement that would decide most: a move that `twin run` accepts, chosen by what is still open."""
+"""The next measurement that would add most evidence: a move for `twin run`, chosen from the candidates that are closest."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.effects.effect import SeparatingMove
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
@@ -18,52 +18,48 @@ from twin.recordings.trace import Trace
 PERIOD = 1e-3
 
 KINDS: tuple[SeparatingMove, ...] = get_args(SeparatingMove)
-"""Moves that can be proposed."""
+"""Kinds of moves that can be proposed."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """What to measure next, in words, and as set points."""
+    """The next measurement in words and as set points."""
 
     text: str
     move: Trace | None
 
 
-def propose(machine: Machine, found: Sequence[Found], verdict: str) -> Proposal:
-    """The move that separates what is closest to each other; for 'none' there is nothing to add."""
+def propose(machine: Machine, states: Sequence[GroupState], verdict: str) -> Proposal:
+    """The move that separates the two closest candidates; nothing for the verdict 'none'."""
     if verdict == "none":
-        return Proposal("none needed: the machine does what its file says", None)
+        return Proposal("none needed: the machine agrees with its file", None)
     pairs = []
-    for f in found:
+    for f in states:
         for candidates in f.rounds:
             able = [c for c in candidates if c.plausible]
             if able and able[0].key in f.keys:
                 rival = able[1] if len(able) > 1 else None
                 pairs.append((able[0].evidence - (rival.evidence if rival else 0.0), able[0], rival))
     if not pairs:
-        return _proposal("constant speeds", machine.axis(_most_left(found)), "what is left follows none of the known effects")
+        return _proposal("constant speeds", machine.axis(_most_left(states)), "no known effect explains the residual")
     _, best, rival = min(pairs, key=lambda p: p[0])
     name = best.setting.effect.name.replace("_", " ")
-    reason = (
-        f"separates {name} from {rival.setting.effect.name.replace('_', ' ')}"
-        if rival
-        else f"confirms {name} on a run that it was not found on"
-    )
+    reason = f"separates {name} from {rival.setting.effect.name.replace('_', ' ')}" if rival else f"confirms {name} on a new run"
     return _proposal((rival or best).setting.effect.separating_move, machine.axis(best.setting.axis), reason)
 
 
-def _most_left(found: Sequence[Found]) -> str:
-    """The axis of which most is left over noise."""
-    left: dict[str, float] = {}
-    for f in found:
-        rows = f.group.in_noise(f.fit.left(f.group))
+def _most_left(states: Sequence[GroupState]) -> str:
+    """The axis with the largest squared residual above noise."""
+    residual: dict[str, float] = {}
+    for f in states:
+        rows = f.group.in_noise(f.fit.residual(f.group))
         for c in f.group.channels:
-            left[c.axis] = left.get(c.axis, 0.0) + float(np.sum(rows[c.rows] ** 2 - 1.0))
-    return max(left, key=lambda axis: left[axis])
+            residual[c.axis] = residual.get(c.axis, 0.0) + float(np.sum(rows[c.rows] ** 2 - 1.0))
+    return max(residual, key=lambda axis: residual[axis])
 
 
 def move_of(kind: str, axes: Sequence[Axis]) -> Trace:
-    """Set points of one kind of move for several axes at once; who is done waits."""
+    """Set points of one kind of move for several axes at once; an axis that has finished waits."""
     moves = [_move(kind, axis) for axis in axes]
     count = max(len(time) for time, _ in moves)
     columns = {(axis.name, "setpoint"): np.pad(q, (0, count - len(q)), mode="edge") for axis, (_, q) in zip(axes, moves)}
@@ -73,9 +69,9 @@ def move_of(kind: str, axes: Sequence[Axis]) -> Trace:
 def _proposal(kind: str, axis: Axis, reason: str) -> Proposal:
     time, position = _move(kind, axis)
     trace = Trace(time, {(axis.name, "setpoint"): position}, {axis.name: axis.kind})
-    by = ", by the drive's measuring function: beyond the jerk limit of programs" if kind == "chirp" else ""
+    by = ", with the measuring function of the drive, because it exceeds the jerk limit of programs" if kind == "chirp" else ""
     return Proposal(
-        f"axis {axis.name}: {kind} ({reason}){by}; set points in next_measurement.csv, try them on the corrected machine with: "
+        f"axis {axis.name}: {kind} ({reason}){by}; set points in next_measurement.csv; simulate them on the corrected machine with: "
         "twin run next_measurement.csv --machine machine.toml",
         trace,
     )
@@ -94,7 +90,7 @@ def _move(kind: str, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
     if kind == "constant speeds":
         times, positions, start = [], [], 0.0
         for part in (0.002, 0.01, 0.03, 0.1, 0.3, 0.7):
-            length = min(farthest, part * v * 2.0)  # a second and more of it steady, where the travel has the room
+            length = min(farthest, part * v * 2.0)  # steady for at least a second if the travel allows
             t, p = moves_in_turn(middle, [length, -length], part * v, a, j, 0.1, PERIOD)
             times.append(t + start)
             positions.append(p)

@@ -1,4 +1,4 @@
-"""How noisy a channel is: from realisations of the twin's noise, and from how rough the record itself is."""
+"""Noise of a channel, estimated from realisations of the twin's noise and from the roughness of the record."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from twin.simulation.gap import REALISATIONS
 
 
 def sigma_of(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, noisier: float | None) -> np.ndarray:
-    """Standard deviation of noise (sample,): scatter of the realisations, smoothed, not below what the record itself shows.
+    """Standard deviation of the noise (sample,): smoothed scatter of the realisations, at least that of the record.
 
-    The motion that noise in the loop makes, variance `jitter`, is too small by 1 / K in deviations from a mean of K and comes
-    in again with that mean. A sensor noisier than the machine file says shows in sample-to-sample differences, which slow
-    faults leave alone: up to `noisier` times what is expected they count as noise. Where the machine file knows no noise of the sensor
-    (`noisier` None) all of them do.
+    K realisations underestimate the variance `jitter` of the motion that noise causes by 1 / K, and their mean adds another 1 / K. If the record
+    is rougher than expected, the sensor is noisier than the machine file says: up to `noisier` times the expected roughness counts as noise. Slow
+    faults do not change sample-to-sample differences. With `noisier` None (no sensor noise in the machine file) all roughness counts as noise.
     """
     square = np.mean(deviations**2, axis=0) + 2.0 / REALISATIONS * jitter
     window = min(51, len(square) | 1)
@@ -32,7 +31,7 @@ def sigma_of(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, n
 
 
 def correlation_of(normed: np.ndarray, longest: int) -> float:
-    """Integrated correlation (>= 1) of noise: how many samples carry the information of one."""
+    """Integrated autocorrelation of the noise (>= 1): number of samples that carry the information of one independent sample."""
     n = normed.shape[1]
     lags = min(longest, n // 4)
     if lags < 2:

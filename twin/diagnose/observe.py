@@ -1,16 +1,16 @@
-"""What a measured campaign shows of one group of axes: channels, their noise, and the residual of the nominal twin.
+"""Observation of one group of axes: channels, their noise, and the residual of the nominal twin.
 
-Channels cut the loop where the recorded signals allow it, so that a fault shows in its own block:
+Channels isolate single blocks of the loop where the recorded signals allow it, so that a fault is visible in its own block:
 
-    controller   the control law: measured inputs in, measured output compared (`twin.diagnose.control_law`)
-    motor_minus_scale  motor position minus scale where the set point moves: transmission and measurement
-    position     scale (the motor encoder where there is no scale), closed loop
-    velocity     motor speed, closed loop
-    current      where the set point moves: speed controller, current loop and mechanics, closed loop; of an axis without
-                 current loop its command, a voltage or a torque
+    controller         the control law: measured inputs in, measured output compared (`twin.diagnose.control_law`)
+    motor_minus_scale  motor position minus scale while the set point moves: transmission and measurement
+    position           scale (motor encoder if there is no scale), closed loop
+    velocity           motor speed, closed loop
+    current            while the set point moves: speed controller, current loop and mechanics, closed loop; the command (voltage or
+                       torque) of an axis without current loop
 
-At rest the current of an axis that sticks, and the place of a rotor inside a gap, are history and chance.
-Axes that the mass matrix does not couple are looked at apart.
+At rest, the current of a sticking axis and the position of a rotor inside its backlash depend on history and chance.
+Axes that the mass matrix does not couple form separate groups.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
 from twin.diagnose.noise import correlation_of, sigma_of
 from twin.diagnose.settings import DEFAULT, Thresholds
-from twin.diagnose.simulations import Ask, Mapper, Variant, in_turn, simulate_group, simulate_groups
+from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_group, simulate_groups
 from twin.diagnose.tolerance import normal_slip
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
@@ -42,8 +42,7 @@ from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 
 class Variation(NamedTuple):
-    """What is simulated beside the nominal twin: a variant of a run's machine, effects put on it, and the axes that change (default: all of
-    the group)."""
+    """A variation of the nominal simulation: a variant of the run's machine, added effects, and the axes that change (default: all of the group)."""
 
     machine_of: Variant | None = None
     settings: Sequence[Setting] = ()
@@ -52,13 +51,13 @@ class Variation(NamedTuple):
 
 @dataclass(frozen=True)
 class Group:
-    """Axes that belong together, their channels over all runs, and the nominal simulation beside them."""
+    """Coupled axes, their channels in all runs, and the nominal simulation of these channels."""
 
     axes: tuple[str, ...]
     views: Sequence[RunView]
     channels: Sequence[Channel]
     nominal: list[dict[tuple[str, str], np.ndarray]]  # per run: (axis, channel) -> values without noise
-    shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of noise in the loop
+    shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of the noise in the loop
     seed: int
     thresholds: Thresholds = DEFAULT
 
@@ -71,12 +70,12 @@ class Group:
 
     @property
     def size(self) -> int:
-        """Rows of all channels."""
+        """Number of rows of all channels."""
         return self.channels[-1].rows.stop if self.channels else 0
 
     @property
     def by_radius(self) -> bool:
-        """Was the radius of circles all that was seen of these axes? Then nothing cuts one axis, or one block, from another."""
+        """True if these axes were only measured by the radius of circles. Then no channel isolates an axis or a block."""
         moving = [view for view in self.views if any(view.moves(a) for a in self.axes)]
         return bool(moving) and all(view.ballbar is not None for view in moving)
 
@@ -92,7 +91,7 @@ class Group:
 
     @functools.cached_property
     def expected(self) -> np.ndarray:
-        """Squares that noise and doubt make of each row (row,), weighted."""
+        """Expected square of each weighted row (row,) from noise and model error of effects."""
         return np.concatenate([c.expected for c in self.channels] or [np.zeros(0)])
 
     def response(
@@ -104,48 +103,52 @@ class Group:
         shaken: bool = False,
         mapper: Mapper = in_turn,
     ) -> np.ndarray:
-        """The response of one variation, see `responses`. Raises TwinError where it cannot be simulated."""
+        """Response to one variation, see `responses`. Raises TwinError if it cannot be simulated."""
         return all_or_raise(self.responses([Variation(machine_of, settings, axes)], shaken=shaken, mapper=mapper))[0]
 
     def responses(self, variations: Sequence[Variation], *, shaken: bool = False, mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
-        """Weighted change of all channels against the nominal twin (row,) for each variation: its simulation minus the nominal one.
+        """Response (row,), weighted, to each variation: its simulation minus the nominal one, or the error of the simulation.
 
-        What cannot be simulated has its error instead. `shaken` has the same noise in both loops: what creeps at rest creeps because of
-        it. `mapper` maps over the simulations, which run side by side where they can.
+        With `shaken` both simulations have the same noise in the loop: an axis that creeps at rest creeps because of noise. `mapper` maps over
+        batches of simulations.
         """
-        asks: list[Ask] = []
-        of_ask: list[
+        requests: list[SimulationRequest] = []
+        of_request: list[
             tuple[int, int, Mapping[str, Characteristic]]
         ] = []  # variation, run, what its controllers have beyond the machine file
-        known = self.views[0].machine
+        machine_of_runs = self.views[0].machine
         out: list[np.ndarray | TwinError] = []
         for v, (machine_of, settings, axes) in enumerate(variations):
-            if not axes or any(view.ballbar is not None for view in self.views):  # a radius shows what each of its axes does
+            if not axes or any(view.ballbar is not None for view in self.views):  # a radius depends on all of its axes
                 axes = self.axes
             try:
-                effects = (*settings_of(known if machine_of is None else machine_of(known)), *settings)
-                added = {a: found for a in axes if (found := characteristic_of(effects, known.axis(a))) is not None}
+                effects = (*settings_of(machine_of_runs if machine_of is None else machine_of(machine_of_runs)), *settings)
+                added = {a: values_of for a in axes if (values_of := characteristic_of(effects, machine_of_runs.axis(a))) is not None}
             except TwinError as error:
                 out.append(error)
                 continue
             out.append(np.zeros(self.size))
             for run in sorted({channel.run for channel in self.channels if channel.axis in axes}):
                 moving = tuple(a for a in axes if self.views[run].moves(a))
-                asks.append(Ask(self.views[run], moving, machine_of, settings, noise_seed(self.seed, run) if shaken else None))
-                of_ask.append((v, run, added))
+                requests.append(
+                    SimulationRequest(self.views[run], moving, machine_of, settings, noise_seed(self.seed, run) if shaken else None)
+                )
+                of_request.append((v, run, added))
 
         def channels(i: int, simulation: Run) -> dict[tuple[str, str], np.ndarray]:
-            view, moving, added = asks[i].view, asks[i].axes, of_ask[i][2]
-            found = channels_of(simulation.without_noise, view, moving, added)
-            for a in moving if shaken else ():  # the law of a controller is held against what it saw, with noise and rounding
-                if (a, "controller") in found:
+            view, moving, added = requests[i].view, requests[i].axes, of_request[i][2]
+            values_of = channels_of(simulation.without_noise, view, moving, added)
+            for a in (
+                moving if shaken else ()
+            ):  # the control law is compared at the inputs that the controller read, with noise and rounding
+                if (a, "controller") in values_of:
                     seen = law_error(simulation.trace, view, view.machine.axis(a), added.get(a))
                     assert seen is not None
-                    found[a, "controller"] = seen
-            return found
+                    values_of[a, "controller"] = seen
+            return values_of
 
         nominal = self.shaken if shaken else self.nominal
-        for ask, (v, run, _), values in zip(asks, of_ask, simulate_groups(asks, mapper, channels)):
+        for request, (v, run, _), values in zip(requests, of_request, simulate_groups(requests, mapper, channels)):
             rows = out[v]
             if isinstance(rows, TwinError):
                 continue
@@ -153,43 +156,44 @@ class Group:
                 out[v] = values
                 continue
             for channel in self.channels:
-                if channel.run == run and channel.axis in ask.axes:
+                if channel.run == run and channel.axis in request.axes:
                     key = (channel.axis, channel.name)
-                    # the nominal twin leaves nothing of a law that is held against what it saw
+                    # the nominal controller follows its law exactly at these inputs
                     of_nominal = 0.0 if shaken and channel.name == "controller" else nominal[run][key]
                     rows[channel.rows] = values[key] - of_nominal
         return [rows if isinstance(rows, TwinError) else rows * self.weights for rows in out]
 
     def without_doubt(self) -> Group:
-        """The group where no effect is doubted."""
+        """The group without the model error of effects."""
         return replace(self, channels=[replace(c, doubt=0.0) for c in self.channels])
 
-    def doubted(self, change: np.ndarray, left: np.ndarray) -> Group:
-        """The group where effects that change its channels by `change` (row,) are trusted to a share of that, and the twin less where
-        they leave it with more than noise, `left` (row,); both weighted."""
-        plain, remaining = change / self.weights, left / self.weights
+    def doubted(self, change: np.ndarray, residual: np.ndarray) -> Group:
+        """The group with the model error of effects whose response is `change` (row,) added to the noise, and more where `residual` (row,) exceeds
+        noise; both weighted.
+        """
+        plain, remaining = change / self.weights, residual / self.weights
         channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
         return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed, self.thresholds)
 
     @functools.cached_property
     def expected_loss(self) -> float:
-        """Half the squares that noise alone, and what the twin is doubted by, make."""
+        """Half the expected squares from noise and model error of effects."""
         return 0.5 * float(self.expected.sum())
 
     def in_noise(self, rows: np.ndarray) -> np.ndarray:
-        """Weighted rows (row,) as they weigh where the twin is not doubted."""
+        """Weighted rows (row,) rescaled to the weights without the model error of effects."""
         return rows / self.weights * np.concatenate([c.noise_weight for c in self.channels]) if self.channels else rows
 
     @functools.cached_property
     def credit(self) -> np.ndarray:
-        """What a row counts as evidence (row,): where an axis was stuck is one draw of chance that many samples repeat."""
+        """Weight of each row as evidence (row,). How an axis stuck is a single random event that repeats in many samples."""
         out = np.ones(self.size)
         for channel in self.channels:
             out[channel.rows][~channel.settled(self.views[channel.run])] = self.thresholds.unsettled_weight
         return out
 
     def run_rows(self, run: int) -> np.ndarray:
-        """True for the rows of one run (row,)."""
+        """Mask of the rows of one run (row,)."""
         mask = np.zeros(self.size, bool)
         for channel in self.channels:
             if channel.run == run:
@@ -198,14 +202,14 @@ class Group:
 
 
 def noise_seed(seed: int, run: int, realisation: int = 0) -> int:
-    """Seed of the noise of one simulated realisation of a run."""
+    """Seed of the noise of one realisation of a run."""
     return seed + 1000 * run + realisation
 
 
 def channels_of(
     trace: Trace, view: RunView, axes: Sequence[str], added: Mapping[str, Characteristic] | None = None
 ) -> dict[tuple[str, str], np.ndarray]:
-    """Channels of a trace, measured or simulated alike: (axis, channel) -> (sample,); `added` are those of `law_error`, by axis."""
+    """Channels of a trace, measured or simulated: (axis, channel) -> (sample,). `added` is that of `law_error`, by axis."""
     out = {}
     for name in axes:
         axis = view.machine.axis(name)
@@ -218,7 +222,7 @@ def channels_of(
             apart = motor_minus_scale(trace, name)[moving]
             out[name, "motor_minus_scale"] = apart - apart.mean() if name in view.own_zeros else apart
         if name in view.pushed:
-            continue  # at rest the other signals show how it was stuck
+            continue  # at rest the other signals depend on how the axis stuck
         if view.ballbar is not None and name in view.ballbar.axes:
             out[name, "position"] = view.ballbar.seen(trace, name)
         elif signal := next((s for s in ("position", "motor_position") if measured.has(name, s)), None):
@@ -231,7 +235,7 @@ def channels_of(
 
 
 def axis_groups(machine: Machine, measured: Sequence[str], seen_together: Iterable[Sequence[str]] = ()) -> list[tuple[str, ...]]:
-    """Axes that the mass matrix couples somewhere in their travel, or that one reading sees together, as groups in the machine's order."""
+    """Groups of axes that the mass matrix couples somewhere in their travel, or that one sensor measures together, in the machine's order."""
     plant = build_plant(with_effects(machine, []))
     rng = np.random.default_rng(0)
     n = len(machine.axes)
@@ -259,7 +263,7 @@ def axis_groups(machine: Machine, measured: Sequence[str], seen_together: Iterab
 
 
 def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thresholds: Thresholds = DEFAULT) -> Group:
-    """Residuals of the nominal twin and their noise for one group of axes over all runs."""
+    """Residuals of the nominal twin and their noise, for one group of axes in all runs."""
     channels: list[Channel] = []
     nominal: list[dict[tuple[str, str], np.ndarray]] = []
     shaken: list[dict[tuple[str, str], np.ndarray]] = []
@@ -270,7 +274,9 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
             shaken.append({})
             continue
         nominal.append(channels_of(simulate_group(view, present).trace, view, present))
-        drawn = all_or_raise(simulate_groups([Ask(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)]))
+        drawn = all_or_raise(
+            simulate_groups([SimulationRequest(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)])
+        )
         seen = [channels_of(run.trace, view, present) for run in drawn]
         clean = [channels_of(run.without_noise, view, present) for run in drawn]
         shaken.append(clean[0])
@@ -278,7 +284,7 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
         for key, values in measured.items():
             expected = np.mean([c[key] for c in clean], axis=0)
             if key[1] == "controller":
-                expected = np.zeros_like(values)  # the law itself: what the controller saw is in the record
+                expected = np.zeros_like(values)  # the law itself: its inputs are recorded
             deviations = np.array([s[key] for s in seen]) - expected
             residual = values - expected
             if key[1] == "controller":
@@ -297,9 +303,9 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
 
 
 def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
-    """How far a healthy twin may be off in a closed-loop channel (sample,): what the control reads between its cycles moves the axis.
+    """Model error of a healthy twin in a closed-loop channel (sample,), due to the unknown interpolation between the cycles of the control.
 
-    A set point that is off by d moves the position by d, at the bandwidth Kv of the loop: the speed by Kv d, the acceleration by Kv^2 d.
+    A set-point error d moves the position by d at the bandwidth Kv of the loop, the speed by Kv d, the acceleration by Kv^2 d.
     """
     axis = view.machine.axis(name)
     off = between_cycles(view, axis)
@@ -314,7 +320,7 @@ def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
 
 
 def _least(view: RunView, axis: Axis, channel: str) -> float:
-    """Resolution of a channel [SI]: smaller differences are not seen."""
+    """Resolution of a channel [SI]: smallest noise level."""
     machine = view.machine
     if channel == "position" and view.ballbar is not None and axis.name in view.ballbar.axes:
         return view.ballbar.noise
@@ -324,13 +330,13 @@ def _least(view: RunView, axis: Axis, channel: str) -> float:
     return LEAST_NOISE["position" if channel == "motor_minus_scale" else channel]
 
 
-def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Group, Group]:
-    """Both with the noise of each channel as it is about the machine of `group`, whose drive trains give; `left` (row,) is what its
-    tuning leaves, weighted.
+def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[Group, Group]:
+    """Both groups with the noise of each channel re-estimated for the machine of `group`, which has elastic drive trains. `residual` (row,) is
+    what the tuning of `group` leaves, weighted.
 
-    A drive train rings with the noise in the loop, which a rigid one does not; and what it rings with at each change of the set point is
-    motion that the twin knows now, where beside a rigid one it looked like a noisy sensor. The noise of the position stays as it was: that is
-    slow, and where it creeps to is chance about any machine.
+    An elastic drive train rings with the noise in the loop; a rigid one does not. It also rings at each change of the set point. With a rigid
+    twin this motion looks like a noisy sensor. The noise of the position is kept: it is slow, and the place to which the axis creeps is random
+    on any machine.
     """
     seen = []
     for c in group.channels:
@@ -339,21 +345,23 @@ def with_noise_about(rigid: Group, group: Group, left: np.ndarray) -> tuple[Grou
             rings = (group.shaken[c.run][key] - group.nominal[c.run][key]) - (rigid.shaken[c.run][key] - rigid.nominal[c.run][key])
             scatter = {
                 "position": c.scatter,
-                "motor_minus_scale": Scatter(c.scatter.deviations + rings, np.zeros(len(rings))),  # of a rigid one, sensors alone
+                "motor_minus_scale": Scatter(
+                    c.scatter.deviations + rings, np.zeros(len(rings))
+                ),  # a rigid drive train has sensor noise only
             }.get(c.name, Scatter(c.scatter.deviations + rings, c.scatter.jitter))
-            c = _with_noise(c, scatter, left[c.rows] / c.weight, group.views[c.run])
+            c = _with_noise(c, scatter, residual[c.rows] / c.weight, group.views[c.run])
         seen.append(c)
     plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]
     return replace(rigid, channels=plain), replace(group, channels=seen)
 
 
 def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
-    """The channel with the noise that realisations show, and `rough` (sample,), its own record beside a twin."""
+    """The channel with noise estimated from realisations and from `rough` (sample,), the residual of its own record."""
     axis, t = view.machine.axis(channel.axis), channel.thresholds
     signal = {"motor_minus_scale": "position", "current": axis.effort}.get(channel.name, channel.name)
     noisier = t.noisier if sensor_noise(view.machine, axis, signal) > 0.0 else None
     sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
-    if channel.name == "position":  # where an axis comes to rest and creeps to is chance within what is normal slip
+    if channel.name == "position":  # the rest position is random within the normal slip
         at_rest = rests(view, channel.axis, t.break_away_s)[view.rows_of(channel.axis, channel.name)]
         sigma = np.hypot(sigma, np.where(at_rest, t.resting * normal_slip(axis, t), 0.0))
     return replace(channel, sigma=sigma, correlation=correlation_of(scatter.deviations / sigma, t.noise_correlation), scatter=scatter)

@@ -1,4 +1,4 @@
-"""The files of a diagnosis: JSON by contract, the corrected machine, report, recording, and the next measurement."""
+"""The files of a diagnosis: JSON, corrected machine, report, recording, and next measurement."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
     write_json(document, out / "diagnosis.json", "diagnosis")
     write_machine(diagnosis.corrected, out / "machine.toml")
     write_proposal(diagnosis.proposal, out / "next_measurement.csv")
-    with ThreadPoolExecutor(max_workers=1) as pool:  # the recording waits for compiled code and files most of its time
+    with ThreadPoolExecutor(max_workers=1) as pool:  # the recording mostly waits for compiled code and files
         recording = pool.submit(write_recording_of, diagnosis, document, out / "diagnosis.rrd")
         write_report(diagnosis, document, out / "report.html")
         recording.result()
@@ -31,7 +31,7 @@ def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
 
 
 def write_proposal(proposal: Proposal, path: Path) -> None:
-    """Write the move of a next measurement; where there is none, none of an earlier diagnosis stays."""
+    """Write the move of a next measurement; without one, delete the file of an earlier diagnosis."""
     path.unlink(missing_ok=True)
     if proposal.move is not None:
         write_trace(proposal.move, path)
@@ -57,12 +57,12 @@ def summary_text(document: dict[str, Any]) -> str:
             f"  where: axis {place['axis']}, {place['block']}, {place['regime']}, scales with {place['scales_with']}, share {place['share']:.0%} ({runs})"
         )
     lines.append(
-        f"  gap {gap['before']:.2f} before, {gap['after']:.2f} after, 1 = noise alone; re-tuning alone closes {gap['retuning_share']:.0%}"
+        f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning alone closes {gap['retuning_share']:.0%}"
     )
     for rival in document["ambiguous_with"]:
         lines.append(f"  could also be: {rival['effect']} on {place_text(rival)} instead of {rival['instead_of']}")
     if document["not_visible"]:
-        lines.append(f"  would not show here, at usual size: {unseen_text(document)}")
+        lines.append(f"  not visible in this campaign at usual size: {unseen_text(document)}")
     lines += [f"  note: {note}" for note in document["notes"]]
     lines.append(f"  next measurement: {document['next_measurement']}")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Which effects are believed: sizes that are found on machines and are more than their normal spread, in blocks that are not clean."""
+"""Plausibility of effects: their size is found on machines and exceeds the normal spread, and their block is not healthy."""
 
 from __future__ import annotations
 
@@ -6,64 +6,54 @@ import math
 
 from twin.diagnose.candidates import Start
 from twin.diagnose.observe import Group
-from twin.diagnose.state import SHOWS_IN, Found
+from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.state import SHOWS_IN, GroupState
 from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.effects import Parameter, Setting
 from twin.machine.machine import Machine
 
-SMALLEST, LARGEST = 0.02, 4.0
-"""Sizes, as multiples of the usual range's lower and upper end, beyond which an effect is not believed: every machine has a little of most."""
-
-SMALLEST_SET = 0.12
-"""The same lower end for what is set, or is normal in small: laws of the controllers, factors on the machine file, springs, what is clamped."""
-
-SET = ("position controller", "speed controller")
-"""Blocks whose laws are set: a control has a filter or has none."""
-
-SHAPE = 4.5
-"""Multiple of the usual range beyond which the shape of an effect (a speed, a wave, a frequency) is not believed."""
-
-IMITATED = 5.0
-"""Multiple of the tolerance up to which an effect is not believed beside a normal imperfection that imitates it."""
+CONTROL_BLOCKS = ("position controller", "speed controller")
+"""Blocks whose law is set by parameters of the control."""
 
 
 def is_ruled_out(group: Group, start: Start) -> bool:
-    """An effect that must show in a cut channel which is clean on its axis: the block's own law holds, whatever else is wrong."""
+    """True for an effect of a block that is isolated by a channel, if this channel is clean on its axis."""
     channel = SHOWS_IN.get(start.effect.block)
     mine = [c for c in group.channels if c.axis == start.axis and c.name == channel]
     return bool(mine) and all(c.is_clean for c in mine)
 
 
-def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
-    """True for a size that is found on machines and is more than their normal spread, and a shape next to the usual ones.
+def is_plausible(setting: Setting, machine: Machine, cut: bool = True, thresholds: Thresholds = DEFAULT) -> bool:
+    """True for a size that is found on machines and exceeds their normal spread, with a shape near the usual ones.
 
-    Less than a usual size is believed only of a block that the signals cut out of the loop.
+    Sizes below the usual ones are plausible only in a block that the signals isolate (`cut`).
     """
+    t = thresholds
     axis, size, value = machine.axis(setting.axis), setting.effect.size, setting.size
     low, high = size.usual_range(machine, axis)
-    if not _has_usual_shape(setting, machine):
+    if not _has_usual_shape(setting, machine, t):
         return False
-    smallest = SMALLEST if cut and setting.effect.block not in SET else SMALLEST_SET
+    smallest = t.smallest_size if cut and setting.effect.block not in CONTROL_BLOCKS else t.smallest_set_size
     neutral = size.neutral or 0.0
     within = within_tolerance(setting, machine)
     if size.any_size:
         return not math.isfinite(neutral) or abs(value - neutral) > within
     if size.is_factor:
         least = min(abs(v - neutral) for v in (low, high)) if not low < neutral < high else 0.5 * min(neutral - low, high - neutral)
-        return abs(value - neutral) > max(SMALLEST_SET * least, within)
+        return abs(value - neutral) > max(t.smallest_set_size * least, within)
     if not math.isfinite(neutral):  # a spring: the softer, the larger
-        return low / LARGEST <= value <= high / SMALLEST_SET
+        return low / t.largest_size <= value <= high / t.smallest_set_size
     if low < neutral < high:
         return abs(value - neutral) > max(smallest * 0.3 * min(neutral - low, high - neutral), within)
     if size.judged_with:
         other = setting.effect.parameter(size.judged_with)
         inner, outer = other.usual_range(machine, axis)
-        value, low, high, smallest = value * setting.parameters[other.name], low * inner, high * outer, SMALLEST_SET
-    return max(smallest * low, within) < abs(value) < LARGEST * high
+        value, low, high, smallest = value * setting.parameters[other.name], low * inner, high * outer, t.smallest_set_size
+    return max(smallest * low, within) < abs(value) < t.largest_size * high
 
 
 def within_tolerance(setting: Setting, machine: Machine) -> float:
-    """Deviation of a size that the tolerance explains; 0 where nothing toleranced is like the effect."""
+    """Deviation of a size that the tolerance explains; 0 if no toleranced parameter resembles the effect."""
     size = setting.effect.size
     if not size.beyond_tolerance or not (size.is_factor or size.part_of):
         return 0.0
@@ -72,8 +62,8 @@ def within_tolerance(setting: Setting, machine: Machine) -> float:
     )
 
 
-def _has_usual_shape(setting: Setting, machine: Machine) -> bool:
-    """Are speeds, waves and frequencies of an effect next to the usual ones?"""
+def _has_usual_shape(setting: Setting, machine: Machine, t: Thresholds) -> bool:
+    """Are speeds, wavelengths and frequencies of an effect near the usual ones?"""
     effect, axis = setting.effect, machine.axis(setting.axis)
     for p in effect.parameters:
         if (
@@ -86,15 +76,15 @@ def _has_usual_shape(setting: Setting, machine: Machine) -> bool:
         ):
             continue
         low, high = p.usual_range(machine, axis)
-        if 0.0 < low <= high and not low / SHAPE <= setting.parameters[p.name] <= SHAPE * high:
+        if 0.0 < low <= high and not low / t.usual_shape <= setting.parameters[p.name] <= t.usual_shape * high:
             return False
     return True
 
 
 def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> float:
-    """Standard deviation that the tolerance gives to the size of an effect which changes a toleranced parameter, 0 to any other.
+    """Standard deviation of the size of an effect due to the tolerance of the parameter that it changes; 0 for other parameters.
 
-    A friction of 1.30 times the nominal is one of 1.29 times that of a machine whose own is 1 % higher: no measurement parts these.
+    A friction of 1.30 times the nominal equals 1.29 times that of a machine whose own friction is 1 % higher: no measurement separates them.
     """
     if parameter is not setting.effect.size or not parameter.beyond_tolerance:
         return 0.0
@@ -102,10 +92,10 @@ def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> f
     return machine.parameter_tolerance * float(UNIFORM) * abs(whole)
 
 
-def is_imitated(found: Found, setting: Setting, machine: Machine) -> bool:
-    """True for a little of an effect that a normal imperfection found on its axis looks like: a softer spring looks like more mass."""
+def is_imitated(state: GroupState, setting: Setting, machine: Machine) -> bool:
+    """True for a small effect that a normal imperfection on its axis imitates: a softer spring looks like more mass."""
     size, imitators = setting.effect.size, setting.effect.imitated_by
-    normal = {NORMAL.get(n.quantity) for n in found.tuning.nuisances if n.owner == setting.axis}
+    normal = {NORMAL.get(n.quantity) for n in state.tuning.nuisances if n.owner == setting.axis}
     if not normal.intersection(imitators) or size.part_of is None:
         return False
-    return abs(setting.size) < IMITATED * machine.parameter_tolerance * size.part_of(machine, machine.axis(setting.axis))
+    return abs(setting.size) < state.thresholds.imitated * machine.parameter_tolerance * size.part_of(machine, machine.axis(setting.axis))

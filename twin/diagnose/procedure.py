@@ -1,8 +1,8 @@
-"""The steps of a diagnosis, one after another: from a campaign and the machine that should explain it to a `Diagnosis`."""
+"""The steps of a diagnosis in their order, from a campaign and a machine to a `Diagnosis`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import os
@@ -11,30 +11,26 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.budget import budget_of, noise_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
-from twin.diagnose.corrected import HeldOut, as_filed, corrected_machine, held_out_gaps, is_worse
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.encoder_zeros import at_rest_without_zeros, notes_of_zeros, with_common_zeros, without_zeros, zeros_left
-from twin.diagnose.law.laws import LEAST_CLOSED, Laws
-from twin.diagnose.law.step import ALL_BUT, explained_by_many, laws_beside, predictions_with
+from twin.diagnose.encoder_zeros import notes_of_zeros, with_common_zeros, without_zeros
+from twin.diagnose.law.step import ALL_BUT
 from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
 from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
+from twin.diagnose.validation import Records, Validated, validated, with_laws
 from twin.diagnose.verdict import judged, named, verdict_of
-from twin.diagnose.view import view_of
+from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.simulation.gap import gap_of
-
-UNDECIDED = 6.0
-"""Gap over noise, on runs left out, above which a diagnosis that finds no effect is no answer; a control that interpolates in its own way between
-its cycles leaves 3."""
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -49,138 +45,149 @@ def diagnose(
     thresholds: Thresholds = DEFAULT,
     program: MeasuredRun | None = None,
 ) -> Diagnosis:
-    """Diagnose a campaign against a machine; deterministic for a seed, on one thread for each core by default.
+    """Diagnose a campaign against a machine. The result depends on the seed, not on the number of threads (default: one per core).
 
-    `program`: set points of a program, on which the budget is asked as well.
+    `program` holds the set points of a program; the budget is then computed for it as well.
 
-    Raises InputError where the campaign is another machine's, holds no measured signal or no motion, or where the machine has effects.
+    Raises InputError if the campaign belongs to another machine, holds no measured signal or no motion, or if the machine has effects.
     """
-    say = progress or (lambda _: None)
-    machine_without = with_effects(machine, [])
+    nominal = with_effects(machine, [])
     if machine.effects:
         raise InputError(f"machine {machine.name} already has effects; diagnose against the machine without them")
-    runs, zeros = with_common_zeros(campaign.runs, machine_without, thresholds)
+    runs, zeros = with_common_zeros(campaign.runs, nominal, thresholds)
     campaign = replace(campaign, runs=runs)
     check_campaign(campaign, machine, thresholds)
     folds = folds_of(len(campaign.runs))
+    setup = Setup(machine, nominal, folds, quick, seed, threads or os.cpu_count() or 1, thresholds, progress or (lambda _: None))
+
+    views, states = _searched(setup, campaign)
+    records, views, fitted_zeros = _without_fitted_zeros(setup, campaign, views, states)
+    correction = with_laws(setup, records, validated(setup, records, states))
+    diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, fitted_zeros | zeros)
+    diagnosis = _with_verdict(setup, diagnosis)
+    by_certainty = [setting for setting, _, _ in diagnosis.settings]
+    diagnosis = _with_budget(setup, diagnosis, views, program)
+    return _with_places(setup, diagnosis, by_certainty)
+
+
+def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[GroupState]]:
+    """Views of the runs, and the judged state of each group of axes for which something was recorded, in the machine's order.
+
+    The groups are searched in parallel, largest first; all of them share one pool for simulations.
+    """
+    nominal, quick = setup.nominal, setup.quick
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
-    threads = threads or os.cpu_count() or 1
-    # groups are searched side by side, each asking the same workers for its simulations
-    with ThreadPoolExecutor(threads) as workers, ThreadPoolExecutor(threads) as searches:
+    with ThreadPoolExecutor(setup.threads) as workers, ThreadPoolExecutor(setup.threads) as searches:
         mapper = on_threads(workers)
 
-        def search_group(axes: tuple[str, ...]) -> Found | None:
-            say(f"{'+'.join(axes)}: what noise makes")
-            group = observe(views, axes, seed, thresholds)
+        def search_group(axes: tuple[str, ...]) -> GroupState | None:
+            setup.progress(f"{'+'.join(axes)}: simulating the noise")
+            group = observe(views, axes, setup.seed, setup.thresholds)
             if not group.size:
                 return None
-            return judged(search(group, machine_without, folds, mapper, say, quick), machine_without, mapper, quick)
+            return judged(search(group, nominal, setup.folds, mapper, setup.progress, quick), nominal, mapper, quick)
 
-        views = mapper(lambda run: view_of(machine_without, run, thresholds), campaign.runs)
-        groups = axis_groups(machine_without, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
-        longest_first = sorted(groups, key=len, reverse=True)
-        results = dict(zip(longest_first, searches.map(search_group, longest_first)))
-    found = [result for axes in groups if (result := results[axes])]
+        views = mapper(lambda run: view_of(nominal, run, setup.thresholds), campaign.runs)
+        groups = axis_groups(nominal, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
+        largest_first = sorted(groups, key=len, reverse=True)
+        results = dict(zip(largest_first, searches.map(search_group, largest_first)))
+    return views, [state for axes in groups if (state := results[axes])]
 
-    offsets = {key: offset for f in found for key, offset in f.zeros.items()}
-    runs, fitted_zeros = without_zeros(campaign.runs, machine_without, offsets)
-    campaign, zeros = replace(campaign, runs=runs), fitted_zeros | zeros
+
+def _without_fitted_zeros(
+    setup: Setup, campaign: Campaign, views: Sequence[RunView], states: Sequence[GroupState]
+) -> tuple[Records, list[RunView], dict[str, float]]:
+    """Runs and views without the encoder zeros that the states fitted, and the largest clear zero of each axis [m or rad]."""
+    offsets = {key: offset for state in states for key, offset in state.zeros.items()}
+    runs, clear = without_zeros(campaign.runs, setup.nominal, offsets)
     views = [replace(view, trace=run.trace) for view, run in zip(views, runs)]
-    say("simulating the runs left out")
-    motions = [view.motion for view in views]
-    zeroed = {axis for axis, _ in offsets}
+    return Records(runs, [view.motion for view in views], frozenset(axis for axis, _ in offsets)), views, clear
 
-    def aligned(runs: Sequence[MeasuredRun], of: HeldOut, with_laws: Collection[str] = ()) -> tuple[MeasuredRun, ...]:
-        """The runs without the zeros of encoders that a prediction leaves: at rest, and in every run of axes `with_laws`."""
-        beside = zeros_left(runs, machine_without, of.traces, with_laws)
-        return at_rest_without_zeros(without_zeros(runs, machine_without, beside)[0], machine_without, of.traces, zeroed)
 
-    held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
-    runs = aligned(campaign.runs, held_out)
-    before, after = (held_out.levels(machine, runs, which) for which in ("before", "after"))
-    if any(harmed := [is_worse(f.group.axes, before, after) for f in found]):
-        found = [as_filed(f) if worse else f for f, worse in zip(found, harmed)]
-        held_out = held_out_gaps(campaign.runs, motions, machine_without, found, folds, engine=not quick, threads=threads)
-        runs = aligned(campaign.runs, held_out)
-        after = held_out.levels(machine, runs, "after")
-    found = [replace(f, unknown=f.unknown and not explained_by_many(f, before, after)) for f in found]
-    settings = named(found)
-    corrected = corrected_machine(machine, found)
-    laws: Laws | None = None
-    best = without_laws = held_out.left(machine, runs)
-    with ThreadPoolExecutor(threads) as workers:
-        loudest = held_out.loudest(machine, runs)
-        asked = () if quick else laws_beside(found, before, after, loudest, machine_without, corrected, folds, on_threads(workers), say)
-        for tried in asked:
-            if tried.laws:
-                with_laws = predictions_with(tried, held_out, campaign.runs, motions, folds, engine=not quick, threads=threads)
-                if with_laws is None:
-                    continue
-                of_laws = {law.axis for law in tried.laws}
-                rezeroed, alike = aligned(campaign.runs, with_laws, of_laws), aligned(campaign.runs, held_out, of_laws)
-                # what does not shrink the gap on runs left out by more than their zeros do is no law of this machine
-                known = min(best, held_out.left(machine, alike))
-                if (now := with_laws.left(machine, rezeroed)) - 1.0 < (1.0 - LEAST_CLOSED) * (known - 1.0):
-                    laws, predicted, best, runs = tried, with_laws, now, rezeroed
-            if best - 1.0 < ALL_BUT * (without_laws - 1.0):
-                break
-    if laws is not None:
-        corrected, held_out = laws.corrected, predicted
-        settings = kept_in(corrected, settings)
-    traces = held_out.traces
-    gaps = {which: {run.name: gap_of(machine, run, of_run[run.name]) for run in runs} for which, of_run in held_out.predictions.items()}
-    campaign = replace(campaign, runs=runs)
-    notes = [*notes_of(campaign, machine), *notes_of_zeros(zeros, machine)]
-    if quick:
-        notes.append(
-            "a quick look: gaps are the decoupled plant's, not MuJoCo's; laws that no effect describes, and effects that these runs would not show, were not asked for"
-        )
-    if unstable := [run.name for run in campaign.runs if len(folds) > 1 and run.name not in held_out.runs]:
-        notes.append(f"fitted without {', '.join(unstable)} the machine is unstable; there its gap is that of the fit to all runs")
-    verdict = verdict_of(found, settings)
-    diagnosis = Diagnosis(
+def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[str, float]) -> Diagnosis:
+    """The diagnosis before verdict, budget and places are final: effects of the corrected machine, gaps and notes."""
+    machine, states, held_out = setup.machine, correction.states, correction.held_out
+    settings = named(states)
+    if correction.laws is not None:
+        settings = kept_in(correction.corrected, settings)
+    verdict = verdict_of(states, settings)
+    return Diagnosis(
         campaign=campaign,
         machine=machine,
-        corrected=corrected,
+        corrected=correction.corrected,
         verdict=verdict,
-        found=found,
+        found=states,
         settings=settings,
         where=[],
-        gaps=gaps,
+        gaps={
+            which: {run.name: gap_of(machine, run, predictions[run.name]) for run in campaign.runs}
+            for which, predictions in held_out.predictions.items()
+        },
         held_out=held_out.runs,
-        proposal=propose(machine, found, verdict),
-        notes=notes,
-        thresholds=thresholds,
+        proposal=propose(machine, states, verdict),
+        notes=_notes(setup, campaign, held_out.runs, zeros),
+        thresholds=setup.thresholds,
         predictions=held_out.predictions,
-        laws=laws.laws if laws else (),
+        laws=correction.laws.laws if correction.laws else (),
     )
-    loud = [axis for axis in diagnosis.axes if diagnosis.axis_level("after", axis) > UNDECIDED]
-    if (verdict == "none" and loud) or (verdict == "effect" and any(diagnosis.keeps_its_gap(axis) for f in found for axis in f.group.axes)):
-        # the fit hides what runs left out still show; a quick look leaves axes out that are quiet where the blocks are cut
-        diagnosis.decided = not (quick and verdict == "none")
-        diagnosis.verdict = verdict = "unknown"
-        diagnosis.proposal = propose(machine, found, verdict) if found else diagnosis.proposal
+
+
+def _notes(setup: Setup, campaign: Campaign, held_out: Sequence[str], zeros: dict[str, float]) -> list[str]:
+    """Limits of this diagnosis: missing signals, encoder zeros, a quick look, folds without a stable machine."""
+    notes = [*notes_of(campaign, setup.machine), *notes_of_zeros(zeros, setup.machine)]
+    if setup.quick:
+        notes.append(
+            "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked"
+        )
+    if unstable := [run.name for run in campaign.runs if len(setup.folds) > 1 and run.name not in held_out]:
+        notes.append(f"the machine fitted without {', '.join(unstable)} is unstable; the gap there is that of the fit to all runs")
+    return notes
+
+
+def kept_in(corrected: Machine, settings: Sequence[tuple[Setting, GroupState, float]]) -> list[tuple[Setting, GroupState, float]]:
+    """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them."""
+    held = {s.key: s for s in settings_of(corrected)}
+    return [(held[setting.key], state, p) for setting, state, p in settings if setting.key in held]
+
+
+def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
+    """The diagnosis with the verdict that the held-out gaps allow: 'unknown' if too much gap remains, 'law' if laws explain almost all."""
+    states, verdict = diagnosis.found, diagnosis.verdict
+    above = any(diagnosis.axis_level("after", axis) > setup.thresholds.undecided for axis in diagnosis.axes)
+    keeps = any(diagnosis.keeps_its_gap(axis) for state in states for axis in state.group.axes)
+    if (verdict == "none" and above) or (verdict == "effect" and keeps):
+        # a quick look skips axes whose blocks show no more than noise, so that a gap there is not examined
+        decided = not (setup.quick and verdict == "none")
+        proposal = propose(setup.machine, states, "unknown") if states else diagnosis.proposal
+        diagnosis = replace(diagnosis, decided=decided, verdict="unknown", proposal=proposal)
     if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
-        diagnosis.verdict = verdict = "law"
-    left = [positions_left(run.trace, traces[run.name], machine) for run in runs]
-    say("what each effect is worth")
-    noise = noise_of(gaps["before"], machine)
-    with ThreadPoolExecutor(threads) as pool:
-        diagnosis.budget = budget_of(machine, corrected, found, views, left, noise, on_threads(pool))
-        if program is not None:
-            view = view_of(machine_without, program, thresholds)
-            diagnosis.on_program = program.name, budget_of(machine, corrected, found, [view], [None], noise, on_threads(pool))
-    order = [row.setting.key for row in diagnosis.budget.rows if row.setting is not None]
-    diagnosis.settings = sorted(settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
-    if verdict != "none":
-        weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in machine.axis_names}
-        say("where the gap lies")
-        leading = [*(law.setting for law in diagnosis.laws), *(s for s, _, _ in settings)]
-        diagnosis.where = places(found, leading, machine, weights, threads)
+        diagnosis = replace(diagnosis, verdict="law")
     return diagnosis
 
 
-def kept_in(corrected: Machine, settings: Sequence[tuple[Setting, Found, float]]) -> list[tuple[Setting, Found, float]]:
-    """The effects that the corrected machine holds, with its sizes: a law may have taken the place of some."""
-    held = {s.key: s for s in settings_of(corrected)}
-    return [(held[setting.key], found, p) for setting, found, p in settings if setting.key in held]
+def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], program: MeasuredRun | None) -> Diagnosis:
+    """The diagnosis with its gap budget, also for a program, and with its effects in the order of the budget."""
+    machine, corrected, states = setup.machine, diagnosis.corrected, diagnosis.found
+    traces = {name: prediction.trace for name, prediction in diagnosis.predictions["after"].items()}
+    residuals = [positions_left(run.trace, traces[run.name], machine) for run in diagnosis.campaign.runs]
+    setup.progress("computing the gap budget")
+    noise = noise_of(diagnosis.gaps["before"], machine)
+    on_program = None
+    with ThreadPoolExecutor(setup.threads) as pool:
+        budget = budget_of(machine, corrected, states, views, residuals, noise, on_threads(pool))
+        if program is not None:
+            view = view_of(setup.nominal, program, setup.thresholds)
+            on_program = program.name, budget_of(machine, corrected, states, [view], [None], noise, on_threads(pool))
+    order = [row.setting.key for row in budget.rows if row.setting is not None]
+    settings = sorted(diagnosis.settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
+    return replace(diagnosis, budget=budget, on_program=on_program, settings=settings)
+
+
+def _with_places(setup: Setup, diagnosis: Diagnosis, effects: Sequence[Setting]) -> Diagnosis:
+    """The diagnosis with the places of the gap; unchanged for the verdict 'none'. Laws, then `effects`, claim the blocks in this order."""
+    if diagnosis.verdict == "none":
+        return diagnosis
+    weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in setup.machine.axis_names}
+    setup.progress("locating the gap")
+    claims = [*(law.setting for law in diagnosis.laws), *effects]
+    return replace(diagnosis, where=places(diagnosis.found, claims, setup.machine, weights, setup.threads))

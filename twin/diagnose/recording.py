@@ -1,5 +1,6 @@
-"""The recording of a diagnosis: measured, nominal and corrected over each other, the telling stretches marked, and the effects of the
-guilty axis one by one."""
+"""The recording of a diagnosis: measured, nominal and corrected motion overlaid, intervals with the largest excess marked, and the residual
+of one axis as its effects are added one by one.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
-    """Write the run with the most telling stretch; the measured machine moves, the two simulated ones are drawn over it."""
+    """Write the run with the largest excess. The measured machine moves; the two simulated ones are overlaid."""
     from twin.replay import write_recording
 
     telling = stretches(diagnosis, document)
@@ -46,8 +47,9 @@ def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Pat
 
 
 def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list[Curve]:
-    """What is left of an axis' position in a run: of the machine file, re-tuned, then with one effect more after the other, the largest
-    at the tool point first. Empty where its position was not recorded or the twin cannot run."""
+    """Position residual of an axis in a run for the machine file, after re-tuning, and after each added effect, largest at the tool point first.
+    Empty if its position was not recorded or a machine cannot be simulated.
+    """
     from twin.replay.curves import step_curves
 
     signal = next((s for s in COMPARED if run.trace.has(name, s)), None)
@@ -56,14 +58,14 @@ def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list
     view = view_of(with_effects(diagnosis.machine, []), run, diagnosis.thresholds)
     machines = one_by_one(diagnosis, name)
     traces = simulated_each([(view, machine, (name,)) for machine in machines.values()], in_turn, lambda i, trace: trace)
-    left = {label: run.trace.get(name, signal) - trace.get(name, signal) for label, trace in zip(machines, traces) if trace is not None}
-    if len(left) < len(machines):
+    residual = {label: run.trace.get(name, signal) - trace.get(name, signal) for label, trace in zip(machines, traces) if trace is not None}
+    if len(residual) < len(machines):
         return []
-    return step_curves(diagnosis.machine.axis(name), run.trace.time, left)
+    return step_curves(diagnosis.machine.axis(name), run.trace.time, residual)
 
 
 def one_by_one(diagnosis: Diagnosis, axis: str) -> dict[str, Machine]:
-    """Machines from the file to the corrected one, by what was added last: re-tuning, then each effect and law of an axis."""
+    """Machines from the file to the corrected one, labelled by what was added: re-tuning, then each effect and law of an axis."""
     machine, corrected = diagnosis.machine, diagnosis.corrected
     rows = [r for r in diagnosis.budget.rows if r.axis == axis and r.setting is not None] if diagnosis.budget else []
     steps = {"machine file": machine}

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: one page that needs nothing beside it, read from the verdict down to the evidence."""
+"""The report of a diagnosis: one self-contained page, verdict first, evidence below."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STRETCHES_SHOWN = 3
 
 
 def write_report(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
-    """Write the page; an unwritable place is an InputError."""
+    """Write the page. Raises InputError if the file cannot be written."""
     write_whole(path, report_page(diagnosis, document))
 
 
@@ -68,16 +68,16 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
 
 
 def gap_sentence(document: dict[str, Any]) -> str:
-    """How far the gap shrinks, in multiples of noise, and the worst signal of the first effect's axis in its own unit."""
+    """How far the gap shrinks, in multiples of noise."""
     gap = document["gap"]
-    where = "runs that took no part in the fit" if gap["held_out_runs"] else "the runs of the fit"
+    where = "held-out runs" if gap["held_out_runs"] else "the runs of the fit"
     if not document["effects"] and not document.get("laws"):
-        return f"The gap is {times(gap['before'])} times what noise makes, after re-tuning within tolerance {times(gap['after'])} times."
-    return f"Corrected, the gap falls from {times(gap['before'])} to {times(gap['after'])} times what noise makes, on {where}."
+        return f"The gap is {times(gap['before'])} times the noise, after re-tuning within tolerance {times(gap['after'])} times."
+    return f"The correction reduces the gap from {times(gap['before'])} to {times(gap['after'])} times the noise, on {where}."
 
 
 def telling_gaps(document: dict[str, Any]) -> list[dict[str, Any]]:
-    """For each axis with an effect the signal that stood out most from noise: axis, signal, before, after, noise_floor, unit."""
+    """For each axis with an effect its worst signal over noise: axis, signal, before, after, noise_floor, unit."""
     rows = []
     for axis in dict.fromkeys(e["axis"] for e in document["effects"]):
         signals = {name: g for name, g in document["gap"]["axes"].get(axis, {}).items() if g["noise_floor"] > 0}
@@ -88,7 +88,7 @@ def telling_gaps(document: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _stiffness(diagnosis: Diagnosis, table: dict[str, Any]) -> str:
-    """Stiffness of a normal imperfection in the units of a data sheet."""
+    """Stiffness of a normal imperfection in data-sheet units."""
     linear = diagnosis.machine.axis(table["axis"]).kind == "linear"
     return f"{table['stiffness'] * 1e-6:.3g} N/um" if linear else f"{table['stiffness'] * ARCSEC:.3g} Nm/arcsec"
 

@@ -1,6 +1,6 @@
-"""The pictures of the report: waterfall of the gap, map axis by block, curves of a telling stretch. Each returns a figure.
+"""Figures of the report: waterfall of the gap, map of axes and blocks, curves of an interval. Each function returns a figure.
 
-Measured is black, the machine file as it is orange, the corrected machine blue, what noise makes grey: in all of them.
+Colours: measured black, machine file orange, corrected machine blue, noise grey.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from twin.simulation.two_encoders import has_both, motor_minus_scale
 MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"
 NOISE, CLOSED = "#8b929c", "#b9d3f0"
 WORTH_A_SHARE = 0.1
-"""Drop of the squared level below which shares of it would be shares of nothing."""
+"""Drop of the squared level below which shares are not shown."""
 MOST_POINTS = 4000
-"""Points of a curve in the page."""
+"""Largest number of points of a curve in the page."""
 
 
 def as_image(figure: Figure) -> str:
-    """The figure as an address that an <img> of a page shows without any file beside it."""
+    """The figure as a data URL for an <img>."""
     return "data:image/svg+xml;base64," + base64.b64encode(figure_svg(figure).encode()).decode()
 
 
 def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
-    """Levels of the gap in multiples of noise, each bar what one step closes; the last what is left."""
+    """Gap in multiples of noise; each bar is what one step closes, the last bar what remains."""
     figure = Figure(figsize=(6.2, 3.5), layout="constrained")
     ax = figure.add_subplot()
     levels = [level for _, level in steps]
@@ -53,15 +53,15 @@ def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
     ax.plot([len(steps) - 0.69, len(steps) + 0.31], [levels[-1]] * 2, color=NOISE, linewidth=0.8)
     top = max(*levels, 1.0)
     ax.axhline(1.0, color=NOISE, linestyle=(0, (4, 3)), linewidth=1.2)
-    if len(levels) > 1 and levels[1] > 1.0 + 0.1 * top:  # there is room below the second bar
-        ax.text(1, 1.0 + 0.012 * top, "1: what noise\nalone makes", color="#5c636d", fontsize=8, va="bottom", ha="center")
+    if len(levels) > 1 and levels[1] > 1.0 + 0.1 * top:  # space below the second bar
+        ax.text(1, 1.0 + 0.012 * top, "1: noise alone", color="#5c636d", fontsize=8, va="bottom", ha="center")
     for i, level in [(0, levels[0]), (len(steps), levels[-1])]:
         ax.text(i, level + 0.02 * top, times(level), ha="center", fontsize=11, weight="bold", color=MEASURED)
     total = levels[0] ** 2 - levels[-1] ** 2
     for i in range(1, len(steps) if total > WORTH_A_SHARE else 0):
         share = (levels[i - 1] ** 2 - levels[i] ** 2) / total
         ax.text(i, max(levels[i - 1], levels[i]) + 0.02 * top, f"{-100 * share:+.0f} %", ha="center", fontsize=9.5, color=CORRECTED)
-    labels = [fill(label, max(9, 76 // (len(steps) + 1))) for label in (*(label for label, _ in steps), "left with the corrected machine")]
+    labels = [fill(label, max(9, 76 // (len(steps) + 1))) for label in (*(label for label, _ in steps), "corrected machine")]
     ax.set_xticks(range(len(labels)), labels, fontsize=8.5 if len(labels) < 7 else 7.5)
     ax.set_ylim(0.0, 1.16 * top)
     ax.set_ylabel("gap, multiples of noise (RMS)", fontsize=9)
@@ -70,13 +70,13 @@ def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
 
 
 BUDGET_SHOWN = 12
-"""Contributions that the picture shows one by one."""
+"""Contributions that are shown one by one."""
 
 
 def budget_figure(budget: dict[str, Any]) -> Figure:
-    """What each effect is worth at the tool point, largest first, down to what nobody explains (hatched) and the noise floor.
+    """Contribution of each effect at the tool point, largest first, then the unexplained rest (hatched) and the noise floor.
 
-    On a program nothing was measured: the budget starts at what the effects change together, and ends with them.
+    For a program, which was not measured, the first bar is the combined change by all effects.
     """
     measured = "after" in budget
     effects = [r for r in budget["rows"] if r["kind"] in ("effect", "law")]
@@ -85,9 +85,9 @@ def budget_figure(budget: dict[str, Any]) -> Figure:
     whole = ("gap of the machine file", budget["before"]) if measured else ("all together", budget["change"])
     bars: list[tuple[str, float, str]] = [(*whole, NOMINAL)]
     bars += [(effect_title(r), r["tool_point"], CORRECTED) for r in shown]
-    for label, rest in ((f"{len(effects) - len(shown)} smaller effects", effects[len(shown) :]), ("re-tuned and normal", other)):
-        if rest:
-            bars.append((label, float(np.sqrt(sum(r["tool_point"] ** 2 for r in rest))), CLOSED))
+    for label, group in ((f"{len(effects) - len(shown)} smaller effects", effects[len(shown) :]), ("re-tuned and normal", other)):
+        if group:
+            bars.append((label, float(np.sqrt(sum(r["tool_point"] ** 2 for r in group))), CLOSED))
     names, values = [name for name, _, _ in bars], [value for _, value, _ in bars]
     figure = Figure(figsize=(8.6, 1.1 + 0.27 * (len(bars) + measured)), layout="constrained")
     ax = figure.add_subplot()
@@ -125,7 +125,7 @@ def map_figure(axes: Sequence[str], rows: Sequence[Sequence[tuple[str, float, fl
                 ax.text(b + 0.5, r + 0.38, percent(share), ha="center", va="center", fontsize=11, weight="bold", color=ink)
                 ax.text(b + 0.5, r + 0.73, f"{times(level)} × noise" if level else "", ha="center", va="center", fontsize=7.5, color=ink)
             elif state == "healthy":
-                ax.text(b + 0.5, r + 0.5, "as it should be", ha="center", va="center", fontsize=7.5, color="#6b8a6f")
+                ax.text(b + 0.5, r + 0.5, "as specified", ha="center", va="center", fontsize=7.5, color="#6b8a6f")
             else:
                 ax.text(
                     b + 0.5, r + 0.5, "not recorded", ha="center", va="center", fontsize=7.5, color=NOISE,
@@ -144,7 +144,7 @@ def map_figure(axes: Sequence[str], rows: Sequence[Sequence[tuple[str, float, fl
 
 
 def _heat(share: float) -> tuple[float, float, float]:
-    """White over yellow to red."""
+    """Colour scale from white over yellow to red."""
     stops = np.array([[1.0, 0.97, 0.90], [1.0, 0.80, 0.45], [0.93, 0.45, 0.20], [0.72, 0.11, 0.11]])
     at = np.clip(share, 0.0, 1.0) ** 0.7 * 3.0
     low = min(int(at), 2)
@@ -153,7 +153,7 @@ def _heat(share: float) -> tuple[float, float, float]:
 
 
 def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
-    """Following error, the block's own signal, and what is left of the gap, measured against both machines."""
+    """Following error, signal of the block, and gap, measured against both machines."""
     run = next(r for r in diagnosis.campaign.runs if r.name == stretch.run)
     axis = diagnosis.machine.axis(stretch.axis)
     margin = MARGIN * (stretch.stop - stretch.start)
@@ -196,7 +196,7 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
 
 
 def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
-    """What is drawn of a stretch, as far as it is recorded: (label, signal)."""
+    """Panels of an interval, as far as recorded: (label, signal)."""
     panels = []
     if measured.has(axis.name, "position"):
         panels.append(("following error", "following error"))
@@ -209,11 +209,11 @@ def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
 
 
 def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.ndarray, str]:
-    """A signal of the panels in its unit (sample,); the following error without the delay that the control makes on purpose."""
+    """A signal of a panel in its unit (sample,); the following error without the position delay."""
     unit, factor = gap_unit(axis, "position")
     if signal == "following error":
-        asked = delayed_set_point(measured, axis)
-        return (asked - trace.get(axis.name, "position")) * factor, unit
+        delayed = delayed_set_point(measured, axis)
+        return (delayed - trace.get(axis.name, "position")) * factor, unit
     if signal == "motor_minus_scale":
         return motor_minus_scale(trace, axis.name) * factor, unit
     unit, factor = gap_unit(axis, signal)
@@ -221,7 +221,7 @@ def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.
 
 
 def _gap_signal(measured: Trace, axis: Axis, block: str) -> str:
-    """The signal whose gap is drawn: the current where the mechanics are at fault, else the position."""
+    """The signal whose gap is drawn: the current for faults of the mechanics, otherwise the position."""
     first = (axis.effort,) if block in ("mechanics", "current loop", "speed controller") else ()
     return next(s for s in (*first, "position", "motor_position", "velocity", axis.effort) if measured.has(axis.name, s))
 

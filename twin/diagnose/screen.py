@@ -1,11 +1,11 @@
-"""Screening: what every start of every effect would close, all in one linear problem over remembered answers.
+"""Screening: the part of the residual that each start explains, as one linear problem over cached responses.
 
-Small effects answer in proportion to their size, so that one simulation of each start is enough. With the columns
+The response to a small effect is proportional to its size, so one simulation per start is sufficient. With the columns
 
-    X = [re-tuning | slopes of the effects found | answers of all starts | what is left]
+    X = [re-tuning | slopes of the effects found | responses to all starts | residual]
 
-every question of the form "what would this close beside those?" is algebra on X'X: columns are eliminated from it one after
-another (the Schur complement), and what a start gains is read from the row of what is left.
+the gain of a start next to others follows from X'X: columns are eliminated one after another (Schur complement), and the gain is read
+from the row of the residual.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ import numpy as np
 from twin.diagnose.candidates import Start, combine, softened
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.state import Found, Key
+from twin.diagnose.state import GroupState, Key
 from twin.diagnose.tuning import FREE, solved
 from twin.effects import Setting
 from twin.machine.machine import Machine
 
 CHUNK = 40_000
-"""Rows whose products are summed at once: bounds the memory that they take."""
+"""Rows per partial product; limits memory."""
 
 
 class Gain(NamedTuple):
-    """What a start closes (half the drop of the squares) with its size scaled linearly, and those sizes, as multiples of the start's."""
+    """Gain of a start (drop of the loss) with its best sizes, as multiples of the start's."""
 
     gain: float
     sizes: tuple[float, ...]
@@ -37,31 +37,31 @@ class Gain(NamedTuple):
 
 @dataclass(frozen=True)
 class Screening:
-    """Inner products of what is left and of the answers of starts, with re-tuning and other columns eliminated.
+    """Inner products of the residual and the responses to starts, with re-tuning and other columns eliminated.
 
-    `gram` (column, column): the starts' columns, `at` says where, and what is left as the last one.
+    `gram` (column, column) holds the columns of the starts at the slices `at`, and the residual as its last column.
     """
 
     starts: tuple[Start, ...]
     at: tuple[slice, ...]
     gram: np.ndarray
-    own: np.ndarray  # (column,) squares of the columns before anything was eliminated
+    own: np.ndarray  # (column,) squares of the columns before elimination
     thresholds: Thresholds
 
     def gain(self, i: int) -> Gain:
-        """What start i closes of what is left."""
+        """Gain of start i."""
         inner, target = self.gram[self.at[i], self.at[i]], self.gram[self.at[i], -1]
-        if not np.all(np.diag(inner) > self.thresholds.alike * self.own[self.at[i]]):
+        if not np.all(np.diag(inner) > self.thresholds.collinear * self.own[self.at[i]]):
             return Gain(0.0, ())
         return _best_size(self.starts[i], inner, target, self.thresholds)
 
     def without(self, i: int) -> Screening:
-        """The same with start i eliminated: it may take any size."""
+        """The screening with start i eliminated, at any size."""
         at = np.arange(self.at[i].start, self.at[i].stop)
         return Screening(self.starts, self.at, eliminated(self.gram, at, np.full(len(at), FREE)), self.own, self.thresholds)
 
     def best(self) -> dict[Key, tuple[int, Gain]]:
-        """The best start of each effect and axis that closes anything."""
+        """The best start of each effect and axis with a positive gain."""
         found: dict[Key, tuple[int, Gain]] = {}
         for i, start in enumerate(self.starts):
             gain = self.gain(i)
@@ -70,46 +70,46 @@ class Screening:
         return found
 
     def setting(self, i: int, gain: Gain, machine: Machine) -> Setting:
-        """The setting that start i stands for with those sizes."""
+        """The setting of start i at the sizes of `gain`."""
         start = self.starts[i]
         if start.effect.size.is_spring:
             return softened(start, machine, gain.sizes[0])
         return combine(start, gain.sizes, machine) if start.effect.size.is_scaled else start.settings[0]
 
 
-def screening(found: Found, starts: Sequence[Start], left: np.ndarray, mapper: Mapper) -> Screening:
-    """All starts that can be simulated beside the tuning of the last fit and the slopes of its effects; `left` (row,) weighted."""
+def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray, mapper: Mapper) -> Screening:
+    """All starts that can be simulated, next to the tuning and the effects of the last fit; `residual` (row,) weighted."""
 
-    answered = iter(found.remembered([s for start in starts for s in start.settings], mapper))
+    answered = iter(state.cached_responses([s for start in starts for s in start.settings], mapper))
     both = [(start, [next(answered) for _ in start.settings]) for start in starts]
     simulated = [(start, [c for c in of_start if isinstance(c, np.ndarray)]) for start, of_start in both]
     simulated = [(start, of_start) for start, of_start in simulated if len(of_start) == len(start.settings)]
     columns = [c for _, of_start in simulated for c in of_start]
-    before = (found.tuning.jacobian, found.fit.columns)
-    gram = _gram(before, columns, left, mapper)
+    before = (state.tuning.jacobian, state.fit.columns)
+    gram = _gram(before, columns, residual, mapper)
     first = sum(b.shape[1] for b in before)
-    prior = np.concatenate([found.tuning.prior, np.full(found.fit.columns.shape[1], FREE)])
+    prior = np.concatenate([state.tuning.prior, np.full(state.fit.columns.shape[1], FREE)])
     own = np.diag(gram)[first:-1].copy()
     reduced = eliminated(gram, np.arange(first), prior)[first:, first:] if first else gram
     at, n = [], 0
     for _, of_start in simulated:
         at.append(slice(n, n + len(of_start)))
         n += len(of_start)
-    return Screening(tuple(s for s, _ in simulated), tuple(at), reduced, own, found.thresholds)
+    return Screening(tuple(s for s, _ in simulated), tuple(at), reduced, own, state.thresholds)
 
 
 def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Inner products (column, column) of what remains of all columns when the columns `at`, of that prior, explain what they can."""
+    """Inner products (column, column) after eliminating the columns `at` with this prior."""
     return gram - gram[at].T @ solved(gram[np.ix_(at, at)] + np.diag(prior), gram[at])
 
 
-def _gram(before: Sequence[np.ndarray], columns: Sequence[np.ndarray], left: np.ndarray, mapper: Mapper) -> np.ndarray:
+def _gram(before: Sequence[np.ndarray], columns: Sequence[np.ndarray], residual: np.ndarray, mapper: Mapper) -> np.ndarray:
     def part(start: int) -> np.ndarray:
         rows = slice(start, start + CHUNK)
-        x = np.column_stack([*(b[rows] for b in before), *(c[rows] for c in columns), left[rows]]).astype(float)
+        x = np.column_stack([*(b[rows] for b in before), *(c[rows] for c in columns), residual[rows]]).astype(float)
         return x.T @ x
 
-    return np.asarray(sum(mapper(part, range(0, len(left), CHUNK))))
+    return np.asarray(sum(mapper(part, range(0, len(residual), CHUNK))))
 
 
 def _best_size(start: Start, inner: np.ndarray, target: np.ndarray, t: Thresholds) -> Gain:

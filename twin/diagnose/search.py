@@ -1,378 +1,255 @@
-"""Which effects a group of axes has: all that earn their place, found together.
+"""The search for the effects of a group of axes.
 
-A round screens every start beside what is known (`twin.diagnose.screen`), picks a set of effects from that linear problem, fits each
-picked one and its rivals in closed loop, takes the winners, and fits all effects together. Effects that others have made superfluous
-leave. The rounds end when no effect earns its place. At the end each effect is held against its rivals once more, beside all others.
+Each round
+
+    screens all starts with the effects found eliminated      (`twin.diagnose.screen`)
+    picks a set of effects, fits each and its rivals          (`twin.diagnose.rivals`)
+    fits the winners together with all effects found before
+    removes effects that the new ones made redundant.
+
+The search ends when no effect reaches the evidence it needs.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
 import contextlib
 from dataclasses import replace
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.candidates import Start, starts_of
-from twin.diagnose.cross_validation import evidence_needed, held_out_loss, left_within, loss_within
-from twin.diagnose.fit import Fit, Slope, answer, fit_effects, held, no_effect, straight, tuning_beside
+from twin.diagnose.cross_validation import evidence_needed, residual_within
+from twin.diagnose.fit import fit_effects, no_effect, relinearised_tuning, simulated_response, slopes_of_linear_effects
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
+from twin.diagnose.not_visible import effects_not_visible
 from twin.diagnose.observe import Group, with_noise_about
-from twin.diagnose.plausible import SET, is_imitated, is_plausible, is_ruled_out
-from twin.diagnose.screen import Gain, Screening, screening
+from twin.diagnose.plausible import is_plausible, is_ruled_out
+from twin.diagnose.rivals import Context, Fitted, Folds, fit_picks, picks_of
+from twin.diagnose.screen import Screening, screening
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.slip import with_slip_beside
-from twin.diagnose.state import Candidate, Found, Key, Screened, closed_share, inflation, is_cut, localised_on, loud_axes
+from twin.diagnose.slip import with_refitted_slip
+from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, localised_on
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import Tuning, beside, tuning_of
-from twin.diagnose.unseen import unseen_effects
-from twin.effects import Setting
+from twin.diagnose.tuning import Tuning, tuning_of
 from twin.errors import TwinError
 from twin.machine.machine import Machine
-from twin.simulation.run import all_or_raise
-
-Folds = Sequence[Sequence[int]]
 
 
-class Fitted(NamedTuple):
-    """A candidate with the slopes of its parameters, from which all effects are fitted together."""
+def search(
+    group: Group, machine: Machine, folds: Folds, mapper: Mapper, progress: Callable[[str], None], quick: bool = False
+) -> GroupState:
+    """The final state of a group of axes, with every accepted effect and the rivals it was compared with.
 
-    candidate: Candidate
-    slopes: dict[Slope, np.ndarray]
-
-
-class Pick(NamedTuple):
-    """A start picked from the screening, its setting, and the settings of its rivals, best first."""
-
-    start: int
-    setting: Setting
-    rivals: tuple[Setting, ...]
-
-
-def search(group: Group, machine: Machine, folds: Folds, mapper: Mapper, progress: Callable[[str], None], quick: bool = False) -> Found:
-    """The last state of a group of axes: all effects that earn their place, each with the rivals that it was held against.
-
-    A radius does not cut normal imperfections from an effect. Those that are found first are then fitted to it, and part its rivals by how well each
-    goes with them. So a ballbar's axes are searched a second time with imperfections beside the effects only, and the simpler answer is taken.
+    A ballbar radius does not separate normal imperfections from effects. Imperfections that are fitted first may absorb an effect. The axes
+    of a ballbar are therefore searched a second time without imperfections at the start; the state with the lower cost is returned.
     """
-    begun = _begun(group, machine, mapper)
-    begun = begun if quick else with_slip_beside(begun, machine, mapper)
-    found = _searched(begun, machine, folds, mapper, progress, quick)
-    imperfect = any(n.quantity in NORMAL for n in begun.tuning.nuisances)
-    if imperfect and found.fit.settings and group.by_radius:
+    context = Context(machine, folds, mapper, progress, quick)
+    initial = _initial_state(group, machine, mapper)
+    initial = initial if quick else with_refitted_slip(initial, machine, mapper)
+    state = _search_rounds(initial, context)
+    imperfect = any(n.quantity in NORMAL for n in initial.tuning.nuisances)
+    if imperfect and state.fit.settings and group.by_radius:
         tuning = tuning_of(group, machine, mapper)
         retuned = no_effect(group, tuning)
-        rigid = Found(group, group, tuning, retuned, retuned, inflation(group, retuned))
-        found = min(found, _searched(rigid, machine, folds, mapper, progress, quick), key=_cost)
-    return found
+        rigid = GroupState(group, group, tuning, retuned, retuned, inflation(group, retuned))
+        state = min(state, _search_rounds(rigid, context), key=_cost)
+    return state
 
 
-def _cost(found: Found) -> float:
-    """Half the squares over noise that a state leaves, and what its effects and normal imperfections must have brought [nat]."""
-    t, left = found.thresholds, found.group.in_noise(found.fit.left(found.group))
-    normal = sum(n.quantity in NORMAL for n in found.tuning.nuisances)
-    return 0.5 * float(left @ left) + t.evidence_in_sample * len(found.fit.settings) + t.imperfection_earned * normal
+def _cost(state: GroupState) -> float:
+    """Half the squared residual over noise, plus the evidence that its effects and normal imperfections required [nat]."""
+    t, residual = state.thresholds, state.group.in_noise(state.fit.residual(state.group))
+    normal = sum(n.quantity in NORMAL for n in state.tuning.nuisances)
+    return 0.5 * float(residual @ residual) + t.evidence_in_sample * len(state.fit.settings) + t.imperfection_evidence * normal
 
 
-def _searched(found: Found, machine: Machine, folds: Folds, mapper: Mapper, progress: Callable[[str], None], quick: bool) -> Found:
-    """The state when no further effect earns its place."""
-    t, group = found.thresholds, found.group
-    asked_of: Counter[Key] = Counter()
-    looked = False
+def _search_rounds(state: GroupState, context: Context) -> GroupState:
+    """The state after the last round: no further effect reaches the evidence it needs."""
+    t, machine, mapper, quick = state.thresholds, context.machine, context.mapper, context.quick
+    axes_of_group = set(state.group.axes)
+    times_fitted: Counter[Key] = Counter()
+    refitted = False
     for _ in range(t.rounds):
-        if not looked and _little_is_left(found):
-            found, looked = _look_again(found, machine, mapper), True
-        asked = loud_near_tolerance(found, machine) if quick else set(group.axes)
-        if not asked:
+        if not refitted and _imperfections_need_refit(state):
+            state, refitted = _refit_imperfections(state, machine, mapper), True
+        axes = axes_above_noise_within_tolerance(state, machine) if quick else axes_of_group
+        if not axes:
             break
-        found, winners = _round(found, asked, asked_of, machine, folds, mapper, progress, quick)
+        state, winners = _round(state, axes, times_fitted, context)
         if winners:
-            found = _with_effects(found, winners, machine, mapper)
-        elif quick or (slipping := with_slip_beside(found, machine, mapper)) is found:
+            state = _with_accepted(state, winners, machine, mapper)
+        elif quick or (with_slip := with_refitted_slip(state, machine, mapper)) is state:
             break
-        else:  # a slip that is sized while effects are missing stands in for them
-            found = slipping
-        found, looked = _without_superfluous(found, machine, folds, mapper), False
-    return found
+        else:  # slip is sized only now: sized earlier, it would absorb missing effects
+            state = with_slip
+        state, refitted = _without_redundant_effects(state, context), False
+    return state
 
 
-def _round(
-    found: Found,
-    asked: Collection[str],
-    asked_of: Counter[Key],
-    machine: Machine,
-    folds: Folds,
-    mapper: Mapper,
-    progress: Callable[[str], None],
-    quick: bool,
-) -> tuple[Found, list[Fitted]]:
-    """The state with what was screened and fitted on the axes `asked`, and the effects that earn their place; counts how often each was `asked_of`."""
-    t, of = found.thresholds, "+".join(found.group.axes)
-    progress(f"{of}: screening beside {len(found.fit.settings)} effects")
-    starts = [s for s in starts_of(found.group, machine, found.fit.left(found.group)) if s.axis in asked and s.key not in found.keys]
-    screened = _screened(found, starts, mapper)
-    if not found.screened:
-        found = replace(found, screened=_listed(found, screened, machine))
-        if not quick:
-            found = replace(found, unseen=unseen_effects(found, starts, machine, len(folds), mapper))
-    refused = {key for key, times in asked_of.items() if times >= t.most_asked}
-    picks = _picked(found, screened, machine, refused, len(folds))
+def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key], context: Context) -> tuple[GroupState, list[Fitted]]:
+    """The state with the candidates of one round on these axes, and the accepted effects. Updates `times_fitted`."""
+    t, label = state.thresholds, "+".join(state.group.axes)
+    context.progress(f"{label}: screening next to {len(state.fit.settings)} effects")
+    starts = [
+        s for s in starts_of(state.group, context.machine, state.fit.residual(state.group)) if s.axis in axes and s.key not in state.keys
+    ]
+    screened = _screened(state, starts, context.mapper)
+    if not state.screened:
+        state = replace(state, screened=_screened_effects(state, screened, context.machine))
+        if not context.quick:
+            not_visible = effects_not_visible(state, starts, context.machine, len(context.folds), context.mapper)
+            state = replace(state, not_visible=not_visible)
+    refused = {key for key, times in times_fitted.items() if times >= t.most_fits}
+    picks = picks_of(state, screened, refused, context)
     if not picks:
-        return found, []
-    progress(f"{of}: fitting {', '.join(' '.join(p.setting.key[:2]) for p in picks)}")
-    contests = _contests(found, screened, picks, machine, folds, mapper, quick)
-    found = replace(found, rounds=(*found.rounds, *(tuple(f.candidate for f in contest) for contest in contests)))
-    best = [next((f for f in contest if f.candidate.plausible), None) for contest in contests]
+        return state, []
+    context.progress(f"{label}: fitting {', '.join(' '.join(p.setting.key[:2]) for p in picks)}")
+    fitted = fit_picks(state, screened, picks, context)
+    state = replace(state, rounds=(*state.rounds, *(tuple(f.candidate for f in of_pick) for of_pick in fitted)))
+    best = [next((f for f in of_pick if f.candidate.plausible), None) for of_pick in fitted]
     winners = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
-    asked_of.update({p.setting.key for p in picks} | {w.candidate.key for w in winners})
-    return found, winners
+    times_fitted.update({p.setting.key for p in picks} | {w.candidate.key for w in winners})
+    return state, winners
 
 
-def _begun(group: Group, machine: Machine, mapper: Mapper) -> Found:
-    """The state before any effect: about the machine with its normal imperfections, with noise as it is there."""
+def _initial_state(group: Group, machine: Machine, mapper: Mapper) -> GroupState:
+    """The state without effects, linearised about the machine with its normal imperfections, with the noise of that machine."""
     rigid = group
     tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
     group, tuning = on_imperfect_machine(group, tuning, group.residual, mapper)
     if group is not rigid:
         weights = group.weights
-        rigid, group = with_noise_about(rigid, group, no_effect(group, tuning).left(group))
-        tuning = tuning.reweighed(group.weights / weights)
-        with contextlib.suppress(TwinError):  # next to unstable: as it answers as a whole
-            tuning = tuning_beside(group, no_effect(group, tuning), machine, mapper, only=NORMAL)
+        rigid, group = with_noise_about(rigid, group, no_effect(group, tuning).residual(group))
+        tuning = tuning.reweighted(group.weights / weights)
+        with contextlib.suppress(TwinError):  # nearly unstable: keep the linearisation of the rigid machine
+            tuning = relinearised_tuning(group, no_effect(group, tuning), machine, mapper, only=NORMAL)
     retuned = no_effect(group, tuning)
-    return Found(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
+    return GroupState(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
 
 
-def _little_is_left(found: Found) -> bool:
-    """Is what is left so little that it may be of the normal imperfections, which were found one after another?"""
-    t, noise = found.thresholds, found.group.expected_loss
-    if not any(n.quantity in NORMAL for n in found.tuning.nuisances) or found.fit.loss > t.little_left * noise:
+def _imperfections_need_refit(state: GroupState) -> bool:
+    """Is the residual small, but above noise, on a machine with normal imperfections? These were fitted one by one and may be slightly off."""
+    t, noise = state.thresholds, state.group.expected_loss
+    if not any(n.quantity in NORMAL for n in state.tuning.nuisances) or state.fit.loss > t.small_residual * noise:
         return False
-    return found.fit.loss > (1.0 + t.near_noise) * noise or bool(localised_on(found))
+    return state.fit.loss > (1.0 + t.near_noise) * noise or bool(localised_on(state))
 
 
-def _look_again(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """The state with effects and normal imperfections fitted together, all as they act on the machine that has them."""
-    t, group = found.thresholds, found.group
-    for _ in range(t.looks):
-        before = found.fit.loss
+def _refit_imperfections(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
+    """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them."""
+    t, group = state.thresholds, state.group
+    for _ in range(t.joint_refits):
+        before = state.fit.loss
         try:
-            tuning = tuning_beside(found.group, found.fit, machine, mapper)
-            fit = fit_effects(found.group, machine, tuning, found.fit.settings, mapper, t.refit_steps, known=found.fit.slopes)
+            tuning = relinearised_tuning(state.group, state.fit, machine, mapper)
+            fit = fit_effects(state.group, machine, tuning, state.fit.settings, mapper, t.refit_steps, known=state.fit.slopes)
             if fit is None or fit.loss > before:
                 break
-            found = replace(found, fit=fit, tuning=tuning)
-            nearer, tuning = moved_to(found.rigid, tuning, fit.tuning[: len(tuning.nuisances)], mapper)
-        except TwinError:  # next to unstable: slopes from further off say nothing
+            state = replace(state, fit=fit, tuning=tuning)
+            nearer, tuning = moved_to(state.rigid, tuning, fit.tuning[: len(tuning.nuisances)], mapper)
+        except TwinError:  # nearly unstable: the slopes are not valid at this distance
             break
-        if nearer is not found.rigid:
+        if nearer is not state.rigid:
             moved = fit_effects(nearer, machine, tuning, fit.settings, mapper, t.refit_steps, known=fit.slopes)
             if moved is not None and moved.loss < fit.loss + t.evidence:
-                found = replace(found, fit=moved, group=nearer, tuning=tuning)
-        if before - found.fit.loss < t.evidence:
+                state = replace(state, fit=moved, group=nearer, tuning=tuning)
+        if before - state.fit.loss < t.evidence:
             break
-    if found.group is not group:
-        found = replace(found, retuned=no_effect(found.group, found.tuning))
-    return found.with_fit(found.fit).inflated()
+    if state.group is not group:
+        state = replace(state, retuned=no_effect(state.group, state.tuning))
+    return state.with_fit(state.fit).inflated()
 
 
-def _screened(found: Found, starts: Sequence[Start], mapper: Mapper) -> Screening:
-    return screening(found, [s for s in starts if not is_ruled_out(found.group, s)], found.group.residual - found.fit.response, mapper)
+def _screened(state: GroupState, starts: Sequence[Start], mapper: Mapper) -> Screening:
+    return screening(state, [s for s in starts if not is_ruled_out(state.group, s)], state.group.residual - state.fit.response, mapper)
 
 
-def _listed(found: Found, screened: Screening, machine: Machine) -> tuple[Screened, ...]:
-    """All effects as they were screened, the best first."""
+def _screened_effects(state: GroupState, screened: Screening, machine: Machine) -> tuple[Screened, ...]:
+    """All effects with their gain in the screening, best first."""
     order = sorted(screened.best().items(), key=lambda item: -item[1][1].gain)
-    return tuple(Screened(key, g.gain, screened.setting(i, g, machine), closed_share(found, g.gain)) for key, (i, g) in order)
+    return tuple(Screened(key, g.gain, screened.setting(i, g, machine), closed_share(state, g.gain)) for key, (i, g) in order)
 
 
-def _picked(found: Found, screened: Screening, machine: Machine, refused: Collection[Key], folds: int) -> list[Pick]:
-    """Effects that explain what is left together, the best first: each is picked beside those before it."""
-    t = found.thresholds
-    picks: list[Pick] = []
-    passed = set(refused)
-    first = 0.0
-    while len(picks) < t.together:
-        best = {key: item for key, item in screened.best().items() if key not in passed}
-        if not best:
-            break
-        key, (start, gain) = max(best.items(), key=lambda item: item[1][1].gain)
-        passed.add(key)
-        setting = screened.setting(start, gain, machine)
-        first, needed = first or gain.gain, evidence_needed(found, setting, folds)
-        if gain.gain < max(t.span * first, t.promising * needed):
-            break
-        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < t.sure * needed:
-            continue  # a size alone: a fit gains no more than its screening says
-        after = screened.without(start)
-        rivals = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)
-        picks.append(Pick(start, setting, tuple(screened.setting(i, g, machine) for i, g in _same(screened, after, rivals, gain))))
-        screened = after
-    return picks
-
-
-def _same(screened: Screening, after: Screening, others: Sequence[tuple[int, Gain]], gain: Gain) -> list[tuple[int, Gain]]:
-    """Of other starts those that explain the same as one that gained `gain` and was eliminated `after`, at most `most_rivals`."""
-    t = screened.thresholds
-
-    def near(i: int, g: Gain) -> bool:
-        within = t.rivals_within if screened.starts[i].effect.is_linear else t.bent_within
-        return g.gain > within * gain.gain and after.gain(i).gain < t.same_gain * g.gain
-
-    return [(i, g) for i, g in others if near(i, g)][: t.most_rivals]
-
-
-def _contests(
-    found: Found, screened: Screening, picks: Sequence[Pick], machine: Machine, folds: Folds, mapper: Mapper, quick: bool
-) -> list[tuple[Fitted, ...]]:
-    """Each pick and its rivals fitted in closed loop beside what was found, the others' answers free; best first."""
-    answers = [beside(*(column[:, None] for column in all_or_raise(found.remembered(screened.starts[p.start].settings)))) for p in picks]
-    bending = tuple(s for s in found.fit.settings if not s.effect.is_linear)
-    # effects in proportion to their size add to what the others answer; they are simulated together once, at the end
-    rest = found.group.residual - found.fit.response + (answer(found.group, bending, mapper) if bending else 0.0)
-    before = found.tuning.further.size + found.fit.columns.shape[1]
-    ends = before + np.cumsum([0, *(a.shape[1] for a in answers)])
-    all_free = found.tuning.with_free(beside(found.fit.columns, *answers))
-
-    def contest(i: int) -> tuple[Fitted, ...]:
-        base = held(found.group, all_free.holding(range(ends[i], ends[i + 1])), found.fit.settings, found.fit.response)
-        return _contest(found, base, bending, rest, (picks[i].setting, *picks[i].rivals), machine, folds, mapper, quick)
-
-    with ThreadPoolExecutor(2) as contests:
-        return list(contests.map(contest, range(len(picks))))
-
-
-def _contest(
-    found: Found,
-    base: Fit,
-    bending: tuple[Setting, ...],
-    rest: np.ndarray,
-    settings: Sequence[Setting],
-    machine: Machine,
-    folds: Folds,
-    mapper: Mapper,
-    quick: bool,
-) -> tuple[Fitted, ...]:
-    """Settings fitted one by one beside a fit, best first.
-
-    `bending` are those of the fit's effects that are simulated with each; `rest` (row,) is the residual that the other ones leave them.
-    """
-    t = found.thresholds
-    steps = t.quick_steps if quick else t.fit_steps
-
-    def fitted(setting: Setting) -> Fit | None:
-        alone = fit_effects(found.group, machine, base.about, [*bending, setting], mapper, steps, moving={len(bending)}, residual=rest)
-        if alone is None or len(bending) == len(base.settings):
-            return alone
-        moving, known = {len(base.settings)}, alone.slopes
-        settings = [*base.settings, alone.settings[-1]]
-        together = fit_effects(found.group, machine, base.about, settings, mapper, 1, moving=moving, known=known)
-        if together is None or together.loss < alone.loss + max(t.price, t.doubt * (base.loss - alone.loss)):
-            return together
-        return fit_effects(found.group, machine, base.about, settings, mapper, steps, moving=moving)
-
-    with ThreadPoolExecutor(len(settings)) as fitting:  # they wait for the workers' simulations
-        fits = [fit for fit in fitting.map(fitted, settings) if fit is not None]
-    healthy = loss_within(found, base, machine.parameter_tolerance)
-    # where no machine near the tolerance is like this one, parameters far off it are no rival of an effect
-    level = max(held_out_loss(found, base, folds), loss_within(found, base, t.widest * machine.parameter_tolerance))
-    fitted_ones = []
-    for fit in fits:
-        drop = base.loss - fit.loss
-        closes = closed_share(found, drop)
-        # on runs left out, and not more than the drop on all runs pays for its parameters, whatever machine within the tolerance it is
-        paid = min(drop, healthy - loss_within(found, fit, machine.parameter_tolerance)) - t.price * len(fit.free)
-        gain = min(level - held_out_loss(found, fit, folds), paid)
-        evidence = gain / min(found.inflation, inflation(found.group, fit))
-        last = fit.settings[-1]
-        plausible = is_plausible(last, machine, is_cut(found.group, last)) and not is_imitated(found, last, machine)
-        needed = evidence_needed(found, last, len(folds))
-        if base.settings and last.effect.block in SET and closes < t.least_share:
-            plausible = False  # beside another effect a control is only wrong where that explains what is left
-        fitted_ones.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closes, drop), fit.slopes))
-    return tuple(sorted(fitted_ones, key=lambda f: -(f.candidate.evidence - (0.0 if f.candidate.plausible else 1e9))))
-
-
-def _with_effects(found: Found, winners: Sequence[Fitted], machine: Machine, mapper: Mapper) -> Found:
-    """The state with more effects, all fitted together. They are trusted to a share of what they change, and normal imperfections are
-    found anew beside them."""
-    t = found.thresholds
-    settings = [*found.fit.settings, *(w.candidate.setting for w in winners)]
-    slopes = {name: column for w in winners for name, column in w.slopes.items()} | found.fit.slopes
-    fit = fit_effects(found.group, machine, found.tuning, settings, mapper, t.refit_steps, known=straight(slopes, settings))
+def _with_accepted(state: GroupState, winners: Sequence[Fitted], machine: Machine, mapper: Mapper) -> GroupState:
+    """The state with the winners of a round, all effects fitted jointly. The model error of the effects is added to the noise, and the
+    normal imperfections are fitted anew."""
+    t = state.thresholds
+    settings = [*state.fit.settings, *(w.candidate.setting for w in winners)]
+    slopes = {name: column for w in winners for name, column in w.slopes.items()} | state.fit.slopes
+    known = slopes_of_linear_effects(slopes, settings)
+    fit = fit_effects(state.group, machine, state.tuning, settings, mapper, t.refit_steps, known=known)
     if fit is None:
-        return found
-    found = replace(found, fit=fit).doubted(fit.response)
-    left = found.rigid.residual - found.fit.response
-    tuning = with_imperfections(found.tuning, found.rigid, machine, left, mapper)
-    group, tuning = on_imperfect_machine(found.rigid, tuning, left, mapper)
-    again = fit_effects(group, machine, tuning, found.fit.settings, mapper, t.refit_steps, known=found.fit.slopes)
-    if again is not None and again.loss < found.fit.loss:
-        found = replace(found, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
-    found = _retuned_beside(found, machine, mapper)
-    return replace(found, accepted=(*found.accepted, found.fit)).inflated()
+        return state
+    state = replace(state, fit=fit).doubted(fit.response)
+    residual = state.rigid.residual - state.fit.response
+    tuning = with_imperfections(state.tuning, state.rigid, machine, residual, mapper)
+    group, tuning = on_imperfect_machine(state.rigid, tuning, residual, mapper)
+    again = fit_effects(group, machine, tuning, state.fit.settings, mapper, t.refit_steps, known=state.fit.slopes)
+    if again is not None and again.loss < state.fit.loss:
+        state = replace(state, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
+    state = _with_relinearised_tuning(state, machine, mapper)
+    return replace(state, accepted=(*state.accepted, state.fit)).inflated()
 
 
-def _retuned_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """The state with re-tuning as it acts on the machine that has the effects, where one of them bends what the others answer."""
-    settings = found.fit.settings
+def _with_relinearised_tuning(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
+    """The state with re-tuning linearised on the machine with its effects, if one of these is nonlinear."""
+    settings = state.fit.settings
     if all(s.effect.is_linear for s in settings):
-        return found
+        return state
     try:
-        tuning = tuning_beside(found.group, found.fit, machine, mapper)
-    except TwinError:  # next to unstable: as it acts without the effects
-        return found
-    fit = fit_effects(found.group, machine, tuning, settings, mapper, found.thresholds.refit_steps, known=found.fit.slopes)
-    return found if fit is None or fit.loss > found.fit.loss else replace(found, tuning=tuning, fit=fit)
+        tuning = relinearised_tuning(state.group, state.fit, machine, mapper)
+    except TwinError:  # nearly unstable: keep the linearisation without the effects
+        return state
+    fit = fit_effects(state.group, machine, tuning, settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes)
+    return state if fit is None or fit.loss > state.fit.loss else replace(state, tuning=tuning, fit=fit)
 
 
-def _without_superfluous(found: Found, machine: Machine, folds: Folds, mapper: Mapper) -> Found:
-    """The state without effects that the others have made superfluous: what each closes beside them must still be its evidence."""
-    while found.fit.settings:
-        all_free = found.tuning.with_free(found.fit.columns)
-        missed = [_beyond_needed(found, i, all_free, machine, folds, mapper) for i in range(len(found.fit.settings))]
-        worst = int(np.argmin(missed))
-        if missed[worst] >= 0.0:
+def _without_redundant_effects(state: GroupState, context: Context) -> GroupState:
+    """The state without redundant effects: those whose removal, with the others fitted anew, costs less than the evidence they need."""
+    while state.fit.settings:
+        all_free = state.tuning.with_free(state.fit.columns)
+        margins = [_evidence_margin(state, i, all_free, context) for i in range(len(state.fit.settings))]
+        worst = int(np.argmin(margins))
+        if margins[worst] >= 0.0:
             break
-        rest = [s for j, s in enumerate(found.fit.settings) if j != worst]
-        refitted = fit_effects(found.group, machine, found.tuning, rest, mapper, 2, known=found.fit.slopes)
+        kept = [s for j, s in enumerate(state.fit.settings) if j != worst]
+        refitted = fit_effects(state.group, context.machine, state.tuning, kept, context.mapper, 2, known=state.fit.slopes)
         if refitted is None:
             break
-        found = found.with_fit(refitted).inflated()
-    return found
+        state = state.with_fit(refitted).inflated()
+    return state
 
 
-def _beyond_needed(found: Found, i: int, all_free: Tuning, machine: Machine, folds: Folds, mapper: Mapper) -> float:
-    """By how much what effect i closes beside the others is more than the evidence that it needs [nat]; -inf where no machine has its size.
+def _evidence_margin(state: GroupState, i: int, all_free: Tuning, context: Context) -> float:
+    """Evidence for effect i next to the others, minus the evidence it needs [nat]; -inf if its size is implausible.
 
-    `all_free` is the tuning with the effects' slopes beside it, by which the others are fitted anew.
+    `all_free` is the tuning with the slopes of all effects as free columns; the other effects are refitted with it.
     """
-    setting = found.fit.settings[i]
-    if not is_plausible(setting, machine, is_cut(found.group, setting)):
+    setting, t = state.fit.settings[i], state.thresholds
+    if not is_plausible(setting, context.machine, is_cut(state.group, setting), t):
         return -math.inf
-    needed = evidence_needed(found, setting, len(folds))
-    own = [found.tuning.further.size + k for k, f in enumerate(found.fit.free) if f.setting == i]
-    tuning = all_free.holding(own)
+    needed = evidence_needed(state, setting, len(context.folds))
+    columns = [state.tuning.further.size + k for k, f in enumerate(state.fit.free) if f.setting == i]
+    tuning = all_free.holding(columns)
 
-    def beyond(others: np.ndarray) -> float:
-        loss = tuning.loss(found.group.residual - others)
-        return (loss - found.fit.loss - found.thresholds.price * len(own)) / found.inflation - needed
+    def margin(response_of_others: np.ndarray) -> float:
+        loss = tuning.loss(state.group.residual - response_of_others)
+        return (loss - state.fit.loss - t.price * len(columns)) / state.inflation - needed
 
-    others = in_proportion(found, i) if setting.effect.is_linear else None
-    # where an effect is far above what it needs, its slope says so surely enough
-    if others is not None and (clear := beyond(others)) > needed:
+    linear = response_without(state, i) if setting.effect.is_linear else None
+    # far above the needed evidence the linear prediction is accurate enough
+    if linear is not None and (clear := margin(linear)) > needed:
         return clear
-    rest = [s for j, s in enumerate(found.fit.settings) if j != i]
-    return beyond(answer(found.group, rest, mapper) if rest else np.zeros(found.group.size))
+    others = [s for j, s in enumerate(state.fit.settings) if j != i]
+    return margin(simulated_response(state.group, others, context.mapper) if others else np.zeros(state.group.size))
 
 
-def in_proportion(found: Found, i: int) -> np.ndarray | None:
-    """What all effects but i change (row,), if i changes in proportion to its size; None where the size was not fitted."""
-    fit = found.fit
+def response_without(state: GroupState, i: int) -> np.ndarray | None:
+    """Response (row,) to all effects but i, if i is linear in its size; None if its size was not fitted."""
+    fit = state.fit
     setting = fit.settings[i]
     size = setting.effect.size
     for k, free in enumerate(fit.free):
@@ -383,6 +260,8 @@ def in_proportion(found: Found, i: int) -> np.ndarray | None:
     return None
 
 
-def loud_near_tolerance(found: Found, machine: Machine) -> set[str]:
-    """Axes that keep more than noise, whatever machine near the tolerance this is; what is far off it is no re-tuning."""
-    return loud_axes(found.group, left_within(found, found.fit, found.thresholds.widest * machine.parameter_tolerance, normal=False))
+def axes_above_noise_within_tolerance(state: GroupState, machine: Machine) -> set[str]:
+    """Axes whose residual exceeds the noise for every machine near the tolerance."""
+    return axes_above_noise(
+        state.group, residual_within(state, state.fit, state.thresholds.widest * machine.parameter_tolerance, normal=False)
+    )

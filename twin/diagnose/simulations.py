@@ -1,4 +1,4 @@
-"""Simulations that a diagnosis asks for: axes of a measured run on variants of its machine, side by side in the decoupled plant."""
+"""Simulations for the diagnosis: axes of a measured run on variants of its machine, batched in the decoupled plant."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from twin.simulation.gap import as_recorded, simulated_period
 from twin.simulation.run import Run, SimulationJob, all_or_raise, simulate_each
 
 Variant = Callable[[Machine], Machine]
-"""Turns a run's machine into another one."""
+"""Maps the machine of a run to another machine."""
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 Mapper = Callable[..., list[Any]]
-"""Maps a function over items, in their order; on threads where it is not `in_turn`."""
+"""Maps a function over items in order, on threads unless it is `in_turn`."""
 
 
 def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
@@ -36,8 +36,8 @@ def on_threads(pool: ThreadPoolExecutor) -> Mapper:
     return lambda function, items: list(pool.map(function, items))
 
 
-class Ask(NamedTuple):
-    """Some axes of a run to be simulated, and those that effects push them with, on a variant of the run's machine with further effects."""
+class SimulationRequest(NamedTuple):
+    """Axes of a run to simulate on a variant of the run's machine with added effects. Axes that push them are added."""
 
     view: RunView
     axes: Sequence[str]
@@ -54,23 +54,27 @@ def simulate_group(
     *,
     noise_seed: int | None = None,
 ) -> Run:
-    """Simulate one `Ask`, see `simulate_groups`. Raises TwinError where it cannot be simulated."""
-    return all_or_raise(simulate_groups([Ask(view, axes, machine_of, settings, noise_seed)]))[0]
+    """Simulate one request, see `simulate_groups`. Raises TwinError if it cannot be simulated."""
+    return all_or_raise(simulate_groups([SimulationRequest(view, axes, machine_of, settings, noise_seed)]))[0]
 
 
 @overload
-def simulate_groups(asks: Sequence[Ask], mapper: Mapper = in_turn) -> list[Run | TwinError]: ...
+def simulate_groups(requests: Sequence[SimulationRequest], mapper: Mapper = in_turn) -> list[Run | TwinError]: ...
 @overload
-def simulate_groups(asks: Sequence[Ask], mapper: Mapper, of: Callable[[int, Run], Answer]) -> list[Answer | TwinError]: ...
-def simulate_groups(asks: Sequence[Ask], mapper: Mapper = in_turn, of: Callable[[int, Run], Any] = lambda i, run: run) -> list[Any]:
-    """Each ask in the decoupled plant, side by side where they can be, at the times of its run's record; or its error.
+def simulate_groups(
+    requests: Sequence[SimulationRequest], mapper: Mapper, of: Callable[[int, Run], Result]
+) -> list[Result | TwinError]: ...
+def simulate_groups(
+    requests: Sequence[SimulationRequest], mapper: Mapper = in_turn, of: Callable[[int, Run], Any] = lambda i, run: run
+) -> list[Any]:
+    """Simulate each request in the decoupled plant at the sample times of its run, batched; the result or its error.
 
-    `of` takes from each run (its number among the asks is given) what is wanted of it; `mapper` maps over batches of simulations.
+    `of` extracts the result from the index of the request and its run; `mapper` maps over batches.
     """
     jobs, bars, outcomes = [], [], {}
-    for i, ask in enumerate(asks):
+    for i, request in enumerate(requests):
         try:
-            job, bar = _job_of(ask)
+            job, bar = _job_of(request)
         except TwinError as error:
             outcomes[i] = error
             continue
@@ -78,25 +82,25 @@ def simulate_groups(asks: Sequence[Ask], mapper: Mapper = in_turn, of: Callable[
         bars.append((i, bar))
 
     def recorded(at: int, run: Run) -> Any:
-        (i, bar), ask = bars[at], asks[bars[at][0]]
-        times = ask.view.trace.time
-        trace = as_recorded(run.trace, times, bar, ask.noise_seed)
+        (i, bar), request = bars[at], requests[bars[at][0]]
+        times = request.view.trace.time
+        trace = as_recorded(run.trace, times, bar, request.noise_seed)
         return of(i, replace(run, trace=trace, without_noise=as_recorded(run.without_noise, times, bar)))
 
     for (i, _), outcome in zip(bars, simulate_each(jobs, mapper, recorded)):
         outcomes[i] = outcome
-    return [outcomes[i] for i in range(len(asks))]
+    return [outcomes[i] for i in range(len(requests))]
 
 
-def _job_of(ask: Ask) -> tuple[SimulationJob, Ballbar | None]:
-    """The simulation of an ask, and the ballbar that sees it."""
-    view, machine = ask.view, ask.view.machine if ask.machine_of is None else ask.machine_of(ask.view.machine)
-    changed = with_added(machine, ask.settings)
+def _job_of(request: SimulationRequest) -> tuple[SimulationJob, Ballbar | None]:
+    """The simulation job of a request, and the ballbar that measures it."""
+    view, machine = request.view, request.view.machine if request.machine_of is None else request.machine_of(request.view.machine)
+    changed = with_added(machine, request.settings)
     hidden = settings_of(changed)
     rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
-    # what is clamped on the table moves every rotary axis, whichever of them the run moves
-    clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in ask.axes)
-    needed = {*ask.axes, *(rotary if clamped else ())}
+    # a mass clamped on the table acts on every rotary axis
+    clamped = any(s.effect.edits_bodies for s in hidden) and any(name in rotary for name in request.axes)
+    needed = {*request.axes, *(rotary if clamped else ())}
     bar = view.ballbar if view.ballbar is not None and needed.intersection(view.ballbar.axes) else None
     if bar is not None:
         needed.update(bar.axes)
@@ -105,7 +109,7 @@ def _job_of(ask: Ask) -> tuple[SimulationJob, Ballbar | None]:
     driven = [name for name in machine.axis_names if name in needed]
     index = [machine.axis_names.index(name) for name in driven]
     part = with_effects(changed.with_axes(driven), [s for s in hidden if s.axis in driven])
-    # gravity and inertia of a rotary axis depend on where the others are, simulated or not
+    # gravity and inertia of a rotary axis depend on the positions of the others, simulated or not
     turning = any(axis.kind == "rotary" for axis in part.axes)
     carrying = [axis.name for axis in machine.axes if axis.name in driven or (turning and axis.kind == "rotary")]
     motion = view.motion.part(tuple(machine.axis_names.index(name) for name in carrying))
@@ -115,6 +119,6 @@ def _job_of(ask: Ask) -> tuple[SimulationJob, Ballbar | None]:
         lambda change: DecoupledPlant(change, motion, machine.with_axes(carrying)),
         simulated_period(machine, view.trace.period, bar),
         view.started_at,
-        ask.noise_seed,
+        request.noise_seed,
     )
     return job, bar

@@ -1,8 +1,8 @@
-"""Slip before break-away, sized once more on the machine that has all effects and normal imperfections found.
+"""Slip before break-away, fitted again on the machine with all effects and normal imperfections found.
 
-The search sizes slip on a machine without either, where an axis at rest carries nothing. On the whole machine a drive train that starts wound up,
-or a force that holds, makes an axis creep where it stands: that shows how soft its contact is better than any reversal. Slip that is missed
-there may be found here. What creeps, creeps because of the noise in the loop, so that everything is simulated with it.
+The search fits slip on a machine without effects, where an axis at rest carries no load. On the complete machine a drive train that starts
+wound up, or a constant force, makes a resting axis creep. The creep determines the stiffness of its contact better than any reversal, and may
+reveal slip that the search missed. Creep depends on noise in the loop, so everything is simulated with noise.
 """
 
 from __future__ import annotations
@@ -13,63 +13,64 @@ import math
 
 import numpy as np
 
-from twin.diagnose.corrected import within
+from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects, no_effect
-from twin.diagnose.imperfections import dirty_channels, moved_to, shows_slip
+from twin.diagnose.imperfections import channels_above_noise, moved_to, shows_slip
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance, tuned
-from twin.diagnose.tuning import beside
+from twin.diagnose.tuning import stacked_columns
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 STRETCH = 1.8
-"""Factor from one size that is tried to the next."""
+"""Ratio of successive trial sizes."""
 
 NEARBY = 1.1
-"""Factor over which the slope of a slip is taken."""
+"""Ratio for the finite-difference slope of slip."""
 
 FIRST = (0.2, 0.8)
-"""Sizes tried first on an axis without slip, beside the least one, as shares of the largest normal one."""
+"""First trial sizes on an axis without slip, besides the smallest one, as shares of the largest normal one."""
 
 
-def with_slip_beside(found: Found, machine: Machine, mapper: Mapper) -> Found:
-    """The state with the slip of each axis as it predicts best beside all that was found; unchanged where that gains nothing, while so
-    much is left that effects must be missing, and of a machine without tolerance, which has no normal imperfection."""
-    if found.tuning.spread <= 0.0 or found.fit.loss > found.thresholds.little_left * found.group.expected_loss:
-        return found
-    for slip in [Nuisance(axis, "slip", found.thresholds) for axis in found.group.axes]:
-        left = found.fit.left(found.group) / found.group.weights
-        if slip in found.tuning.nuisances or shows_slip(dirty_channels(found.group, left), slip.owner):
-            found = _sized(found, machine, slip, mapper)
-    return found
+def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
+    """The state with the slip of each axis fitted again. Unchanged if the loss does not improve, if the residual is so large that effects must be
+    missing, or for a machine without tolerance, which has no normal imperfections.
+    """
+    if state.tuning.spread <= 0.0 or state.fit.loss > state.thresholds.small_residual * state.group.expected_loss:
+        return state
+    for slip in [Nuisance(axis, "slip", state.thresholds) for axis in state.group.axes]:
+        residual = state.fit.residual(state.group) / state.group.weights
+        if slip in state.tuning.nuisances or shows_slip(channels_above_noise(state.group, residual), slip.owner):
+            state = _sized(state, machine, slip, mapper)
+    return state
 
 
-def _sized(found: Found, machine: Machine, slip: Nuisance, mapper: Mapper) -> Found:
-    """The state with a slip at its best size."""
-    t, tolerance, tuning = found.thresholds, machine.parameter_tolerance, found.tuning
+def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) -> GroupState:
+    """The state with one slip at its best size."""
+    t, tolerance, tuning = state.thresholds, machine.parameter_tolerance, state.tuning
     new = slip not in tuning.nuisances
     nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances
     i = nuisances.index(slip)
-    rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in found.group.channels if c.axis == slip.owner])
-    deviations = np.append(within(found, tolerance), [0.0] * new)
-    left_by_fit = found.fit.left(found.group)
+    rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in state.group.channels if c.axis == slip.owner])
+    deviations = np.append(limited_deviations(state, tolerance), [0.0] * new)
+    left_by_fit = state.fit.residual(state.group)
 
     @functools.cache
     def response(deviation: float) -> np.ndarray:
         there = deviations.copy()
         there[i] = deviation
-        whole = found.rigid.response(tuned(nuisances, there), found.fit.settings, (slip.owner,), shaken=True, mapper=mapper)
+        whole = state.rigid.response(tuned(nuisances, there), state.fit.settings, (slip.owner,), shaken=True, mapper=mapper)
         return whole[rows]
 
     @functools.cache
     def loss(deviation: float) -> float:
-        left = left_by_fit.copy()
+        residual = left_by_fit.copy()
         try:
-            left[rows] = found.rigid.residual[rows] - response(deviation)
-        except TwinError:  # a spring that no tick can follow
+            residual[rows] = state.rigid.residual[rows] - response(deviation)
+        except TwinError:  # too stiff for the simulation step
             return math.inf
-        return tuning.loss(left)
+        return tuning.loss(residual)
 
     least, largest = t.least_slip * tolerance, tolerance
     start = 0.0 if new else min(max(float(deviations[i]), least), largest)
@@ -82,30 +83,30 @@ def _sized(found: Found, machine: Machine, slip: Nuisance, mapper: Mapper) -> Fo
         curve = np.polyfit(around, losses, 2)
         best = min(best, best * math.exp(-0.5 * curve[1] / curve[0]), key=loss) if curve[0] > 0.0 else best
     beyond = best * NEARBY
-    if not loss(start) - loss(best) > t.imperfection_earned or not math.isfinite(loss(beyond)):
-        return found
-    column = np.zeros(found.group.size)
+    if not loss(start) - loss(best) > t.imperfection_evidence or not math.isfinite(loss(beyond)):
+        return state
+    column = np.zeros(state.group.size)
     column[rows] = (response(beyond) - response(best)) * (tuning.spread / (beyond - best))
-    return _moved(found, machine, nuisances, i, best, column, mapper)
+    return _moved(state, machine, nuisances, i, best, column, mapper)
 
 
 def _moved(
-    found: Found, machine: Machine, nuisances: tuple[Nuisance, ...], i: int, deviation: float, column: np.ndarray, mapper: Mapper
-) -> Found:
-    """The state about the machine with nuisance `i` at this deviation, where it changes `column` (row,) at its spread; effects fitted anew."""
-    tuning, known = found.tuning, len(found.tuning.nuisances)
-    missing = np.zeros(len(nuisances) - known)
+    state: GroupState, machine: Machine, nuisances: tuple[Nuisance, ...], i: int, deviation: float, column: np.ndarray, mapper: Mapper
+) -> GroupState:
+    """The state about the machine with nuisance `i` at this deviation, where its response at its spread is `column` (row,); effects are refitted."""
+    tuning, count = state.tuning, len(state.tuning.nuisances)
+    missing = np.zeros(len(nuisances) - count)
     base = np.append(tuning.base, missing)
-    theta = np.append(found.fit.tuning[:known], missing)
+    theta = np.append(state.fit.tuning[:count], missing)
     theta[i] = (deviation - base[i]) / tuning.spread
-    columns = beside(tuning.jacobian[:, :known], np.zeros((found.group.size, len(missing))))
+    columns = stacked_columns(tuning.jacobian[:, :count], np.zeros((state.group.size, len(missing))))
     columns[:, i] = column
     shown = replace(tuning.of(nuisances, columns), base=base)
     try:
-        group, about = moved_to(found.rigid, shown, theta, mapper)
-        fit = fit_effects(group, machine, about, found.fit.settings, mapper, found.thresholds.refit_steps, known=found.fit.slopes)
+        group, about = moved_to(state.rigid, shown, theta, mapper)
+        fit = fit_effects(group, machine, about, state.fit.settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes)
     except TwinError:
-        return found
-    if fit is None or fit.loss > found.fit.loss:  # what creeps is better for it, and all else worse
-        return found
-    return replace(found, group=group, tuning=about, retuned=no_effect(group, about)).with_fit(fit).inflated()
+        return state
+    if fit is None or fit.loss > state.fit.loss:  # the creep improves, but the rest gets worse
+        return state
+    return replace(state, group=group, tuning=about, retuned=no_effect(group, about)).with_fit(fit).inflated()

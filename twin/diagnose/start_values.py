@@ -1,4 +1,4 @@
-"""Start values read from the residual: spectral lines along the motor angle, the travel or time, resonances, levels of a clipped current."""
+"""Starting values read from the residual: spectral lines over motor angle, travel or time, resonances, levels of a saturated current."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from twin.effects.scan import AlongTravel, AlongTurn, InTime, LargestCurrent, Re
 from twin.machine.machine import Axis, Machine
 
 PEAKS = 2
-"""Number of spectral lines tried for an effect that is periodic in position or time."""
+"""Spectral lines tried for an effect that is periodic in position or time."""
 
 LARGEST_ORDER_HZ = 60.0
-"""Above this frequency the current no longer follows a disturbance."""
+"""Frequency above which the current does not follow a disturbance."""
 
 LONGEST_WAVE = 4.0
-"""Longest wave along the travel that is sought, over the longest usual one."""
+"""Longest wave along the travel in the scan, over the longest usual one."""
 
 OVERSAMPLED = 8.0
-"""Wave numbers tried for each that the motion resolves."""
+"""Trial wave numbers per resolved wave number."""
 
 ENOUGH_HITS = 20.0
-"""Samples of a bin from which on it weighs no more."""
+"""Samples per bin above which its weight is constant."""
 
 NO_WAVES = np.array([1.0]), np.array([0.0])
-"""What is found where nothing can be: one value without power."""
+"""Result of an empty scan: one value without power."""
 
 MOST_WAVES = 800.0
-"""Waves over a motion up to which they are looked for: more take seconds."""
+"""Largest number of waves over a motion in the scan; more take seconds."""
 
 WAVES_AT_ONCE = 256
-"""Waves that are tried together: memory for them and the bins of a run."""
+"""Waves per block of the scan; limits memory."""
 
 MOST_BINS = 400_000
-"""Bins along a motion above which its waves are not looked for."""
+"""Largest number of bins along a motion; longer motions are not scanned."""
 
 SLOW_ENOUGH = 0.1
-"""Share of the motion that must be slower than that for a wavelength to be tried."""
+"""Share of the motion that must be slow enough for a wavelength to be tried."""
 
 
 class StartValues:
-    """Start values of one axis from the weighted residual (row,) of its group."""
+    """Starting values for one axis from the weighted residual (row,) of its group."""
 
     def __init__(self, group: Group, machine: Machine, axis: Axis, residual: np.ndarray) -> None:
         self.group, self.axis = group, axis
@@ -57,7 +57,7 @@ class StartValues:
         self.machine = machine
 
     def of(self, parameter: Parameter) -> list[float]:
-        """Start values of a parameter with a scan: the strongest spectral lines, or the levels of a limit."""
+        """Starting values of a parameter with a scan: the strongest spectral lines, or levels of a limit."""
         match parameter.scan:
             case AlongTurn(low=low, high=high):
                 return _strongest(*self._along_turn(low, high, 2.0 * math.pi * self.axis.ratio))
@@ -73,9 +73,9 @@ class StartValues:
         raise ValueError(f"parameter {parameter.name} has no scan")
 
     def _current_levels(self, scan: LargestCurrent) -> list[float]:
-        """Levels of a current limit to try: about the largest measured current.
+        """Trial levels of a current limit, near the largest measured current.
 
-        The current is a saw-tooth between two cycles, and a record samples it at one phase. The limit may therefore lie above.
+        The current is a saw-tooth between two cycles, and a record samples it at one phase. The limit may therefore be higher.
         """
         level = 0.0
         for (run, name), _ in self.channels.items():
@@ -99,8 +99,9 @@ class StartValues:
             yield values, q[rows], v[rows], t[rows]
 
     def _slow_pieces(self, low: float, high: float, per: float) -> tuple[float, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-        """Highest number of waves a length `per` that enough of the motion is slow enough for, and residual of the current, position and
-        speed where it is slow enough, run by run."""
+        """Largest number of waves per length `per` for which enough of the motion is slow enough; and residual of the current, position and speed
+        where it is slow enough, run by run.
+        """
         parts = list(self._pieces("current"))
         speeds, top = np.abs(np.concatenate([v for _, _, v, _ in parts] or [np.zeros(0)])), high
         while parts and top > 4.0 * low and np.mean(speeds * top / 4.0 / per < LARGEST_ORDER_HZ) < SLOW_ENOUGH:
@@ -109,8 +110,9 @@ class StartValues:
         return top, [(values[slow], q[slow], v[slow]) for values, q, v, slow in cut if slow.any()]
 
     def _along_turn(self, low: float, high: float, per: float) -> tuple[np.ndarray, np.ndarray]:
-        """Waves a turn and power of the current's residual over position: averaged in bins of an eighth of the shortest wave, then Fourier
-        transformed."""
+        """Waves per turn, and power of the current residual over position: averaged in bins of an eighth of the shortest wave, then Fourier
+        transformed.
+        """
         top, parts = self._slow_pieces(low, high, per)
         bin_width = per / high / 8.0
         start = min((float(q.min()) for _, q, _ in parts), default=0.0)
@@ -130,9 +132,9 @@ class StartValues:
         return waves[keep], np.abs(np.fft.rfft(mean, size)[keep]) ** 2
 
     def _along_travel(self, shortest: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
-        """Wavelengths, and the squares of the current's residual that a sine from q = 0 explains which turns round with the direction.
+        """Wavelengths, and the squared current residual that a sine from q = 0, reversing with the direction of motion, explains.
 
-        Each run and direction has its own mean beside the sine, so that a wave as long as the motion shows, and other friction does not.
+        Each run and direction has its own mean. Therefore a wave as long as the motion is detected, and other friction is not.
         """
         top, parts = self._slow_pieces(1.0 / longest, 1.0 / shortest, 1.0)
         span = max((float(np.ptp(q)) for _, q, _ in parts), default=0.0)
@@ -175,9 +177,9 @@ class StartValues:
         return frequencies, power
 
     def _resonance(self, scan: Resonance) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies, and the squares of motor minus scale (else of the position) that a mass swinging at each of them explains.
+        """Frequencies, and the squared motor minus scale (or position) that a swinging mass with this frequency explains.
 
-        A run adds nothing at frequencies above half its sampling rate.
+        A run contributes nothing above half its sampling rate.
         """
         frequencies = np.geomspace(scan.low_hz, scan.high_hz, 40)
         power = np.zeros(len(frequencies))
@@ -196,7 +198,7 @@ class StartValues:
 
 
 def swing_filter(frequency_hz: float, damping_ratio: float, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Filter (b, a) from acceleration to the swing x of a mass, x'' + 2 z w x' + w^2 x = acceleration; exact if that is held over a sample.
+    """Filter (b, a) from acceleration to the swing x of a mass, x'' + 2 z w x' + w^2 x = acceleration; exact for an acceleration held over a sample.
 
     With r = exp(-z w T), c = r cos(w_d T), s = r sin(w_d T), q = z / sqrt(1 - z^2), w_d = w sqrt(1 - z^2):
     b = (0, 1 - c - q s, r^2 - c + q s) / w^2,   a = (1, -2 c, r^2). Stable at every sampling period.

@@ -1,4 +1,4 @@
-"""The state of a diagnosis of one group of axes, and what its fit leaves above noise."""
+"""State of the diagnosis of one group of axes, and measures of the residual that its fit leaves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import Fit, Sizes, answers, no_effect
+from twin.diagnose.fit import Fit, Sizes, no_effect, simulated_responses
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.simulations import Mapper, in_turn
@@ -18,21 +18,21 @@ from twin.effects import Setting
 from twin.errors import TwinError
 
 Key = tuple[str, str, str | None]
-"""Effect, axis, and the axis that it comes from."""
+"""Effect, axis, and the axis that drives the effect (or None)."""
 
 SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_scale", "measurement": "motor_minus_scale"}
-"""The cut channel in which every effect of a block shows."""
+"""Block -> channel in which every effect of the block is visible. The channel isolates the block from the loop."""
 
 CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
-"""The channel that cuts a block out of the loop; the others are seen in the closed loop alone."""
+"""Block -> channel that isolates the block from the loop. All other blocks are only visible in closed loop."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect on one axis, fitted together with the effects accepted before it.
+    """An effect on an axis, fitted next to the effects accepted before it.
 
-    `evidence` is its log likelihood on runs left out, `needed` what it must reach, `closes` the share of what was left above noise that the
-    fit closes.
+    `evidence` is the gain in log likelihood on held-out runs [nat], `needed` its threshold, `closes` the share of the remaining residual above
+    noise that the fit explains.
     """
 
     sizes: Sizes
@@ -40,7 +40,7 @@ class Candidate:
     needed: float
     plausible: bool
     closes: float
-    gain: float  # half the drop of the squares
+    gain: float  # drop of the loss on all runs
 
     @property
     def setting(self) -> Setting:
@@ -51,15 +51,15 @@ class Candidate:
         return self.setting.key
 
 
-class Answer(NamedTuple):
-    """Simulated change that a setting makes (row,), and the weights of its rows."""
+class CachedResponse(NamedTuple):
+    """Simulated response (row,) to a setting, and the row weights it was scaled with."""
 
     column: np.ndarray
     weights: np.ndarray
 
 
 class Screened(NamedTuple):
-    """A start as it was screened: effect and axis, gain, the setting it stands for, the share that it would close."""
+    """A start after screening: its key, gain, the setting with the best size, and the share of the residual that it would explain."""
 
     key: Key
     gain: float
@@ -68,25 +68,25 @@ class Screened(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Found:
-    """State of the diagnosis of one group of axes. A step takes one and returns the next; none is ever changed.
+class GroupState:
+    """State of the diagnosis of one group of axes. A step takes a state and returns the next one; states are never modified.
 
-    `memory` holds simulated answers of starts. It saves time and changes no result.
+    `response_cache` holds simulated responses to starts. It saves time and does not affect the result.
     """
 
-    group: Group  # about the machine with its normal imperfections
-    rigid: Group  # about the machine as its file says
+    group: Group  # linearised about the machine with its normal imperfections
+    rigid: Group  # linearised about the machine file
     tuning: Tuning
     fit: Fit
     retuned: Fit  # re-tuning alone
-    inflation: float  # power of the residual over that of noise, at least 1
-    accepted: tuple[Fit, ...] = ()  # with one effect, with two, ...
+    inflation: float  # loss over the loss of noise, at least 1
+    accepted: tuple[Fit, ...] = ()  # the fit after each round
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round
-    unseen: Mapping[Key, float] | None = None  # effects that would not show, with the multiple of their usual size from which they would
-    zeros: Mapping[tuple[str, int], float] = field(default_factory=dict)  # axis and run -> motor encoder minus scale that is no fault [SI]
-    unknown: bool = False  # is something left that no effect explains?
-    memory: dict[str, Answer | TwinError] = field(default_factory=dict, repr=False, compare=False)
+    not_visible: Mapping[Key, float] | None = None  # invisible effects: multiple of the usual size from which each is visible
+    zeros: Mapping[tuple[str, int], float] = field(default_factory=dict)  # axis and run -> constant motor encoder minus scale [m or rad]
+    unknown: bool = False  # is there a residual that no effect explains?
+    response_cache: dict[str, CachedResponse | TwinError] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def thresholds(self) -> Thresholds:
@@ -95,76 +95,79 @@ class Found:
 
     @property
     def keys(self) -> set[Key]:
-        """Effects of the final fit, each with its axis."""
+        """Keys of the effects of the fit."""
         return {s.key for s in self.fit.settings}
 
-    def remembered(self, settings: Sequence[Setting], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
-        """What each setting alone changes (row,), simulated once and weighted as the group is now; or its error."""
+    def cached_responses(self, settings: Sequence[Setting], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+        """Response (row,) to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once."""
         keys = [repr(setting.table()) for setting in settings]
-        missing = {key: setting for key, setting in zip(keys, settings) if key not in self.memory}
-        for key, column in zip(missing, answers(self.group, [[setting] for setting in missing.values()], mapper)):
-            self.memory[key] = column if isinstance(column, TwinError) else Answer(column.astype(np.float32), self.group.weights)
+        missing = {key: setting for key, setting in zip(keys, settings) if key not in self.response_cache}
+        for key, column in zip(missing, simulated_responses(self.group, [[setting] for setting in missing.values()], mapper)):
+            self.response_cache[key] = (
+                column if isinstance(column, TwinError) else CachedResponse(column.astype(np.float32), self.group.weights)
+            )
         return [self._as_weighted(key) for key in keys]
 
     def _as_weighted(self, key: str) -> np.ndarray | TwinError:
-        known, weights = self.memory[key], self.group.weights
-        if isinstance(known, TwinError):
-            return known
-        if known.weights is not weights:
-            self.memory[key] = known = Answer((known.column * (weights / known.weights)).astype(np.float32), weights)
-        return known.column
+        cached, weights = self.response_cache[key], self.group.weights
+        if isinstance(cached, TwinError):
+            return cached
+        if cached.weights is not weights:
+            self.response_cache[key] = cached = CachedResponse((cached.column * (weights / cached.weights)).astype(np.float32), weights)
+        return cached.column
 
-    def with_fit(self, fit: Fit) -> Found:
-        """The state with this fit as its last one, which replaces the last accepted one."""
+    def with_fit(self, fit: Fit) -> GroupState:
+        """The state with another fit, which also replaces the last accepted one."""
         return replace(self, fit=fit, accepted=(*self.accepted[:-1], fit) if self.accepted else ())
 
-    def inflated(self) -> Found:
-        """The state with the inflation of its own fit."""
+    def inflated(self) -> GroupState:
+        """The state with the inflation computed from its fit."""
         return replace(self, inflation=inflation(self.group, self.fit))
 
-    def doubted(self, change: np.ndarray, left: np.ndarray | None = None) -> Found:
-        """The state where effects that change the rows by `change` (row,) are trusted to a share of that, and the twin less where they
-        leave `left` (row,); both weighted. All fits are weighed anew."""
+    def doubted(self, change: np.ndarray, residual: np.ndarray | None = None) -> GroupState:
+        """The state with the model error of effects whose response is `change` (row,) added to the noise, and more where the fit leaves
+        `residual` (row,); both weighted. All fits are reweighted.
+        """
         old = self.group.weights
-        left = np.zeros(self.group.size) if left is None else left
-        rigid, group = self.rigid.doubted(change, left), self.group.doubted(change, left)
+        residual = np.zeros(self.group.size) if residual is None else residual
+        rigid, group = self.rigid.doubted(change, residual), self.group.doubted(change, residual)
         scale = group.weights / old
         shared = {id(t): t for t in (self.tuning, self.fit.about, *(f.about for f in self.accepted))}
-        tunings = {key: tuning.reweighed(scale) for key, tuning in shared.items()}
-        fit, *accepted = (f.reweighed(scale, tunings[id(f.about)], group.residual) for f in (self.fit, *self.accepted))
+        tunings = {key: tuning.reweighted(scale) for key, tuning in shared.items()}
+        fit, *accepted = (f.reweighted(scale, tunings[id(f.about)], group.residual) for f in (self.fit, *self.accepted))
         tuning = tunings[id(self.tuning)]
         return replace(self, rigid=rigid, group=group, tuning=tuning, fit=fit, accepted=tuple(accepted), retuned=no_effect(group, tuning))
 
 
 def excess_of(group: Group, fit: Fit) -> dict[str, float]:
-    """Half the squares above noise that a fit leaves of each axis; where an axis was stuck they count as little as for evidence."""
-    above = 0.5 * group.credit * (fit.left(group) ** 2 - group.expected)
+    """Half the squared residual above noise of each axis, weighted as evidence."""
+    above = 0.5 * group.credit * (fit.residual(group) ** 2 - group.expected)
     return {axis: sum(float(above[c.rows].sum()) for c in group.channels if c.axis == axis) for axis in group.axes}
 
 
 def expected_of(group: Group, axis: str) -> float:
-    """Half the squares that noise alone makes of an axis."""
+    """Half the squares that noise alone causes on an axis."""
     return 0.5 * sum(float(group.expected[c.rows].sum()) for c in group.channels if c.axis == axis)
 
 
-def closed_share(found: Found, gain: float) -> float:
-    """Share of what the fit leaves above noise that a drop of half the squares by `gain` closes, from 0 to 1."""
-    noise = found.group.expected_loss
-    return float(np.clip(gain / max(found.fit.loss - noise, found.thresholds.near_noise * noise), 0.0, 1.0))
+def closed_share(state: GroupState, gain: float) -> float:
+    """Share of the residual above noise that a drop of the loss by `gain` explains, from 0 to 1."""
+    noise = state.group.expected_loss
+    return float(np.clip(gain / max(state.fit.loss - noise, state.thresholds.near_noise * noise), 0.0, 1.0))
 
 
-def settled_channels(found: Found) -> Iterator[tuple[Channel, np.ndarray]]:
-    """Every channel with what the fit leaves of it over noise and doubt, where nothing shows any more how the axis was stuck (sample,)."""
-    group = found.group
-    left = found.fit.left(group) / group.weights
+def settled_channels(state: GroupState) -> Iterator[tuple[Channel, np.ndarray]]:
+    """Each channel with its residual over noise and model error (sample,), without samples that depend on how the axis stuck."""
+    group = state.group
+    residual = state.fit.residual(group) / group.weights
     for c in group.channels:
-        yield c, (left[c.rows] / c.spread)[c.settled(group.views[c.run])]
+        yield c, (residual[c.rows] / c.spread)[c.settled(group.views[c.run])]
 
 
-def localised_on(found: Found) -> set[str]:
-    """Axes of which something is left in one channel of one run, although the whole looks like noise."""
-    axes, t = set(), found.thresholds
-    for channel, u in settled_channels(found):
+def localised_on(state: GroupState) -> set[str]:
+    """Axes with a residual in a single channel of a single run, even if the overall loss is that of noise."""
+    axes, t = set(), state.thresholds
+    for channel, u in settled_channels(state):
         if channel.name != "controller" and len(u) > t.local_samples and float(np.mean(u**2)) > t.local_square:
             axes.add(channel.axis)
         if channel.name == "controller" and float(np.mean(u**2)) > t.local_law_square:
@@ -172,50 +175,39 @@ def localised_on(found: Found) -> set[str]:
     return axes
 
 
-def is_systematic(found: Found) -> bool:
-    """Does a channel of an axis keep more than noise and doubt in most of its runs? The law found is then a relative of the true one.
+def is_systematic(state: GroupState) -> bool:
+    """Does a channel of an axis keep a large residual in most of its runs? Then the accepted law only resembles the true one.
 
-    Chance (which flank, when it broke away) leaves much in one run; a wrong law in all.
+    Chance (direction of contact, moment of break-away) leaves a large residual in one run; a wrong law does so in all runs.
     """
-    t = found.thresholds
+    t = state.thresholds
     levels: dict[tuple[str, str], list[float]] = {}
-    for c, u in settled_channels(found):
+    for c, u in settled_channels(state):
         if len(u) > t.enough_samples:
             levels.setdefault((c.axis, c.name), []).append(float(np.mean(u**2)))
     return any(len(runs) > 1 and float(np.median(runs)) > t.systematic for runs in levels.values())
 
 
 def is_cut(group: Group, setting: Setting) -> bool:
-    """Is the block of an effect cut out of the loop, where a channel can do that?"""
+    """Is the block of an effect isolated by a channel? True for blocks that no channel can isolate."""
     channel = CUT_BY.get(setting.effect.block)
     return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
 
 
-def unexplained(found: Found) -> float:
-    """Half the squares above noise that a fit leaves, in all or in single channels that stand out: what it does not know."""
-    standing_out = 0.0
-    for c, u in settled_channels(found):
-        if len(u) and float(np.mean(u**2)) > found.thresholds.stands_out:
-            weight = (c.spread * c.weight)[c.settled(found.group.views[c.run])]
-            standing_out += 0.5 * float(np.sum((u**2 - 1.0) * weight**2))
-    return max(sum(excess_of(found.group, found.fit).values()), standing_out)
-
-
-def loud_axes(group: Group, left: np.ndarray) -> set[str]:
-    """Axes of which `left` (row,), weighted, is more than noise and doubt in some channel. Where an axis was stuck counts as little as for
-    evidence."""
-    left = left / group.weights
+def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:
+    """Axes with a channel whose `residual` (row,), weighted, exceeds noise and model error. Samples that depend on how the axis stuck hardly count."""
+    residual = residual / group.weights
     loud = set()
     for c in group.channels:
         if c.name == "controller":
-            if not replace(c, residual=left[c.rows]).is_clean:
+            if not replace(c, residual=residual[c.rows]).is_clean:
                 loud.add(c.axis)
-        elif float(np.mean(group.credit[c.rows] * (np.square(left[c.rows] / c.spread) - 1.0))) > group.thresholds.quiet:
+        elif float(np.mean(group.credit[c.rows] * (np.square(residual[c.rows] / c.spread) - 1.0))) > group.thresholds.quiet:
             loud.add(c.axis)
     return loud
 
 
 def inflation(group: Group, fit: Fit) -> float:
-    """How much larger than noise alone the residual of a fit is (>= 1): what is not modelled discounts all evidence."""
-    left = fit.left(group)
-    return max(1.0, 0.5 * float(left @ left) / group.expected_loss)
+    """Loss of a fit over the loss of noise, at least 1. Unmodelled behaviour discounts all evidence by this factor."""
+    residual = fit.residual(group)
+    return max(1.0, 0.5 * float(residual @ residual) / group.expected_loss)

@@ -1,7 +1,7 @@
-"""Differences between machines that are no fault: parameters within `parameter_tolerance`, and normal imperfections.
+"""Normal differences between machines: parameters within `parameter_tolerance`, and normal imperfections.
 
-Both are nuisances: they are re-tuned and never reported as effects. Normal are a slightly elastic drive train and a small slip before
-break-away. If they are softer than the limits of the thresholds, they are effects.
+Both are nuisance parameters: they are fitted but never reported as effects. Normal imperfections are a slightly elastic drive train and a
+small slip before break-away. Beyond the limits in the thresholds they are effects.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ UNIFORM = 1.0 / np.sqrt(3.0)
 
 NORMAL: dict[str, str] = {effect.normal: effect.name for effect in EFFECTS.values() if effect.normal}
 NORMAL["damping"] = NORMAL["elasticity"]
-"""Normal imperfection -> the effect that it is when it is large. Springs are measured by 1 / stiffness; damping is that of the drive train."""
+"""Normal imperfection -> the effect that it is if it is large. Springs are measured by their compliance; `damping` is that of the drive train."""
 
 SPRINGS = ("elasticity", "slip")
-"""Normal imperfections with a stiffness: their compliance is never negative."""
+"""Normal imperfections with a stiffness; their compliance cannot be negative."""
 
 
 @dataclass(frozen=True)
 class Nuisance:
     """A parameter of an axis, a body whose mass and inertia scale together, or a normal imperfection of an axis.
 
-    The deviation of an imperfection counts from none: at the edge of the tolerance it has the largest normal size.
+    The deviation of an imperfection is 0 if it is absent, and the tolerance at the largest normal size.
     """
 
     owner: str
@@ -41,7 +41,7 @@ class Nuisance:
     thresholds: Thresholds = field(default=DEFAULT, repr=False, compare=False)
 
     def apply(self, machine: Machine, factor: float) -> Machine:
-        """The machine with this parameter multiplied."""
+        """The machine with this parameter multiplied by `factor`."""
         if self.quantity == "body":
             return machine.with_body(self.owner, factor)
         if self.owner not in machine.axis_names:
@@ -60,7 +60,7 @@ class Nuisance:
         return machine.with_axis(self.owner, **{TOLERANCED[self.quantity]: factor * field_value(axis, self.quantity)})
 
     def axes(self, group: Sequence[str]) -> tuple[str, ...]:
-        """The axes of a group whose motion it changes: its owner, or all axes for a body."""
+        """Axes of a group whose motion the parameter changes: its own axis, or all axes for a body."""
         return tuple(group) if self.quantity == "body" else (self.owner,)
 
     def paths(self, machine: Machine) -> list[str]:
@@ -73,7 +73,7 @@ class Nuisance:
 
 
 def _damped(machine: Machine, owner: str, factor: float) -> Machine:
-    """The machine with the damping of an elastic drive train multiplied; unchanged if that is rigid."""
+    """The machine with the damping of an elastic drive train multiplied; unchanged if the drive train is rigid."""
     changed = []
     for own in settings_of(machine):
         if own.axis == owner and own.effect.name == NORMAL["damping"]:
@@ -97,12 +97,12 @@ def _softest(machine: Machine, axis: Axis, quantity: str, thresholds: Thresholds
 
 
 def _stiffest(machine: Machine, axis: Axis) -> float:
-    """Largest stiffness that the simulation step can follow [N/m, Nm/rad]."""
+    """Largest stiffness that the simulation step resolves [N/m, Nm/rad]."""
     return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * load_inertia(machine, axis)
 
 
 def nuisances_of(machine: Machine, axes: Sequence[str], thresholds: Thresholds = DEFAULT) -> tuple[Nuisance, ...]:
-    """All toleranced parameters of a group of axes, and the bodies if it holds a rotary axis."""
+    """All toleranced parameters of a group of axes, and the bodies if the group has a rotary axis."""
     found = []
     for name in axes:
         found += [Nuisance(name, quantity, thresholds) for quantity in toleranced(machine.axis(name))]
@@ -126,7 +126,7 @@ def with_added(machine: Machine, settings: Sequence[Setting]) -> Machine:
 
 
 def tuned(nuisances: Sequence[Nuisance], deviations: np.ndarray) -> Callable[[Machine], Machine]:
-    """A function that turns a machine into the one whose nuisances deviate by these fractions (nuisance,)."""
+    """A function that maps a machine to the one whose nuisances deviate by these fractions (nuisance,)."""
 
     def machine_of(machine: Machine) -> Machine:
         for nuisance, deviation in zip(nuisances, deviations):

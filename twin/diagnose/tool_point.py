@@ -1,4 +1,4 @@
-"""How far the tool stands off in the part frame when axes are not where they should be."""
+"""Deviation of the tool point in the part frame due to position errors of the axes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from twin.recordings.trace import Trace
 from twin.simulation.gap import sensor_noise
 
 LOAD = "load_position"
-"""Signal of a simulation: where the load of an axis truly is."""
+"""Signal of a simulation: true position of the load of an axis."""
 
 
 class ToolPoint:
-    """Distances at the tool in the part frame; where a machine has no such chain, the root of the squares of its linear axes."""
+    """Distances at the tool in the part frame; for a machine without such a kinematic chain, root sum of squares of its linear axes."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -30,7 +30,7 @@ class ToolPoint:
         self._places: dict[int, tuple[Trace, np.ndarray, np.ndarray]] = {}
 
     def distance(self, base: Trace, other: Trace, axes: Sequence[str]) -> np.ndarray:
-        """Distance (sample,) [m] between the tool points of a motion and of the same one with other positions of these axes."""
+        """Distance (sample,) [m] between the tool points of two motions that differ in these axes."""
         return self._moved_by(base, {a: other.get(a, LOAD) - base.get(a, LOAD) for a in axes if other.has(a, LOAD)})
 
     def squares(self, base: Trace | None, other: Trace | None, axes: Sequence[str]) -> float:
@@ -39,20 +39,20 @@ class ToolPoint:
             return 0.0
         return float(np.mean(self.distance(base, other, axes) ** 2))
 
-    def squares_of(self, base: Trace | None, left: Trace | None, axes: Sequence[str]) -> float:
-        """Mean square [m2] that deviations of positions (a trace of `position`) make at the tool."""
-        if base is None or left is None:
+    def squares_of(self, base: Trace | None, residual: Trace | None, axes: Sequence[str]) -> float:
+        """Mean square [m2] at the tool of position deviations (a trace of `position`)."""
+        if base is None or residual is None:
             return 0.0
-        return float(np.mean(self._moved_by(base, {a: left.get(a, "position") for a in axes if left.has(a, "position")}) ** 2))
+        return float(np.mean(self._moved_by(base, {a: residual.get(a, "position") for a in axes if residual.has(a, "position")}) ** 2))
 
     def at(self, base: Trace, sample: int) -> tuple[float, ...]:
-        """Tool point [m] in the part frame at a sample of a motion; the linear axes where a machine has no such chain."""
+        """Tool point [m] in the part frame at a sample of a motion; positions of the linear axes for a machine without such a chain."""
         if self.kinematics is None:
             return tuple(float(base.get(a, LOAD)[sample]) for a in base.axes if self.machine.axis(a).kind == "linear")
         return tuple(self._place(base, self.kinematics)[2][sample].tolist())
 
     def noise_squares(self, base: Trace | None) -> float:
-        """Mean square [m2] that the noise of the position sensors of the moving axes makes at the tool."""
+        """Mean square [m2] at the tool due to the noise of the position sensors."""
         if base is None:
             return 0.0
         total = 0.0
@@ -74,7 +74,7 @@ class ToolPoint:
         return np.asarray(np.linalg.norm(self.kinematics.forward(moved)[0] - tip, axis=1))
 
     def _place(self, base: Trace, kinematics: Kinematics) -> tuple[Trace, np.ndarray, np.ndarray]:
-        """A motion with its axes (sample, 5) and its tool point (sample, 3), remembered: every contribution is held against the same ones."""
+        """A motion with its axes (sample, 5) and its tool point (sample, 3); cached, because all contributions are compared with the same motions."""
         if id(base) not in self._places:
             at = np.column_stack([base.get(a, LOAD) if base.has(a, LOAD) else np.zeros(len(base.time)) for a in AXIS_ORDER])
             self._places[id(base)] = base, at, kinematics.forward(at)[0]

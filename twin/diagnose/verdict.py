@@ -1,4 +1,4 @@
-"""The verdict on the last state: which effects, how probable, and whether something is left that no effect explains."""
+"""The verdict on the final state: effects, their probabilities, and whether an unexplained residual remains."""
 
 from __future__ import annotations
 
@@ -14,122 +14,122 @@ from twin.diagnose.fit import no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.sizes import sized, without_implausible
-from twin.diagnose.state import Candidate, Found, excess_of, expected_of, is_cut, is_systematic, localised_on
+from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_cut, is_systematic, localised_on
 from twin.effects import Setting
 from twin.machine.machine import Machine
 
 
-def probabilities_of(candidates: Sequence[Candidate], found: Found) -> list[float]:
-    """Probability of each candidate of a round against its rivals and against none of them, which has what the best one needs.
+def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list[float]:
+    """Probability of each candidate of a round compared with its rivals and with "no effect", whose evidence is what the best candidate needs.
 
-    All are 0 where the best candidate had the evidence and was refused all the same, or was accepted and removed later.
+    All are 0 if the best candidate had the evidence but was refused, or was removed later.
     """
-    t = found.thresholds
+    t = state.thresholds
     best = next((c for c in candidates if c.plausible), None)
-    if best is None or (best.evidence >= best.needed and best.key not in found.keys):
+    if best is None or (best.evidence >= best.needed and best.key not in state.keys):
         return [0.0] * len(candidates)
     evidence = np.array([c.evidence if c.plausible else -math.inf for c in candidates] + [best.needed])
     odds = np.exp((evidence - evidence.max()) / t.temperature)
     return (t.confidence * odds / odds.sum())[:-1].tolist()
 
 
-def named(found: Sequence[Found]) -> list[tuple[Setting, Found, float]]:
-    """Effects of all groups, most certain first, with their probability in the round that accepted them."""
+def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float]]:
+    """Effects of all groups, most evidence first, with their probability in the round that accepted them."""
     out = []
-    for f in found:
-        left = excess_of(f.group, f.fit)
+    for f in states:
+        residual = excess_of(f.group, f.fit)
         for setting in f.fit.settings:
             probability, gain = f.thresholds.confidence, math.inf
             for candidates in f.rounds:
                 for candidate, p in zip(candidates, probabilities_of(candidates, f)):
                     if candidate.key == setting.key:
                         probability, gain = p, candidate.gain
-            # what stands in for an unlisted law leaves about as much as it explains
-            over = max(left[setting.axis], 0.0) if f.unknown else 0.0
+            # an effect that only resembles the true law leaves about as much as it explains
+            over = max(residual[setting.axis], 0.0) if f.unknown else 0.0
             out.append((setting, f, probability * (gain / (gain + over) if math.isfinite(gain) else 1.0), gain))
     return [(s, f, p) for s, f, p, gain in sorted(out, key=lambda item: -item[3])]
 
 
-def judged(found: Found, machine: Machine, mapper: Mapper, quick: bool = False) -> Found:
-    """The last state: without effects of sizes that no machine has, sized (unless `quick`), and with whether something is unexplained."""
-    found = without_implausible(found, machine, mapper)
-    unknown = is_unknown(found)
+def judged(state: GroupState, machine: Machine, mapper: Mapper, quick: bool = False) -> GroupState:
+    """The final state: without implausible effects, sized (unless `quick`), and with the flag for an unexplained residual."""
+    state = without_implausible(state, machine, mapper)
+    unknown = is_unknown(state)
     if quick:
-        return with_zeros_out(replace(found, unknown=unknown))
-    final = sized(found, machine, mapper)
-    if len(final.fit.settings) < len(found.fit.settings):  # what was explained by one that is gone is left again
+        return with_zeros_out(replace(state, unknown=unknown))
+    final = sized(state, machine, mapper)
+    if len(final.fit.settings) < len(state.fit.settings):  # the residual of a removed effect is unexplained again
         unknown = unknown or is_unknown(final)
     return with_zeros_out(replace(final, unknown=unknown))
 
 
-def with_zeros_out(found: Found) -> Found:
-    """The state about records whose encoders have a common zero: a constant of each run between them is fitted, never a fault."""
-    group, known = found.group, len(found.tuning.nuisances)
-    columns, theta = found.tuning.jacobian[:, known:], found.fit.tuning[known:]
+def with_zeros_out(state: GroupState) -> GroupState:
+    """The state with fitted encoder zeros removed from the residuals: a constant between the encoders in each run is no fault."""
+    group, count = state.group, len(state.tuning.nuisances)
+    columns, theta = state.tuning.jacobian[:, count:], state.fit.tuning[count:]
     offset = columns @ theta / group.weights
     zeros = {(c.axis, c.run): float(offset[c.rows][0]) for c in group.channels if c.name == "motor_minus_scale"}
 
     def shifted(of: Group) -> Group:
         return replace(of, channels=[replace(c, residual=c.residual - offset[c.rows]) for c in of.channels])
 
-    group, rigid = shifted(found.group), shifted(found.rigid)
-    tuning = np.concatenate([found.fit.tuning[:known], np.zeros(len(theta))])
-    fit = replace(found.fit, tuning=tuning, loss=found.tuning.loss(group.residual - found.fit.response))
-    return replace(found, group=group, rigid=rigid, fit=fit, retuned=no_effect(group, found.tuning), zeros=zeros)
+    group, rigid = shifted(state.group), shifted(state.rigid)
+    tuning = np.concatenate([state.fit.tuning[:count], np.zeros(len(theta))])
+    fit = replace(state.fit, tuning=tuning, loss=state.tuning.loss(group.residual - state.fit.response))
+    return replace(state, group=group, rigid=rigid, fit=fit, retuned=no_effect(group, state.tuning), zeros=zeros)
 
 
-def is_unknown(f: Found) -> bool:
-    """Is something left of a group of axes that no effect found explains?
+def is_unknown(state: GroupState) -> bool:
+    """Is there a residual on an axis of the group that the effects found do not explain?
 
-    Also where an effect has another size in each run, or where only parameters far outside the tolerance explain the gap. Each axis is
-    judged by itself: a quiet one does not make up for a loud one.
+    Also true if an effect has different sizes in different runs, or if only parameters far outside the tolerance explain the gap. Each axis is
+    judged by itself: an axis with a small residual does not compensate one with a large residual.
     """
-    group, t = f.group, f.thresholds
-    before, after = excess_of(group, f.retuned), excess_of(group, f.fit)
-    localised = localised_on(f)
+    group, t = state.group, state.thresholds
+    before, after = excess_of(group, state.retuned), excess_of(group, state.fit)
+    localised = localised_on(state)
     above = [e for axis, e in after.items() if e > (0.0 if axis in localised else t.noticed_excess * expected_of(group, axis))]
     if sum(above) > t.remaining * sum(max(e, 0.0) for e in before.values()):
         return True
-    beyond = beyond_tolerance(f) - max(sum(after.values()), 0.0)
-    return is_systematic(f) or differs_between_runs(f) or beyond > t.noticed_excess * group.expected_loss
+    beyond = beyond_tolerance(state) - max(sum(after.values()), 0.0)
+    return is_systematic(state) or differs_between_runs(state) or beyond > t.noticed_excess * group.expected_loss
 
 
-def differs_between_runs(found: Found) -> bool:
-    """Would single runs give an effect found another size, by more than chance and more than the twin is trusted?
+def differs_between_runs(state: GroupState) -> bool:
+    """Do single runs give an effect a different size, by more than chance and model error?
 
-    With c the slope of the fit over the size and r what the fit leaves, run k alone asks for a step (c_k' r_k) / (c_k' c_k), known to
-    1 / sqrt(c_k' c_k). An effect has one size; what stands in for another law has one for each motion. Together these steps must bring the
-    evidence that an effect has to. Not asked where the block was not cut: there all that is imperfect in the loop bends the size. Nor where
-    an axis was stuck: a break-away is another one in each run.
+    With c the slope of the fit over the size and r its residual, run k alone gives the step (c_k' r_k) / (c_k' c_k) with the standard deviation
+    1 / sqrt(c_k' c_k). An effect has one size; an effect that resembles another law has one for each motion. Together the steps must have the
+    evidence that an effect needs. Effects in blocks that are not isolated are not tested, because all model errors of the loop bias their size.
+    Samples that depend on how an axis stuck are excluded: each break-away is different.
     """
-    group, t = found.group, found.thresholds
-    left = found.fit.left(group)
+    group, t = state.group, state.thresholds
+    residual = state.fit.residual(group)
     settled = np.zeros(group.size, bool)
     for c in group.channels:
         settled[c.rows] = c.settled(group.views[c.run])
-    for i, free in enumerate(found.fit.free):
-        setting = found.fit.settings[free.setting]
+    for i, free in enumerate(state.fit.free):
+        setting = state.fit.settings[free.setting]
         if free.parameter is not setting.effect.size or not is_cut(group, setting):
             continue
         steps, gain = [], 0.0
         for run in range(len(group.views)):
             rows = group.run_rows(run) & settled
-            slope = found.fit.columns[rows, i]
-            known = float(slope @ slope)
-            if known > 0.0:
-                step = float(slope @ left[rows]) / known
-                if abs(step) * math.sqrt(known) > t.beyond_chance:
+            slope = state.fit.columns[rows, i]
+            information = float(slope @ slope)
+            if information > 0.0:
+                step = float(slope @ residual[rows]) / information
+                if abs(step) * math.sqrt(information) > t.beyond_chance:
                     steps.append(step)
-                    gain += 0.5 * step**2 * known
-        relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(found.fit.settings)), 1e-30)
-        earned = len(steps) > 1 and gain > evidence_needed(found, setting, len(group.views))
-        if earned and (max(steps) - min(steps)) * relative > t.one_size:
+                    gain += 0.5 * step**2 * information
+        relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(state.fit.settings)), 1e-30)
+        has_evidence = len(steps) > 1 and gain > evidence_needed(state, setting, len(group.views))
+        if has_evidence and (max(steps) - min(steps)) * relative > t.one_size:
             return True
     return False
 
 
-def verdict_of(found: Sequence[Found], settings: Sequence[Any]) -> str:
-    """'effect', 'none', or 'unknown' where something is left that no effect explains."""
-    if any(f.unknown for f in found):
+def verdict_of(states: Sequence[GroupState], settings: Sequence[Any]) -> str:
+    """'effect', 'none', or 'unknown' if a residual remains that no effect explains."""
+    if any(f.unknown for f in states):
         return "unknown"
     return "effect" if settings else "none"

@@ -1,4 +1,4 @@
-"""One measured run as the diagnosis sees it: trace, machine in this run, and nominal motion."""
+"""A measured run as the diagnosis uses it: trace, machine of this run, nominal motion."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class RunView:
     setpoints: Setpoints  # all axes of the machine
     motion: Motion  # nominal motion of all axes
     started_at: float
-    feedforward: str | None = None  # of this run
+    feedforward: str | None = None  # feedforward of this run
     thresholds: Thresholds = field(default=DEFAULT, repr=False)
-    own_zeros: frozenset[str] = frozenset()  # those of the run
-    ballbar: Ballbar | None = None  # that of the run
+    own_zeros: frozenset[str] = frozenset()  # axes whose encoder zeros differ in this run
+    ballbar: Ballbar | None = None  # ballbar that measured this run
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -45,7 +45,7 @@ class RunView:
         return self.references[name]
 
     def rows_of(self, name: str, channel: str) -> np.ndarray:
-        """True (sample,) for the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, or all."""
+        """Mask (sample,) of the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, or all."""
         if channel in ("motor_minus_scale", "current"):
             return self.reference(name)[2]
         if channel == "position" and self.ballbar is not None and name in self.ballbar.axes:
@@ -54,38 +54,38 @@ class RunView:
 
     @functools.cached_property
     def pushed(self) -> frozenset[str]:
-        """Axes whose set point stands still while motor minus scale follows the motion of another axis."""
+        """Axes with a constant set point whose motor minus scale follows the motion of another axis."""
         return frozenset(name for name in self.trace.axes if _follows_another(self, name))
 
     @functools.cached_property
     def on_cycles(self) -> bool:
-        """Is the sample period a whole part or multiple of the position cycle? Only then does the record hold the samples of the controllers."""
+        """Is the sample period a divisor or a multiple of the position cycle? Only then are the samples of the controllers recorded."""
         period, cycle = self.trace.period, self.machine.position_cycle
         cycles = max(period / cycle, cycle / period)
         return simulated_period(self.machine, period) == period and abs(cycles / round(cycles) - 1.0) < SAME_PERIOD
 
     @property
     def on_each_cycle(self) -> bool:
-        """Does the record hold a sample of each position cycle? A slower one lacks the speed set points between its samples."""
+        """Is there a sample for each position cycle? A slower record lacks speed set points."""
         return self.on_cycles and self.trace.period < self.machine.position_cycle * (1.0 + SAME_PERIOD)
 
     def moves(self, name: str) -> bool:
-        """Does the axis move in this run: by its set point, or because another axis pushes it?"""
+        """Does the axis move in this run, by its own set point or pushed by another axis?"""
         return self.trace.moves(name) or name in self.pushed
 
 
 def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT) -> RunView:
-    """A run with the nominal motion along which the decoupled plant is linearised.
+    """A run with the nominal motion about which the decoupled plant is linearised.
 
-    The position of a linear axis is its delayed set point. Inertia and gravity depend on the rotary axes, so their motion is simulated:
-    in the decoupled plant along the delayed set points.
+    The position of a linear axis is its delayed set point. Inertia and gravity depend on the rotary axes, so their motion is simulated with
+    the decoupled plant along the delayed set points.
     """
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
     times = np.arange(len(setpoints.position)) * setpoints.period
     position = setpoints.position.copy()
     for a, axis in enumerate(actual.axes):
-        # an axis lags behind its set point by the delays and, without feedforward, by 1 / Kv
+        # lag: the delays and, without feedforward, 1 / Kv
         loops = axis.loops
         lag = loops.set_point_delay_s + (1.0 - min(loops.velocity_feedforward, 1.0)) / loops.position_gain_per_s
         position[:, a] = setpoints.at(times - lag)[:, a]
@@ -108,13 +108,6 @@ def _motion(position: np.ndarray, period: float) -> Motion:
     return Motion(position, speed, np.gradient(speed, period, axis=0), period)
 
 
-FOLLOWED = 0.8
-"""Share of the squares of motor minus scale that the motion of other axes must explain where an axis is pushed by one."""
-
-PUSHED = 5.0
-"""Multiple of the noise of both encoders that motor minus scale must move by."""
-
-
 def _follows_another(view: RunView, name: str) -> bool:
     trace = view.trace
     if trace.moves(name) or not has_both(trace, name):
@@ -122,21 +115,21 @@ def _follows_another(view: RunView, name: str) -> bool:
     moving = [other for other in trace.axes if trace.moves(other)]
     apart = motor_minus_scale(trace, name)
     apart = apart - apart.mean()
-    if not moving or float(np.std(apart)) < PUSHED * encoders_noise(view.machine, view.machine.axis(name)):
+    if not moving or float(np.std(apart)) < view.thresholds.pushed * encoders_noise(view.machine, view.machine.axis(name)):
         return False
     columns = np.column_stack([np.ones(len(apart)), *(trace.get(other, "setpoint") for other in moving)])
-    left = apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0]
-    return float(left @ left) < (1.0 - FOLLOWED) * float(apart @ apart)
+    residual = apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0]
+    return float(residual @ residual) < (1.0 - view.thresholds.followed) * float(apart @ apart)
 
 
 def _command(view: RunView, axis: Axis) -> np.ndarray:
-    """Velocity feedforward at the sample times (sample,) [axis units a second]."""
+    """Velocity feedforward at the sample times (sample,) [axis units per second]."""
     tp, d = view.machine.position_cycle, axis.loops.feedforward_delay_s
     if axis.loops.velocity_feedforward == 0.0:
         return np.zeros(len(view.trace.time))
-    beside = view.setpoints.part((view.machine.axis_names.index(axis.name),)).fed_at(view.trace.time - view.trace.time[0])
+    added = view.setpoints.part((view.machine.axis_names.index(axis.name),)).fed_at(view.trace.time - view.trace.time[0])
     slope = (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
-    return axis.loops.velocity_feedforward * slope + (beside[:, 0] if isinstance(beside, np.ndarray) else beside)
+    return axis.loops.velocity_feedforward * slope + (added[:, 0] if isinstance(added, np.ndarray) else added)
 
 
 def _delayed(view: RunView, axis: Axis) -> np.ndarray:
@@ -144,7 +137,7 @@ def _delayed(view: RunView, axis: Axis) -> np.ndarray:
 
 
 def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
-    """Set point (sample,) a `delay` [s] earlier, interpolated as this control does."""
+    """Set point (sample,) `delay` [s] earlier, interpolated as the control interpolates."""
     times = view.trace.time - view.trace.time[0]
     a = view.machine.axis_names.index(axis.name)
     linear = view.machine.setpoint_interpolation == "linear"
@@ -153,9 +146,9 @@ def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
 
 
 def rests(view: RunView, name: str, after_s: float) -> np.ndarray:
-    """True (sample,) where an axis is at rest or broke away less than `after_s` ago.
+    """Mask (sample,) of the samples at which an axis is at rest or broke away less than `after_s` ago.
 
-    Along the circle of a ballbar no axis rests: where one turns round, the circle goes on, and what a bar shows of it is not chance.
+    On the circle of a ballbar no axis counts as resting: the circle continues while one axis reverses, and the bar measures it.
     """
     if view.ballbar is not None:
         return np.zeros(len(view.trace.time), bool)

@@ -1,11 +1,11 @@
-"""The gap step by step: as the machine file says, re-tuned within tolerance, with each effect.
+"""The gap step by step: machine file, re-tuned within tolerance, with each effect.
 
-The first and the last level are measured on runs left out (`gap.before`, `gap.after`). The levels between them come from the fit.
-With E the mean square of an axis' residual over noise in the fit, step k of an axis has
+The first and the last level are measured on held-out runs (`gap.before`, `gap.after`). The levels in between are interpolated by the fit.
+With E the mean square residual over noise of an axis in the fit, step k of the axis has
 
     level_k^2 = after^2 + (E_k - E_end) / (E_0 - E_end) (before^2 - after^2)
 
-and the gap the root of the mean of that over the axes.
+and the gap is the root mean square over the axes.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ import numpy as np
 
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.fit import Fit
-from twin.diagnose.state import Found, Key
+from twin.diagnose.state import GroupState, Key
 from twin.diagnose.wording import effect_title
 
 Ends = Mapping[str, tuple[float, float]]
 """Axis -> squared gap over noise before and after correction."""
 
 
-def waterfall(state: Sequence[Found], ends: Ends, tolerance: float) -> list[tuple[str, float]]:
-    """Levels of the gap in multiples of noise: before, re-tuned, after each effect. The last is the gap that is left.
+def waterfall(state: Sequence[GroupState], ends: Ends, tolerance: float) -> list[tuple[str, float]]:
+    """Gap in multiples of noise: before, re-tuned, after each effect. The last level is the gap that remains.
 
-    `state` is the last state of each group of axes, `tolerance` that of the machine's parameters (a fraction).
+    `state` holds the final state of each group of axes, `tolerance` that of the machine's parameters (a fraction).
     """
     current = {axis: before for axis, (before, _) in ends.items()}
     steps: list[tuple[str, float]] = []
 
-    def step(label: str, found: Found | None = None, fit: Fit | None = None) -> None:
+    def step(label: str, found: GroupState | None = None, fit: Fit | None = None) -> None:
         if found is not None:
             current.update(_levels_after(found, fit, ends))
         square = float(np.mean(list(current.values()))) if current else 1.0
@@ -39,10 +39,10 @@ def waterfall(state: Sequence[Found], ends: Ends, tolerance: float) -> list[tupl
             steps.pop()
         steps.append((label, float(np.sqrt(square))))
 
-    step("as the machine file says")
+    step("machine file")
     for found in state:
         step("re-tuned within tolerance", found, retuned_within(found, tolerance))
-    # groups of axes do not touch each other: the one whose effects close most comes first
+    # groups of axes are independent: the one whose effects close most comes first
     for found in sorted(state, key=lambda f: sum(ends[a][1] - ends[a][0] for a in f.group.axes if a in ends)):
         for label, fit in _accepted(found):
             step(label, found, fit)
@@ -50,14 +50,14 @@ def waterfall(state: Sequence[Found], ends: Ends, tolerance: float) -> list[tupl
 
 
 def retuning_share(steps: Sequence[tuple[str, float]]) -> float:
-    """Share of the squared gap above noise that re-tuning closes, of the steps of a waterfall."""
+    """Share of the squared gap above noise that re-tuning closes, from the steps of a waterfall."""
     levels = [level**2 for _, level in steps]
     return min(max((levels[0] - levels[1]) / (levels[0] - 1.0), 0.0), 1.0) if len(levels) > 1 and levels[0] > 1.0 else 0.0
 
 
-def _levels_after(found: Found, fit: Fit | None, ends: Ends) -> dict[str, float]:
-    """Squared level of each axis of a group after a step: the fit's share between the measured ends."""
-    first, now, last = (_axis_squares(found, f) for f in (None, fit, found.fit))
+def _levels_after(state: GroupState, fit: Fit | None, ends: Ends) -> dict[str, float]:
+    """Squared level of each axis of a group after a step, interpolated between the measured ends."""
+    first, now, last = (_axis_squares(state, f) for f in (None, fit, state.fit))
     out = {}
     for axis, (before, after) in ends.items():
         if axis in now:
@@ -67,31 +67,31 @@ def _levels_after(found: Found, fit: Fit | None, ends: Ends) -> dict[str, float]
     return out
 
 
-def _accepted(found: Found) -> list[tuple[str, Fit]]:
-    """The fits of the rounds by which effects came in; the last is the final one."""
+def _accepted(state: GroupState) -> list[tuple[str, Fit]]:
+    """The fits of the rounds that accepted effects; the last one is the final fit."""
     steps: list[tuple[str, Fit]] = []
-    known: set[Key] = set()
-    for fit in found.accepted:
-        new = [s for s in fit.settings if s.key in found.keys - known]
-        known |= {s.key for s in fit.settings}
+    seen: set[Key] = set()
+    for fit in state.accepted:
+        new = [s for s in fit.settings if s.key in state.keys - seen]
+        seen |= {s.key for s in fit.settings}
         if not new:
             continue
         title = effect_title({"effect": new[0].effect.name, "axis": new[0].axis, "from_axis": new[0].from_axis})
         steps.append((title if len(new) == 1 else f"{title} and {len(new) - 1} more", fit))
-    return [*steps[:-1], (steps[-1][0], found.fit)] if steps else []
+    return [*steps[:-1], (steps[-1][0], state.fit)] if steps else []
 
 
-def _axis_squares(found: Found, fit: Fit | None) -> dict[str, float]:
-    """Mean square of residual over noise of each axis over its runs and measured signals, `fit` None: the nominal machine."""
-    left = found.group.residual.copy()
+def _axis_squares(state: GroupState, fit: Fit | None) -> dict[str, float]:
+    """Mean square residual over noise of each axis over runs and measured signals; `fit` None: the nominal machine."""
+    residual = state.group.residual.copy()
     if fit is not None:
-        left -= fit.response
-        # a later round may have found another normal imperfection: then what was re-tuned belongs to other nuisances
-        known = len(fit.tuning) == found.tuning.jacobian.shape[1]
-        left -= fit.retuning if known else found.tuning.jacobian @ found.tuning.solve(left)
+        residual -= fit.response
+        # a later round may have other normal imperfections, so that the coefficients belong to other nuisances
+        same_nuisances = len(fit.tuning) == state.tuning.jacobian.shape[1]
+        residual -= fit.retuning if same_nuisances else state.tuning.jacobian @ state.tuning.solve(residual)
     squares: dict[str, list[float]] = {}
-    for channel in found.group.channels:
-        if channel.name != "controller":  # motor_minus_scale stands for the motor encoder
-            normed = left[channel.rows] / channel.weight / channel.sigma
+    for channel in state.group.channels:
+        if channel.name != "controller":  # motor_minus_scale represents the motor encoder
+            normed = residual[channel.rows] / channel.weight / channel.sigma
             squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
     return {axis: float(np.mean(values)) for axis, values in squares.items()}

@@ -1,4 +1,4 @@
-"""Where the gap lies: axis, block, regime, runs, stretch, frequency band, and what the residual scales with."""
+"""Location of the gap: axis, block, regime, runs, interval, frequency band, and the regressor of the residual."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import numpy as np
 
 from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, samples_of, scaling
 from twin.diagnose.cross_validation import retuned_within
+from twin.diagnose.gap_share import share_of_gap
 from twin.diagnose.observe import Group
-from twin.diagnose.seen import share_of_gap
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
 from twin.machine.machine import Machine
 
-NOT_SEEN = 1e-3
-"""Share given to the block of a found effect when its own residual shows nothing."""
+LEAST_SHARE = 1e-3
+"""Share of the block of an effect whose own residual is that of noise."""
 
 
 def places(
-    found: Sequence[Found], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
+    states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
 ) -> list[dict[str, Any]]:
-    """Places of the gap, largest share first. Blocks in which an effect was found lead their axis.
+    """Places of the gap, largest share first. Blocks with an effect lead their axis.
 
-    Each group's machine is first re-tuned within its tolerance, because that is no fault of a block. `weights` is the squared gap above
-    noise of each axis. A group is skipped if nothing was found in it and its gap is negligible.
+    The machine of each group is first re-tuned within its tolerance, because that is no fault of a block. `weights` is the squared gap above
+    noise of each axis. Groups without an effect and with a negligible gap are skipped.
 
-    A fault in one block changes the inputs of the other blocks, but not their laws. A block is listed if its law fails and if that failure
-    makes a noticeable share of the gap in position or current (`share_of_gap`).
+    A fault in one block changes the inputs of the other blocks, but not their laws. A block is listed if its law fails and if this causes a
+    noticeable share of the gap in position or current (`share_of_gap`).
     """
     listed: list[dict[str, Any]] = []
-    least = max((f.thresholds.next_to_none for f in found), default=0.0) * max(weights.values(), default=0.0)
+    least = max((f.thresholds.negligible_gap for f in states), default=0.0) * max(weights.values(), default=0.0)
     with ThreadPoolExecutor(threads) as pool:
-        for f in found:
+        for f in states:
             group = f.group
             if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
                 continue
@@ -48,9 +48,9 @@ def places(
                 if level > f.thresholds.noticed_square and share > f.thresholds.place_share:
                     listed.append(_place(group, axis, block, parts, share, level))
     for setting in settings:
-        _lead(listed, setting, machine)
-    _gather(listed, found[0].thresholds.echo if found else 0.0)
-    # each axis gets the weight of its gap; its blocks divide it by their shares
+        _assign_effect(listed, setting, machine)
+    _merge_echoes(listed, states[0].thresholds.echo if states else 0.0)
+    # an axis has the weight of its gap, divided among its blocks by their shares
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         total = sum(p["_share"] for p in mine) or 1.0
@@ -62,29 +62,28 @@ def places(
     return sorted(listed, key=lambda p: -p["share"])
 
 
-def left_of(found: Found, axis: str) -> tuple[str, str]:
-    """Block in which most of what the last fit leaves of an axis shows, and what that scales with ('-': nothing)."""
-    group = found.group
-    left = found.fit.left(group) / group.weights
+def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
+    """Block of an axis with the largest residual of the last fit, and the regressor of that residual ('-': none)."""
+    group = state.group
+    residual = state.fit.residual(group) / group.weights
     parts: dict[str, list[BlockResidual]] = {}
     for c in group.channels:
         if c.axis != axis or c.name in ("position", "velocity"):
-            continue  # they follow what the others show
+            continue  # they follow the other channels
         index = samples_of(c, group.views[c.run])
-        if len(index) == len(left[c.rows]):
+        if len(index) == len(residual[c.rows]):
             block = CHANNEL_SHOWS.get(c.name, "mechanics")
-            parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, left[c.rows], float(np.mean(c.sigma)), index))
+            parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, residual[c.rows], float(np.mean(c.sigma)), index))
     if not parts:
         return "mechanics", "-"
     block = max(parts, key=lambda b: sum(p.excess for p in parts[b]))
     return block, _scales_with(group, axis, parts[block])
 
 
-def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
-    """Assign a listed place to the block of a found effect.
+def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
+    """Assign an effect to a listed place on its axis, and name the place after the block of the effect.
 
-    The recorded signals do not separate every block: current loop and mechanics share the force balance, transmission and measurement
-    share motor minus scale. Among such neighbours the block of the found effect is the right one. A block without a place gets one.
+    An effect without a matching place is listed as a new one with the share `LEAST_SHARE`.
     """
     block, axis = setting.effect.block, setting.axis
     # two P controllers in series are recorded as one law
@@ -105,12 +104,12 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
                 place["effect"] = setting.effect.name
                 return
     if any(place["block"] == block for place in mine):
-        return  # a larger effect leads there
+        return  # a larger effect is already assigned to it
     listed.append(
         {
             "axis": axis,
             "block": block,
-            "_share": NOT_SEEN,
+            "_share": LEAST_SHARE,
             "scales_with": "-",
             "regime": "all",
             "runs": [],
@@ -120,8 +119,8 @@ def _lead(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> N
     )
 
 
-def _gather(listed: list[dict[str, Any]], echo: float) -> None:
-    """Move most of the share of the other blocks of an axis to its largest block with an effect: what they show is mostly its echo.
+def _merge_echoes(listed: list[dict[str, Any]], echo: float) -> None:
+    """Move most of the share of blocks without an effect to the largest block of the axis with one: their residual is mostly a consequence of it.
 
     `echo` is the share that they keep.
     """
@@ -160,7 +159,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
 
 
 def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
-    """The regime that holds most of the excess, also per sample; 'all' if none stands out."""
+    """The regime with most of the excess, in total or per sample; 'all' if none dominates."""
     energy, count = dict.fromkeys(REGIMES, 0.0), dict.fromkeys(REGIMES, 0)
     for part in parts:
         masks = regime_masks(group.views[part.run], axis)
@@ -180,7 +179,7 @@ def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 
 
 def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
-    """The regressor that explains most of a block's residual; '-' where none explains a tenth."""
+    """The regressor that explains most of a block's residual; '-' if none explains a tenth."""
     names = group.views[0].machine.axis_names
     best, best_share = "-", group.thresholds.scales_share
     shares: dict[str, list[float]] = {}
@@ -188,7 +187,7 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     sums: dict[str, tuple[float, float]] = {}
     for part in parts:
         view = group.views[part.run]
-        # only a force can have a constant residual: encoders have arbitrary zeros
+        # only a force has a meaningful constant residual: zeros of encoders are arbitrary
         force = part.block in ("mechanics", "current loop")
         residual = part.residual if force else part.residual - part.residual.mean()
         for name, regressor in scaling(view, axis, part.index, names).items():
@@ -206,11 +205,11 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 
 
 def _stretch(part: BlockResidual, period: float, stretch_s: float) -> tuple[int, int]:
-    """First and last sample of the stretch with the most excess: `stretch_s` long, at most a third of the run."""
+    """First and last sample of the interval with the largest excess: `stretch_s` long, at most a third of the run."""
     n = len(part.residual)
     step = float(np.median(np.diff(part.index))) * period if n > 1 else period
     width = max(10, min(n // 3, round(stretch_s / step)))
-    # a changing residual counts more than a constant one
+    # a varying residual counts more than a constant one
     ones = np.ones(width)
     energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width
     at = int(np.argmax(energy)) if len(energy) else 0

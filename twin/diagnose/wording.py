@@ -1,4 +1,4 @@
-"""Sentences and names of a diagnosis: effects with their places, parameters with their intervals, the verdict."""
+"""Sentences and names of a diagnosis: effects with their axes, parameters with their intervals, the verdict."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from twin.effects import EFFECTS, Parameter
 from twin.effects.readable import interval_text, parameter_label
 
 MANY = 10
-"""Effects of one axis from which they are no longer listed one by one."""
+"""Number of effects of one axis above which they are not listed one by one."""
 
 FEW = 3
-"""Effects that a sentence names; of more it names so many, the largest."""
+"""Largest number of effects in a sentence; of more effects, the sentence names this many, largest first."""
 
 
 def parameters_of(entry: dict[str, Any]) -> list[dict[str, str]]:
@@ -25,7 +25,7 @@ def parameters_of(entry: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def _parameter(entry: dict[str, Any], name: str) -> Parameter | None:
-    """The parameter of an entry's effect; None for one that the library does not know."""
+    """The parameter of an entry's effect; None for an effect outside the library."""
     effect = EFFECTS.get(entry["effect"])
     return next((p for p in effect.parameters if p.name == name), None) if effect else None
 
@@ -41,37 +41,37 @@ def effect_title(entry: dict[str, Any]) -> str:
 
 
 def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
-    """The answer in one sentence; `numbers`: with the first parameter of each effect."""
+    """The verdict in one sentence; with `numbers`, including the first parameter of each effect."""
     if document["verdict"] == "none":
-        return "No effect: within its tolerance and noise the machine does what its file says."
+        return "No effect: the machine agrees with its file within tolerance and noise."
     if document.get("decided") is False:
         left = document["gap"]["after"]
-        return f"Not decided: a quick look finds no effect, but leaves {left:.3g} times the noise; diagnose without --quick."
+        return f"Not decided: the quick look found no effect, but the gap is {left:.3g} times the noise; diagnose without --quick."
     effects = document["effects"]
     named = effects[: FEW if len(effects) > FEW else None]
     names = listed([effect_title(e) + (f" ({headline_number(e)})" if numbers else "") for e in named])
     if len(effects) > FEW:
-        names = f"{len(effects)} effects, at the tool point most of all {names}"
+        names = f"{len(effects)} effects, the largest at the tool point being {names}"
     if document["verdict"] == "effect":
         return f"The gap comes from {names}."
     laws = listed([law["sentence"] for law in document.get("laws", ())])
     if document["verdict"] == "law":
-        return f"A law that no effect describes: {laws}" + (f"; beside it {names}." if names else ".")
+        return f"A law that no effect describes: {laws}" + (f"; in addition {names}." if names else ".")
     place = document["where"][0] if document["where"] else None
     at = f" in the {place['block']} of axis {place['axis']}, scaling with {place['scales_with']}" if place else ""
     parts = listed([part for part in (names, laws) if part])
-    return f"Unknown: something that no known effect explains{at}" + (f"; part of the gap is {parts}." if parts else ".")
+    return f"Unknown: no known effect explains the gap{at}" + (f"; part of it is {parts}." if parts else ".")
 
 
 def headline_number(entry: dict[str, Any]) -> str:
-    """The first parameter of an effect in few digits: '12.6 um'."""
+    """The first parameter of an effect with few digits: '12.6 um'."""
     for name, p in entry["parameters"].items():
         return interval_text(p["unit"], p["value"], p["value"], p["value"], _parameter(entry, name))[0]
     return ""
 
 
 def percent(share: float) -> str:
-    """A share in per cent, never a certainty that was not computed."""
+    """A share in per cent; never 0 % or 100 % by rounding."""
     if 0.0 < share < 0.005:
         return "< 1 %"
     if 0.995 < share <= 1.0:
@@ -85,7 +85,7 @@ def times(level: float) -> str:
 
 
 def sentence_case(text: str) -> str:
-    """The first letter large, the others as they are."""
+    """The text with an upper-case first letter."""
     return text[:1].upper() + text[1:]
 
 
@@ -95,7 +95,7 @@ def listed(words: Sequence[str]) -> str:
 
 
 def unseen_text(document: dict[str, Any]) -> str:
-    """Effects that these runs and signals would not show, with their axes; of an axis that hardly moves they are too many to be listed."""
+    """Effects that are not visible in these runs and signals, with their axes; axes with many of them are summarised."""
     by_axis: dict[str, set[str]] = {}
     unseen = document["not_visible"] or []
     for e in unseen:

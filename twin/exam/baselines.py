@@ -19,9 +19,9 @@ import numpy as np
 
 from twin.diagnose.candidates import starts_of
 from twin.diagnose.channel import Channel
-from twin.diagnose.fit import answer
+from twin.diagnose.fit import simulated_response
 from twin.diagnose.observe import Group
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
@@ -31,7 +31,7 @@ NOTICED = 0.12
 NOTHING: dict[str, Any] = {"verdict": "none", "effect": None, "axis": None}
 
 
-def baselines_of(found: Sequence[Found], machine: Machine) -> dict[str, dict[str, Any]]:
+def baselines_of(found: Sequence[GroupState], machine: Machine) -> dict[str, dict[str, Any]]:
     """Answer of each method by its name."""
     return {"re-tuning": _retuning(found), "nearest signature": _nearest(found, machine), "sparse regression": _sparse(found)}
 
@@ -42,16 +42,16 @@ def _above_noise(group: Group, rows: np.ndarray) -> bool:
     return float(rows @ rows) > (1.0 + NOTICED) * sum(len(c.residual) / c.correlation for c in group.channels)
 
 
-def _retuning(found: Sequence[Found]) -> dict[str, Any]:
-    left = any(_above_noise(f.group, f.retuned.left(f.group)) for f in found)
+def _retuning(found: Sequence[GroupState]) -> dict[str, Any]:
+    left = any(_above_noise(f.group, f.retuned.residual(f.group)) for f in found)
     return {**NOTHING, "verdict": "unknown" if left else "none"}
 
 
-def _shows(f: Found) -> bool:
+def _shows(f: GroupState) -> bool:
     return _above_noise(f.rigid, f.rigid.residual)
 
 
-def _nearest(found: Sequence[Found], machine: Machine) -> dict[str, Any]:
+def _nearest(found: Sequence[GroupState], machine: Machine) -> dict[str, Any]:
     best, said = 0.0, NOTHING
     for f in found:
         if not _shows(f):
@@ -59,7 +59,7 @@ def _nearest(found: Sequence[Found], machine: Machine) -> dict[str, Any]:
         residual = f.rigid.in_noise(f.rigid.residual)
         for start in starts_of(f.rigid, machine, f.rigid.residual):
             try:
-                signature = f.rigid.in_noise(answer(f.rigid, [start.settings[0]]))
+                signature = f.rigid.in_noise(simulated_response(f.rigid, [start.settings[0]]))
             except TwinError:
                 continue
             square = float(signature @ signature)
@@ -69,7 +69,7 @@ def _nearest(found: Sequence[Found], machine: Machine) -> dict[str, Any]:
     return said
 
 
-def _sparse(found: Sequence[Found]) -> dict[str, Any]:
+def _sparse(found: Sequence[GroupState]) -> dict[str, Any]:
     best, said = 0.0, NOTHING
     for f in found:
         for axis in f.group.axes:

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.diagnose.candidates import Start, starts_of
-from twin.diagnose.fit import answer
+from twin.diagnose.fit import simulated_response
 from twin.diagnose.next_measurement import KINDS, move_of
 from twin.diagnose.observe import Group, axis_groups, observe
 from twin.diagnose.settings import DEFAULT
@@ -113,7 +113,7 @@ def starts_by_key(group: Group, machine: Machine) -> dict[Key, Start]:
 
 def _columns(group: Group, start: Start) -> np.ndarray | None:
     try:
-        return np.stack([answer(group, [s]).astype(np.float32) for s in start.settings], axis=1)
+        return np.stack([simulated_response(group, [s]).astype(np.float32) for s in start.settings], axis=1)
     except TwinError:
         return None
 

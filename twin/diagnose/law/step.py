@@ -10,7 +10,7 @@ from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
 from twin.diagnose.law.keep import Say
 from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -51,7 +51,7 @@ def share_left(before: float, after: float) -> float:
     return max(after**2 - 1.0, 0.0) / max(before**2 - 1.0, 1e-300)
 
 
-def explained_by_many(found: Found, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+def explained_by_many(found: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
     """Do many effects of each loud axis of a group explain runs left out down to noise?
 
     What is missing beside many small effects bends the sizes of the others: that they differ between runs is then no sign of a law.
@@ -63,7 +63,7 @@ def explained_by_many(found: Found, before: Mapping[str, float], after: Mapping[
 
 
 def laws_beside(
-    found: Sequence[Found],
+    found: Sequence[GroupState],
     before: Mapping[str, float],
     after: Mapping[str, float],
     loudest: Mapping[str, float],
@@ -97,12 +97,12 @@ def laws_beside(
                 yield laws_of(groups, machine, corrected, asked, folds, without, mapper, say)
 
 
-def _recorded(found: Found) -> list[str]:
+def _recorded(found: GroupState) -> list[str]:
     """Axes of a group of which more was recorded than set points."""
     return [axis for axis in found.group.axes if any(channel.axis == axis for channel in found.group.channels)]
 
 
-def _effects(found: Found, axis: str) -> int:
+def _effects(found: GroupState, axis: str) -> int:
     return sum(s.axis == axis for s in found.fit.settings)
 
 

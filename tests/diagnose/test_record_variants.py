@@ -1,4 +1,4 @@
-"""Every sampling period, every subset of signals, every length is diagnosed or refused in one line."""
+"""Every sampling period, subset of signals and length is diagnosed or refused with one line."""
 
 import itertools
 from pathlib import Path
@@ -26,14 +26,14 @@ def machine() -> Machine:
 
 @pytest.fixture(scope="module")
 def recorded(machine: Machine) -> Trace:
-    """One axis out and back three times with some backlash-like noise, a sample each tick."""
+    """One axis moves back and forth three times, with noise; one sample per tick."""
     time = np.arange(round(1.2 / machine.base_tick)) * machine.base_tick
     position = 0.02 * np.sin(2.0 * np.pi * 2.5 * time) * np.minimum(time / 0.2, 1.0)
     return simulate(machine, Setpoints(position[:, None], machine.base_tick), noise_seed=3).trace
 
 
 def sampled(trace: Trace, period: float, signals: tuple[str, ...], samples: int) -> Trace:
-    """The record at another period, with set point and these signals only, from its middle on where it is cut short."""
+    """The record at another period with set point and these signals only; a shortened record is taken from the middle."""
     times = np.arange(0.0, trace.time[-1], period)
     first = max(0, min(len(times) // 3, len(times) - samples))
     times = times[first : first + samples]
@@ -46,7 +46,7 @@ def sampled(trace: Trace, period: float, signals: tuple[str, ...], samples: int)
 
 
 def attempt(machine: Machine, trace: Trace) -> str:
-    """Verdict, or the line with which it is refused; numpy says nothing on the way."""
+    """The verdict, or the error line. numpy must not warn."""
     campaign = Campaign(Path("any"), machine.name, (MeasuredRun("run", trace, "velocity+torque", 0.0),))
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
@@ -60,7 +60,7 @@ def attempt(machine: Machine, trace: Trace) -> str:
 
 
 def cases() -> list[tuple[float, tuple[str, ...], int]]:
-    """Each period, each pair with a subset of signals and a length, drawn once."""
+    """Each period with all signals, and random combinations of period, signals and length."""
     rng = np.random.default_rng(5)
     subsets = [s for n in range(len(SIGNALS) + 1) for s in itertools.combinations(SIGNALS, n)]
     lengths = (2, 3, 5, 9, 20, 60, 10_000)
@@ -71,7 +71,7 @@ def cases() -> list[tuple[float, tuple[str, ...], int]]:
 
 
 @pytest.mark.parametrize(("period", "signals", "samples"), cases())
-def test_used_or_refused(machine: Machine, recorded: Trace, period: float, signals: tuple[str, ...], samples: int) -> None:
+def test_a_record_is_diagnosed_or_refused(machine: Machine, recorded: Trace, period: float, signals: tuple[str, ...], samples: int) -> None:
     trace = sampled(recorded, period, signals, samples)
     said = attempt(machine, trace)
     assert said in ("none", "effect", "unknown") or said.startswith("any")

@@ -1,4 +1,4 @@
-"""Starts of a fit: what a scaled answer stands for."""
+"""Starting values of a fit, and the settings that scaled responses represent."""
 
 import math
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ DAMPING = 0.05
 
 
 def delay_of(time_constant_s, cycle):
-    """What a sampled first-order lag is behind a ramp of slope 1, run until it is steady."""
+    """Steady-state delay of a sampled first-order lag behind a ramp of slope 1."""
     lagged = ramp = 0.0
     for _ in range(4000):
         ramp += cycle
@@ -26,7 +26,7 @@ def delay_of(time_constant_s, cycle):
 
 @pytest.mark.parametrize("share", [1e-4, 0.01, 0.5, 3.0])
 @pytest.mark.parametrize(("effect", "cycle"), [("set_point_filter", "position_cycle"), ("current_filter", "current_cycle")])
-def test_a_scaled_lag_delays_that_share(effect, cycle, share):
+def test_a_scaled_lag_has_the_scaled_delay(effect, cycle, share):
     machine = load_machine()
     first = Setting(EFFECTS[effect], "X", {"time_constant_s": 2e-3})
     scaled = combine(Start((first,)), [share], machine)
@@ -40,7 +40,7 @@ def test_other_sizes_are_scaled_by_their_deviation_from_neutral():
 
 
 @pytest.mark.parametrize("period", [1e-4, 1e-3, 4e-3, 0.04, 0.1])
-def test_the_swing_of_a_frame_is_the_exact_one_at_every_sampling_period(period):
+def test_the_swing_filter_is_exact_at_every_sampling_period(period):
     for frequency_hz in (12.0, 40.0, 90.0):
         w = 2.0 * math.pi * frequency_hz
         exact = cont2discrete(([1.0], [1.0, 2.0 * DAMPING * w, w * w]), period, "zoh")
@@ -51,7 +51,7 @@ def test_the_swing_of_a_frame_is_the_exact_one_at_every_sampling_period(period):
 
 
 def record_of(position, current):
-    """A group of one axis and run whose position (sample,) [m] and residual of the current (sample,) [A] are given, 1 ms apart."""
+    """A group of one axis and run with given position (sample,) [m] and current residual (sample,) [A], 1 ms apart."""
     time = 1e-3 * np.arange(len(position))
     view = SimpleNamespace(
         machine=load_machine(),
@@ -64,8 +64,8 @@ def record_of(position, current):
 
 
 @pytest.mark.parametrize("wavelength", [0.02, 0.11, 0.22, 0.29, 0.33])
-def test_a_wave_of_friction_as_long_as_the_motion_is_read_off_the_current(wavelength):
-    """Both directions have their own mean beside the wave, as other friction leaves one."""
+def test_the_wavelength_of_friction_is_read_from_the_current(wavelength):
+    """Both directions have their own mean besides the wave, as other friction causes."""
     there = np.linspace(-0.17, 0.15, 4000)
     position = np.concatenate([there, there[::-1]])
     direction = np.repeat([1.0, -1.0], len(there))
@@ -77,8 +77,8 @@ def test_a_wave_of_friction_as_long_as_the_motion_is_read_off_the_current(wavele
 
 
 @pytest.mark.parametrize("reach", [0.0, 1e-9, 40.0])
-def test_waves_are_read_off_motions_of_any_length(reach):
-    """No motion, next to none, and 40 m: an answer at once, without gigabytes."""
+def test_wavelengths_are_read_from_motions_of_any_length(reach):
+    """No motion, almost none, and 40 m: a fast result without excessive memory."""
     position = reach * np.sin(np.linspace(0.0, 6.0, 5000))
     machine = load_machine()
     read = StartValues(record_of(position, np.sin(30.0 * position)), machine, machine.axis("X"), np.sin(30.0 * position))

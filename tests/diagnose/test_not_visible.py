@@ -1,4 +1,4 @@
-"""From which size on an effect would show: its square over noise, beyond what re-tuning takes up, against the evidence needed."""
+"""Size from which an effect is visible: its squared response over noise, beyond re-tuning, compared with the needed evidence."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
-from twin.diagnose import unseen
+from twin.diagnose import not_visible
 from twin.diagnose.candidates import Start
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import Nuisance
@@ -21,19 +21,20 @@ ACROSS = np.repeat([0.0, 1.0], ROWS // 2)
 
 
 def sizes_of(columns, monkeypatch, moving=None):
-    """Usual sizes from which effects would show that change these rows; a nuisance takes up what lies along it."""
+    """Multiples of the usual size from which effects with these responses are visible; a nuisance absorbs the part along ALONG."""
     tuning = tuning_from([Nuisance("X", "moving_mass")], np.asfortranarray(1e6 * ALONG[:, None]), 0.01)
     found = found_of(group_of([np.zeros(ROWS)], moving=moving), tuning)
     axes = dict(zip("XYZ", columns))
 
-    def remembered(found, settings, mapper):
+    def cached_responses(found, settings, mapper):
         columns = [axes[setting.axis] for setting in settings]
         return [SimulationError("unstable") if column is None else column for column in columns]
 
-    monkeypatch.setattr(type(found), "remembered", remembered)
+    monkeypatch.setattr(type(found), "cached_responses", cached_responses)
     starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]
     return {
-        axis: sizes for (_, axis, _), sizes in unseen.unseen_effects(found, starts, load_machine(), 3, lambda f, x: list(map(f, x))).items()
+        axis: sizes
+        for (_, axis, _), sizes in not_visible.effects_not_visible(found, starts, load_machine(), 3, lambda f, x: list(map(f, x))).items()
     }
 
 
@@ -42,27 +43,27 @@ def of_evidence(evidence):
 
 
 NEEDED = DEFAULT.evidence + DEFAULT.imperfect * 0.5 * ROWS
-"""Evidence that a friction needs in these rows: the least, and a share of what noise makes."""
+"""Evidence that friction needs in these rows: the minimum plus a share of the loss of noise."""
 
 
-def test_a_quarter_of_the_evidence_is_half_the_size(monkeypatch):
+def test_a_quarter_of_the_evidence_needs_twice_the_size(monkeypatch):
     sizes = sizes_of([of_evidence(NEEDED / 4.0), of_evidence(1.1 * NEEDED), None], monkeypatch)
-    assert sizes == {"X": pytest.approx(2.0, rel=1e-6)}  # what shows, and what no machine runs with, is not listed
+    assert sizes == {"X": pytest.approx(2.0, rel=1e-6)}  # visible effects and effects without a running machine are not listed
 
 
-def test_what_changes_nothing_or_only_what_is_re_tuned_never_shows(monkeypatch):
+def test_no_response_or_a_collinear_one_is_never_visible(monkeypatch):
     sizes = sizes_of([0.0 * ALONG, 3.0 * ALONG, of_evidence(20.0)], monkeypatch)
     assert sizes == {"X": math.inf, "Y": math.inf}
 
 
-def test_what_shows_only_where_an_axis_was_stuck_hardly_counts(monkeypatch):
+def test_a_response_at_rest_hardly_counts(monkeypatch):
     sizes = sizes_of([of_evidence(NEEDED)], monkeypatch, moving=np.zeros(ROWS, bool))
     assert sizes == {"X": pytest.approx(DEFAULT.unsettled_weight**-0.5, rel=1e-6)}
 
 
-def test_a_limit_is_asked_at_a_usual_level_not_at_the_measured_one():
+def test_a_limit_is_tested_at_a_usual_level():
     machine = load_machine()
     start = Start((Setting(EFFECTS["current_limit"], "Y", {"limit_a": 0.5}),))
     low, high = EFFECTS["current_limit"].parameter("limit_a").usual_range(machine, machine.axis("Y"))
-    (setting,) = unseen._usual(start, machine)
+    (setting,) = not_visible._usual(start, machine)
     assert low <= setting.parameters["limit_a"] <= high

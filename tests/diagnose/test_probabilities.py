@@ -1,4 +1,4 @@
-"""What is said of candidates and effects: probabilities, sentences, the next measurement."""
+"""Probabilities of candidates and effects, verdict sentences, and targets of the examination."""
 
 import math
 from types import SimpleNamespace
@@ -11,7 +11,7 @@ from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Sizes, no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import DEFAULT
-from twin.diagnose.state import Candidate, Found
+from twin.diagnose.state import Candidate, GroupState
 from twin.diagnose.tuning import tuning_from
 from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.wording import sentence_case, verdict_sentence
@@ -28,36 +28,36 @@ def holding(*candidates: Candidate) -> SimpleNamespace:
     return SimpleNamespace(keys={c.key for c in candidates}, thresholds=DEFAULT)
 
 
-def test_an_effect_that_was_found_is_probable():
+def test_an_accepted_effect_is_probable():
     best, rival = candidate("backlash", 200.0, 20.0), candidate("presliding", 150.0, 30.0)
     p = probabilities_of([best, rival], holding(best))
     assert p[0] == pytest.approx(DEFAULT.confidence)
     assert p[1] < 1e-6
 
 
-def test_an_effect_without_the_evidence_it_needs_is_not():
-    """100 would be plenty for a short campaign; where 130 are needed it is what a fault of the twin imitates."""
+def test_an_effect_without_the_needed_evidence_is_improbable():
+    """An evidence of 100 is sufficient for a short campaign. If 130 are needed, a model error could imitate it."""
     p = probabilities_of([candidate("position_gain", 100.0, 130.0)], holding())
     assert p[0] < 1e-3
     p = probabilities_of([candidate("position_gain", 130.0, 130.0)], holding(candidate("position_gain", 130.0, 130.0)))
     assert p[0] == pytest.approx(0.5 * DEFAULT.confidence)
 
 
-def test_of_a_round_whose_best_was_refused_nothing_is_left():
+def test_candidates_of_a_round_with_a_refused_best_have_probability_zero():
     best, rival = candidate("backlash", 200.0, 20.0), candidate("presliding", 199.0, 20.0)
     assert probabilities_of([best, rival], holding()) == [0.0, 0.0]
 
 
-def test_a_size_that_no_machine_has_is_not_probable():
+def test_an_implausible_size_is_improbable():
     implausible, best = candidate("backlash", 300.0, 20.0, plausible=False), candidate("presliding", 200.0, 20.0)
     p = probabilities_of([implausible, best], holding(best))
     assert p == [0.0, pytest.approx(DEFAULT.confidence)]
     assert probabilities_of([implausible], holding()) == [0.0]
 
 
-def test_what_an_effect_explained_that_was_dropped_is_left_again(monkeypatch: pytest.MonkeyPatch):
-    """An effect that, sized, has no plausible size is taken out: the verdict may not be that nothing is there."""
-    before, after = (Found(None, None, None, SimpleNamespace(settings=s), None, 1.0) for s in (("an effect",), ()))
+def test_the_residual_of_a_removed_effect_makes_the_verdict_unknown(monkeypatch: pytest.MonkeyPatch):
+    """An effect whose final size is implausible is removed. The verdict must then not be 'none'."""
+    before, after = (GroupState(None, None, None, SimpleNamespace(settings=s), None, 1.0) for s in (("an effect",), ()))
     monkeypatch.setattr(verdict, "without_implausible", lambda found, *_: found)
     monkeypatch.setattr(verdict, "sized", lambda *_: after)
     monkeypatch.setattr(verdict, "is_unknown", lambda found: not found.fit.settings)
@@ -68,15 +68,15 @@ def test_what_an_effect_explained_that_was_dropped_is_left_again(monkeypatch: py
 
 
 @pytest.mark.parametrize(("of_a", "of_c", "unknown"), [(1.3, 0.5, True), (1.0, 0.5, False), (1.0, 1.3, True), (1.0, 1.0, False)])
-def test_an_axis_with_less_noise_hides_nothing_of_the_next(monkeypatch: pytest.MonkeyPatch, of_a: float, of_c: float, unknown: bool):
-    """Axes that the mass matrix couples are searched together; what is left is asked of each."""
+def test_each_axis_of_a_group_is_judged_by_itself(monkeypatch: pytest.MonkeyPatch, of_a: float, of_c: float, unknown: bool):
+    """Coupled axes are searched together, but an axis below its noise does not compensate another one."""
     monkeypatch.setattr(Channel, "settled", lambda self, _: np.ones(len(self.residual), bool))
     noise = np.random.default_rng(2).normal(size=(2, 3000))
     channels = [Channel(0, axis, "velocity", size * rows, np.ones(3000), 1.0) for axis, size, rows in zip("AC", (of_a, of_c), noise)]
     group = Group(("A", "C"), [None], channels, [{}], [{}], 0)
     tuning = tuning_from((), np.zeros((group.size, 0)), 0.01)
     fit = no_effect(group, tuning)
-    assert verdict.is_unknown(Found(group, group, tuning, fit, fit, 1.0)) is unknown
+    assert verdict.is_unknown(GroupState(group, group, tuning, fit, fit, 1.0)) is unknown
 
 
 def effect(name: str, axis: str, source: str | None = None, mass: float = 1.0) -> dict:
@@ -84,7 +84,7 @@ def effect(name: str, axis: str, source: str | None = None, mass: float = 1.0) -
     return {**of, "from_axis": source} if source else of
 
 
-def test_two_couplings_of_one_axis_are_told_apart():
+def test_two_couplings_of_one_axis_have_different_names():
     document = {
         "verdict": "effect",
         "effects": [effect("cross_axis_coupling", "X", "Y", 1.0), effect("cross_axis_coupling", "X", "Z", 2.0), effect("backlash", "A")],
@@ -100,14 +100,14 @@ def test_two_couplings_of_one_axis_are_told_apart():
     ("right", "of", "goal", "failed"),
     [(18, 19, 0.98, False), (11, 15, 0.80, False), (5, 15, 0.80, True), (15, 15, 0.80, False), (45, 45, (0.88, 0.99), False)],
 )
-def test_a_target_is_missed_beyond_chance(right: int, of: int, goal, failed: bool):
+def test_a_target_fails_only_beyond_chance(right: int, of: int, goal, failed: bool):
     low, high = wilson(right, of)
     least, most = goal if isinstance(goal, tuple) else (goal, 1.0)
     met = least <= right / of <= most
     assert is_failed({"met": met, "target": goal, "value": right / of, "right": right, "of": of, "low": low, "high": high}) is failed
 
 
-def test_a_number_that_misses_its_target_is_missed():
+def test_a_value_beyond_its_target_fails():
     assert is_failed({"met": False, "target": -1.3, "value": 1.31, "of": 20})
     assert not is_failed({"met": None, "target": -1.3})
     assert math.isfinite(wilson(0, 0)[1])

@@ -1,4 +1,4 @@
-"""What a fit leaves: one size in one run and another in the next, too much in most runs, or more than noise on an axis."""
+"""Unexplained residuals: sizes that differ between runs, a residual in most runs, or a residual above noise on an axis."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,9 +8,9 @@ import pytest
 
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Free, no_effect
-from twin.diagnose.search import loud_near_tolerance
+from twin.diagnose.search import axes_above_noise_within_tolerance
 from twin.diagnose.settings import DEFAULT
-from twin.diagnose.state import is_systematic, loud_axes
+from twin.diagnose.state import axes_above_noise, is_systematic
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import tuning_from
 from twin.diagnose.verdict import differs_between_runs
@@ -22,12 +22,12 @@ SETTING = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.5})
 
 
 def settled_as(channel, mask):
-    """Make a channel say that these samples (sample,) no longer show how the axis was stuck."""
+    """Set the mask (sample,) of a channel's samples that do not depend on how the axis stuck."""
     channel.__dict__["settled"] = lambda view: mask
 
 
 def found_with(left, slope):
-    """A search's result of which the rows of each run are given: what is left and the slope over the factor (run, sample)."""
+    """A state with given residual and slope over the factor for each run (run, sample)."""
     channels = [
         Channel(k, "X", "velocity", np.asarray(rows), np.ones(SAMPLES), 1.0, slice(k * SAMPLES, (k + 1) * SAMPLES))
         for k, rows in enumerate(left)
@@ -49,7 +49,7 @@ def found_with(left, slope):
             run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,
         ),
         fit=SimpleNamespace(
-            settings=(SETTING,), free=[Free(0, parameter, False, 0.05)], columns=np.concatenate(slope)[:, None], left=lambda group: rows
+            settings=(SETTING,), free=[Free(0, parameter, False, 0.05)], columns=np.concatenate(slope)[:, None], residual=lambda group: rows
         ),
     )
 
@@ -67,8 +67,8 @@ def test_an_effect_has_one_size(steps, differs):
     assert differs_between_runs(found_with(noise(1) + np.array(steps)[:, None] * slope, slope)) is differs
 
 
-def test_a_size_that_differs_where_an_axis_was_stuck_is_one_size():
-    """Each break-away is another; twenty samples of one outweigh nothing."""
+def test_sizes_that_differ_in_break_aways_do_not_count():
+    """Each break-away is different; twenty samples of one must not decide."""
     slope, stuck = np.full((RUNS, SAMPLES), 2.0), np.arange(SAMPLES) < 20
     found = found_with(noise(1) + np.array((40.0, 0.0, -40.0))[:, None] * slope * stuck, slope)
     assert differs_between_runs(found)
@@ -77,8 +77,8 @@ def test_a_size_that_differs_where_an_axis_was_stuck_is_one_size():
     assert not differs_between_runs(found)
 
 
-def test_sizes_differ_where_that_brings_evidence():
-    """Two steps of 2 known to 0.025 bring 6400; where 0.0012 of what noise makes is more than that, the twin may be wrong by as much."""
+def test_different_sizes_need_evidence():
+    """Two steps of 2 with a standard deviation of 0.025 have an evidence of 6400. If 0.0012 of the loss of noise exceeds this, it may be model error."""
     slope = np.full((RUNS, SAMPLES), 2.0)
     found = found_with(noise(1) + np.array((2.0, 0.0, -2.0))[:, None] * slope, slope)
     assert differs_between_runs(found)
@@ -86,33 +86,33 @@ def test_sizes_differ_where_that_brings_evidence():
     assert not differs_between_runs(found)
 
 
-def test_sizes_that_are_chance_do_not_differ():
-    slope = np.full((RUNS, SAMPLES), 0.01)  # a run alone knows the step to 1 / (0.01 sqrt(400)) = 5
+def test_different_sizes_within_chance_do_not_count():
+    slope = np.full((RUNS, SAMPLES), 0.01)  # standard deviation of the step from one run: 1 / (0.01 sqrt(400)) = 5
     assert not differs_between_runs(found_with(noise(2), slope))
 
 
 @pytest.mark.parametrize(("levels", "systematic"), [((1.0, 1.8, 1.8), False), ((9.0, 1.0, 1.0), False), ((1.0, 2.5, 2.5), True)])
-def test_what_is_left_in_most_runs_is_another_law(levels, systematic):
-    """Root mean squares over noise: one run with much is chance, most runs with two and a half times the noise are not."""
+def test_a_residual_in_most_runs_is_systematic(levels, systematic):
+    """RMS over noise: a large residual in one run is chance, 2.5 times the noise in most runs is not."""
     assert is_systematic(found_with(noise(3) * np.array(levels)[:, None], np.ones((RUNS, SAMPLES)))) is systematic
 
 
-def test_only_axes_above_their_noise_are_loud():
+def test_only_axes_above_their_noise_are_listed():
     found = found_with(noise(4) * np.array((1.0, 1.5, 1.0))[:, None], np.ones((RUNS, SAMPLES)))
     found.group.channels = [replace(channel, axis=axis) for channel, axis in zip(found.group.channels, "XYZ")]
     found.group.credit = np.ones(found.group.size)
-    assert loud_axes(found.group, found.group.residual) == {"Y"}
+    assert axes_above_noise(found.group, found.group.residual) == {"Y"}
     found.group.credit[found.group.channels[1].rows] = 0.03  # the axis was stuck
-    assert loud_axes(found.group, found.group.residual) == set()
+    assert axes_above_noise(found.group, found.group.residual) == set()
 
 
 @pytest.mark.parametrize(("size", "loud"), [(30.0, {"X"}), (3.0, set())])
-def test_what_only_a_far_off_machine_explains_is_loud(size, loud):
-    """A friction of many times the tolerance leaves noise alone, and is no re-tuning; `size` in noise, of which the tolerance makes 3."""
+def test_a_residual_that_exceeds_the_tolerance_is_above_noise(size, loud):
+    """A friction of many times the tolerance would leave noise only, but is no re-tuning. `size` is in noise; the tolerance accounts for 3."""
     wave = np.where(np.arange(RUNS * SAMPLES) % 40 < 20, 1.0, -1.0)
     tuning = tuning_from([Nuisance("X", "coulomb_friction")], 3.0 * wave[:, None] * UNIFORM, TOLERANCE * UNIFORM)
     found = found_with(noise(5), np.ones((RUNS, SAMPLES)))
     group = found.group
     group.credit, group.residual = np.ones(group.size), group.residual + size * wave
     found.fit = no_effect(group, tuning)
-    assert loud_near_tolerance(found, SimpleNamespace(parameter_tolerance=TOLERANCE)) == loud
+    assert axes_above_noise_within_tolerance(found, SimpleNamespace(parameter_tolerance=TOLERANCE)) == loud

@@ -1,4 +1,4 @@
-"""Answers that a search simulates once, and weighs as the group weighs when they are asked for again."""
+"""Cached responses of a search: simulated once, returned with the current row weights."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from twin.diagnose import state
-from twin.diagnose.state import Found
+from twin.diagnose.state import GroupState
 from twin.effects import EFFECTS, Setting
 from twin.errors import SimulationError
 
@@ -17,20 +17,20 @@ START = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.3})
 UNSTABLE = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 9.0})
 
 
-def test_an_answer_is_simulated_once_and_follows_the_weights(monkeypatch):
+def test_a_response_is_simulated_once_and_follows_the_weights(monkeypatch):
     rng = np.random.default_rng(0)
     column, doubt = rng.normal(size=ROWS), rng.uniform(0.2, 1.0, ROWS)
-    found = Found(SimpleNamespace(weights=np.ones(ROWS)), None, None, None, None, 1.0)
+    found = GroupState(SimpleNamespace(weights=np.ones(ROWS)), None, None, None, None, 1.0)
     simulated = []
 
-    def answers(group, several, mapper):
+    def simulated_responses(group, several, mapper):
         simulated.extend(several)
         return [SimulationError("unstable") if setting is UNSTABLE else column * group.weights for (setting,) in several]
 
-    monkeypatch.setattr(state, "answers", answers)
+    monkeypatch.setattr(state, "simulated_responses", simulated_responses)
     for weights in (None, doubt, 2.0 * doubt):
         found = found if weights is None else replace(found, group=SimpleNamespace(weights=weights))
-        one, refused, again = found.remembered([START, UNSTABLE, START])
+        one, refused, again = found.cached_responses([START, UNSTABLE, START])
         np.testing.assert_allclose(one, column * found.group.weights, rtol=1e-6)
         assert again is one
         assert isinstance(refused, SimulationError)

@@ -1,4 +1,4 @@
-"""Who is not at fault: a controller whose law is right, encoders with zeros of their own."""
+"""No false blame: a controller that follows its law, encoders with different zeros."""
 
 from pathlib import Path
 
@@ -20,12 +20,12 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "x_200mm.csv"
 
 @pytest.fixture(scope="module")
 def machine() -> Machine:
-    """One axis whose set point is delayed by one and a half cycles: what lies between the cycles was not recorded."""
+    """One axis whose set point is delayed by one and a half cycles; the set point between the cycles is not recorded."""
     return load_machine().with_axes(["X"]).with_values({"axis.X.loops.position_delay_s": 0.003})
 
 
 def campaign_of(real: Machine) -> Campaign:
-    """Two runs of a control that reads a straight line between its cycles."""
+    """Two runs of a control with linear interpolation between its cycles."""
     linear = real.with_values({"control.setpoint_interpolation": "linear"})
     linear = with_effects(linear, real.effects)
     setpoints = setpoints_of(read_trace(EXAMPLE), linear)
@@ -39,14 +39,14 @@ def test_a_control_that_interpolates_its_own_way_is_healthy(machine: Machine) ->
     assert not [place for place in diagnosis.where if "controller" in place["block"]]
 
 
-def test_without_model_error_it_would_not_be(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_model_error_it_would_be_blamed(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(observing, "between_cycles", lambda view, axis: np.zeros(len(view.trace.time)))
     monkeypatch.setattr(observing, "law_model_error", lambda view, axis: 0.0)
-    monkeypatch.setattr("twin.diagnose.procedure.laws_beside", lambda *_: pytest.fail("a quick look looks for no law"))
+    monkeypatch.setattr("twin.diagnose.validation.laws_beside", lambda *_: pytest.fail("a quick look looks for no law"))
     assert diagnose(campaign_of(machine), machine, quick=True).verdict != "none"
 
 
-def test_a_controller_that_is_wrong_is_still_found(machine: Machine) -> None:
+def test_a_faulty_controller_is_found(machine: Machine) -> None:
     soft = with_effects(machine, [parse_setting("position_gain:X:factor=0.8", machine)])
     diagnosis = diagnose(campaign_of(soft), machine, quick=True)
     assert [setting.effect.name for setting, _, _ in diagnosis.settings] == ["position_gain"]
@@ -71,11 +71,11 @@ ONES = np.ones(500)
         ([0.3 * ONES], True),
         ([5e-8 * ONES, 5e-8 * ONES], False),  # noise
         ([np.where(np.arange(500) < 250, 1e-5, -1e-5)] * 2, False),  # backlash
-        ([1e-6 * k * ONES for k in range(8)], False),  # a screw that grows from run to run
+        ([1e-6 * k * ONES for k in range(8)], False),  # thermal growth from run to run
         ([1e-6 * k * ONES for k in (5, 0, 7, 2, 6, 1, 4, 3)], True),
     ],
 )
-def test_zeros_are_told_from_faults(differences, of_zeros: bool) -> None:
+def test_zeros_are_distinguished_from_faults(differences, of_zeros: bool) -> None:
     runs = [run_with(difference, 60.0 * k) for k, difference in enumerate(differences)]
     mended, found = with_common_zeros(runs, load_machine())
     assert set(found) == ({"X"} if of_zeros else set())

@@ -1,9 +1,9 @@
-"""How much of the gap that a user sees, in position or current, a block's own error makes.
+"""Share of the measured gap, in position or current, that the error of a block causes.
 
 position controller   speed error e of its law:   position error e / (s + Kv)
 speed controller      current error di:           speed error e = di Kt r / Kp, then the same
 mechanics             force error F:              current error F r / Kt
-transmission          motor minus scale:          itself, beside the gap of the position
+transmission          motor minus scale:          itself, compared with the gap of the position
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from twin.machine.machine import Axis
 
 
 def share_of_gap(group: Group, name: str, block: str, parts: Sequence[BlockResidual]) -> float:
-    """Share of the squared gap of an axis that a block makes, from 0 to 1; 1 where the gap was not recorded.
+    """Share of the squared gap of an axis that a block causes, from 0 to 1; 1 if the gap was not recorded.
 
-    `group` holds the gap: its channels about the machine as the file says. `parts` are the block's residuals, run by run.
+    `group` holds the gap: its channels about the machine file. `parts` are the residuals of the block, one per run.
     """
     made = gap = 0.0
     for part in parts:
@@ -44,12 +44,12 @@ def share_of_gap(group: Group, name: str, block: str, parts: Sequence[BlockResid
 
 
 def _speed_error(current: np.ndarray, axis: Axis) -> np.ndarray:
-    """Error of the speed set point that makes this error of the current (sample,) [axis units a second]."""
+    """Error of the speed set point that causes this current error (sample,) [axis units per second]."""
     return current * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad
 
 
 def _position_error(speed: np.ndarray, part: BlockResidual, view: RunView, axis: Axis) -> np.ndarray:
-    """Position error (sample,) that an error of the speed set point makes in the closed loop: x' = e - Kv x, e held over a sample."""
+    """Position error (sample,) that an error of the speed set point causes in closed loop: x' = e - Kv x, e held over a sample."""
     from scipy.signal import lfilter
 
     step = float(np.median(np.diff(part.index))) * view.trace.period if len(part.index) > 1 else view.trace.period

@@ -1,10 +1,10 @@
-"""Re-tuning beside an effect: what it changes on the machine that has the effect, and nothing else."""
+"""Re-tuning linearised on a machine with an effect: it changes the re-tuned axis only."""
 
 import numpy as np
 import pytest
 
 from tests.conftest import swings
-from twin.diagnose.fit import Fit, answer, free_parameters, tuning_beside
+from twin.diagnose.fit import Fit, free_parameters, relinearised_tuning, simulated_response
 from twin.diagnose.observe import observe
 from twin.diagnose.simulations import in_turn
 from twin.diagnose.tuning import tuning_of
@@ -22,7 +22,7 @@ def table(mikron: Machine):
     group = observe([view_of(mikron, MeasuredRun("swings", trace, None, 0.0))], ("A", "C"))
     tuning = tuning_of(group, mikron, in_turn)
     settings = (parse_setting("table_unbalance:A:mass_kg=50,radius_m=0.2,angle_rad=1.0,height_m=0.15", mikron),)
-    response = answer(group, settings)
+    response = simulated_response(group, settings)
     free = free_parameters(settings, mikron)
     columns = np.zeros((group.size, len(free)))
     return group, Fit(settings, free, 0.0, tuning.solve(group.residual), response, columns, tuning)
@@ -32,16 +32,16 @@ def rows(group, axis):
     return np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in group.channels if c.axis == axis])
 
 
-def test_an_unbalance_on_the_tilting_axis_shows_on_the_table_as_well(table):
+def test_an_unbalance_on_the_tilting_axis_changes_the_table_axis(table):
     group, fit = table
     assert np.abs(fit.response[rows(group, "C")]).max() > 10.0
 
 
 @pytest.mark.parametrize("quantity", ["torque_constant", "coulomb_friction"])
-def test_a_motor_changes_its_own_axis_beside_an_effect_that_changes_both(table, mikron: Machine, quantity: str):
-    """Before, the column of one axis held minus the effect on the other: re-tuning could undo the effect."""
+def test_a_motor_parameter_changes_its_own_axis_only(table, mikron: Machine, quantity: str):
+    """Regression: the column of one axis contained minus the effect on the other, so that re-tuning could cancel the effect."""
     group, fit = table
-    beside = tuning_beside(group, fit, mikron, in_turn)
+    beside = relinearised_tuning(group, fit, mikron, in_turn)
     (i,) = (i for i, n in enumerate(beside.nuisances) if (n.owner, n.quantity) == ("A", quantity))
     own, other = (np.abs(beside.jacobian[rows(group, axis), i]).max() for axis in "AC")
     assert own > 0.1

@@ -1,0 +1,174 @@
+"""Fits of picked effects and their rivals in closed loop, and the evidence for each.
+
+A pick is a start that the screening selected. Its rivals are starts that explain the same part of the residual. Each of them is fitted next
+to the effects found, while the linear responses of the other picks stay free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_within
+from twin.diagnose.fit import Fit, Slope, fit_effects, fit_with_fixed_effects, simulated_response
+from twin.diagnose.plausible import CONTROL_BLOCKS, is_imitated, is_plausible
+from twin.diagnose.screen import Gain, Screening
+from twin.diagnose.simulations import Mapper
+from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
+from twin.diagnose.tuning import stacked_columns
+from twin.effects import Setting
+from twin.machine.machine import Machine
+from twin.simulation.run import all_or_raise
+
+Folds = Sequence[Sequence[int]]
+
+CONCURRENT_PICKS = 2
+"""Picks that are fitted at the same time."""
+
+
+class Context(NamedTuple):
+    """What all steps of a search share."""
+
+    machine: Machine
+    folds: Folds
+    mapper: Mapper
+    progress: Callable[[str], None]
+    quick: bool
+
+
+class Fitted(NamedTuple):
+    """A candidate with the slopes of its parameters; the joint fit of all effects starts from them."""
+
+    candidate: Candidate
+    slopes: dict[Slope, np.ndarray]
+
+
+class Pick(NamedTuple):
+    """Index of a picked start, its setting, and the settings of its rivals, best first."""
+
+    start: int
+    setting: Setting
+    rivals: tuple[Setting, ...]
+
+
+class Base(NamedTuple):
+    """The fit next to which a pick and its rivals are fitted.
+
+    `nonlinear` are the effects of the fit that are simulated together with each candidate. `residual` (row,) is what remains for them after
+    the linear effects.
+    """
+
+    fit: Fit
+    nonlinear: tuple[Setting, ...]
+    residual: np.ndarray
+
+
+def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], context: Context) -> list[Pick]:
+    """Effects that together explain the residual, best first. Each is picked with the responses of the earlier ones eliminated."""
+    t, machine = state.thresholds, context.machine
+    picks: list[Pick] = []
+    passed = set(refused)
+    first = 0.0
+    while len(picks) < t.together:
+        best = {key: item for key, item in screened.best().items() if key not in passed}
+        if not best:
+            break
+        key, (start, gain) = max(best.items(), key=lambda item: item[1][1].gain)
+        passed.add(key)
+        setting = screened.setting(start, gain, machine)
+        first, needed = first or gain.gain, evidence_needed(state, setting, len(context.folds))
+        if gain.gain < max(t.span * first, t.promising * needed):
+            break
+        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < t.promising_single * needed:
+            continue  # a fit of the size alone gains no more than the screening
+        after = screened.without(start)
+        others = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)
+        picks.append(Pick(start, setting, tuple(screened.setting(i, g, machine) for i, g in _rivals(screened, after, others, gain))))
+        screened = after
+    return picks
+
+
+def _rivals(screened: Screening, after: Screening, others: Sequence[tuple[int, Gain]], gain: Gain) -> list[tuple[int, Gain]]:
+    """The starts, at most `most_rivals`, that explain the same as a pick with this gain; `after` has the pick eliminated."""
+    t = screened.thresholds
+
+    def is_rival(i: int, g: Gain) -> bool:
+        within = t.rivals_within if screened.starts[i].effect.is_linear else t.nonlinear_rivals_within
+        return g.gain > within * gain.gain and after.gain(i).gain < t.same_gain * g.gain
+
+    return [(i, g) for i, g in others if is_rival(i, g)][: t.most_rivals]
+
+
+def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], context: Context) -> list[tuple[Fitted, ...]]:
+    """Each pick and its rivals fitted in closed loop next to the effects found, best first. The responses of the other picks are free."""
+    fit, mapper = state.fit, context.mapper
+    starts = [screened.starts[pick.start].settings for pick in picks]
+    responses = [stacked_columns(*(column[:, None] for column in all_or_raise(state.cached_responses(settings)))) for settings in starts]
+    nonlinear = tuple(s for s in fit.settings if not s.effect.is_linear)
+    # responses of linear effects add up, so those are simulated together only once, at the end
+    residual = state.group.residual - fit.response + (simulated_response(state.group, nonlinear, mapper) if nonlinear else 0.0)
+    first = state.tuning.further.size + fit.columns.shape[1]
+    ends = first + np.cumsum([0, *(r.shape[1] for r in responses)])
+    all_free = state.tuning.with_free(stacked_columns(fit.columns, *responses))
+
+    def fit_pick(i: int) -> tuple[Fitted, ...]:
+        others_free = all_free.holding(range(ends[i], ends[i + 1]))
+        base = Base(fit_with_fixed_effects(state.group, others_free, fit.settings, fit.response), nonlinear, residual)
+        return _fit_with_rivals(state, base, (picks[i].setting, *picks[i].rivals), context)
+
+    with ThreadPoolExecutor(CONCURRENT_PICKS) as pool:
+        return list(pool.map(fit_pick, range(len(picks))))
+
+
+def _fit_with_rivals(state: GroupState, base: Base, settings: Sequence[Setting], context: Context) -> tuple[Fitted, ...]:
+    """A pick and its rivals, each fitted by itself next to the base, best first; implausible ones last."""
+    with ThreadPoolExecutor(len(settings)) as pool:  # these threads wait for the simulations of the workers
+        fits = [fit for fit in pool.map(lambda setting: _fit_next_to_base(state, base, setting, context), settings) if fit is not None]
+    candidates = _candidates(state, base.fit, fits, context)
+    return tuple(sorted(candidates, key=lambda f: -(f.candidate.evidence - (0.0 if f.candidate.plausible else 1e9))))
+
+
+def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, context: Context) -> Fit | None:
+    """One setting fitted next to the base: first with the nonlinear effects only, then simulated once with all effects.
+
+    If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
+    """
+    t, group, machine, mapper, fixed = state.thresholds, state.group, context.machine, context.mapper, base.fit
+    steps, nonlinear = t.quick_steps if context.quick else t.fit_steps, base.nonlinear
+    partial = fit_effects(
+        group, machine, fixed.about, [*nonlinear, setting], mapper, steps, moving={len(nonlinear)}, residual=base.residual
+    )
+    if partial is None or len(nonlinear) == len(fixed.settings):
+        return partial
+    moving, known = {len(fixed.settings)}, partial.slopes
+    settings = [*fixed.settings, partial.settings[-1]]
+    together = fit_effects(group, machine, fixed.about, settings, mapper, 1, moving=moving, known=known)
+    if together is None or together.loss < partial.loss + max(t.price, t.doubt * (fixed.loss - partial.loss)):
+        return together
+    return fit_effects(group, machine, fixed.about, settings, mapper, steps, moving=moving)
+
+
+def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], context: Context) -> list[Fitted]:
+    """The fits as candidates, each with its evidence: the gain in log likelihood on held-out runs, at most the penalised gain on all runs."""
+    t, machine, folds = state.thresholds, context.machine, context.folds
+    tolerance = machine.parameter_tolerance
+    base_loss = loss_within(state, base, tolerance)
+    # a base that needs parameters far outside the tolerance is no alternative to an effect
+    base_held_out = max(held_out_loss(state, base, folds), loss_within(state, base, t.widest * tolerance))
+    candidates = []
+    for fit in fits:
+        drop = base.loss - fit.loss
+        closes = closed_share(state, drop)
+        penalised = min(drop, base_loss - loss_within(state, fit, tolerance)) - t.price * len(fit.free)
+        gain = min(base_held_out - held_out_loss(state, fit, folds), penalised)
+        evidence = gain / min(state.inflation, inflation(state.group, fit))
+        setting = fit.settings[-1]
+        plausible = is_plausible(setting, machine, is_cut(state.group, setting), t) and not is_imitated(state, setting, machine)
+        needed = evidence_needed(state, setting, len(folds))
+        if base.settings and setting.effect.block in CONTROL_BLOCKS and closes < t.least_share:
+            plausible = False  # next to another effect, a wrong control law must explain much of the residual
+        candidates.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closes, drop), fit.slopes))
+    return candidates

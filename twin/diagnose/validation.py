@@ -1,0 +1,111 @@
+"""Validation of a correction on held-out runs.
+
+`validated` simulates every run with the nominal machine and with the machine fitted without that run. Axes that the correction makes worse
+keep the values of the machine file. `with_laws` then looks for unlisted laws and keeps those that reduce the held-out gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, is_worse, uncorrected
+from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
+from twin.diagnose.law.laws import LEAST_CLOSED, Laws
+from twin.diagnose.law.step import ALL_BUT, explained_by_many, laws_beside, predictions_with
+from twin.diagnose.setup import Setup
+from twin.diagnose.simulations import on_threads
+from twin.diagnose.state import GroupState
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.simulation.decoupled_plant import Motion
+
+Runs = Sequence[MeasuredRun]
+
+
+@dataclass(frozen=True)
+class Records:
+    """Measured runs without the fitted encoder zeros, their nominal motions, and the axes for which a zero was fitted."""
+
+    runs: tuple[MeasuredRun, ...]
+    motions: Sequence[Motion]
+    axes_with_zeros: frozenset[str]
+
+    def aligned(self, nominal: Machine, held_out: HeldOut, law_axes: Collection[str] = ()) -> tuple[MeasuredRun, ...]:
+        """The runs without the encoder zeros that a prediction leaves: at rest, and in every run for `law_axes`."""
+        remaining = zeros_left(self.runs, nominal, held_out.traces, law_axes)
+        runs, _ = without_zeros(self.runs, nominal, remaining)
+        return at_rest_without_zeros(runs, nominal, held_out.traces, self.axes_with_zeros)
+
+
+@dataclass(frozen=True)
+class Validated:
+    """A correction with its predictions of held-out runs; `before` and `after` are the gaps over noise of each axis there."""
+
+    runs: tuple[MeasuredRun, ...]  # aligned with the predictions
+    states: list[GroupState]
+    held_out: HeldOut
+    before: dict[str, float]
+    after: dict[str, float]
+    corrected: Machine
+    laws: Laws | None = None
+
+
+def validated(setup: Setup, records: Records, states: list[GroupState]) -> Validated:
+    """Predictions of all runs. Groups of axes that the correction makes worse are left uncorrected and marked as unknown."""
+    setup.progress("simulating the held-out runs")
+    machine, nominal = setup.machine, setup.nominal
+
+    def predicted(of: Sequence[GroupState]) -> tuple[HeldOut, tuple[MeasuredRun, ...]]:
+        held_out = held_out_gaps(records.runs, records.motions, nominal, of, setup.folds, engine=not setup.quick, threads=setup.threads)
+        return held_out, records.aligned(nominal, held_out)
+
+    held_out, runs = predicted(states)
+    before, after = (held_out.levels(machine, runs, which) for which in ("before", "after"))
+    if any(worse := [is_worse(s.group.axes, before, after, setup.thresholds) for s in states]):
+        states = [uncorrected(s) if w else s for s, w in zip(states, worse)]
+        held_out, runs = predicted(states)
+        after = held_out.levels(machine, runs, "after")
+    states = [replace(s, unknown=s.unknown and not explained_by_many(s, before, after)) for s in states]
+    return Validated(runs, states, held_out, before, after, corrected_machine(machine, states))
+
+
+def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated:
+    """The correction with unlisted laws. A law is accepted if it reduces the held-out gap by more than its encoder zeros do."""
+    if setup.quick:
+        return validated
+    machine, nominal, held_out = setup.machine, setup.nominal, validated.held_out
+    best = without_laws = held_out.mean_square(machine, validated.runs)
+    loudest = held_out.loudest(machine, validated.runs)
+    accepted = validated
+    with ThreadPoolExecutor(setup.threads) as workers:
+        proposals = laws_beside(
+            validated.states,
+            validated.before,
+            validated.after,
+            loudest,
+            nominal,
+            validated.corrected,
+            setup.folds,
+            on_threads(workers),
+            setup.progress,
+        )
+        for laws in proposals:
+            if laws.laws:
+                predicted = predictions_with(
+                    laws, held_out, records.runs, records.motions, setup.folds, engine=not setup.quick, threads=setup.threads
+                )
+                if predicted is None:
+                    continue
+                axes = {law.axis for law in laws.laws}
+                runs = records.aligned(nominal, predicted, axes)
+                # the gap without the laws, with encoder zeros as free as they are with the laws
+                reference = min(best, held_out.mean_square(machine, records.aligned(nominal, held_out, axes)))
+                mean_square = predicted.mean_square(machine, runs)
+                if mean_square - 1.0 < (1.0 - LEAST_CLOSED) * (reference - 1.0):
+                    best = mean_square
+                    accepted = replace(validated, runs=runs, held_out=predicted, corrected=laws.corrected, laws=laws)
+            if best - 1.0 < ALL_BUT * (without_laws - 1.0):
+                break
+    return accepted
