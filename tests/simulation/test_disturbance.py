@@ -69,8 +69,8 @@ def test_a_short_push_keeps_its_impulse_and_both_plants_agree() -> None:
     """A push of one sample between two position cycles: the impulse is that of the record."""
     push = np.zeros((800, 1, 2))
     push[301, 0, 0] = 1000.0
-    points = Setpoints(np.zeros((800, 1)), 1e-3, outside=push)
-    assert points.outside_at(0, 400, 2e-3).sum() * 2e-3 == pytest.approx(1.0)
+    points = Setpoints(np.zeros((800, 1)), 1e-3, external_force=push)
+    assert points.external_force_at(0, 400, 2e-3).sum() * 2e-3 == pytest.approx(1.0)
     machine = MACHINE.with_axes(["Y"])
     motion = Motion(*(np.zeros((800, 1)) for _ in range(3)), 1e-3)
     both = [simulate(machine, points, plant_of=plant).without_noise for plant in (None, lambda change: DecoupledPlant(change, motion))]

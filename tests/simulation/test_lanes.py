@@ -14,7 +14,7 @@ from twin.machine.machine import Machine
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.lanes import lane_of
 from twin.simulation.mujoco_plant import MujocoPlant
-from twin.simulation.run import MOST_LANES, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
+from twin.simulation.run import MAX_LANES, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
 from twin.simulation.setpoints import Setpoints
 
 BACKLASH = {"name": "backlash", "axis": "X", "clearance": 12e-6}
@@ -97,7 +97,7 @@ def test_batches_hold_what_fits_and_no_more(mikron: Machine) -> None:
     def lane(of: SimulationJob, plant_of=None):
         return lane_of(of.machine, of.setpoints, plant_of or of.plant_of, noise_seed=of.noise_seed)
 
-    lanes = [lane(job(mikron, 0.5)) for _ in range(MOST_LANES + 1)]
+    lanes = [lane(job(mikron, 0.5)) for _ in range(MAX_LANES + 1)]
     lanes += [
         lane(job(mikron, 0.1)),
         lane(job(mikron, 0.5, seed=1)),
@@ -106,7 +106,7 @@ def test_batches_hold_what_fits_and_no_more(mikron: Machine) -> None:
     ]
     sizes = [len(batch) for batch in _batches(dict(enumerate(lanes)))]
     # full, its rest, much shorter, with noise, and the engine's one by one
-    assert sorted(sizes) == [1, 1, 1, 1, 1, MOST_LANES]
+    assert sorted(sizes) == [1, 1, 1, 1, 1, MAX_LANES]
 
 
 def test_an_engine_of_mujoco_runs_beside_the_others(mikron: Machine) -> None:

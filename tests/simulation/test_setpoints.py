@@ -9,7 +9,9 @@ from tests.conftest import swings
 from twin.geometry.scurve import jerk_limited_move
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.setpoints import Setpoints, check_travel, command_of, limit_warnings, setpoints_of
+from twin.simulation.position_command import command_of
+from twin.simulation.setpoint_limits import limit_warnings
+from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
 
 OMEGA = 2 * np.pi * 1.5
 INTERPOLATION = 1e-12

@@ -15,8 +15,9 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import SAME_PERIOD, at_times, encoders_noise, is_moving, simulated_period
+from twin.simulation.position_command import delay_weights
 from twin.simulation.run import simulate
-from twin.simulation.setpoints import Setpoints, delay_weights, recorded_setpoints
+from twin.simulation.setpoints import Setpoints, recorded_setpoints
 from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 

@@ -24,7 +24,7 @@ from twin.recordings.ballbar import FINEST, Ballbar
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.lanes import PlantFace
+from twin.simulation.lanes import PlantInterface
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
@@ -87,7 +87,7 @@ def predict(
     actual = machine.with_feedforward(run.feedforward)
     period = simulated_period(machine, run.trace.period, run.ballbar)
 
-    def realised(i: int, plant_of: Callable[[Change], PlantFace]) -> SimulationJob:
+    def realised(i: int, plant_of: Callable[[Change], PlantInterface]) -> SimulationJob:
         return SimulationJob(actual, setpoints, plant_of, period, run.started_at, seed + i)
 
     decoupled = MujocoPlant if motion is None else lambda change: DecoupledPlant(change, motion)
