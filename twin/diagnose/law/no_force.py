@@ -1,4 +1,4 @@
-"""Where the encoders of a drive train stand when it carries no force: they have no common zero."""
+"""Motor minus scale of an unloaded drive train. The encoders have no common zero, so it is estimated."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import itertools
 import numpy as np
 
 RARELY = 0.02
-"""Share of a run's samples at either end of its forces beyond which they are not paired with opposite ones."""
+"""Fraction of the samples at each end of the force range that is not paired with opposite forces."""
 
 PAIRS = 8
-"""Sizes of the force at which the windup under it and under the opposite one are compared."""
+"""Number of force levels at which the deflection under positive and negative force is compared."""
 
 LEAST_OF_A_PAIR = 5
-"""Samples on either side below which a pair says nothing."""
+"""Smallest number of samples on each side of a valid pair."""
 
 
 def without_force(wound: np.ndarray, force: np.ndarray) -> float:
-    """Motor minus scale at no force, of samples (sample,): half way between where it stands under a force and under the opposite one.
+    """Motor minus scale at zero force from samples (sample,): the mean of its values under opposite forces.
 
-    Where a weight keeps the force's sign it is that of the nearest odd cubic over the force, which lies far outside the record: rough.
+    If a weight keeps the sign of the force, an odd cubic over the force is extrapolated to zero; this is a rough estimate.
     """
     x = force / max(float(np.abs(force).max()), 1e-300)
     reach = min(float(np.quantile(x, 1.0 - RARELY)), -float(np.quantile(x, RARELY)))

@@ -1,6 +1,6 @@
-"""The spring beside which a law of the drive train acts: as stiff as the record shows it, at either end of its windup.
+"""Start values of the linear spring that a law of the drive train complements: stiffness at small and at large deflection.
 
-What goes through a drive train is the motor's force that does not accelerate its rotor; over motor minus scale it draws the spring's law.
+The transmitted force is the motor force minus the inertia force of the rotor; over motor minus scale it gives the spring characteristic.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 
 HARDLY_WOUND, FAR_WOUND = 0.3, 0.6
-"""Shares of the largest windup below and above which the two ends of a spring's law are measured."""
+"""Fractions of the largest deflection that bound small and large deflection."""
 
 SPRING_EFFECT = "transmission_compliance"
-"""The spring beside which a law over the windup acts."""
+"""Effect of the linear spring that a law over the windup complements."""
 
 
 def unwound(state: State, axis: str) -> State:
@@ -32,7 +32,7 @@ def unwound(state: State, axis: str) -> State:
 
 
 def sprung(state: State, axis: str, law: Described, samples: Samples) -> State:
-    """The state with its spring as stiff as it is beside a law over the windup; as it is beside any other law."""
+    """The state with the spring stiffness that was fitted together with a law over the windup; unchanged for any other law."""
     if law.candidate.variable != "windup":
         return state
     columns = np.column_stack([nuisances_in(samples), law.column])
@@ -48,7 +48,7 @@ def sprung(state: State, axis: str, law: Described, samples: Samples) -> State:
 
 
 def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Setting]:
-    """Springs of a drive train as soft as it is where it is hardly wound up, and as where it is far: between them lies its law."""
+    """Springs with the stiffness of a drive train at small and at large deflection."""
     wound, force = [], []
     for view in views:
         own = view.machine.axis(axis)
@@ -67,6 +67,6 @@ def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Se
             stiffness = float(np.linalg.lstsq(columns, f[rows], rcond=None)[0][0])
             try:
                 found.append(check_setting({"name": SPRING_EFFECT, "axis": axis, "stiffness": stiffness}, machine, "a measured spring"))
-            except InputError:  # no spring at all
+            except InputError:  # no valid stiffness
                 continue
     return found
