@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.diagnose.law.test_keep import X, runs_of
+from tests.diagnose.law.test_closed_loop import X, runs_of
 from twin.diagnose.corrected import within
 from twin.diagnose.fit import answer, fit_effects, no_effect
 from twin.diagnose.imperfections import moved_to, with_imperfections

@@ -287,7 +287,7 @@ STABILITY = [(name, axis.name) for name, effect in EFFECTS.items() for axis in e
 REFUSED = {
     ("current_limit", "Z"): "cannot be held",  # its weight needs more
     ("transmission_compliance", "all"): "unstable",  # at 20 Hz the position loop of 50 / s drives the mode
-    ("loop_delay", "all"): "takes away more",  # three times the usual is all the delay that there is
+    ("loop_delay", "all"): "exceeds the nominal delay",  # three times the usual size is the entire delay
 }
 
 
@@ -348,15 +348,15 @@ BAD = {
     "backlash:X:clearence=1e-5": "no parameter 'clearence'; did you mean 'clearance'?",
     "backlash:X": "'clearance' is missing; give it in m",
     "backlash": "write NAME:AXIS:PARAMETER=VALUE",
-    "backlash:X:clearance": "'clearance' is no PARAMETER=VALUE",
-    "backlash:X:clearance=wide": "clearance = 'wide' is no number",
+    "backlash:X:clearance": "'clearance' is not of the form PARAMETER=VALUE",
+    "backlash:X:clearance=wide": "clearance = 'wide' is not a number",
     "backlash:X:clearance=nan": "expected a number in m",
     "backlash:X:clearance=-1e-6": "clearance = -1e-06 m is out of bounds; give 0 to 0.01 m",
     "backlash:X:clearance=1": "clearance = 1 m is out of bounds",
     "backlash:X:clearance=inf": "clearance = inf m is out of bounds",
-    "backlash:X:clearance=1e-5,clearance=2e-5": "'clearance' stands twice",
+    "backlash:X:clearance=1e-5,clearance=2e-5": "'clearance' is given twice",
     "backlash:Q:clearance=1e-5": "no axis 'Q'",
-    "backlash:X:clearance=1e-5,axis=Y": "'axis' stands twice",
+    "backlash:X:clearance=1e-5,axis=Y": "'axis' is given twice",
     "backlash:X:clearance=1e-5,from_axis=Y": "has no from_axis",
     "encoder_eccentricity:A:amplitude=1e-5": "axis A cannot have it: it is for rotary axes that turn fully round; use C",
     "table_unbalance:C:mass_kg=20,radius_m=0.1,angle_rad=0": "axis C cannot have it: it is for the rotary axis that tilts the table; use A",
@@ -390,7 +390,7 @@ def test_bad_effect_on_the_command_line(text, set_points, capsys):
 def test_the_same_effect_twice(set_points, capsys):
     effect = ["--effect", "backlash:X:clearance=1e-5"]
     assert main(["run", str(set_points), *effect, *effect, "--out", str(set_points.parent / "out")]) == 2
-    assert "effect backlash stands twice on axis X; keep one" in capsys.readouterr().err
+    assert "effect backlash is given twice on axis X; keep one" in capsys.readouterr().err
 
 
 def test_coupling_from_two_axes_is_no_repetition():
@@ -419,7 +419,7 @@ def test_unbalance_needs_a_tilting_pair():
 
 
 def test_delay_cannot_be_negative():
-    with pytest.raises(InputError, match="takes away more than"):
+    with pytest.raises(InputError, match="exceeds the nominal delay"):
         apply_effects(
             with_effects(MACHINE.with_axis("X", position_delay_s=0.5e-3), [{"name": "loop_delay", "axis": "X", "delay_s": -1e-3}])
         )

@@ -93,8 +93,8 @@ def test_a_torque_turns_a_rotary_axis() -> None:
     ("signal", "machine", "axis", "words"),
     [
         ("injected_current", LAB_AXIS, "X", "its drive takes V"),
-        ("disturbance_force", MACHINE.with_axes(["C"]), "C", "N says no torque"),
-        ("injected_force", MACHINE.with_axes(["C"]), "C", "N says no torque"),
+        ("disturbance_force", MACHINE.with_axes(["C"]), "C", "in N is not a torque"),
+        ("injected_force", MACHINE.with_axes(["C"]), "C", "in N is not a torque"),
     ],
 )
 def test_what_an_axis_cannot_take_is_refused(signal: str, machine: Machine, axis: str, words: str) -> None:

@@ -247,7 +247,7 @@ def _set_moving_masses(spec: mujoco.MjSpec, machine: Machine, where: str) -> Non
             own = total - children
             if own <= 0.0:
                 raise InputError(
-                    f"{where}: [axis.{by_body[body.name]}]: moving_mass_kg = {total:g} must exceed the {children:g} kg that the slide carries; "
+                    f"{where}: [axis.{by_body[body.name]}]: moving_mass_kg = {total:g} does not exceed the {children:g} kg that the slide carries; "
                     "give the total mass that the screw moves"
                 )
             if body.mass > 0:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.other_structures import slides
-from tests.diagnose.law.test_keep import X, runs_of
+from tests.diagnose.law.test_closed_loop import X, runs_of
 from tests.diagnose.law.test_measure import COUNT, RUNS, M, samples_of
 from twin.diagnose.control_law import characteristic_of, law_error
 from twin.diagnose.law.measure import measured_laws

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, remembered
+from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, with_memory
 from twin.machine.machine import Axis
 
 LENGTHS = tuple(np.geomspace(2e-5, 6e-2, 12))
@@ -79,7 +79,7 @@ def variable_of(samples: Samples, candidate: Candidate) -> np.ndarray:
     if candidate.variable == "acceleration_size":
         return np.abs(motion["acceleration"])
     if candidate.variable in ("direction", "slack"):
-        return remembered(motion["velocity"], motion["travel"], samples.first, candidate.length, candidate.variable == "slack")
+        return with_memory(motion["velocity"], motion["travel"], samples.first, candidate.length, candidate.variable == "slack")
     return motion[candidate.variable]
 
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Say, State, state_of, with_law
 from twin.diagnose.law.filters import filters_of
-from twin.diagnose.law.keep import ClosedLoop, Fitted, Say, State, state_of, with_law
 from twin.diagnose.law.measure import Curve, excess, measured_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
-from twin.diagnose.law.springs import springs_of, sprung, unwound
+from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_rigid_drive_train
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.simulations import Mapper
@@ -170,7 +170,7 @@ def _of_axis(
     bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
     starts = [bare]
     if any(s.effect.block == "transmission" for s in own):
-        starts += [with_law(unwound(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
+        starts += [with_law(with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     best = beside
     for start in starts:
         alone = _from(loop, start, axis, machine, say, own)
@@ -206,7 +206,7 @@ def _from(
             break
         say(f"{axis}: {', '.join(_named(d) for d, _ in proposals)} in closed loop")
         tried = [
-            (loop.fit(with_law(sprung(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
+            (loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
             for d, x, s in _settings(proposals, axis, machine)
         ]
         best = min(((f, d, x) for f, d, x in tried if f is not None), key=lambda t: t[0].held_out, default=None)

@@ -261,12 +261,12 @@ def measured_laws(samples: Samples, axis: Axis, fixed: np.ndarray | None = None)
     scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
     base = left_out_loss(samples, columns, scale)
     left = samples.y - columns @ base.coefficients
-    candidates = [*candidates_of(samples, axis), *waves_of(samples, left, axis)]
+    candidates = [*candidates_of(samples, axis), *sines_of(samples, left, axis)]
     curves = [measure(samples, candidate, axis, base, columns, scale) for candidate in candidates]
     return sorted((c for c in curves if c is not None and c.predicts > 0.0), key=lambda c: -c.predicts)
 
 
-def waves_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candidate]:
+def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candidate]:
     """Sines over the position: for each output the period of the largest line in the spectrum of the residual `left` (sample,).
 
     The residual is summed in narrow bins of the position, so that one Fourier transform covers all periods.

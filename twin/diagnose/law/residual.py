@@ -25,8 +25,8 @@ from scipy.signal import lfilter, savgol_filter
 
 from twin.diagnose.blocks import MOTION, commanded_current, current_error, inertia_and_bias, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
-from twin.diagnose.law.no_force import without_force
 from twin.diagnose.law.voltage_to_current import VoltageToCurrent, voltage_to_current
+from twin.diagnose.law.zero_force import zero_force_offset
 from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects
@@ -296,11 +296,11 @@ def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, 
 
 def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Transmitted force minus the force of the drive train's spring (sample,), valid everywhere; None without a spring."""
-    wound, force = windup(view, axis, trace), transmitted_force(view, axis, trace)
+    deflection, force = deflection_of(view, axis, trace), transmitted_force(view, axis, trace)
     coupling = apply_effects(view.machine).couplings.get(axis.name)
-    if wound is None or force is None or coupling is None:
+    if deflection is None or force is None or coupling is None:
         return None
-    stretch = np.sign(wound) * np.maximum(np.abs(wound) - coupling.clearance / 2.0, 0.0)
+    stretch = np.sign(deflection) * np.maximum(np.abs(deflection) - coupling.clearance / 2.0, 0.0)
     return force - coupling.stiffness * stretch, np.ones(len(trace.time), bool)
 
 
@@ -310,7 +310,7 @@ def transmitted_force(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | N
     return None if driven is None else np.asarray(driven[0] - axis.reflected_inertia * driven[1])
 
 
-def windup(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
+def deflection_of(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     """Deflection of the drive train (sample,): smoothed motor position minus scale, relative to the unloaded drive train, or to the start of the
     run without a current; None if an encoder is missing.
 
@@ -319,9 +319,9 @@ def windup(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     displaced = _displacement(view, axis, trace)
     if displaced is None or len(trace.time) < 2 * _window(view):
         return None
-    wound = np.asarray(savgol_filter(displaced[0], _window(view), 2))
+    deflection = np.asarray(savgol_filter(displaced[0], _window(view), 2))
     force = transmitted_force(view, axis, trace)
-    return wound - (displaced[0][0] if force is None else without_force(wound, force))
+    return deflection - (displaced[0][0] if force is None else zero_force_offset(deflection, force))
 
 
 def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
@@ -359,8 +359,8 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     motor = trace.get(name, "motor_position") if trace.has(name, "motor_position") else position
     found |= {"turn": motor / own.ratio, "time": view.started_at + trace.time - trace.time[0]}
     found["travel"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
-    if (wound := windup(view, own, trace)) is not None:
-        found["windup"] = wound
+    if (deflection := deflection_of(view, own, trace)) is not None:
+        found["windup"] = deflection
     if trace.has(name, own.effort):
         found["current"] = trace.get(name, own.effort)
     if trace.has(name, "velocity_setpoint") and signal != "setpoint":
@@ -370,7 +370,7 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     return found
 
 
-def remembered(samples_velocity: np.ndarray, travel: np.ndarray, first: np.ndarray, length: float, clipped: bool) -> np.ndarray:
+def with_memory(samples_velocity: np.ndarray, travel: np.ndarray, first: np.ndarray, length: float, clipped: bool) -> np.ndarray:
     """Direction of motion with memory over `length` of travel (sample,): with exponential decay, or clipped as the position in a play."""
     z = np.zeros(len(travel))
     state = 0.0

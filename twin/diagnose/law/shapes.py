@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from twin.diagnose.law.candidates import Candidate, in_residual, variable_of
 from twin.diagnose.law.measure import Curve, Loss, huber, left_out_loss, nuisances_in, scale_of
-from twin.diagnose.law.residual import Samples, remembered
+from twin.diagnose.law.residual import Samples, with_memory
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
 from twin.machine.axis import Axis
@@ -115,7 +115,7 @@ class _Problem:
     def __init__(self, samples: Samples, curve: Curve, axis: Axis, shape: Shape) -> None:
         self.samples, self.candidate, self.axis, self.shape = samples, curve.candidate, axis, shape
         self.x = variable_of(samples, curve.candidate)
-        self.remembered = curve.candidate.variable in ("direction", "slack")
+        self.has_memory = curve.candidate.variable in ("direction", "slack")
         self.free, self.starts, self.logarithmic, self.given = _search_space(shape, self.x, curve.candidate)
 
     @property
@@ -127,9 +127,9 @@ class _Problem:
         """Columns (sample, n) of unit height; sine and cosine for a sine."""
         numbers = {**self.given, **dict(zip(self.free, values))}
         x = self.x
-        if self.remembered and "length" in numbers:
+        if self.has_memory and "length" in numbers:
             s = self.samples
-            x = remembered(s.motion["velocity"], s.motion["travel"], s.first, numbers["length"], self.candidate.variable == "slack")
+            x = with_memory(s.motion["velocity"], s.motion["travel"], s.first, numbers["length"], self.candidate.variable == "slack")
         if self.shape.name == "sine":
             angle = 2.0 * math.pi * x / numbers["period"]
             own = np.column_stack([np.sin(angle), np.cos(angle)])

@@ -7,7 +7,7 @@ import contextlib
 from dataclasses import replace
 
 from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
-from twin.diagnose.law.keep import Say
+from twin.diagnose.law.closed_loop import Say
 from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import Found

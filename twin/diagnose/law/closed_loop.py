@@ -130,9 +130,9 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
     sized it without that law.
     """
     found = []
-    wound = {s.axis for s in state.settings if s.effect.name == NAME and _is_between_encoders(s)}
+    between_encoders = {s.axis for s in state.settings if s.effect.name == NAME and _is_between_encoders(s)}
     for i, setting in enumerate(state.settings):
-        beside = setting.axis in wound and setting.effect.block == "transmission"
+        beside = setting.axis in between_encoders and setting.effect.block == "transmission"
         if setting.axis not in axes or (setting.effect.normal and not beside):
             continue
         for p in setting.effect.parameters:

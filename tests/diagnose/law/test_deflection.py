@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.diagnose.law.residual import transmitted_force, windup
+from twin.diagnose.law.residual import deflection_of, transmitted_force
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
 from twin.geometry.scurve import moves_in_turn
@@ -36,5 +36,5 @@ def test_windup_of_a_run_that_begins_wound_up_counts_from_no_force(stiffness, nu
     assert force[0] < -300.0
     assert force.max() > 1500.0
     there = motor_minus_scale(trace, "X")  # the twin's own encoders are at zero without windup
-    beside = np.median(windup(view, axis, view.trace) - there)
+    beside = np.median(deflection_of(view, axis, view.trace) - there)
     assert abs(beside) < 0.15 * REACH

@@ -16,7 +16,7 @@ LEAST_OF_A_PAIR = 5
 """Smallest number of samples on each side of a valid pair."""
 
 
-def without_force(wound: np.ndarray, force: np.ndarray) -> float:
+def zero_force_offset(deflection: np.ndarray, force: np.ndarray) -> float:
     """Motor minus scale at zero force from samples (sample,): the mean of its values under opposite forces.
 
     If a weight keeps the sign of the force, an odd cubic over the force is extrapolated to zero; this is a rough estimate.
@@ -27,9 +27,9 @@ def without_force(wound: np.ndarray, force: np.ndarray) -> float:
     if reach > 0.0:
         edges = np.linspace(0.0, reach, PAIRS + 1)
         for low, high in itertools.pairwise(edges):
-            sides = [wound[(low <= side * x) & (side * x < high)] for side in (1.0, -1.0)]
+            sides = [deflection[(low <= side * x) & (side * x < high)] for side in (1.0, -1.0)]
             if min(map(len, sides)) > LEAST_OF_A_PAIR:
                 middles.append(0.5 * sum(float(np.median(side)) for side in sides))
     if middles:
         return float(np.median(middles))
-    return float(np.linalg.lstsq(np.column_stack([np.ones(len(x)), x, x**3]), wound, rcond=None)[0][0])
+    return float(np.linalg.lstsq(np.column_stack([np.ones(len(x)), x, x**3]), deflection, rcond=None)[0][0])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.cross_validation import folds_of
-from twin.diagnose.law.keep import ClosedLoop, state_of
+from twin.diagnose.law.closed_loop import ClosedLoop, state_of
 from twin.diagnose.law.laws import _from, _has_size, _named_instead, laws_of
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
