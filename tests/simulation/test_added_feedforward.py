@@ -1,4 +1,4 @@
-"""What a recorded feedforward holds beside the slope of its set points."""
+"""The part of a recorded feedforward beyond the slope of the set points."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ AMPLITUDE, DECAY_S = 0.12e-3, 20e-3
 
 
 def recorded(weight: float = 1.0, delay_cycles: float = 0.0, pulses: bool = True) -> tuple[Trace, np.ndarray]:
-    """A swaying axis: its feedforward is the slope of the set points, and a pulse that decays after each reversal."""
+    """An oscillating axis whose feedforward is the slope of the set points plus a decaying pulse after each reversal."""
     t = np.arange(1500) * TP
     s = 0.01 * (1.0 - np.cos(2 * np.pi * 0.7 * np.maximum(t - 0.1, 0.0)))
     slope = np.diff(s, prepend=s[0]) / TP
@@ -34,7 +34,7 @@ def machine(mikron: Machine) -> Machine:
 
 
 @pytest.mark.parametrize(("weight", "delay_cycles"), [(1.0, 0.0), (0.9, 0.0), (1.0, 2.0), (1.0, 0.3)])
-def test_pulses_are_found_whatever_weight_and_delay(machine: Machine, weight: float, delay_cycles: float) -> None:
+def test_pulses_are_found_for_any_weight_and_delay(machine: Machine, weight: float, delay_cycles: float) -> None:
     trace, pulse = recorded(weight, delay_cycles)
     fed = recorded_setpoints(trace, machine).added_feedforward
     assert fed is not None

@@ -12,7 +12,7 @@ from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
 
 DEFLECTION = 6e-6
-"""Windup of A beyond its balance at the first sample [rad]."""
+"""Deflection of A beyond equilibrium at the first sample [rad]."""
 
 
 @pytest.fixture
@@ -21,13 +21,13 @@ def elastic(mikron: Machine) -> Machine:
 
 
 def at_rest(machine: Machine, deflected: bool, seed: int | None = 1) -> Trace:
-    """A record of 0.4 s on the spot."""
+    """A record of 0.4 s at standstill."""
     start = np.array([DEFLECTION if deflected and axis.name == "A" else 0.0 for axis in machine.axes])
     points = Setpoints(np.zeros((401, len(machine.axes))), 1e-3, deflection=start if deflected else None)
     return simulate(machine, points, noise_seed=seed).trace
 
 
-def test_a_start_out_of_balance_is_seen_and_simulated(elastic: Machine) -> None:
+def test_an_initial_deflection_is_detected_and_simulated(elastic: Machine) -> None:
     record = at_rest(elastic, deflected=True)
     seen = deflection_at_start(record, elastic)
     assert seen is not None
@@ -40,7 +40,7 @@ def test_a_start_out_of_balance_is_seen_and_simulated(elastic: Machine) -> None:
     assert np.std(quiet - twin) < 0.5 * np.std(quiet - balanced)
 
 
-def test_noise_at_rest_is_no_windup(elastic: Machine) -> None:
+def test_noise_at_rest_is_not_a_deflection(elastic: Machine) -> None:
     assert deflection_at_start(at_rest(elastic, deflected=False), elastic) is None
 
 
@@ -51,7 +51,7 @@ def test_a_rigid_drive_train_cannot_deflect(mikron: Machine) -> None:
     )
 
 
-def test_a_record_that_begins_in_motion_shows_no_start(elastic: Machine) -> None:
+def test_a_record_that_begins_in_motion_has_no_initial_deflection(elastic: Machine) -> None:
     record = at_rest(elastic, deflected=True)
     moving = {**record.signals, ("A", "setpoint"): np.arange(401) * 1e-4}
     assert recorded_setpoints(Trace(record.time, moving, record.kinds), elastic).deflection is None

@@ -1,4 +1,4 @@
-"""A law that no effect of the library describes: an output of one block as a function of one variable, y = f(x).
+"""The effect `law`, for laws that the library lacks: an output of one block as a function of one variable, y = f(x).
 
     [[effect]]
     name = "law"
@@ -10,9 +10,9 @@
     height = -489.0                   # N
     width = 0.009                     # m/s
 
-`formula` is a shape of `twin.effects.law_shapes`, by its name or its equation; its numbers stand beside it, in SI. A curve that no formula
-describes has `points = [[x, y], ...]` instead, with straight lines or a cubic spline `between` them. `VARIABLES` and `OUTPUTS` list what a
-law may depend on and what it may change. A variable of another axis takes `from_axis`; `memory_s` lets the output follow with a lag.
+`formula` is a shape of `twin.effects.law_shapes`, by name or equation, followed by its parameters in SI. A curve without a formula
+has `points = [[x, y], ...]`, with linear or cubic spline interpolation `between` them. `VARIABLES` and `OUTPUTS` list the variables and
+outputs. `from_axis` takes the variable from another axis; `memory_s` filters the output by a first-order lag.
 """
 
 from __future__ import annotations

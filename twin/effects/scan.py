@@ -1,6 +1,6 @@
 """Methods to read start values of a parameter from a residual: over the motor angle, over the travel, in time, from a resonance.
 
-A scan is data: it says what to look through and between which limits. `twin.diagnose.candidates` carries it out.
+A scan is data: the kind of scan and its limits. `twin.diagnose.candidates` performs it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A machine with known deviations: the parameter factors and effects of a `truth.toml`, to check the effects' physics.
+"""A machine with the parameter factors and effects of a `truth.toml`, to validate the physics of the effects.
 
-Only checks and the examination use this; diagnosis never reads a truth.
+Only checks and the examination use it; a diagnosis never reads a `truth.toml`.
 """
 
 from __future__ import annotations

@@ -325,7 +325,7 @@ def deflection_of(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
 
 
 def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Speed set point beside the law (sample,), at the position cycles, while the axis moves."""
+    """Speed set point minus that of the control law (sample,), at the position cycles, while the axis moves."""
     error = law_error(trace, view, axis)
     if error is None or not view.trace.has(axis.name, "velocity_setpoint"):
         return None
