@@ -1,4 +1,4 @@
-"""`--effects FILE`: an effect in a user's own file is known to every command, in every process, and to none after that."""
+"""`--effects FILE`: every command and every process knows the effects of a user file, and none afterwards."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_worker_processes_know_it_too():
 
 
 def test_a_changed_law_is_compiled_anew(tmp_path: Path):
-    """Also where size and time of the file, all that numba looks at, are the same."""
+    """Even with equal size and time of the file, the only properties that numba checks."""
     file = tmp_path / "own.py"
     move = there_and_back(0.002, 0.05)
     pushed = []
@@ -79,7 +79,7 @@ def test_a_changed_law_is_compiled_anew(tmp_path: Path):
 
 
 def parsers(parser: argparse.ArgumentParser, name: str):
-    """(name, parser) of every command and of the actions of those that have any."""
+    """(name, parser) of every command and sub-command."""
     subs = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     if not subs:
         yield name, parser

@@ -135,7 +135,7 @@ def _command(view: RunView, axis: Axis) -> np.ndarray:
     tp, d = view.machine.position_cycle, axis.loops.feedforward_delay_s
     if axis.loops.velocity_feedforward == 0.0:
         return np.zeros(len(view.trace.time))
-    beside = view.setpoints.part((view.machine.axis_names.index(axis.name),)).fed_at(view.trace.time - view.trace.time[0])
+    beside = view.setpoints.part((view.machine.axis_names.index(axis.name),)).added_feedforward_at(view.trace.time - view.trace.time[0])
     slope = (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
     return axis.loops.velocity_feedforward * slope + (beside[:, 0] if isinstance(beside, np.ndarray) else beside)
 

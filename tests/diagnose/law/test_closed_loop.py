@@ -1,4 +1,4 @@
-"""A law in closed loop: found on a record of a machine that has it, kept because runs left out are predicted; none where there is none."""
+"""Closed-loop fit of laws: a law of the recorded machine is found and cross-validated; a machine without a law gets none."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_law_is_kept_with_its_numbers_and_the_gap_closes():
     assert law.setting.parameters["width"] == pytest.approx(0.010, rel=0.1)
     assert law.explained > 0.9
     assert laws.left["X"] < 0.1
-    # the corrected machine and those fitted without a fold have it
+    # the corrected machine and those fitted without a fold have the law
     assert all(len(settings_of(m)) == 1 for m in (laws.corrected, *laws.without_fold))
 
 
@@ -108,7 +108,7 @@ def observe_once(runs):
 
 
 def test_an_effect_is_named_instead_of_a_law_that_says_the_same():
-    """A wave of each motor turn is found as a law; the effect that it stands in for takes its place."""
+    """A sine over the motor turn is found as a law; the equivalent effect replaces it."""
     wave = {"name": "cyclic_error", "axis": "X", "amplitude": 4e-6, "phase_rad": 0.5}
     there = settings_of(with_effects(X, [wave]))
     group = observe_once(runs_of([wave]))
@@ -121,7 +121,7 @@ def test_an_effect_is_named_instead_of_a_law_that_says_the_same():
 
 
 def test_a_single_run_is_predicted_half_by_half():
-    """Columns of chance take squares away from the run that they are fitted to, and predict its other half worse than nothing does."""
+    """Random columns reduce the squares of the half that they are fitted to and worsen the prediction of the other half."""
     group = observe_once(runs_of([])[:1])
     loop = ClosedLoop(group, ("X",), folds_of(1), in_turn)
     state = state_of(X, X, ("X",), group.thresholds)
@@ -134,7 +134,7 @@ def test_a_single_run_is_predicted_half_by_half():
     nothing = np.zeros(40)
     fitted = loop._judged(state, [], left, columns, 0.5 * float(left @ left), nothing, nothing)
     assert fitted.loss < 0.5 * float(before @ before) < fitted.held_out
-    assert fitted.without(0) == state  # nothing was left out of the machine that the file gets
+    assert fitted.without(0) == state  # the machine file is fitted to all samples
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class _State:
 
 @pytest.mark.parametrize(("left_by_effect", "named"), [(103.0, ["backlash"]), (140.0, ["law"])])
 def test_a_law_that_leaves_noise_stays_where_the_effect_leaves_more(left_by_effect, named):
-    """Play of a scale is next to a backlash on the whole of the gap, 1000 here, and far from it beside noise, 100."""
+    """Play of a scale explains almost as much of the gap (1000 here) as a backlash, but the difference is large against noise (100)."""
     play, backlash = (SimpleNamespace(key=name) for name in ("law", "backlash"))
     left = {("law",): 100.0, ("backlash",): left_by_effect, (): 1000.0}
 
@@ -174,7 +174,7 @@ def test_a_fit_next_to_another_takes_its_slopes_and_comes_to_the_same(monkeypatc
     assert simulated_beside < 0.5 * simulated_alone
     assert beside.held_out == pytest.approx(alone.held_out, rel=1e-4)
     assert beside.state.settings[0].parameters["height"] == pytest.approx(alone.state.settings[0].parameters["height"], rel=1e-3)
-    # slopes that say the opposite are taken again
+    # slopes of the wrong sign are computed again
     wrong, _ = fitted(-280.0, like=replace(first, columns=-first.columns))
     assert wrong.state.settings[0].parameters["height"] == pytest.approx(alone.state.settings[0].parameters["height"], rel=1e-2)
 

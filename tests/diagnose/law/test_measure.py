@@ -1,4 +1,4 @@
-"""A planted law is found in a block's residual, with its variable, its formula and its numbers; noise has none."""
+"""A planted law is identified in the residual of a block: variable, formula and parameters; noise has no law."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RUNS, COUNT = 5, 400
 
 
 def motion(seed: int = 1) -> dict[str, np.ndarray]:
-    """Runs of strokes that differ in speed and place: position, speed and what follows from them."""
+    """Runs of strokes of different speed and position, with the variables derived from them."""
     rng = np.random.default_rng(seed)
     columns: dict[str, list[np.ndarray]] = {}
     for run in range(RUNS):
@@ -44,7 +44,7 @@ def motion(seed: int = 1) -> dict[str, np.ndarray]:
 
 
 def samples_of(y: np.ndarray, m: dict[str, np.ndarray], block: str = "mechanics", sigma: float = SIGMA) -> Samples:
-    """The residual with noise, and some break-aways that are far off."""
+    """The residual with noise and some outliers like break-aways."""
     rng = np.random.default_rng(7)
     run = np.repeat(np.arange(RUNS), COUNT)
     noisy = y + rng.normal(0.0, sigma, len(y))
@@ -73,7 +73,7 @@ PLANTED = {
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_law_is_found(name: str):
     output, variable, shape, numbers, force = PLANTED[name]
-    # beside what a machine file may be off by
+    # in addition to errors of the machine file
     samples = samples_of(force + 12.0 + 25.0 * np.sign(V) + 90.0 * V, M)
     curves = measured_laws(samples, X)
     best = max((described(samples, c, X) for c in curves[:3]), key=lambda d: d.predicts)

@@ -1,4 +1,4 @@
-"""Which axes are asked for a law, and from where the search for one starts."""
+"""Axes for which a law is sought, and start values of the search."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ from twin.effects import EFFECTS, Setting
 
 
 def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None):
-    """Axes that are asked for a law, of a group of which only X was recorded; without `before` effects explain nothing."""
+    """Axes for which a law is sought, in a group of which only X was recorded; without `before`, effects explain nothing."""
     group = replace(group_of([np.full(50, 3.0)], "X"), axes=axes)
     asked = []
     monkeypatch.setattr(step, "laws_of", lambda groups, machine, corrected, axes, *rest: asked.append(axes))

@@ -1,4 +1,4 @@
-"""A law in one sentence: which way it goes is said."""
+"""The sentence of a law states its direction."""
 
 from types import SimpleNamespace
 
