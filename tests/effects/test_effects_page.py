@@ -16,7 +16,7 @@ from twin.machine.machine import load_machine
 from twin.simulation.effect_picture import traces_of
 
 
-def test_page_is_what_the_library_says():
+def test_page_agrees_with_the_library():
     page = script("devtools/picture_effects.py", "picture_effects")
     text = page.PAGE.read_text(encoding="utf-8")
     assert page.page(load_machine(), text) == text, "run python devtools/picture_effects.py --text"

@@ -63,7 +63,7 @@ def test_a_recorded_current_is_late_and_nothing_else_is():
 
 @pytest.mark.parametrize(("name", "numbers"), [("lag", {"time_constant_s": 0.004}), ("notch", {"width": 0.7, "frequency_hz": 90.0}),
                                                ("dead time", {"time_s": 0.0013})])  # fmt: skip
-def test_a_filter_answers_a_sine_as_its_response_says(name: str, numbers: dict[str, float]):
+def test_a_filter_has_its_frequency_response(name: str, numbers: dict[str, float]):
     cycle, frequency = 2.5e-4, 60.0
     row, state = np.array(filter_row(SHAPES[name], numbers, cycle)), np.zeros(RING + 1)
     t = cycle * np.arange(8000)
@@ -86,7 +86,7 @@ def test_a_lag_of_the_current_set_point_is_the_current_filter():
     np.testing.assert_allclose(trace_of(lag).get("X", "current"), listed.get("X", "current"), atol=1e-9)
 
 
-def test_what_follows_the_direction_of_motion_is_remembered_over_its_length():
+def test_a_law_of_direction_has_a_memory_length():
     """A slow stroke of many lengths ends with the full force; the force balance shows it in the current."""
     length, force = 1e-4, 300.0
     hysteresis = {"name": "law", "axis": "X", "block": "mechanics", "variables": ["direction"], "formula": "line"}

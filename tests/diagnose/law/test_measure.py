@@ -88,7 +88,7 @@ def test_noise_has_no_law():
     assert all(c.predicts < LEAST_PREDICTS for c in measured_laws(samples, X))
 
 
-def test_what_one_run_alone_shows_predicts_nothing():
+def test_a_law_in_a_single_run_predicts_nothing():
     force = np.where(FIRST == COUNT, 300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
     flipped = np.where(FIRST == 2 * COUNT, -300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
     curves = measured_laws(samples_of(force + flipped, M), X)
@@ -118,7 +118,7 @@ def test_a_curve_that_no_formula_describes_stays_a_table():
     assert np.corrcoef(np.interp(Q[inside], x, y), force[inside])[0, 1] > 0.95
 
 
-def test_the_dictionary_names_what_a_law_looks_like():
+def test_known_causes_match_laws():
     assert [k.name for k in looks_like("friction", "speed", "gaussian", -1)] == ["slide way with plastic lining"]
     assert [k.name for k in looks_like("force", "direction", "line", -1)] == ["cable chain"]
     assert looks_like("torque", "current", "bending", 0)[0].name == "magnetic saturation"
