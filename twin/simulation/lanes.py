@@ -124,7 +124,7 @@ def lane_of(
     lane = Lane(machine, setpoints, actual, plant, drives, schedule, inertia, held, noise_seed, count_load)
     if lane.rows < 2:
         raise InputError(
-            f"a run of {setpoints.duration:.4g} s has less than two samples at a period of {lane.period:.4g} s; shorten the period"
+            f"a run of {setpoints.duration:.4g} s has less than two samples at a period of {lane.period:.4g} s; record it more often"
         )
     return lane
 
