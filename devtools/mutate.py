@@ -66,14 +66,14 @@ MUTATIONS = (
              "- velocity_feedforward", "", ("position controller",)),
     Mutation("current controller: integral one part in ten slower", "twin/simulation/cascade.py", "def current_controller",
              "+= drives.current_integral_gain[a]", "+= 0.9 * drives.current_integral_gain[a]", "", ("current loop",)),
-    Mutation("torque feedforward one cycle late", "twin/simulation/setpoints.py", "def command_of", "acceleration = (now - 2.0 * before + earlier) / tp**2",
+    Mutation("torque feedforward one cycle late", "twin/simulation/position_command.py", "def _evaluated", "acceleration = (now - 2.0 * before + earlier) / tp**2",
              "acceleration = np.roll((now - 2.0 * before + earlier) / tp**2, 1)", "", ("speed controller",)),
     Mutation("current set point one cycle late", "twin/simulation/loop.py", "def current_cycle", "current_setpoint = state.current_setpoint[a]",
              "current_setpoint = signals[a, X_CURRENT_SETPOINT]; signals[a, X_CURRENT_SETPOINT] = state.current_setpoint[a]", "", ("current loop",)),
     # integrator and time
     Mutation("integrator: winding by Euler", "twin/simulation/cascade.py", "def winding", "return final + away * drives.mean_decay[a]", "return final + away", "",
              ("current loop",)),
-    Mutation("integrator: position half a step ahead", "twin/simulation/loop.py", "measure: mechanics", "middle - 0.5 * h * speed", "middle", "", ("transmission", "measurement")),
+    Mutation("integrator: position half a step ahead", "twin/simulation/loop.py", "def read_mechanics", "middle - 0.5 * h * speed", "middle", "", ("transmission", "measurement")),
     # units and words
     Mutation("unit: feed of a program per 61 s", "twin/program/collect.py", "per_minute", "/ 60.0", "/ 61.0", "", ("set points",)),
     Mutation("unit: half a diameter is off by 0.05 %", "twin/surface/tools.py", "def flat_end", "r = diameter / 2.0", "r = diameter / 2.001", "",

@@ -1,9 +1,9 @@
-"""Does a diagnosis find an effect that the library does not have? One file with its law, a campaign made with it, a diagnosis.
+"""Diagnose a user effect: one file with its law, a simulated campaign, a diagnosis.
 
     python examples/own_effect/run.py [--out out/own_effect]
 
-Each step is a command that you can give yourself; it is printed before it runs. The campaign is recorded on the twin with
-the effect and with measuring noise, which is enough to see that a file is read everywhere. A real machine is harder.
+Each step is a command, printed before it runs. The twin records the campaign with the effect and with measuring noise. This shows that all
+commands use the file; the diagnosis of a real machine is harder.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from twin.geometry.scurve import moves_in_turn
 EFFECT = Path(__file__).with_name("load_friction.py")
 SIGNALS = ("setpoint", "position", "motor_position", "velocity", "velocity_setpoint", "current")
 MOVES = {"gentle": (0.06, 0.1, 0.5, 5.0), "brisk": (0.15, 0.25, 2.0, 5.0), "mixed": (0.08, 0.2, 0.8, 5.0)}
-"""Distance [m], speed [m/s], acceleration [m/s2] and jerk [m/s3] of the runs' moves out and back."""
+"""Distance [m], speed [m/s], acceleration [m/s2] and jerk [m/s3] of the forward and return move of each run."""
 
 
 def command(*words: object) -> None:
-    """Carry a command out; an error ends the example."""
+    """Run a command; an error ends the example."""
     arguments = [str(word) for word in words]
     print("twin", " ".join(arguments))
     if code := twin(arguments):
@@ -45,7 +45,7 @@ def main() -> None:
         np.savetxt(strokes, np.column_stack([time, 1e3 * position]), "%.6f", ",", header="time [s],X.setpoint [mm]", comments="")
         with_it = ("--effects", EFFECT, "--effect", "load_friction:X:coefficient=0.3")
         command("run", strokes, *with_it, "--noise-seed", seed, "--no-recording", "--out", out / name)
-        # what a control would have recorded of the axis that moved
+        # keep the signals that a control records of the moving axis
         recorded = pq.read_table(out / name / "trace.parquet")
         seen = [c for c in recorded.column_names if c.split(" ")[0] in ("time", *(f"X.{signal}" for signal in SIGNALS))]
         pq.write_table(recorded.select(seen), campaign / f"{name}.parquet")

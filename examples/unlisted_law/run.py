@@ -1,9 +1,9 @@
-"""Diagnosis of an unlisted law: a machine of the second plant with such a law is recorded and diagnosed.
+"""Diagnose an unlisted law: record a machine of the second plant with such a law and diagnose it.
 
     python examples/unlisted_law/run.py [--out out/unlisted_law]
 
-The second plant shares no code with the twin. Its Y axis has a drag by the square of the speed (churning grease), which no effect of the
-library describes. Only the Y axis is recorded. The truth is printed at the end; the diagnosis never sees it.
+The second plant shares no code with the twin. Its Y axis has a drag proportional to the square of the speed (churning grease), which no
+effect of the library describes. Only the Y axis is recorded. The example prints the truth at the end; the diagnosis does not read it.
 """
 
 from __future__ import annotations

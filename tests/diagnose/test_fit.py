@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.diagnose.law.test_keep import X, runs_of
+from tests.diagnose.law.test_closed_loop import X, runs_of
 from twin.diagnose import fit
 from twin.diagnose.fit import fit_effects
 from twin.diagnose.observe import observe

@@ -7,7 +7,8 @@ import pytest
 
 from twin.diagnose.next_measurement import KINDS, move_of
 from twin.machine.machine import load_machine
-from twin.simulation.setpoints import limit_warnings, setpoints_of
+from twin.simulation.setpoint_limits import limit_warnings
+from twin.simulation.setpoints import setpoints_of
 
 MACHINE = load_machine()
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.diagnose.law.test_keep import X, runs_of
+from tests.diagnose.law.test_closed_loop import X, runs_of
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response
 from twin.diagnose.imperfections import moved_to, with_imperfections
@@ -68,7 +68,7 @@ def wound_up():
     position = moves_in_turn(0.0, [0.02, -0.02], 0.03, 0.3, 5.0, 0.3, 1e-3)[1]
     runs = []
     for seed in range(2):
-        setpoints = Setpoints(position[:, None] * (1 + seed), 1e-3, wound=np.array([WOUND]))
+        setpoints = Setpoints(position[:, None] * (1 + seed), 1e-3, deflection=np.array([WOUND]))
         trace = simulate(machine, setpoints, sample_period=1e-3, noise_seed=seed).trace
         runs.append(MeasuredRun(f"run{seed}", trace, "velocity+torque", 0.0))
     rigid = observe([view_of(X, run) for run in runs], ("X",))

@@ -13,7 +13,7 @@ from twin.effects import parse_setting, with_effects
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import read_trace
-from twin.simulation.in_force import speed_set_point
+from twin.simulation.drive_setpoints import speed_set_point
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 

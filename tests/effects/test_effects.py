@@ -1,4 +1,4 @@
-"""The effects library as a whole: one row a effect, each parameter acts, neutral is nothing, bad input is one line.
+"""The effects library: one row per effect, each parameter acts, neutral values do nothing, bad input gives one line.
 
 A new effect needs nothing here: its row is made from its usual sizes. The laws themselves are tested in tests/reference/test_effects_*.py.
 """
@@ -28,7 +28,7 @@ X = MACHINE.axis("X")
 
 @dataclass(frozen=True)
 class Row:
-    """An effect with parameters, and another value of each parameter that must change what is seen."""
+    """An effect with parameters, and another value of each parameter that must change an output."""
 
     parameters: dict[str, float]
     other: dict[str, float]
@@ -82,7 +82,7 @@ ROWS = {
 
 
 def short_move(axis: str) -> np.ndarray:
-    """(sample,) at 1 ms: out and back in some 0.3 s, with acceleration, constant speed and reversal."""
+    """Set points (sample,) at 1 ms: forward and back in about 0.3 s, with acceleration, constant speed and reversal."""
     if MACHINE.axis(axis).kind == "linear":
         return there_and_back(0.006, 0.08)
     return there_and_back(0.06, 0.8, 20.0, 2000.0)
@@ -90,7 +90,7 @@ def short_move(axis: str) -> np.ndarray:
 
 @functools.cache
 def moved(name: str, **values: float):
-    """The trace of a row's axis (all driven axes move alike) with the row's parameters, some replaced."""
+    """The trace of a row's axis (all driven axes move equally) with the row's parameters, some replaced."""
     row = ROWS[name]
     machine = MACHINE.with_axes([row.axis, *row.with_axes])
     machine = with_effects(machine, [{"name": name, "axis": row.axis, **row.also, **row.parameters, **values}])
@@ -126,7 +126,7 @@ ROWS |= {name: row_of(effect) for name, effect in EFFECTS.items() if name not in
 
 
 def test_a_new_effect_gets_a_row():
-    """Values within bounds that change what is seen."""
+    """Values within bounds that change an output."""
     with effects_of([ROOT / "examples" / "own_effect" / "load_friction.py"]):
         row = row_of(EFFECTS["load_friction"])
         table = {"name": "load_friction", "axis": row.axis, **row.parameters}
@@ -161,7 +161,7 @@ def test_names_and_parameters_are_the_fixed_ones():
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_unit_is_complete(name):
-    """Block, law with equation, bounds that hold the usual range on every axis that can have it."""
+    """Block, law with equation, bounds that contain the usual range on every axis that can have the effect."""
     effect = EFFECTS[name]
     assert effect.block in BLOCKS
     assert len(effect.law.splitlines()) >= 3
@@ -180,7 +180,7 @@ FACTORS = [(name, p) for name, effect in EFFECTS.items() for p in effect.paramet
 
 @pytest.mark.parametrize(("name", "parameter"), FACTORS, ids=[name for name, _ in FACTORS])
 def test_a_factor_multiplies_the_field_that_it_names(name, parameter):
-    """Diagnosis takes the changed law of the position controller from this name."""
+    """Diagnosis uses this name for the changed law of the position controller."""
     setting = check_setting({"name": name, "axis": "X", parameter.name: 1.25}, MACHINE, "test")
     changed = apply_effects(with_effects(MACHINE.with_axes(["X"]), [setting])).machine.axis("X")
 
@@ -218,7 +218,7 @@ def test_neutral_is_bit_identical_to_the_machine_without_it(name, parameter):
 
 @pytest.mark.parametrize("name", [n for n in EFFECTS if n != "periodic_disturbance"])
 def test_start_is_at_rest(name):
-    """The scale shows the set point and nothing moves in the first millisecond, wherever the run starts."""
+    """The scale shows the set point and nothing moves in the first millisecond, for any start of the run."""
     row = ROWS[name]
     for start in (0.0, 0.11) if row.axis == "X" else (0.0, -0.4):
         machine = MACHINE.with_axes([row.axis, *row.with_axes])
@@ -237,7 +237,7 @@ def test_start_is_at_rest(name):
     ("Z", [{"name": "transmission_compliance", "stiffness": 5e7}], 350 * 9.81 / 5e7),
 ])  # fmt: skip
 def test_start_on_the_pressed_flank(axis, effects, offset):
-    """Gap centred without a force; with one, on that flank with the spring loaded: and there it stays."""
+    """The gap is centred without a force; with a force, the axis stays on the loaded flank with the spring deflected."""
     trace = follow(axis, np.zeros(100), effects)
     stretch = trace.get(axis, "motor_position") - trace.get(axis, "position")
     assert stretch[0] == pytest.approx(offset, abs=1e-12)
@@ -249,7 +249,7 @@ ALL_ON_X = [{"name": name, "axis": "X", **row.also, **row.parameters} for name, 
 
 
 def test_many_at_once_in_any_order():
-    """All effects that X can have, together, backlash and compliance among them: stable, and the order in the file is of no matter."""
+    """All effects of X together, including backlash and compliance, are stable; their order in the file does not matter."""
     runs = []
     for tables in (ALL_ON_X, ALL_ON_X[::-1]):
         machine = with_effects(MACHINE.with_axes(["X", "Y"]), tables)
@@ -265,7 +265,7 @@ def test_order_of_viscous_friction_and_its_asymmetry():
 
 
 def test_on_different_axes_at_once():
-    """Effects of one axis leave the others as they are, where the mechanics do not couple them."""
+    """Effects of one axis do not change uncoupled axes."""
     effects = [{"name": "backlash", "axis": "X", "clearance": 15e-6}, {"name": "transmission_compliance", "axis": "Y", "stiffness": 1e8}]
     pair = MACHINE.with_axes(["X", "Y"])
     position = Setpoints(np.column_stack([short_move("X")] * 2), 1e-3)
@@ -285,9 +285,9 @@ def beyond(parameter, low: float, high: float) -> list[tuple[float, float]]:
 
 STABILITY = [(name, axis.name) for name, effect in EFFECTS.items() for axis in effect.axes(MACHINE)]
 REFUSED = {
-    ("current_limit", "Z"): "cannot be held",  # its weight needs more
-    ("transmission_compliance", "all"): "unstable",  # at 20 Hz the position loop of 50 / s drives the mode
-    ("loop_delay", "all"): "takes away more",  # three times the usual is all the delay that there is
+    ("current_limit", "Z"): "cannot be held",  # less than the holding current
+    ("transmission_compliance", "all"): "unstable",  # a position gain of 50 1/s destabilises a mode at 20 Hz
+    ("loop_delay", "all"): "exceeds the nominal delay",  # three times the usual size is the entire delay
 }
 
 
@@ -316,8 +316,8 @@ def test_stable_or_refused_three_times_beyond_the_usual_range(name, axis):
                 comes_to_rest(**{p.name: far})
                 continue
             except TwinError as error:
-                told = str(error)
-            assert REFUSED.get((name, axis), REFUSED.get((name, "all"), "not refused")) in told, (p.name, far)
+                message = str(error)
+            assert REFUSED.get((name, axis), REFUSED.get((name, "all"), "not refused")) in message, (p.name, far)
             comes_to_rest(**{p.name: usual})
 
 
@@ -328,7 +328,7 @@ def test_stable_or_refused_three_times_beyond_the_usual_range(name, axis):
     {"name": "presliding", "stiffness": 1e8, "damping": 1e9},
     {"name": "inertia", "added": -700.0},
 ])  # fmt: skip
-def test_what_a_tick_cannot_resolve_is_refused(table):
+def test_a_mode_too_fast_for_the_tick_is_refused(table):
     with pytest.raises(InputError, match=r"on axis X.*give (at most|more than)"):
         follow("X", np.zeros(10), [table])
 
@@ -348,15 +348,15 @@ BAD = {
     "backlash:X:clearence=1e-5": "no parameter 'clearence'; did you mean 'clearance'?",
     "backlash:X": "'clearance' is missing; give it in m",
     "backlash": "write NAME:AXIS:PARAMETER=VALUE",
-    "backlash:X:clearance": "'clearance' is no PARAMETER=VALUE",
-    "backlash:X:clearance=wide": "clearance = 'wide' is no number",
+    "backlash:X:clearance": "'clearance' is not of the form PARAMETER=VALUE",
+    "backlash:X:clearance=wide": "clearance = 'wide' is not a number",
     "backlash:X:clearance=nan": "expected a number in m",
     "backlash:X:clearance=-1e-6": "clearance = -1e-06 m is out of bounds; give 0 to 0.01 m",
     "backlash:X:clearance=1": "clearance = 1 m is out of bounds",
     "backlash:X:clearance=inf": "clearance = inf m is out of bounds",
-    "backlash:X:clearance=1e-5,clearance=2e-5": "'clearance' stands twice",
+    "backlash:X:clearance=1e-5,clearance=2e-5": "'clearance' is given twice",
     "backlash:Q:clearance=1e-5": "no axis 'Q'",
-    "backlash:X:clearance=1e-5,axis=Y": "'axis' stands twice",
+    "backlash:X:clearance=1e-5,axis=Y": "'axis' is given twice",
     "backlash:X:clearance=1e-5,from_axis=Y": "has no from_axis",
     "encoder_eccentricity:A:amplitude=1e-5": "axis A cannot have it: it is for rotary axes that turn fully round; use C",
     "table_unbalance:C:mass_kg=20,radius_m=0.1,angle_rad=0": "axis C cannot have it: it is for the rotary axis that tilts the table; use A",
@@ -379,26 +379,26 @@ def set_points(tmp_path):
 
 @pytest.mark.parametrize("text", BAD)
 def test_bad_effect_on_the_command_line(text, set_points, capsys):
-    """Exit code 2 and one line that says what, where and what to do."""
+    """Exit code 2 and one line with what, where and what to do."""
     assert main(["run", str(set_points), "--effect", text, "--out", str(set_points.parent / "out"), "--no-recording"]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert told.startswith("twin: ")
-    assert BAD[text] in told
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert message.startswith("twin: ")
+    assert BAD[text] in message
 
 
 def test_the_same_effect_twice(set_points, capsys):
     effect = ["--effect", "backlash:X:clearance=1e-5"]
     assert main(["run", str(set_points), *effect, *effect, "--out", str(set_points.parent / "out")]) == 2
-    assert "effect backlash stands twice on axis X; keep one" in capsys.readouterr().err
+    assert "effect backlash is given twice on axis X; keep one" in capsys.readouterr().err
 
 
-def test_coupling_from_two_axes_is_no_repetition():
+def test_coupling_from_two_axes_is_not_a_duplicate():
     tables = [{"name": "cross_axis_coupling", "axis": "X", "from_axis": a, "mass": 50.0} for a in "YZ"]
     assert len(settings_of(with_effects(MACHINE, tables))) == 2
 
 
-@pytest.mark.parametrize(("table", "told"), [
+@pytest.mark.parametrize(("table", "message"), [
     ({"axis": "X"}, "needs a name"),
     ({"name": ["backlash"], "axis": "X"}, "unknown effect"),
     ({"name": "backlash", "clearance": 1e-5}, "'axis' is missing"),
@@ -407,8 +407,8 @@ def test_coupling_from_two_axes_is_no_repetition():
     ({"name": "backlash", "axis": "X", "clearance": True}, "expected a number in m"),
     ("backlash", "needs a name"),
 ])  # fmt: skip
-def test_bad_table_in_a_machine_file(table, told):
-    with pytest.raises(InputError, match=told):
+def test_bad_table_in_a_machine_file(table, message):
+    with pytest.raises(InputError, match=message):
         check_setting(table, MACHINE, "machine.toml: effect 1")
 
 
@@ -419,14 +419,14 @@ def test_unbalance_needs_a_tilting_pair():
 
 
 def test_delay_cannot_be_negative():
-    with pytest.raises(InputError, match="takes away more than"):
+    with pytest.raises(InputError, match="exceeds the nominal delay"):
         apply_effects(
             with_effects(MACHINE.with_axis("X", position_delay_s=0.5e-3), [{"name": "loop_delay", "axis": "X", "delay_s": -1e-3}])
         )
 
 
 def test_effects_of_a_machine_file_and_of_the_command_line_are_the_same(tmp_path):
-    """[[effect]] tables, --effect and Python mean the same machine."""
+    """[[effect]] tables, --effect and Python give the same machine."""
     source = MACHINE.path
     assert source
     (tmp_path / MACHINE.model_path.name).write_text(MACHINE.model_path.read_text())
@@ -438,14 +438,14 @@ def test_effects_of_a_machine_file_and_of_the_command_line_are_the_same(tmp_path
     assert [s.table() for s in from_file] == [from_text.table()] == [s.table() for s in from_python]
 
 
-def test_effects_command_lists_and_tells(capsys):
+def test_effects_command_lists_and_describes(capsys):
     assert main(["effects"]) == 0
     listed = capsys.readouterr().out
     assert all(name in listed and EFFECTS[name].summary in listed for name in EFFECTS)
     for name in EFFECTS:
         assert main(["effects", name]) == 0
-        told = capsys.readouterr().out
-        assert all(p.name in told for p in EFFECTS[name].parameters)
+        message = capsys.readouterr().out
+        assert all(p.name in message for p in EFFECTS[name].parameters)
     assert main(["effects", "backlsh"]) == 2
     assert "did you mean 'backlash'?" in capsys.readouterr().err
 

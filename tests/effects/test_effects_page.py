@@ -1,4 +1,4 @@
-"""docs/effects.md is what the library says: same effects, laws, bounds, and a picture of each; the example runs."""
+"""docs/effects.md agrees with the library: effects, laws, bounds and pictures; the example runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.machine.machine import load_machine
 from twin.simulation.effect_picture import traces_of
 
 
-def test_page_is_what_the_library_says():
+def test_page_agrees_with_the_library():
     page = script("devtools/picture_effects.py", "picture_effects")
     text = page.PAGE.read_text(encoding="utf-8")
     assert page.page(load_machine(), text) == text, "run python devtools/picture_effects.py --text"
@@ -30,7 +30,7 @@ def test_each_effect_has_its_picture():
 
 
 def test_an_effect_without_a_picture_of_its_own_is_shown_too():
-    """A new effect needs to say nothing about its picture: it is shown on an acceleration of its first axis."""
+    """A new effect needs no picture settings: it is shown on an acceleration of its first axis."""
     plain = replace(EFFECTS["backlash"], picture=Picture())
     axis, without, having, _ = traces_of(plain, load_machine())
     assert axis.name == "X"

@@ -1,4 +1,4 @@
-"""A law in a machine file: read, written and refused; the loop computes the equation that the file says."""
+"""Laws in a machine file: reading, writing, errors; the loop computes the equation of the file."""
 
 import math
 from pathlib import Path
@@ -32,7 +32,7 @@ def trace_of(*effects: dict, position: np.ndarray = STROKE, machine=X, started_a
 
 
 def test_a_law_is_the_effect_of_the_library_that_has_the_same_equation():
-    """Friction as a bell curve over speed is Stribeck's; the residue is half a tick of acceleration."""
+    """Gaussian friction over speed is Stribeck friction; the difference is half a tick of acceleration."""
     plain, stribeck = trace_of(), trace_of({"name": "stribeck", "axis": "X", "excess": 150.0, "velocity": 0.005})
     bell = trace_of(BELL).get("X", "current")
     effect = np.abs(stribeck.get("X", "current") - plain.get("X", "current")).max()
@@ -63,7 +63,7 @@ def test_a_recorded_current_is_late_and_nothing_else_is():
 
 @pytest.mark.parametrize(("name", "numbers"), [("lag", {"time_constant_s": 0.004}), ("notch", {"width": 0.7, "frequency_hz": 90.0}),
                                                ("dead time", {"time_s": 0.0013})])  # fmt: skip
-def test_a_filter_answers_a_sine_as_its_response_says(name: str, numbers: dict[str, float]):
+def test_a_filter_has_its_frequency_response(name: str, numbers: dict[str, float]):
     cycle, frequency = 2.5e-4, 60.0
     row, state = np.array(filter_row(SHAPES[name], numbers, cycle)), np.zeros(RING + 1)
     t = cycle * np.arange(8000)
@@ -86,8 +86,8 @@ def test_a_lag_of_the_current_set_point_is_the_current_filter():
     np.testing.assert_allclose(trace_of(lag).get("X", "current"), listed.get("X", "current"), atol=1e-9)
 
 
-def test_what_follows_the_direction_of_motion_is_remembered_over_its_length():
-    """A slow stroke of many lengths ends with the whole force; the force balance shows it in the current."""
+def test_a_law_of_direction_has_a_memory_length():
+    """A slow stroke of many lengths ends with the full force; the force balance shows it in the current."""
     length, force = 1e-4, 300.0
     hysteresis = {"name": "law", "axis": "X", "block": "mechanics", "variables": ["direction"], "formula": "line"}
     hysteresis |= {"height": -force, "length": length}
@@ -121,7 +121,7 @@ def test_a_law_of_another_axis_takes_that_axis():
         "height": 0.05,
     }
     trace = trace_of(law, position=position, machine=two)
-    # the loop closes on the scale, so that the load moves against it
+    # the loop is closed on the scale, so the load moves in the opposite direction
     assert np.ptp(trace.get("Y", "motor_position")) == pytest.approx(0.05 * np.ptp(trace.get("X", "position")), rel=0.05)
 
 
@@ -139,7 +139,7 @@ def test_a_law_is_written_and_read_without_loss(tmp_path: Path):
     again = load_machine(tmp_path / "machine.toml")
     assert [s.table() for s in settings_of(again)] == [s.table() for s in settings_of(machine)]
     assert settings_of(again)[0].table() == BELL
-    # and what a setting says is what it was made from
+    # the setting equals its table
     assert check_setting(settings_of(again)[2].table(), machine, "again").table() == settings_of(machine)[2].table()
 
 
@@ -172,12 +172,12 @@ def test_a_curve_goes_through_its_points_and_stays_beyond_them():
     ("change", "said"),
     [
         ({"block": "motor"}, "no block 'motor'"),
-        ({"output": "torque"}, "output = 'torque' is nothing that the mechanics gives"),
+        ({"output": "torque"}, "the mechanics has no output 'torque'"),
         ({"variables": ["weight"]}, "no variable 'weight'"),
-        ({"variables": ["following_error"]}, "is known in the position controller only"),
-        ({"variables": ["speed", "position"]}, "name one"),
-        ({"formula": "bessel"}, "is none of the shapes step, line"),
-        ({"formula": "lag"}, "is a filter of"),
+        ({"variables": ["following_error"]}, "is available in the position controller only"),
+        ({"variables": ["speed", "position"]}, "give exactly one"),
+        ({"formula": "bessel"}, "is not one of the shapes step, line"),
+        ({"formula": "lag"}, "a lag filters current over"),
         ({"points": [[0.0, 1.0]]}, "either a formula or points"),
         ({"width": -1.0}, "out of bounds"),
         ({"colour": 1.0}, "no parameter 'colour'"),

@@ -1,4 +1,4 @@
-"""`--effects FILE`: an effect in a user's own file is known to every command, in every process, and to none after that."""
+"""`--effects FILE`: every command and every process knows the effects of a user file, and none afterwards."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_worker_processes_know_it_too():
 
 
 def test_a_changed_law_is_compiled_anew(tmp_path: Path):
-    """Also where size and time of the file, all that numba looks at, are the same."""
+    """Even with equal size and time of the file, the only properties that numba checks."""
     file = tmp_path / "own.py"
     move = there_and_back(0.002, 0.05)
     pushed = []
@@ -79,7 +79,7 @@ def test_a_changed_law_is_compiled_anew(tmp_path: Path):
 
 
 def parsers(parser: argparse.ArgumentParser, name: str):
-    """(name, parser) of every command and of the actions of those that have any."""
+    """(name, parser) of every command and sub-command."""
     subs = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     if not subs:
         yield name, parser
@@ -111,13 +111,13 @@ def test_listed_shown_and_drawn(tmp_path: Path, capsys):
     ("content", "said"),
     [
         (None, "there is no such file; give a Python file"),
-        ("", "it holds no effect; write @effect(...)"),
+        ("", "the file has no effect; write @effect(...)"),
         ("import twin.nothing_there\n", "cannot be imported (line 1): ModuleNotFoundError"),
         ("x = 1\ndef f(:\n", "cannot be imported (line 2): SyntaxError"),
         ("raise SystemExit(0)\n", "cannot be imported (line 1): SystemExit"),
-        (LAW.replace("own_push", "backlash"), "effect backlash: the twin has an effect of that name already; give it another name"),
+        (LAW.replace("own_push", "backlash"), "effect backlash: an effect of that name exists already; use another name"),
         (LAW.replace('"mechanics"', '"mechanic"'), "no block 'mechanic'; did you mean 'mechanics'?"),
-        (LAW.replace('"force", 0.0', '"forse", 0.0'), "no quantity 'forse'; did you mean 'force'?"),
+        (LAW.replace('"force", 0.0', '"forse", 0.0'), "unknown quantity 'forse'; did you mean 'force'?"),
         (LAW.replace(", neutral=0.0", ""), "no parameter has a neutral value"),
         (LAW + "raise ValueError('late')\n", "cannot be imported (line 17): ValueError: late"),
     ],

@@ -26,7 +26,7 @@ def pushed(machine: Machine, force_n: float, period_s: float = 0.13) -> Measured
     load = np.where((time % period_s) < 0.5 * period_s, force_n, 0.0)
     outside = np.zeros((len(time), 1, 2))
     outside[:, 0, 0] = load
-    trace = simulate(machine, Setpoints(SHORT_QUICK[:, None], PERIOD, outside=outside), sample_period=PERIOD, noise_seed=0).trace
+    trace = simulate(machine, Setpoints(SHORT_QUICK[:, None], PERIOD, external_force=outside), sample_period=PERIOD, noise_seed=0).trace
     kept = {
         k: v
         for k, v in trace.signals.items()

@@ -18,7 +18,8 @@ from twin.machine.machine import Machine
 from twin.program import check, interpolate, interpolator, read_program
 from twin.program.place import KEEP, OutsideTravel, axes_of, placed
 from twin.recordings.trace import Trace
-from twin.simulation.setpoints import LimitWatch, limit_warnings, setpoints_of
+from twin.simulation.setpoint_limits import LimitWatch, limit_warnings
+from twin.simulation.setpoints import setpoints_of
 
 FAR = "G54\nG0 X400 Y0 Z0\nG1 X500 Y0 F1000\nG3 X500 Y20 I0 J10\nG1 X400\nM30\n"
 """A part that lies 145 mm beyond X's travel of 355 mm, with an arc."""

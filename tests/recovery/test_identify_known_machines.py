@@ -28,7 +28,7 @@ from twin.machine.machine import Machine, load_machine
 from twin.program import interpolate, read_program
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import read_trace, write_trace
-from twin.simulation.setpoints import limit_warnings
+from twin.simulation.setpoint_limits import limit_warnings
 
 
 @pytest.fixture(scope="module")

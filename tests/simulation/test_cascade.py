@@ -1,4 +1,4 @@
-"""Laws of one drive: limits hold, integrators stand still at a limit, each gain does what its name says."""
+"""Laws of one drive: limits, anti-windup, and the influence of each gain."""
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -29,7 +29,7 @@ def test_current_limit_and_anti_windup(drives: cascade.Drives, speed: float, a: 
     limited = cascade.speed_controller(a, drives, state, 0.0)
     assert limited == (abs(unlimited) > drives.peak_current[a])
     assert abs(state.current_setpoint[a]) <= drives.peak_current[a]
-    # the integrator moves only where the limit is not met
+    # the integrator changes only below the limit
     assert state.speed_integral[a] == (0.0 if limited else drives.speed_integral_gain[a] * speed)
 
 
@@ -43,7 +43,7 @@ def test_voltage_limit_and_anti_windup(drives: cascade.Drives, current: float, a
     assert state.current_integral[a] == (0.0 if limited else drives.current_integral_gain[a] * current)
 
 
-def test_an_integrator_at_the_limit_comes_back(drives: cascade.Drives) -> None:
+def test_an_integrator_recovers_from_the_limit(drives: cascade.Drives) -> None:
     state = at_rest(drives)
     state.speed_setpoint[0] = 100.0
     for _ in range(1000):
@@ -93,7 +93,7 @@ FIELDS = {
 
 
 @pytest.mark.parametrize("key", FIELDS)
-def test_each_number_of_the_file_reaches_the_drive(mikron: Machine, key: str) -> None:
+def test_each_parameter_of_the_file_reaches_the_drive(mikron: Machine, key: str) -> None:
     part = "loops" if hasattr(mikron.axes[0].loops, key) else "motor"
     value = getattr(getattr(mikron.axes[1], part), key)
     before = cascade.drives_of(mikron)

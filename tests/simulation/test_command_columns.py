@@ -1,4 +1,4 @@
-"""What the control feeds forward, and the acceleration, as columns of a run."""
+"""Velocity feedforward and acceleration as columns of a run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.simulation.setpoints import Setpoints
 
 @pytest.mark.parametrize(("word", "weight"), [("off", 0.0), ("velocity", 1.0)])
 def test_feedforward_and_acceleration(mikron: Machine, word: str, weight: float) -> None:
-    """The speed fed forward is the set point's over the last position cycle; the acceleration is that of the jerk-limited move."""
+    """The velocity feedforward is the speed of the set point over the last position cycle; the acceleration is that of the jerk-limited move."""
     machine = mikron.with_axes(["X"]).with_feedforward(word)
     _, way = moves_in_turn(0.0, [0.05], 0.1, 2.5, 5.0, 0.1, 1e-3)
     setpoints = Setpoints(way[:, None], 1e-3)

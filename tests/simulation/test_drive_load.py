@@ -1,4 +1,4 @@
-"""What the drives give, counted in the loop, against a record of every tick and against energies in closed form."""
+"""Drive load accumulated in the loop, compared with a record of every tick and with energies in closed form."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ TICK = 125e-6
 
 
 def moved(machine: Machine, sample_period: float | None = None, count_load: bool = True) -> Run:
-    """X goes 40 mm and comes back; the others stand."""
+    """X moves 40 mm and back; the other axes stand still."""
     time, x = moves_in_turn(0.0, [0.04, -0.04], 0.2, 2.0, 50.0, 0.06, 1e-3)
     position = np.zeros((len(time), len(machine.axes)))
     position[:, 0] = x
@@ -20,14 +20,14 @@ def moved(machine: Machine, sample_period: float | None = None, count_load: bool
 
 
 def means_over_ticks(current: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and mean square (tick,) between samples of every tick, the way between two being exponential at `rate` per tick: by quadrature."""
+    """Mean and mean square (tick,) between samples of every tick by quadrature of an exponential with `rate` per tick."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     gone = np.expm1(-rate * (nodes + 1.0) / 2.0) / np.expm1(-rate)
     between = current[:-1, None] + np.diff(current)[:, None] * gone
     return between @ weights / 2.0, between**2 @ weights / 2.0
 
 
-def test_numbers_are_those_of_a_record_of_every_tick(mikron: Machine) -> None:
+def test_load_equals_that_of_a_record_of_every_tick(mikron: Machine) -> None:
     run = moved(mikron, sample_period=TICK)
     rows = moved(mikron)
     for axis in mikron.axes:
@@ -41,13 +41,13 @@ def test_numbers_are_those_of_a_record_of_every_tick(mikron: Machine) -> None:
         assert load.smooth_rms == pytest.approx(np.sqrt(np.mean(smooth**2)), rel=1e-9)
         assert load.ripple_rms == pytest.approx(np.sqrt(max(square[: 16 * cycles].mean() - np.mean(smooth**2), 0.0)), rel=1e-4, abs=1e-6)
         assert load.speed_max == np.abs(run.trace.get(axis.name, "velocity")).max()
-        # whatever is recorded, the same is counted
+        # the load does not depend on the sample period
         assert rows.load[axis.name].effort_rms == load.effort_rms
         assert rows.load[axis.name].work == load.work
 
 
 def test_energies_balance(mikron: Machine) -> None:
-    """From rest to rest the motor's work is what friction takes; what the winding takes is that work and its heat."""
+    """From rest to rest, the work of the motor equals the friction loss, and the electrical energy equals work plus heat."""
     run = moved(mikron, sample_period=TICK)
     x, load, duration = mikron.axis("X"), run.load["X"], run.trace.time[-1]
     speed = run.trace.get("X", "velocity") / x.ratio
@@ -55,7 +55,7 @@ def test_energies_balance(mikron: Machine) -> None:
     assert load.work == pytest.approx(friction.sum() * TICK, rel=2e-3)
     assert load.braking > 0.2 * load.work
     heat = x.motor.resistance_ohm * load.effort_rms**2 * duration
-    # the back EMF is that of the speed at the start of each tick: half a tick of acceleration, 0.3 J here, lies between
+    # the back-EMF uses the speed at the start of each tick, half a tick of acceleration early: 0.3 J here
     assert x.motor.phases * (load.electrical - heat) == pytest.approx(load.work, rel=4e-3)
 
 
@@ -72,7 +72,7 @@ def test_largest_torque_by_speed(mikron: Machine) -> None:
         assert largest == pytest.approx(inside.max(initial=0.0), rel=1e-9)
 
 
-def test_counting_changes_nothing(mikron: Machine) -> None:
+def test_counting_does_not_change_the_trace(mikron: Machine) -> None:
     plain, counted = moved(mikron, count_load=False), moved(mikron)
     assert not plain.load
     for axis in mikron.axis_names:

@@ -1,4 +1,4 @@
-"""A gap is given in multiples of noise, also with a machine file that states none."""
+"""The gap is a multiple of noise even if the machine file states no noise."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from twin.simulation.setpoints import setpoints_of
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "x_200mm.csv"
 
 
-def test_a_machine_file_without_noise_makes_no_record_without() -> None:
+def test_a_machine_file_without_noise_uses_the_smallest_noise() -> None:
     machine = load_machine()
     noises = {key: 0.0 for key in machine.document["measurement"] if "noise" in key or "resolution" in key}
     machine = machine.with_axes(["X"]).with_values({f"measurement.{key}": value for key, value in noises.items()})

@@ -1,4 +1,4 @@
-"""Machines side by side in one loop: each has the numbers that it has alone."""
+"""Several machines in one loop: each run is bit-identical to a run alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.machine.machine import Machine
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.lanes import lane_of
 from twin.simulation.mujoco_plant import MujocoPlant
-from twin.simulation.run import MOST_LANES, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
+from twin.simulation.run import MAX_LANES, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
 from twin.simulation.setpoints import Setpoints
 
 BACKLASH = {"name": "backlash", "axis": "X", "clearance": 12e-6}
@@ -25,7 +25,7 @@ LATE = {"name": "set_point_filter", "axis": "X", "time_constant_s": 2e-3}
 
 
 def job(machine: Machine, seconds: float, effects: Sequence[dict] = (), seed: int | None = None) -> SimulationJob:
-    """X, Y and A of the machine with these effects on swings of that length."""
+    """X, Y and A of the machine with these effects on oscillations of that duration."""
     part = with_effects(machine.with_axes(["X", "Y", "A"]), effects)
     points = swings(part, seconds)
     speed = np.gradient(points.position, points.period, axis=0)
@@ -49,8 +49,8 @@ def assert_same(found: Run, expected: Run) -> None:
 
 
 @pytest.mark.parametrize("seed", [None, 5], ids=["ideal", "with noise"])
-def test_each_machine_has_the_numbers_that_it_has_alone(mikron: Machine, seed: int | None) -> None:
-    # other terms, rotors on joints of their own, axes that push each other, runs that end earlier than those beside them
+def test_each_run_equals_that_of_the_machine_alone(mikron: Machine, seed: int | None) -> None:
+    # different terms, separate rotors, coupled axes, runs of different lengths
     jobs = [
         job(mikron, seconds, effects, seed)
         for seconds, effects in ((0.9, []), (0.9, [BACKLASH, PUSHED]), (0.7, [FILTER, SLIP]), (0.9, [LATE, BACKLASH]), (0.6, [PUSHED]))
@@ -59,7 +59,7 @@ def test_each_machine_has_the_numbers_that_it_has_alone(mikron: Machine, seed: i
         assert_same(found, alone(one))
 
 
-def test_realisations_of_noise_side_by_side_differ_as_alone(mikron: Machine) -> None:
+def test_noise_realisations_in_one_loop_equal_those_alone(mikron: Machine) -> None:
     jobs = [job(mikron, 0.5, [], seed) for seed in (1, 2, 1)]
     first, second, again = all_or_raise(simulate_each(jobs))
     assert_same(first, again)
@@ -67,7 +67,7 @@ def test_realisations_of_noise_side_by_side_differ_as_alone(mikron: Machine) -> 
     assert not np.array_equal(first.trace.get("X", "position"), second.trace.get("X", "position"))
 
 
-def test_a_machine_that_diverges_does_not_disturb_those_beside_it(mikron: Machine) -> None:
+def test_a_divergence_does_not_affect_the_other_machines(mikron: Machine) -> None:
     jobs = [job(mikron, 0.6), job(mikron.with_axis("X", max_velocity=0.01), 0.6), job(mikron, 0.6, [BACKLASH])]
     first, bad, last = simulate_each(jobs)
     assert isinstance(bad, SimulationError)
@@ -78,7 +78,7 @@ def test_a_machine_that_diverges_does_not_disturb_those_beside_it(mikron: Machin
     assert_same(last, alone(jobs[2]))
 
 
-def test_a_machine_that_cannot_be_held_has_its_error_in_its_place(mikron: Machine) -> None:
+def test_a_machine_that_cannot_be_held_returns_its_error(mikron: Machine) -> None:
     heavy = {"name": "constant_force", "axis": "X", "force": 1e5}
     first, bad = simulate_each([job(mikron, 0.4), job(mikron, 0.4, [heavy])])
     assert isinstance(first, Run)
@@ -88,16 +88,16 @@ def test_a_machine_that_cannot_be_held_has_its_error_in_its_place(mikron: Machin
         all_or_raise([first, bad])
 
 
-def test_what_is_taken_of_a_run_gets_its_number(mikron: Machine) -> None:
+def test_a_result_function_receives_number_and_run(mikron: Machine) -> None:
     jobs = [job(mikron, seconds) for seconds in (0.3, 0.5, 0.4)]
     assert simulate_each(jobs, of=lambda i, run: (i, len(run.trace.time))) == [(0, 301), (1, 501), (2, 401)]
 
 
-def test_batches_hold_what_fits_and_no_more(mikron: Machine) -> None:
+def test_batches_hold_compatible_lanes_up_to_the_maximum(mikron: Machine) -> None:
     def lane(of: SimulationJob, plant_of=None):
         return lane_of(of.machine, of.setpoints, plant_of or of.plant_of, noise_seed=of.noise_seed)
 
-    lanes = [lane(job(mikron, 0.5)) for _ in range(MOST_LANES + 1)]
+    lanes = [lane(job(mikron, 0.5)) for _ in range(MAX_LANES + 1)]
     lanes += [
         lane(job(mikron, 0.1)),
         lane(job(mikron, 0.5, seed=1)),
@@ -105,11 +105,11 @@ def test_batches_hold_what_fits_and_no_more(mikron: Machine) -> None:
         lane(job(mikron, 0.5), MujocoPlant),
     ]
     sizes = [len(batch) for batch in _batches(dict(enumerate(lanes)))]
-    # full, its rest, much shorter, with noise, and the engine's one by one
-    assert sorted(sizes) == [1, 1, 1, 1, 1, MOST_LANES]
+    # a full batch, its remainder, a short run, a run with noise, and two MuJoCo runs alone
+    assert sorted(sizes) == [1, 1, 1, 1, 1, MAX_LANES]
 
 
-def test_an_engine_of_mujoco_runs_beside_the_others(mikron: Machine) -> None:
+def test_mujoco_runs_are_simulated_one_by_one(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"])
     points = Setpoints(swings(mikron, 0.3).position[:, :1], 1e-3)
     both = all_or_raise(simulate_each([SimulationJob(machine, points, MujocoPlant)] * 2))

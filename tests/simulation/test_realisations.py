@@ -1,4 +1,4 @@
-"""Other draws of noise of a run: the decoupled plant gives them beside one run of the engine."""
+"""Noise realisations of a run: one by MuJoCo, the differences of the others by the decoupled plant."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def furthest(a: Trace, b: Trace, axis: str, signal: str) -> float:
 
 
 @pytest.mark.parametrize("axis", ["X", "A", "C"])
-def test_the_decoupled_plant_gives_the_other_realisations(mikron: Machine, measured: MeasuredRun, axis: str) -> None:
-    """The expectation is that of all realisations in the engine, many times nearer than one of them is, and noise is as large."""
+def test_the_decoupled_plant_replaces_further_realisations(mikron: Machine, measured: MeasuredRun, axis: str) -> None:
+    """The mean agrees with that of all realisations in MuJoCo, many times better than a single one does, and the noise has the same size."""
     motion = view_of(mikron, measured).motion
     by_engine, one, told = (
         predict(mikron, measured, 4),
@@ -40,8 +40,8 @@ def test_the_decoupled_plant_gives_the_other_realisations(mikron: Machine, measu
         assert scatter == pytest.approx(expected, rel=0.01), signal
 
 
-def test_without_the_engine_the_decoupled_plant_gives_all(mikron: Machine, measured: MeasuredRun) -> None:
-    """Another mass in the model that only the engine has would show in the first and not in the second."""
+def test_without_the_engine_the_decoupled_plant_simulates_all(mikron: Machine, measured: MeasuredRun) -> None:
+    """A mass that only MuJoCo has changes the first prediction and not the second."""
     view = view_of(mikron, measured)
     light = mikron.with_axis("X", moving_mass_kg=0.9 * (mikron.axis("X").moving_mass_kg or 0.0))
     of_light = view_of(light, measured).motion
@@ -53,7 +53,7 @@ def test_without_the_engine_the_decoupled_plant_gives_all(mikron: Machine, measu
 
 
 def test_the_motion_of_rotary_axes_is_that_of_the_engine(mikron: Machine, measured: MeasuredRun) -> None:
-    """The first guess, the set points delayed, is hundreds of times further off."""
+    """The first guess, the delayed set points, is hundreds of times less accurate."""
     view = view_of(mikron, measured)
     engine = simulate(mikron, view.setpoints, sample_period=measured.trace.period).trace
     for axis in ("A", "C"):

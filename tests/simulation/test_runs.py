@@ -1,4 +1,4 @@
-"""Runs are independent, repeat bit for bit, need no more memory than their trace, and work for any machine and axes."""
+"""Runs are independent and reproducible bit for bit, need no more memory than their trace, and work for any machine and axes."""
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -30,7 +30,7 @@ def test_repeats_bit_for_bit(mikron: Machine, seed: int | None) -> None:
     assert_same_bits(first, second)
 
 
-def test_threads_give_the_bits_of_one_after_the_other(mikron: Machine) -> None:
+def test_runs_in_threads_equal_sequential_runs(mikron: Machine) -> None:
     machines = [mikron, mikron.with_feedforward("off"), mikron.with_axis("X", coulomb_friction_nm=2.5), mikron.with_axes(["Z", "C"])]
     jobs = [(machine, swings(machine, 1.5)) for machine in machines]
     serial = [simulate(*job, noise_seed=i).trace for i, job in enumerate(jobs)]
@@ -40,12 +40,12 @@ def test_threads_give_the_bits_of_one_after_the_other(mikron: Machine) -> None:
         assert_same_bits(a, b)
 
 
-def test_noise_is_another_with_another_seed_and_absent_without(mikron: Machine) -> None:
+def test_noise_depends_on_the_seed_and_is_absent_without(mikron: Machine) -> None:
     points = swings(mikron, 0.3)
     ideal, one, two = (simulate(mikron, points, noise_seed=seed).trace for seed in (None, 1, 2))
     assert not np.array_equal(one.get("X", "current"), two.get("X", "current"))
     error = one.get("X", "current") - ideal.get("X", "current")
-    assert 0.03 < np.std(error) < 0.08  # 0.04 A of the sensor, and what the loops make of the noisy speed
+    assert 0.03 < np.std(error) < 0.08  # 0.04 A of the sensor, plus the reaction of the loops to noisy speed
     clean = simulate(mikron, points, noise_seed=1).without_noise
     assert np.std(clean.get("X", "current") - ideal.get("X", "current")) < np.std(error)
 
@@ -128,7 +128,7 @@ def test_decimated_record_is_every_nth_sample(mikron: Machine) -> None:
 
 
 def peak_bytes(machine: Machine, seconds: float, period: float) -> tuple[int, int]:
-    """Largest memory taken during a run beyond its set points, and the size of its trace."""
+    """Peak memory of a run beyond its set points, and the size of its trace."""
     points = swings(machine, seconds)
     tracemalloc.start()
     trace = simulate(machine, points, sample_period=period).trace
@@ -138,12 +138,12 @@ def peak_bytes(machine: Machine, seconds: float, period: float) -> tuple[int, in
 
 
 def test_memory_grows_with_the_trace_only(mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A longer program needs a longer trace and nothing else, so an hour needs what its trace needs."""
-    monkeypatch.setattr("twin.simulation.setpoints._KEEP_SPLINE", 1_000)  # treat both as long ones
+    """The memory of a long run is that of its trace."""
+    monkeypatch.setattr("twin.simulation.setpoints._KEEP_SPLINE", 1_000)  # treat both as long runs
     machine = mikron.with_axes(["X"])
     simulate(machine, swings(machine, 0.1))  # compile first
     short, short_trace = peak_bytes(machine, 39.9, 50e-3)  # whole parts of the record's splines
     long, long_trace = peak_bytes(machine, 159.9, 50e-3)
-    # twice: the set points are put together beside the record
+    # twice the trace: the set points are assembled while the record exists
     assert long - short < 2.0 * (long_trace - short_trace) + 50_000
     assert long < 5e6

@@ -1,4 +1,4 @@
-"""Set points: resampling adds no jerk, any delay is honoured, differences are those of the law."""
+"""Set points: resampling adds no jerk, delays are exact, differences follow the law."""
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,11 +9,13 @@ from tests.conftest import swings
 from twin.geometry.scurve import jerk_limited_move
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.setpoints import Setpoints, check_travel, command_of, limit_warnings, setpoints_of
+from twin.simulation.position_command import command_of
+from twin.simulation.setpoint_limits import limit_warnings
+from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
 
 OMEGA = 2 * np.pi * 1.5
 INTERPOLATION = 1e-12
-"""Cubic interpolation of a 1.5 Hz swing of 50 mm at 1 kHz: amplitude (omega h)^4 / 384 = 1e-12 m."""
+"""Error of cubic interpolation of a 1.5 Hz sine of 50 mm at 1 kHz: amplitude (omega h)^4 / 384 = 1e-12 m."""
 
 
 def sine(seconds: float, period: float) -> Setpoints:
@@ -26,12 +28,12 @@ def sine(seconds: float, period: float) -> Setpoints:
 def test_any_delay_of_a_known_function(delay: float, period: float) -> None:
     times = 1.0 + np.arange(50) * 2e-3
     read = sine(3.0, period).at(times - delay)[:, 0]
-    # a time within 1e-9 of a sample is that sample's: the swing moves by its speed in it
+    # a time within 1e-9 of a sample is moved to the sample: the error is speed times that shift
     bound = INTERPOLATION * (period / 1e-3) ** 4 * 1.5 + 1e-9 * period * 0.05 * OMEGA + 1e-16
     np.testing.assert_allclose(read, 0.05 * np.sin(OMEGA * (times - delay)), rtol=0, atol=bound)
 
 
-def test_a_long_trace_is_read_in_windows_as_by_one_spline(mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_trace_in_windows_equals_one_spline(mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     times = 1.3 + np.arange(500) * 0.7e-3
     whole = swings(mikron, 3.0).at(times)
     monkeypatch.setattr("twin.simulation.setpoints._KEEP_SPLINE", 0)
@@ -56,11 +58,11 @@ def test_resampling_adds_no_jerk(period: float) -> None:
     assert jerk.max() <= 5.0 + 0.27 * 10.0
     straight = np.interp(np.arange(0.0, 1.4, tick), t, points.position[:, 0])
     if period > 2 * tick:
-        assert np.abs(np.diff(straight, 3)).max() / tick**3 > 10 * jerk.max()  # what linear interpolation would do
+        assert np.abs(np.diff(straight, 3)).max() / tick**3 > 10 * jerk.max()  # linear interpolation
 
 
 @pytest.mark.parametrize("kept", [0, 100_000])
-def test_a_stretch_is_the_same_read_alone_or_as_part(mikron: Machine, monkeypatch: pytest.MonkeyPatch, kept: int) -> None:
+def test_a_stretch_equals_that_part_of_the_whole(mikron: Machine, monkeypatch: pytest.MonkeyPatch, kept: int) -> None:
     monkeypatch.setattr("twin.simulation.setpoints._KEEP_SPLINE", kept)
     points = swings(mikron, 3.0)
     inertia = np.ones(5)
@@ -109,7 +111,7 @@ def test_a_move_at_its_limits_gives_no_warning(mikron: Machine) -> None:
     assert limit_warnings(Setpoints(rounded, 1e-3), mikron) == []
 
 
-def test_each_limit_is_told_with_place_and_amount(mikron: Machine) -> None:
+def test_each_limit_warning_has_time_and_value(mikron: Machine) -> None:
     t = np.arange(3000) * 1e-3
     position = np.zeros((3000, 5))
     position[:, 0] = jerk_limited_move(0.3, 0.5, 2.5, 7.0, t - 1.0)

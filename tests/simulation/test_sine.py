@@ -1,4 +1,4 @@
-"""Sine and cosine of compiled terms against numpy's."""
+"""Sine and cosine of compiled terms compared with numpy."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def fill(angle, sines, cosines, alone):  # type: ignore[no-untyped-def]
 
 
 @pytest.mark.parametrize("span", [1e-3, 1.0, 100.0, 1e5, LARGEST_QUARTERS * 1.6])
-def test_both_are_right_to_the_last_digit(span):
-    """The largest span reaches beyond the angles that are brought to a quarter turn here."""
+def test_both_are_accurate_to_the_last_digit(span):
+    """The largest span exceeds the range of the fast range reduction."""
     edges = np.arange(-50, 51) * np.pi / 4.0
     angle = np.concatenate([np.random.default_rng(0).uniform(-span, span, 20_000), edges, [0.0, -0.0]])
     sines, cosines, alone = np.empty_like(angle), np.empty_like(angle), np.empty_like(angle)
@@ -28,7 +28,7 @@ def test_both_are_right_to_the_last_digit(span):
     np.testing.assert_array_equal(alone, sines)
 
 
-def test_what_is_no_number_stays_none():
+def test_nan_stays_nan():
     angle = np.array([np.nan, np.inf])
     sines = np.empty(2)
     fill(angle, sines, np.empty(2), np.empty(2))

@@ -55,7 +55,8 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.report.figure import save_png
     from twin.simulation.command_columns import with_command_columns
     from twin.simulation.run import simulate
-    from twin.simulation.setpoints import check_travel, limit_warnings, setpoints_of
+    from twin.simulation.setpoint_limits import limit_warnings
+    from twin.simulation.setpoints import check_travel, setpoints_of
     from twin.simulation.summary import effects_line, feedforward_line, summary_of, summary_table
 
     if args.beside and not args.effect:

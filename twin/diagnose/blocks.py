@@ -27,9 +27,9 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
 from twin.simulation.decoupled_plant import loads_along
-from twin.simulation.in_force import sent_before, speed_set_point
+from twin.simulation.drive_setpoints import received_from_nc, speed_set_point
 from twin.simulation.lanes import commissioned_inertia
-from twin.simulation.setpoints import command_of
+from twin.simulation.position_command import command_of
 
 MOTION = ("velocity", "motor_position", "position")
 """Signals of the motion of an axis; one of them is sufficient."""
@@ -146,7 +146,7 @@ def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = T
         drives,
         state,
         speed_set_point(trace, axis, machine.speed_cycle) / axis.ratio,
-        sent_before(np.repeat(command.torque_feedforward[:, 0], every)[:count], trace, axis, machine.speed_cycle),
+        received_from_nc(np.repeat(command.torque_feedforward[:, 0], every)[:count], trace, axis, machine.speed_cycle),
         trace.get(axis.name, "velocity") / axis.ratio,
         (ticks, round(machine.speed_cycle / machine.base_tick), round(machine.current_cycle / machine.base_tick)),
         predicted,

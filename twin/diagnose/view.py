@@ -15,8 +15,9 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import SAME_PERIOD, at_times, encoders_noise, is_moving, simulated_period
+from twin.simulation.position_command import delay_weights
 from twin.simulation.run import simulate
-from twin.simulation.setpoints import Setpoints, delay_weights, recorded_setpoints
+from twin.simulation.setpoints import Setpoints, recorded_setpoints
 from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 
@@ -127,7 +128,7 @@ def _command(view: RunView, axis: Axis) -> np.ndarray:
     tp, d = view.machine.position_cycle, axis.loops.feedforward_delay_s
     if axis.loops.velocity_feedforward == 0.0:
         return np.zeros(len(view.trace.time))
-    added = view.setpoints.part((view.machine.axis_names.index(axis.name),)).fed_at(view.trace.time - view.trace.time[0])
+    added = view.setpoints.part((view.machine.axis_names.index(axis.name),)).added_feedforward_at(view.trace.time - view.trace.time[0])
     slope = (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
     return axis.loops.velocity_feedforward * slope + (added[:, 0] if isinstance(added, np.ndarray) else added)
 

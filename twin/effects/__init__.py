@@ -1,9 +1,9 @@
-"""Effects: everything that a machine may have beyond the nominal model, each as one switch.
+"""Effects: deviations of a machine from its nominal model, each a switch.
 
 EFFECTS          all effects by name, found in the modules of this package and in the files that `--effects` gives
-with_effects     a machine with a list of effects
+with_effects     a machine with these effects
 parse_setting    an effect from the command line
-apply_effects    what the effects change: used by `twin.simulation.run.simulate`
+apply_effects    the changes that the effects make, for `twin.simulation.run.simulate`
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""A machine with more effects, written as on the command line."""
+"""Add effects to a machine, in the notation of the command line."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from twin.machine.machine import Machine
 
 
 def add_effects(machine: Machine, *effects: str | Setting) -> Machine:
-    """The machine with these effects added to those that it has.
+    """The machine with these effects in addition to its own.
 
     Each is 'NAME:AXIS:PARAMETER=VALUE[,PARAMETER=VALUE]' in SI, as after `--effect`, e.g. 'backlash:X:clearance=15e-6', or a Setting.
-    Raises InputError for an unknown name, axis or parameter, a value out of bounds, and an effect that stands twice on an axis.
+    Raises InputError for an unknown name, axis or parameter, a value out of bounds, or a duplicate effect on an axis.
     """
     settings = [parse_setting(effect, machine) if isinstance(effect, str) else effect for effect in effects]
     changed = with_effects(machine, [*settings_of(machine), *settings])

@@ -1,4 +1,4 @@
-"""What effects change of a machine: collected here, then simulated."""
+"""Changes that effects make to a machine: parameters, loop terms and model edits."""
 
 from __future__ import annotations
 
@@ -19,26 +19,28 @@ from twin.simulation.loop_terms import FORCE, MEASURE, X_LOAD_FORCE, Term, array
 from twin.simulation.plant_spec import ModelEdit, build_plant, frames_of_model, full_inertia, remembered
 
 FASTEST_MODE = 1.5
-"""Natural frequency x tick of a spring beyond which a step no longer resolves it (semi-implicit steps grow beyond 2)."""
+"""Largest natural frequency times tick of a spring. Semi-implicit Euler is unstable above 2."""
 
 
 @dataclass
 class Change:
-    """A machine with its effects put on one by one; arrays are (axis,) in the machine's order."""
+    """A machine with its effects applied one by one; arrays are (axis,) in the machine's order."""
 
     machine: Machine
     started_at: float = 0.0
-    lead_ticks: int = 0  # ticks that the run begins before time 0
+    lead_ticks: int = 0  # length of the lead-in, before time 0
     terms: list[Term] = field(default_factory=list)
     model_edits: list[ModelEdit] = field(default_factory=list)
     couplings: dict[str, Coupling] = field(default_factory=dict)
-    transmission_errors: list[tuple[Any, Axis, list[float]]] = field(default_factory=list)  # term, axis, its three parameters
+    transmission_errors: list[tuple[Any, Axis, list[float]]] = field(default_factory=list)  # term, axis, three parameters
     scale_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
     constant_force: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    force_at_rest: list[tuple[int, Callable[[np.ndarray], float]]] = field(default_factory=list)  # axis index, force of the start (axis,)
+    force_at_rest: list[tuple[int, Callable[[np.ndarray], float]]] = field(
+        default_factory=list
+    )  # axis index, force as a function of the start (axis,)
 
     def __post_init__(self) -> None:
-        # the control keeps what it was commissioned with, whatever the effects make of the motor
+        # the control keeps its commissioned values if an effect changes the motor
         for axis in self.machine.axes:
             if axis.effort != "torque" and not self.machine.has(f"axis.{axis.name}.commissioned.torque_constant_nm_per_a"):
                 self.machine = self.machine.with_axis(axis.name, commissioned_torque_constant=axis.commissioned_torque_constant)
@@ -69,23 +71,23 @@ class Change:
         self.terms.append(Term(law, stage, self.index(axis), parameters, state, order))
 
     def add_force(self, axis: Axis, force: float) -> None:
-        """A constant force on the load, towards +q; the integrators carry it at the start of a run."""
+        """Add a constant force on the load, towards +q; the integrators carry it at the start of a run."""
         self.constant_force[self.index(axis)] += force
         self.add_term(constant_load_force, FORCE, axis, [force])
 
-    def held_with(self, axis: Axis, force: Callable[[np.ndarray], float]) -> None:
-        """A force on the load, towards +q, that depends on where the axes start (axis,); the integrators carry it at the start of a run."""
+    def add_holding_force(self, axis: Axis, force: Callable[[np.ndarray], float]) -> None:
+        """Add a holding force on the load, towards +q, as a function of the start (axis,); the integrators carry it at the start of a run."""
         self.force_at_rest.append((self.index(axis), force))
 
     def constant_force_at(self, start: np.ndarray) -> np.ndarray:
-        """Force (axis,) towards +q that acts at rest on this start (axis,)."""
+        """Force (axis,) towards +q at rest at `start` (axis,)."""
         force = self.constant_force.copy()
         for a, law in self.force_at_rest:
             force[a] += law(start)
         return force
 
     def add_inertia(self, axis: Axis, added: float) -> None:
-        """Mass or inertia that the load of this axis alone feels."""
+        """Add mass or inertia to the load of this axis only."""
 
         def edit(spec: mujoco.MjSpec) -> None:
             spec.joint(axis.name).armature += added
@@ -93,12 +95,12 @@ class Change:
         self.model_edits.append(edit)
 
     def couple(self, cause: str, axis: Axis, stiffness: float, damping: float, clearance: float = 0.0) -> None:
-        """Put a spring, a damper and a dead zone between rotor and load; `cause` is the effect's name, for messages."""
+        """Add a spring, a damper and a dead zone between rotor and load; `cause` is the name of the effect, for messages."""
         self.couplings.setdefault(axis.name, Coupling()).add(cause, stiffness, damping, clearance)
 
     def add_transmission_error(self, law: Any, axis: Axis, parameters: Sequence[float]) -> None:
-        """Let the transmission carry the load ahead of the rotor: a term with at most three parameters; a fourth, 1 where the rotor is a
-        body of its own, is put in when all effects are there."""
+        """Add a transmission error, by which the load leads the rotor: a term with at most three parameters. `apply_effects` adds a fourth, 1
+        for a rotor with its own joint."""
         self.transmission_errors.append((law, axis, [*parameters, *([0.0] * (3 - len(parameters)))]))
 
     def load_inertia(self, axis: Axis) -> float:
@@ -116,18 +118,18 @@ class Change:
         return self.couplings[axis.name].rotor_offset(held, axis.coulomb_friction)
 
     def check_step(self, axis: Axis, what: str, stiffness: float, mass: float) -> None:
-        """Refuse a spring that swings faster than the base tick can follow."""
+        """Raise InputError if the base tick cannot resolve the natural frequency of a spring."""
         h = self.machine.base_tick
         w = math.sqrt(stiffness / mass)
         if w * h > FASTEST_MODE:
             raise InputError(
-                f"{what} on axis {axis.name}: stiffness {stiffness:g} swings at {w / (2 * math.pi):.0f} Hz, too fast for a tick of "
+                f"{what} on axis {axis.name}: stiffness {stiffness:g} oscillates at {w / (2 * math.pi):.0f} Hz, too fast for a tick of "
                 f"{h * 1e6:g} us; give at most {(FASTEST_MODE / h) ** 2 * mass:.3g}, or leave the effect out"
             )
 
     @property
     def split_axes(self) -> tuple[str, ...]:
-        """Axes whose rotor turns on a joint of its own."""
+        """Axes whose rotor has its own joint."""
         return tuple(self.couplings)
 
 
@@ -144,7 +146,7 @@ def held_force(machine: Machine, axis: Axis) -> float:
 
 
 def upward(machine: Machine, axis: Axis) -> float:
-    """Component of a linear axis along +z of the machine frame, 0 where it is level."""
+    """Component of a linear axis along +z of the machine frame, 0 for a horizontal axis."""
     model = frames_of_model(machine)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -153,12 +155,12 @@ def upward(machine: Machine, axis: Axis) -> float:
 
 
 def weight(machine: Machine, axis: Axis) -> float:
-    """Weight that a linear axis holds [N], 0 for a rotary or level one."""
+    """Weight on a linear axis [N], 0 for a rotary or horizontal axis."""
     return (axis.moving_mass_kg or 0.0) * machine.gravity * abs(upward(machine, axis)) if axis.kind == "linear" else 0.0
 
 
 def total_inertia(machine: Machine, axis: Axis) -> float:
-    """Mass or inertia that an axis moves, load and rotor, in the home pose [kg, kg m2]."""
+    """Mass or inertia of load and rotor in the home pose [kg, kg m2]."""
     return load_inertia(machine, axis) + axis.reflected_inertia
 
 
@@ -173,12 +175,12 @@ def _at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
 
 
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
-    """Put the machine's steady loads and effects on it; `started_at` [s] since the start of the campaign."""
+    """Apply the constant loads and the effects of a machine; `started_at` [s] since the start of the campaign."""
     change = Change(machine, started_at)
     for axis in machine.axes:
         if axis.constant_force:
             change.add_force(axis, -axis.constant_force)
-    # by block, then in the order of the library: a machine with the same effects in another order is the same machine
+    # sorted by block, then as in the library, so that the order in the machine file does not matter
     order = {name: i for i, name in enumerate(EFFECTS)}
     for setting in sorted(settings_of(machine), key=lambda s: (BLOCKS.index(s.effect.block), order.get(s.effect.name, len(order)))):
         if not setting.is_nil:
@@ -189,7 +191,7 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
         mass = change.reduced_mass(axis)
         change.check_step(axis, c.cause, c.stiffness, mass)
         h = change.machine.base_tick
-        # the damper decays the relative speed exactly over a tick: stable for any damping
+        # exact decay of the relative speed over a tick, stable for any damping
         rate = c.damping * h / mass
         damping = c.damping * (-math.expm1(-rate) / rate if rate > 0 else 1.0)
         change.add_term(coupling, FORCE, axis, [c.clearance / 2.0, c.stiffness, damping])

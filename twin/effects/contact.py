@@ -1,4 +1,4 @@
-"""Effects of the contact near standstill: Stribeck and pre-sliding. The level is shaped first (order 0, 1), the bristle uses it up (2)."""
+"""Friction effects near standstill: Stribeck and pre-sliding. Terms of order 0 and 1 set the friction level, the bristle (2) uses it."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from twin.simulation.loop_terms import (
 )
 
 VANISHED = 6.1
-"""Multiple of the Stribeck speed beyond which exp(-x^2) is less than a rounding of 1."""
+"""Multiple of the Stribeck speed above which exp(-x^2) is below machine precision."""
 
 BRISTLE_DAMPING_RATIO = 0.3
-"""Damping of the bristle against the axis' whole inertia where none is given."""
+"""Default damping ratio of the bristle with the total inertia of the axis."""
 
 
 @effect(
@@ -37,16 +37,16 @@ BRISTLE_DAMPING_RATIO = 0.3
         ),
     ),
     separating_move="micro-reversals",
-    rivals="Coulomb friction is more at every speed, Stribeck below a few mm/s only.",
+    rivals="Coulomb friction is higher at every speed, Stribeck friction only below a few mm/s.",
     picture=Picture(
-        "More friction at low speed: the current peaks where the axis starts and stops.",
+        "Higher friction at low speed: the current peaks when the axis starts and stops.",
         "slow",
         axis="X",
         sizes={"excess": 700.0, "velocity": 0.004},
     ),
 )  # fmt: skip
 def stribeck(change: Change, axis: Axis, excess: float, velocity: float) -> None:
-    """More friction at low speed than at high (Stribeck).
+    """Higher friction at low speed (Stribeck).
 
     F(v) = Fc + excess exp(-(v / velocity)^2). Source: Armstrong-Helouvry, Dupont, Canudas de Wit 1994.
     """
@@ -67,15 +67,15 @@ def _bristle_range(machine: Machine, axis: Axis) -> tuple[float, float]:
         ),
     ),
     separating_move="micro-reversals",
-    rivals="Backlash parts motor and scale, pre-sliding does not. Coulomb friction jumps at a reversal, pre-sliding builds up over micrometres.",
+    rivals="Backlash separates motor and scale; pre-sliding does not. Coulomb friction jumps at a reversal; pre-sliding friction builds up over micrometres.",
     normal="slip",
-    picture=Picture("Small moves: the friction builds up over micrometres instead of jumping.", "micro", axis="X", smooth_s=0.004),
+    picture=Picture("Micro-reversals: friction builds up over micrometres instead of jumping.", "micro", axis="X", smooth_s=0.004),
 )
 def presliding(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
-    """Below break-away the contact is a spring (pre-sliding).
+    """Elastic contact below break-away (pre-sliding).
 
-    Bristle z' = v - stiffness |v| z / F(v); force stiffness z + damping z' (+ viscous v). F(v) is the Coulomb level with
-    whatever shapes it. Default damping: ratio 0.3 on the axis' whole inertia.
+    Bristle z' = v - stiffness |v| z / F(v); force stiffness z + damping z' (+ viscous v). F(v) is the friction level
+    of the other terms. Default damping: ratio 0.3 with the total inertia of the axis.
     Source: Canudas de Wit, Olsson, Astrom, Lischinsky 1995 (LuGre).
     """
     load = change.load_inertia(axis)
@@ -100,13 +100,13 @@ def stribeck_level(parameters, state, signals, axis):  # type: ignore[no-untyped
     """F += p[0] exp(-(v / p[1])^2)."""
     p, s, x = arrays(parameters, state, signals)
     ratio = x[axis, X_LOAD_SPEED] / p[1]
-    if abs(ratio) < VANISHED:  # the C library takes a slow way to nothing
+    if abs(ratio) < VANISHED:  # exp() is slow for results near zero
         x[axis, X_FRICTION_LEVEL] += p[0] * math.exp(-ratio * ratio)
 
 
 @term
 def bristle(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """z' = v - k |v| z / F, solved exactly over the tick for the speed in its middle; the mean force acts."""
+    """z' = v - k |v| z / F, solved exactly over the tick for the speed at its middle; the mean force acts."""
     p, s, x = arrays(parameters, state, signals)
     h = x[axis, X_STEP]
     level = x[axis, X_FRICTION_LEVEL]

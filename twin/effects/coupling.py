@@ -1,4 +1,4 @@
-"""The elastic coupling of rotor and load, which backlash and compliance share: dead zone, springs in series, damper."""
+"""The elastic coupling of rotor and load, shared by backlash and compliance: dead zone, springs in series, damper."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from twin.simulation.loop_terms import (
 )
 
 REST_FORCE = 1e-6
-"""A held force below this fraction of Coulomb friction presses no flank: the gap is centred."""
+"""Holding force, as a fraction of Coulomb friction, up to which the gap is centred at rest."""
 
 
 @dataclass
 class Coupling:
-    """Elastic coupling of rotor and load: dead zone, springs in series, damper of the softest."""
+    """Elastic coupling of rotor and load: dead zone, springs in series, damper of the softest spring."""
 
     clearance: float = 0.0
     flexibility: float = 0.0  # sum of 1 / stiffness
     damping: float = 0.0
     softest: float = math.inf
-    cause: str = ""  # the effect that made the softest spring, or the gap
+    cause: str = ""  # effect that added the dead zone, or the last spring
 
     def add(self, cause: str, stiffness: float, damping: float, clearance: float = 0.0) -> None:
-        """One more spring in series [N/m, Nm/rad] with its damping [N s/m, Nm s/rad] and dead zone [m, rad]."""
+        """Add a spring in series [N/m, Nm/rad] with its damping [N s/m, Nm s/rad] and dead zone [m, rad]."""
         self.cause = cause if clearance or not self.clearance else self.cause
         self.clearance += clearance
         self.flexibility += 1.0 / stiffness
@@ -43,11 +43,11 @@ class Coupling:
 
     @property
     def stiffness(self) -> float:
-        """Of all springs in series, 1 / sum(1 / k) [N/m, Nm/rad]."""
+        """Stiffness of all springs in series, 1 / sum(1 / k) [N/m, Nm/rad]."""
         return 1.0 / self.flexibility
 
     def rotor_offset(self, held: float, coulomb: float) -> float:
-        """Rotor minus load position at rest under a held force: on the pressed flank, spring loaded; centred without force."""
+        """Rotor minus load position at rest under a holding force: on the loaded flank with the spring deflected; centred without force."""
         if abs(held) <= REST_FORCE * coulomb:
             return 0.0
         return held * self.flexibility + math.copysign(self.clearance / 2.0, held)
@@ -57,7 +57,7 @@ class Coupling:
 def coupling(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F = k (d -+ c/2) + b d' outside the dead zone |d| <= p[0], on the load; its reaction on the rotor.
 
-    d = rotor + error of the transmission - load: an inexact screw carries the load ahead of the rotor.
+    d = rotor + transmission error - load.
     """
     p, s, x = arrays(parameters, state, signals)
     ahead, ahead_speed = x[axis, X_TRANSMISSION_ERROR], x[axis, X_TRANSMISSION_ERROR_SPEED]

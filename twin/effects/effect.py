@@ -1,10 +1,9 @@
-"""What an effect is: one named thing that a machine may have beyond the nominal model.
+"""Effects: named deviations of a machine from its nominal model.
 
-An effect is one function under `@effect(...)`. Its docstring holds the law and its source. The decorator holds everything
-else that the twin knows about it: block, parameters with units and bounds, axes, how a diagnosis starts and judges it, its
-units for people, what separates it from its rivals, its picture. The function describes how it acts on a `Change`: a changed
-parameter of control or machine, a term of the compiled loop, or an edit of the MuJoCo model. Nothing else has to be written
-for a new effect: every field but block and parameters has a default that suits one.
+An effect is one function under `@effect(...)`. Its docstring states the law and its source. The decorator states the rest: block,
+parameters with units and bounds, axes, start values and plausibility for diagnosis, display units, rivals, picture. The function applies
+the effect to a `Change`: it changes a parameter of control or machine, adds a term to the compiled loop, or edits the MuJoCo model. A new
+effect needs nothing else; all fields except block and parameters have defaults.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from twin.machine.machine import Axis, Machine
 
 BLOCKS = ("position controller", "speed controller", "current loop", "mechanics", "transmission", "measurement")
 
-# unit of a quantity at a linear and at a rotary axis
+# unit of a quantity on a linear and on a rotary axis
 QUANTITIES = {
     "factor": ("1", "1"),
     "length": ("m", "rad"),
@@ -45,46 +44,46 @@ QUANTITIES = {
 
 PERCENT = {"1": ("%", 100.0)}
 DEGREES = {"rad": ("deg", math.degrees(1.0))}
-"""Units for people that parameters share: SI unit -> (unit, factor)."""
+"""Common display units: SI unit -> (unit, factor)."""
 
 Usual = Callable[[Machine, Axis], tuple[float, float]]
-"""The range of sizes that is found on machines of this class, as a function of machine and axis."""
+"""Usual range of a parameter as a function of machine and axis."""
 
 AN_ACCELERATION = Picture()
 
 SeparatingMove = Literal["micro-reversals", "constant speeds", "accelerations", "chirp", "rest"]
-"""Moves that a diagnosis can propose as the next measurement."""
+"""Moves that a diagnosis can propose as next measurement."""
 
 
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect, SI.
 
-    name, quantity     its name and what it is; `QUANTITIES` gives the unit. A "factor" multiplies a parameter of the machine
-    low, high          bounds that are accepted
-    usual              range that is found on machines; the bounds where nothing else is known
-    default            value of a parameter that only shapes the effect (None: must be given, unless the effect computes it)
-    shape              True for a parameter that is not what the effect is about; it is not scored
-    neutral            value at which the effect does nothing. The first parameter with one is the effect's size
+    name, quantity     name and quantity; `QUANTITIES` gives the unit. A "factor" multiplies a parameter of the machine
+    low, high          accepted bounds
+    usual              usual range on machines; defaults to the bounds
+    default            default value (None: required, unless the effect computes it)
+    shape              True for a parameter that shapes the effect and is not scored
+    neutral            value without effect. The first parameter that has one is the size of the effect
     logarithmic        sizes are compared by ratio
     periodic           an angle
-    fitted             start of a shape that a fit should find, from the values of the others
+    fitted             start value of a fitted shape parameter as a function of the other values
 
-    How a diagnosis starts it:
+    Start values of a diagnosis:
     multiplies         field of the axis, its motor or its loops that a factor multiplies
-    starts             number of sizes that are simulated as starts; 2 of a range around neutral are one on either side
-    bends              what the effect does is not in proportion to its size: a single start may underrate it
-    scan               how start values are read from the residual, instead of from the usual range
-    lag_cycle          for the time constant of a sampled lag: the field of the machine with the cycle c at which it is sampled.
-                       It delays by c / (exp(c / T) - 1), next to nothing below half a cycle
+    starts             number of simulated start sizes; 2 for a range around neutral give one on each side
+    bends              the response is not proportional to the size, so a single start may underestimate the effect
+    scan               method that reads start values from the residual instead of the usual range
+    lag_cycle          for the time constant T of a sampled first-order lag: machine field of its cycle c.
+                       The lag delays by c / (exp(c / T) - 1), which is negligible below half a cycle
 
-    When a diagnosis believes its size:
-    beyond_tolerance   multiple of the machine's parameter tolerance from which a deviation is an effect
-    part_of            what the tolerance is a share of, for a size that is no factor [its unit]
-    any_size           any size is believed, also one far outside the usual range
-    judged_with        name of another parameter: the product of both is compared with the usual sizes
+    Plausibility in a diagnosis:
+    beyond_tolerance   multiple of the machine's parameter tolerance above which a deviation is an effect
+    part_of            reference value of the tolerance for a size that is not a factor [its unit]
+    any_size           any size is plausible, even far outside the usual range
+    judged_with        name of another parameter; the product of both is compared with the usual sizes
 
-    shown              unit for people: SI unit -> (unit, factor); without an entry the usual one of that SI unit
+    shown              display unit: SI unit -> (unit, factor); defaults to the usual display unit of that SI unit
     """
 
     name: str
@@ -116,28 +115,28 @@ class Parameter:
         return QUANTITIES[self.quantity][0 if axis.kind == "linear" else 1]
 
     def usual_range(self, machine: Machine, axis: Axis) -> tuple[float, float]:
-        """Usual sizes on this axis; the bounds where nothing else is known."""
+        """Usual range on this axis; the bounds if none is given."""
         if self.usual is None:
             return (self.low, self.high)
         return self.usual(machine, axis) if callable(self.usual) else self.usual
 
     @property
     def is_factor(self) -> bool:
-        """True where the value multiplies a parameter of the machine."""
+        """True if the value multiplies a parameter of the machine."""
         return self.quantity == "factor"
 
     @property
     def is_scaled(self) -> bool:
-        """True where what the effect does is about in proportion to the deviation from neutral (not so for springs and limits)."""
+        """True if the response is roughly proportional to the deviation from neutral; false for springs and limits."""
         return self.neutral is not None and math.isfinite(self.neutral)
 
     @property
     def is_spring(self) -> bool:
-        """True for a stiffness that is infinite on a rigid machine: the effect is about in proportion to 1 / stiffness."""
+        """True for a stiffness that is infinite on a rigid machine: the response is roughly proportional to 1 / stiffness."""
         return self.quantity == "stiffness" and self.neutral == math.inf
 
     def deviation(self, value: float) -> float:
-        """Distance of a value from doing nothing; 1 for an angle."""
+        """Distance of a value from neutral; 1 for an angle."""
         if self.periodic:
             return 1.0
         return abs(value - (self.neutral or 0.0 if self.is_scaled else 0.0))
@@ -145,16 +144,16 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect of the library or of a user's file; `act(change, axis, **parameters)` puts it on the machine.
+    """An effect of the library or of a user's file; `act(change, axis, **parameters)` applies it to the machine.
 
-    separating_move    move that separates it best from its nearest rivals: what a diagnosis proposes as the next measurement
-    rivals             the same in words: what looks alike, and what parts them
-    contains           names of effects that this one includes: they leave a machine that gets this one
-    imitated_by        names of effects of which a little, normal on any machine, looks like a little of this one
-    normal             name of a normal imperfection that this effect is a large case of: "elasticity" of a drive train,
-                       "slip" of a contact before it breaks away
-    picture            what its picture shows
-    definition         of an effect that is made from its own table (`effect_from_table`): the entries that make it what it is
+    separating_move    move that separates it best from its rivals; a diagnosis proposes it as next measurement
+    rivals             similar effects, and how to distinguish them, in words
+    contains           names of effects that this one includes; a machine that gets this one loses them
+    imitated_by        names of effects that, at a size normal on any machine, look like a small case of this one
+    normal             normal imperfection that this effect is a large case of: "elasticity" of a drive train,
+                       "slip" of a contact before break-away
+    picture            content of its picture
+    definition         defining entries of an effect that is made from its own table (`FROM_TABLE`)
     """
 
     name: str
@@ -176,7 +175,7 @@ class Effect:
 
     @property
     def key(self) -> str:
-        """What a machine can have once on an axis: its name, and of one made from its table also what makes it what it is."""
+        """Identity of the effect on an axis: its name, and the definition of an effect made from its own table."""
         return " ".join([self.name, *(f"{k}={v}" for k, v in self.definition.items() if k != "points")])
 
     @property
@@ -186,18 +185,18 @@ class Effect:
 
     @property
     def size(self) -> Parameter:
-        """The parameter that says how large the effect is: the first with a neutral value, one that is no shape if there is one."""
+        """The size parameter: the first with a neutral value, preferably one that is not a shape."""
         sizes = [p for p in self.parameters if p.neutral is not None]
         return next((p for p in sizes if not p.shape), sizes[0])
 
     @property
     def phase(self) -> Parameter | None:
-        """The angle that shapes a wave: such an effect is a sum of a sine and a cosine."""
+        """The phase angle of a sinusoidal effect, which is a sum of a sine and a cosine."""
         return next((p for p in self.parameters if p.periodic and p.shape), None)
 
     @property
     def is_linear(self) -> bool:
-        """True where what it does is about in proportion to its size."""
+        """True if the response is roughly proportional to the size."""
         return self.size.is_scaled and not self.size.bends
 
     def axes(self, machine: Machine) -> tuple[Axis, ...]:
@@ -216,9 +215,9 @@ EFFECTS: dict[str, Effect] = {}
 """All effects by name. The decorator fills it."""
 
 FROM_TABLE: dict[str, Callable[[Mapping[str, Any], str], Effect]] = {}
-"""Effects that are made from their own `[[effect]]` table: name -> function of the table and of the place for messages.
+"""Effects made from their own `[[effect]]` table: name -> function of the table and of a location for error messages.
 
-They have no usual size and no start: a diagnosis does not search them among the effects of the library.
+They have no usual size and no start values, so a diagnosis does not search them among the effects of the library.
 """
 
 AXIS_RULES: dict[str, tuple[str, Callable[[Machine, Axis], bool]]] = {
@@ -260,9 +259,9 @@ def effect(
     normal: Literal["", "elasticity", "slip"] = "",
     picture: Picture = AN_ACCELERATION,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a function as an effect under its own name; the first line of its docstring is the one-line description.
+    """Register a function as an effect under its name; the first line of its docstring is the summary.
 
-    `axes` is a key of `AXIS_RULES`; the other arguments are the fields of `Effect`. Raises InputError where they do not fit.
+    `axes` is a key of `AXIS_RULES`; the other arguments are fields of `Effect`. Raises InputError for invalid arguments.
     """
 
     def register(act: Callable[..., None]) -> Callable[..., None]:
@@ -293,25 +292,25 @@ def effect(
 
 
 def _check(name: str, block: str, parameters: tuple[Parameter, ...], axes: str) -> None:
-    """Refuse an effect that the twin could not use, in one line."""
+    """Raise InputError for an invalid definition of an effect."""
     where = f"effect {name}"
     if name in EFFECTS:
-        raise InputError(f"{where}: the twin has an effect of that name already; give it another name")
+        raise InputError(f"{where}: an effect of that name exists already; use another name")
     if block not in BLOCKS:
         raise InputError(f"{where}: no block '{block}'; {nearest(block, BLOCKS)}")
     if axes not in AXIS_RULES:
-        raise InputError(f"{where}: no rule '{axes}' for axes; {nearest(axes, AXIS_RULES)}")
+        raise InputError(f"{where}: unknown rule for axes '{axes}'; {nearest(axes, AXIS_RULES)}")
     for p in parameters:
         if p.quantity not in QUANTITIES:
-            raise InputError(f"{where}: parameter {p.name}: no quantity '{p.quantity}'; {nearest(p.quantity, QUANTITIES)}")
+            raise InputError(f"{where}: parameter {p.name}: unknown quantity '{p.quantity}'; {nearest(p.quantity, QUANTITIES)}")
         if p.name in ("name", "axis", "from_axis"):
-            raise InputError(f"{where}: a parameter cannot be called '{p.name}'; give it another name")
+            raise InputError(f"{where}: the parameter name '{p.name}' is reserved; use another name")
     if all(p.neutral is None for p in parameters):
-        raise InputError(f"{where}: no parameter has a neutral value; say at which value of its size it does nothing")
+        raise InputError(f"{where}: no parameter has a neutral value; set `neutral` of the size, the value without effect")
 
 
 def find_effect(name: str, where: str) -> Effect:
     """The effect of that name, or an InputError with the nearest one."""
     if not isinstance(name, str) or name not in EFFECTS:
-        raise InputError(f"{where}: unknown effect '{name}'; {nearest(str(name), EFFECTS)}; for one of your own give --effects FILE")
+        raise InputError(f"{where}: unknown effect '{name}'; {nearest(str(name), EFFECTS)}; for your own effects give --effects FILE")
     return EFFECTS[name]

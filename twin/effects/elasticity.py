@@ -1,4 +1,4 @@
-"""Effects of an elastic connection of motor and load: a dead zone, a spring."""
+"""Effects of an elastic transmission between motor and load: dead zone and spring."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ CONTACT_FREQUENCY_HZ = 450.0
 CONTACT_DAMPING_RATIO = 0.3
 COMPLIANCE_DAMPING_RATIO = 0.08
 COMPLIANCE_STABLE = 1.4
-"""Damping where none is given: of the contact, and of a screw with its bearings (at least this multiple of Kv x load: a position
-loop closed on the load over a spring swings up by itself below Kv x load, and a machine that works does not)."""
+"""Default damping of the contact, and of a screw with its bearings. COMPLIANCE_STABLE is the smallest damping of a screw as a multiple of
+Kv x load: with less than Kv x load, a position loop closed on the load is unstable."""
 
 
 @effect(
@@ -31,10 +31,10 @@ loop closed on the load over a spring swings up by itself below Kv x load, and a
         Parameter("contact_damping", "damping", 0.0, 1e9, shape=True),
     ),
     separating_move="micro-reversals",
-    rivals="A compliance winds up in proportion to the force; backlash is a step, and its load stands still until it is crossed.",
+    rivals="A compliance deflects in proportion to the force; backlash is a step, and the load stands still until the motor has crossed it.",
     contains=("transmission_compliance",),
     picture=Picture(
-        "Slow reversal: motor and scale part by the clearance, the load stands until the motor has crossed it.", "reversal", axis="X"
+        "Slow reversal: motor and scale differ by the clearance; the load stands still until the motor has crossed it.", "reversal", axis="X"
     ),
 )  # fmt: skip
 def backlash(
@@ -42,7 +42,7 @@ def backlash(
 ) -> None:
     """Dead zone between motor and load.
 
-    The load is touched only outside +-clearance/2, then through a spring and a damper (default: 450 Hz on the reduced mass
+    Contact only outside +-clearance/2, through a spring and a damper (default: 450 Hz with the reduced mass
     m1 m2 / (m1 + m2), damping ratio 0.3). A slow reversal shows clearance + 2 Fc / contact_stiffness between motor and
     scale. Source: Nordin, Gutman 2002 (physical backlash).
     """
@@ -68,10 +68,13 @@ def _first_mode(machine: Machine, axis: Axis) -> tuple[float, float]:
         ),
     ),
     separating_move="chirp",
-    rivals="Inertia leaves motor and scale together. A chirp meets the resonance, which no inertia has.",
+    rivals="Inertia does not separate motor and scale. A chirp excites the resonance, which an inertia does not have.",
     normal="elasticity",
     picture=Picture(
-        "A chirp from 10 to 70 Hz meets the resonance; motor minus scale is the wound-up spring.", "chirp", axis="X", smooth_s=0.0005
+        "A chirp from 10 to 70 Hz excites the resonance; motor minus scale is the deflection of the spring.",
+        "chirp",
+        axis="X",
+        smooth_s=0.0005,
     ),
 )
 def transmission_compliance(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Effects of forces on the load: constant, from another axis' acceleration, swinging in time."""
+"""Effects of forces on the load: constant, from the acceleration of another axis, periodic in time."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from twin.simulation.loop_terms import FORCE, X_LOAD_ACCELERATION, X_LOAD_FORCE,
             beyond_tolerance=3.0, part_of=weight,
         ),
     ),
-    rivals="On a vertical axis a weight that is off within the tolerance looks the same; only more than that is an effect.",
-    picture=Picture("Current shifted the same way in both directions.", "reversal", axis="X", sizes={"force": 500.0}),
+    rivals="On a vertical axis, an error of the weight looks the same; only a force beyond the tolerance of the weight is an effect.",
+    picture=Picture("The current is offset by the same amount in both directions.", "reversal", axis="X", sizes={"force": 500.0}),
 )  # fmt: skip
 def constant_force(change: Change, axis: Axis, force: float) -> None:
     """Constant force against +q (counterbalance, cable drag).
 
-    F = -force. Coulomb friction that differs by direction is the same thing: Fc (1 + f sign v) sign v = Fc sign v + f Fc.
+    F = -force. Direction-dependent Coulomb friction is equivalent: Fc (1 + f sign v) sign v = Fc sign v + f Fc.
     """
     change.add_force(axis, -force)
 
 
-def _part_of_mass(machine: Machine, axis: Axis) -> tuple[float, float]:
+def _usual_mass(machine: Machine, axis: Axis) -> tuple[float, float]:
     return (0.08 * (axis.moving_mass_kg or 1.0), 0.25 * (axis.moving_mass_kg or 1.0))
 
 
@@ -39,25 +39,25 @@ def _part_of_mass(machine: Machine, axis: Axis) -> tuple[float, float]:
     block="mechanics",
     axes="linear",
     from_axis=True,
-    parameters=(Parameter("mass", "mass", -1e4, 1e4, _part_of_mass, neutral=0.0),),
+    parameters=(Parameter("mass", "mass", -1e4, 1e4, _usual_mass, neutral=0.0),),
     separating_move="accelerations",
-    rivals="Inertia follows this axis' own acceleration. Moves in which only one of the axes accelerates part them.",
+    rivals="Inertia follows the acceleration of this axis. Moves in which only one of the two axes accelerates distinguish them.",
     picture=Picture(
-        "X moves steadily; each acceleration of Y, out and back, pushes it.",
+        "X moves at constant speed; each acceleration of Y disturbs it.",
         axis="X",
         from_axis="Y",
         sizes={"mass": 170.0},
     ),
 )
 def cross_axis_coupling(change: Change, axis: Axis, from_axis: Axis, mass: float) -> None:
-    """Acceleration of another axis pushes this one.
+    """Acceleration of another axis acts on this axis.
 
     F = -mass x acceleration of from_axis (centre of mass off the screw, guides not square).
     """
-    change.add_term(pushed_by_axis, FORCE, axis, [mass, change.index(from_axis)])
+    change.add_term(cross_axis_force, FORCE, axis, [mass, change.index(from_axis)])
 
 
-def _part_of_coulomb(machine: Machine, axis: Axis) -> tuple[float, float]:
+def _usual_force(machine: Machine, axis: Axis) -> tuple[float, float]:
     return (0.15 * axis.coulomb_friction, 0.40 * axis.coulomb_friction)
 
 
@@ -65,31 +65,29 @@ def _part_of_coulomb(machine: Machine, axis: Axis) -> tuple[float, float]:
     block="mechanics",
     parameters=(
         Parameter("frequency_hz", "frequency", 0.1, 500.0, (7.0, 35.0), logarithmic=True, scan=InTime()),
-        Parameter("force", "force", 0.0, 1e5, _part_of_coulomb, neutral=0.0, logarithmic=True),
+        Parameter("force", "force", 0.0, 1e5, _usual_force, neutral=0.0, logarithmic=True),
     ),
     separating_move="rest",
-    rivals="A torque ripple changes its frequency with the speed, a force in time does not: it is there at rest too.",
-    picture=Picture(
-        "A wave in time, at rest, in motion and at any speed the same.", axis="X", sizes={"frequency_hz": 18.0, "force": 450.0}
-    ),
+    rivals="The frequency of a torque ripple changes with speed; a periodic disturbance keeps its frequency and acts at rest, too.",
+    picture=Picture("A sine in time, the same at rest and at any speed.", axis="X", sizes={"frequency_hz": 18.0, "force": 450.0}),
 )
 def periodic_disturbance(change: Change, axis: Axis, frequency_hz: float, force: float) -> None:
-    """A force that swings in time, whatever the axis does (pump, fan, neighbouring machine).
+    """Force that is periodic in time, independent of the motion (pump, fan, neighbouring machine).
 
     F = force sin(2 pi f t), t from the start of the run.
     """
-    change.add_term(swinging_force, FORCE, axis, [2.0 * math.pi * frequency_hz, force])
+    change.add_term(periodic_force, FORCE, axis, [2.0 * math.pi * frequency_hz, force])
 
 
 @term
-def pushed_by_axis(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+def cross_axis_force(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F -= p[0] a of axis p[1]."""
     p, s, x = arrays(parameters, state, signals)
     x[axis, X_LOAD_FORCE] -= p[0] * x[int(p[1]), X_LOAD_ACCELERATION]
 
 
 @term
-def swinging_force(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """F += p[1] sin(p[0] t), in the middle of the step."""
+def periodic_force(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """F += p[1] sin(p[0] t), at the middle of the step."""
     p, s, x = arrays(parameters, state, signals)
     x[axis, X_LOAD_FORCE] += p[1] * math.sin(p[0] * (x[axis, X_TIME] + 0.5 * x[axis, X_STEP]))

@@ -1,4 +1,4 @@
-"""Effects of friction that depends on direction, speed or place: Coulomb and viscous friction off nominal, and their variations."""
+"""Friction effects: Coulomb and viscous friction off nominal, and their dependence on direction and position."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from twin.simulation.sine import sine
         ),
     ),
     separating_move="micro-reversals",
-    rivals="A shift of the current at all speeds from 0.5 mm/s up is Coulomb friction; Stribeck and pre-sliding show at low speed only.",
+    rivals="Coulomb friction offsets the current at all speeds above 0.5 mm/s; Stribeck and pre-sliding act at low speed only.",
     picture=Picture(
-        "Current shifted by the same amount at every speed, against the motion; larger error at reversal.",
+        "The current is offset by the same amount at every speed, against the motion; larger error at reversal.",
         "reversal",
         axis="X",
         sizes={"factor": 1.4},
@@ -43,7 +43,7 @@ from twin.simulation.sine import sine
 def coulomb_friction(change: Change, axis: Axis, factor: float) -> None:
     """Coulomb friction off nominal.
 
-    Fc = factor x nominal, at all speeds alike. Source: paper, section 2.2.
+    Fc = factor x nominal, at all speeds. Source: paper, section 2.2.
     """
     change.scale(axis, coulomb_friction_nm=factor)
 
@@ -56,13 +56,13 @@ def coulomb_friction(change: Change, axis: Axis, factor: float) -> None:
             multiplies="viscous_friction_nm_s_per_rad", beyond_tolerance=4.0,
         ),
     ),
-    rivals="Coulomb friction shifts the current by the same amount at every speed; viscous friction grows with speed.",
-    picture=Picture("More current in proportion to speed.", "gentle", axis="X", sizes={"factor": 1.6}),
+    rivals="Coulomb friction offsets the current by the same amount at every speed; viscous friction grows with speed.",
+    picture=Picture("The current rises in proportion to speed.", "gentle", axis="X", sizes={"factor": 1.6}),
 )  # fmt: skip
 def viscous_friction(change: Change, axis: Axis, factor: float) -> None:
     """Viscous friction off nominal.
 
-    b = factor x nominal: a force in proportion to speed. Source: paper, section 2.2.
+    b = factor x nominal: a force proportional to speed. Source: paper, section 2.2.
     """
     change.scale(axis, viscous_friction_nm_s_per_rad=factor)
 
@@ -70,15 +70,15 @@ def viscous_friction(change: Change, axis: Axis, factor: float) -> None:
 @effect(
     block="mechanics",
     parameters=(Parameter("fraction", "number", -1.0, 1.0, (-0.35, 0.35), neutral=0.0, shown=PERCENT),),
-    rivals="A constant force shifts both directions alike at every speed; the asymmetry grows with speed.",
+    rivals="A constant force offsets both directions equally at every speed; the asymmetry grows with speed.",
     picture=Picture(
         "One direction needs more current than the other, in proportion to speed.", "gentle", axis="X", sizes={"fraction": 0.35}
     ),
 )
 def viscous_asymmetry(change: Change, axis: Axis, fraction: float) -> None:
-    """Viscous friction that differs by direction.
+    """Direction-dependent viscous friction.
 
-    F = b (1 + fraction sign v) v: the extra part b fraction |v| always points to -q.
+    F = b (1 + fraction sign v) v: the additional force b fraction |v| always acts towards -q.
     """
     change.add_term(asymmetric_viscous, FORCE, axis, [axis.viscous_friction * fraction])
 
@@ -93,15 +93,15 @@ def viscous_asymmetry(change: Change, axis: Axis, fraction: float) -> None:
             scan=AlongTravel(), shown=DEGREES,
         ),
     ),
-    rivals="A torque ripple keeps its sign under reversal; friction along the travel turns with the direction.",
+    rivals="A torque ripple keeps its sign at a reversal; position-dependent friction changes sign.",
     picture=Picture(
-        "Friction comes and goes along the travel and turns with the direction.", "constant speed", axis="X", sizes={"wavelength": 0.02}
+        "Friction varies along the travel and changes sign with the direction.", "constant speed", axis="X", sizes={"wavelength": 0.02}
     ),
 )  # fmt: skip
 def position_dependent_friction(change: Change, axis: Axis, fraction: float, wavelength: float) -> None:
-    """Coulomb friction that changes along the travel.
+    """Coulomb friction that varies along the travel.
 
-    Fc (1 + fraction sin(2 pi q / wavelength)): unlike ripple it changes sign with direction.
+    Fc (1 + fraction sin(2 pi q / wavelength)). Unlike ripple, it changes sign with direction.
     """
     change.add_term(friction_along_travel, FORCE, axis, [fraction, 2.0 * math.pi / wavelength], order=0)
 
@@ -115,7 +115,7 @@ def friction_along_travel(parameters, state, signals, axis):  # type: ignore[no-
 
 @term
 def asymmetric_viscous(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """F -= p[0] |v| in the middle of the step."""
+    """F -= p[0] |v| at the middle of the step."""
     p, s, x = arrays(parameters, state, signals)
     speed = x[axis, X_LOAD_SPEED] + 0.5 * x[axis, X_STEP] * x[axis, X_LOAD_ACCELERATION]
     x[axis, X_FRICTION_FORCE] -= p[0] * abs(speed)

@@ -1,4 +1,4 @@
-"""A law that no effect of the library describes: an output of one block as a function of one variable, y = f(x).
+"""The effect `law`, for laws that the library lacks: an output of one block as a function of one variable, y = f(x).
 
     [[effect]]
     name = "law"
@@ -10,9 +10,9 @@
     height = -489.0                   # N
     width = 0.009                     # m/s
 
-`formula` is a shape of `twin.effects.law_shapes`, by its name or its equation; its numbers stand beside it, in SI. A curve that no formula
-describes has `points = [[x, y], ...]` instead, with straight lines or a cubic spline `between` them. `VARIABLES` and `OUTPUTS` list what a
-law may depend on and what it may change. A variable of another axis takes `from_axis`; `memory_s` lets the output follow with a lag.
+`formula` is a shape of `twin.effects.law_shapes`, by name or equation, followed by its parameters in SI. A curve without a formula
+has `points = [[x, y], ...]`, with linear or cubic spline interpolation `between` them. `VARIABLES` and `OUTPUTS` list the variables and
+outputs. `from_axis` takes the variable from another axis; `memory_s` filters the output by a first-order lag.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ NAME = "law"
 
 @dataclass(frozen=True)
 class Variable:
-    """What a law may depend on: its code in the loop, its quantity, what it is, and the blocks in which alone it is known."""
+    """An independent variable of a law: code in the loop, quantity, description, and the blocks where it is available (empty: all)."""
 
     code: int
     quantity: str
@@ -58,8 +58,8 @@ VARIABLES = {
     "acceleration_size": Variable(law_terms.V_ACCELERATION_SIZE, "acceleration", "acceleration without sign"),
     "current": Variable(law_terms.V_CURRENT, "current", "motor current"),
     "time": Variable(law_terms.V_TIME, "time", "time since the start of the campaign"),
-    "direction": Variable(law_terms.V_DIRECTION, "number", "direction of motion z remembered over `length`: dz/dt = (v - |v| z) / length"),
-    "slack": Variable(law_terms.V_SLACK, "number", "place inside a play of `length` to either side: dz/dt = v / length, between -1 and 1"),
+    "direction": Variable(law_terms.V_DIRECTION, "number", "direction of motion z with memory over `length`: dz/dt = (v - |v| z) / length"),
+    "slack": Variable(law_terms.V_SLACK, "number", "position within a play of +-`length`: dz/dt = v / length, limited to -1 .. 1"),
     "following_error": Variable(
         law_terms.V_FOLLOWING_ERROR, "length", "delayed set point minus measured position", ("position controller",)
     ),
@@ -67,12 +67,12 @@ VARIABLES = {
     "windup": Variable(law_terms.V_WINDUP, "length", "rotor minus load position of a drive train with a spring", ("transmission",)),
     "current_setpoint": Variable(law_terms.V_CURRENT_SETPOINT, "current", "current set point", ("speed controller",)),
 }
-"""What a law may depend on, by its name in a machine file."""
+"""Independent variables of laws by their names in a machine file."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """What a law may change: its quantity and what a value of it does."""
+    """An output of a law: quantity and action."""
 
     quantity: str
     words: str
@@ -81,28 +81,28 @@ class Output:
 OUTPUTS: dict[str, dict[str, Output]] = {
     "mechanics": {
         "force": Output("force", "force on the load, towards +q"),
-        "friction": Output("force", "added to the Coulomb friction, which acts against the motion and holds at rest"),
+        "friction": Output("force", "added to the Coulomb friction, which opposes motion and holds at rest"),
     },
     "transmission": {
         "displacement": Output("length", "motor position minus load position, from the start of a run"),
-        "force": Output("force", "pushes the load towards +q and the rotor back, beside the spring of the drive train"),
+        "force": Output("force", "force on the load towards +q, reaction on the rotor, parallel to the spring of the drive train"),
     },
     "measurement": {
         "displacement": Output("length", "scale minus load position, from the start of a run"),
         "current": Output("current", "added to the recorded current, which the control does not see"),
     },
     "current loop": {
-        "torque": Output("torque", "torque added to the motor's"),
-        "voltage": Output("voltage", "added to the voltage that the current controller gives"),
+        "torque": Output("torque", "added to the motor torque"),
+        "voltage": Output("voltage", "added to the output voltage of the current controller"),
     },
     "speed controller": {"current": Output("current", "added to the current set point")},
     "position controller": {
         "speed": Output("speed", "added to the speed set point"),
-        "received_speed": Output("speed", "added to the speed set point on its way to the speed controller; the recorded one is without"),
+        "received_speed": Output("speed", "added to the speed set point at the input of the speed controller; not recorded"),
         "set_point": Output("length", "added to the delayed set point"),
     },
 }
-"""What a law may change in each block; the first is meant where a table names none."""
+"""Outputs of laws in each block; the first is the default."""
 
 FILTERED = {
     ("speed controller", "current"): "current_setpoint",
@@ -110,15 +110,15 @@ FILTERED = {
     ("position controller", "received_speed"): "speed_setpoint",
     ("measurement", "current"): "current",
 }
-"""What a filter may act on: block and output, and the variable that passes through it."""
+"""Block and output of a filter, and its input variable."""
 
 DEFINING = ("block", "output", "variables", "formula", "points", "between", "period")
-"""Entries of a law's table that are no numbers to fit."""
+"""Entries of a law's table that define its structure; the others are fitted numbers."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """What a law's table says besides its numbers."""
+    """Structure of a law: its table without the fitted numbers."""
 
     block: str
     output: str
@@ -126,15 +126,15 @@ class Law:
     shape: Shape
     points: tuple[tuple[float, float], ...] = ()
     between: str = "linear"
-    period: float = 0.0  # of a curve through points that comes back, in the variable's unit; 0 for one that does not
+    period: float = 0.0  # of a periodic curve through points, in the variable's unit; 0: not periodic
 
     @property
     def is_remembered(self) -> bool:
-        """Does the variable have a length of memory?"""
+        """Whether the variable has a memory `length`."""
         return self.variable in ("direction", "slack")
 
     def definition(self) -> dict[str, Any]:
-        """As it stands in a machine file."""
+        """The defining entries of a machine file."""
         head: dict[str, Any] = {"block": self.block, "output": self.output, "variables": [self.variable]}
         if self.shape.code != TABLE:
             return {**head, "formula": self.shape.text(self.variable)}
@@ -146,38 +146,40 @@ class Law:
         }
 
     def unit(self, of: str, axis: Axis) -> str:
-        """Unit of a number of the shape at this axis."""
+        """Unit of a parameter of the shape on this axis."""
         return _parameter(Number("", of), self).unit(axis)  # type: ignore[arg-type]
 
     def values(self, x: np.ndarray, numbers: Mapping[str, float], axis: Axis) -> np.ndarray:
-        """The law (sample,) at values of its variable, without memory."""
+        """Output (sample,) at values of the variable, without memory."""
         x = np.mod(x, self.period) if self.period else np.asarray(x, float)
         return values_of(self.shape, x, row_of(self.shape, numbers, self.gain(axis), self.points, self.between))
 
     def gain(self, axis: Axis) -> float:
-        """Nominal factor from the variable to the output, which shapes of a characteristic bend or clip."""
+        """Nominal gain from the variable to the output, which a characteristic bends or clips."""
         if self.output == "torque":
             return axis.motor.torque_constant_nm_per_a
         return axis.loops.position_gain_per_s if self.variable == "following_error" else 1.0
 
 
 def law_of(table: Mapping[str, Any], where: str) -> Law:
-    """What a table says; every fault is an InputError."""
+    """The law of a table. Raises InputError for an invalid table."""
     block = table.get("block", "mechanics")
     if block not in OUTPUTS:
         raise InputError(f"{where}: law: no block {block!r}; {nearest(str(block), OUTPUTS)}")
     output = table.get("output", next(iter(OUTPUTS[block])))
     if output not in OUTPUTS[block]:
-        raise InputError(f"{where}: law: output = {output!r} is nothing that the {block} gives; {nearest(str(output), OUTPUTS[block])}")
+        raise InputError(f"{where}: law: the {block} has no output {output!r}; {nearest(str(output), OUTPUTS[block])}")
     variables = table.get("variables", ())
     if not isinstance(variables, list | tuple) or len(variables) != 1:
-        raise InputError(f'{where}: law: variables = {variables!r}: name one, e.g. variables = ["speed"]; a sum of laws is several of them')
+        raise InputError(
+            f'{where}: law: variables = {variables!r}: give exactly one, e.g. variables = ["speed"]; write a sum as several laws'
+        )
     variable = variables[0]
     if variable not in VARIABLES:
         raise InputError(f"{where}: law: no variable {variable!r}; {nearest(str(variable), VARIABLES)}")
     only = VARIABLES[variable].only
     if only and block not in only:
-        raise InputError(f"{where}: law: {variable} is known in the {only[0]} only, not in the {block}; take another variable")
+        raise InputError(f"{where}: law: {variable} is available in the {only[0]} only, not in the {block}; use another variable")
     if ("formula" in table) == ("points" in table):
         raise InputError(f"{where}: law: give either a formula or points = [[x, y], ...]")
     if "formula" in table:
@@ -185,18 +187,18 @@ def law_of(table: Mapping[str, Any], where: str) -> Law:
         passed = FILTERED.get((block, output))
         if shape.is_filter and variable != passed:
             pairs = ", ".join(f"{o} over {v} in the {b}" for (b, o), v in FILTERED.items())
-            raise InputError(f"{where}: law: a {shape.name} is a filter of {pairs}; not of {output} over {variable} in the {block}")
+            raise InputError(f"{where}: law: a {shape.name} filters {pairs}; not {output} over {variable} in the {block}")
         return Law(block, output, variable, shape)
     return Law(block, output, variable, CURVE, *_points_of(table, f"{where}: law"))
 
 
 def law_in(setting: Setting) -> Law:
-    """The law that a setting of a machine is."""
+    """The law of a machine's setting."""
     return law_of(setting.table(), f"axis {setting.axis}")
 
 
 def _points_of(table: Mapping[str, Any], where: str) -> tuple[tuple[tuple[float, float], ...], str, float]:
-    """Points, what is between them, and the period after which the curve comes back."""
+    """Points, interpolation and period of a curve."""
     between = table.get("between", "linear")
     if between not in ("linear", "cubic"):
         raise InputError(f"{where}: between = {between!r}; write linear or cubic")
@@ -207,7 +209,7 @@ def _points_of(table: Mapping[str, Any], where: str) -> tuple[tuple[tuple[float,
     if not 2 <= len(points) <= MOST_POINTS or not all(math.isfinite(v) for p in points for v in p):
         raise InputError(f"{where}: {len(points)} points: give 2 to {MOST_POINTS} pairs of finite numbers")
     if any(b[0] <= a[0] for a, b in itertools.pairwise(points)):
-        raise InputError(f"{where}: the first numbers of points must increase; sort them and leave no place twice")
+        raise InputError(f"{where}: the first numbers of points must increase; sort them and remove duplicates")
     period = table.get("period", 0.0)
     if isinstance(period, bool) or not isinstance(period, int | float) or not 0.0 <= period < math.inf:
         raise InputError(f"{where}: period = {period!r}: give a positive number in the variable's unit")
@@ -215,7 +217,7 @@ def _points_of(table: Mapping[str, Any], where: str) -> tuple[tuple[tuple[float,
 
 
 def effect_of(table: Mapping[str, Any], where: str) -> Effect:
-    """The effect that a law's table describes."""
+    """The effect of a law's table."""
     law = law_of(table, where)
     parameters = [_parameter(number, law) for number in law.shape.numbers]
     if law.is_remembered:
@@ -254,11 +256,11 @@ EXAMPLE: dict[str, Any] = {
     "height": -150.0,
     "width": 0.005,
 }
-"""A law for the page and the picture of `twin effects law`: friction that is lower at low speed."""
+"""Example for the page and the picture of `twin effects law`: friction that drops at low speed."""
 
 
 def sentence(law: Law) -> str:
-    """What a law is, in one line."""
+    """Description of a law in one line."""
     of = VARIABLES[law.variable].words
     output = law.output.replace("_", " ")
     how = f"along {law.shape.words}" if law.shape.code != TABLE else f"through {len(law.points)} points"
@@ -297,10 +299,10 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
     source = from_axis or axis
     if law.variable == "windup" and axis.name not in change.couplings:
         raise InputError(
-            f"law on axis {axis.name}: a law over the windup needs a spring; give the axis a transmission_compliance or backlash, too"
+            f"law on axis {axis.name}: a law over the windup needs a spring; add a transmission_compliance or backlash to the axis"
         )
     if law.output == "voltage" and not axis.has_current_loop:
-        raise InputError(f"law on axis {axis.name}: a voltage needs a current loop; this axis takes its {axis.effort} as a command")
+        raise InputError(f"law on axis {axis.name}: a voltage needs a current loop; the {axis.effort} of this axis is a command")
     cycle = cycle_of(law, machine)
     head = [0.0] * law_terms.HEAD
     head[law_terms.P_VARIABLE], head[law_terms.P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
@@ -315,11 +317,11 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
     )
     change.add_term(kernel, stage, axis, [*head, *row])
     if law.output == "force" and law.block != "transmission":
-        change.held_with(axis, lambda start: _at_rest(law, numbers, source, float(start[change.index(source)]), change.started_at))
+        change.add_holding_force(axis, lambda start: _at_rest(law, numbers, source, float(start[change.index(source)]), change.started_at))
 
 
 def cycle_of(law: Law, machine: Machine) -> float:
-    """Time [s] from one value of a law to the next: the cycle of its controller, or the base tick."""
+    """Evaluation period of a law [s]: the cycle of its controller, or the base tick."""
     if law.output == "received_speed":
         return machine.speed_cycle
     if law.block == "position controller":
@@ -328,6 +330,6 @@ def cycle_of(law: Law, machine: Machine) -> float:
 
 
 def _at_rest(law: Law, numbers: Mapping[str, float], source: Axis, position: float, started_at: float) -> float:
-    """Force of a law before anything moves."""
+    """Force of a law at rest."""
     x = {"position": position, "turn": position / source.ratio, "time": started_at}.get(law.variable, 0.0)
     return float(law.values(np.array([x]), numbers, source)[0])

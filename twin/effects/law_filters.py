@@ -1,6 +1,6 @@
-"""Filters of a law: a signal passes through a lag, a notch or a dead time, sampled at the cycle of its controller.
+"""Filters of a law: first-order lag, notch or dead time, sampled at the cycle of the controller.
 
-Their frequency response is stated beside their compiled step, so that what a diagnosis measures and what the loop runs are one filter.
+`response` is the frequency response of the compiled filter, so diagnosis and simulation use the same filter.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from twin.errors import InputError
 from twin.simulation.loop_terms import STATE_COUNT
 
 FIRST_FREE = 5
-"""First number of a law's state that its filter may use."""
+"""First index of a law's state that its filter uses."""
 
 RING = STATE_COUNT - FIRST_FREE - 1
-"""Cycles that a dead time remembers."""
+"""Length of the ring buffer of a dead time in cycles."""
 
 
 def filter_row(shape: Shape, numbers: Mapping[str, float], cycle: float) -> list[float]:
@@ -27,7 +27,7 @@ def filter_row(shape: Shape, numbers: Mapping[str, float], cycle: float) -> list
 
     lag        y += p0 (x - y)
     notch      b0 b1 b2 a1 a2 by the bilinear rule with prewarping
-    dead time  whole cycles and the part of a cycle that is left
+    dead time  whole cycles and the remaining fraction of a cycle
     """
     if shape.code == LAG:
         return [-math.expm1(-cycle / max(numbers["time_constant_s"], 1e-12))]
@@ -56,7 +56,7 @@ def response(shape: Shape, numbers: Mapping[str, float], cycle: float, frequency
 
 @compiled
 def filtered(shape, u, p, s, first):  # type: ignore[no-untyped-def]
-    """`u` behind the filter with coefficients p and state s; before the `first` call it has stood where it is."""
+    """Output of the filter with coefficients p and state s for input `u`; in steady state at the `first` call."""
     if shape == LAG:
         if first:
             s[0] = u

@@ -1,7 +1,6 @@
-"""Shapes of a law: curves y(x) of one variable with few numbers, and curves through points.
+"""Shapes of a law: curves y(x) of one variable with few parameters, and curves through points.
 
-Each shape has an equation in which `x` stands for the variable. The compiled `value_of` computes all of them; the loop, the fits and the
-pictures call that one function.
+`x` in the equation of a shape is the variable. The loop, the fits and the pictures evaluate all shapes by the compiled `value_of`.
 """
 
 from __future__ import annotations
@@ -37,17 +36,17 @@ from twin.errors import InputError
     STAGE,
 ) = range(16)
 LAG, NOTCH, DEAD_TIME = 100, 101, 102
-"""Filters: what they give depends on what came before."""
+"""Filters: shapes with memory."""
 
 NUMBERS = 8
-"""Numbers that a shape may have in the compiled row; a table has its points there."""
+"""Largest number of parameters of a shape in the compiled row; a table stores its points there."""
 
 MOST_POINTS = 24
 
 
 @dataclass(frozen=True)
 class Number:
-    """One number of a shape: `of` is what it is measured in, the output's unit, the variable's unit or its own quantity."""
+    """One parameter of a shape; `of` is its quantity: "output", "variable", or a quantity of its own."""
 
     name: str
     of: Literal["output", "variable", "number", "angle", "time", "frequency"]
@@ -55,13 +54,13 @@ class Number:
     high: float = math.inf
     neutral: float | None = None
     default: float | None = None
-    fixed: bool = False  # a fit leaves it as it is
+    fixed: bool = False  # not fitted
     logarithmic: bool = False
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One shape: its name, its equation, its numbers in the order of the compiled row, and what it is in words."""
+    """One shape: name, equation, parameters in the order of the compiled row, and description."""
 
     name: str
     code: int
@@ -71,11 +70,11 @@ class Shape:
 
     @property
     def is_filter(self) -> bool:
-        """Does what it gives depend on what came before?"""
+        """Whether the shape has memory."""
         return self.code >= LAG
 
     def text(self, variable: str) -> str:
-        """The equation with the variable's name in it."""
+        """The equation with the name of the variable."""
         return re.sub(r"\bx\b", variable, self.equation)
 
 
@@ -103,7 +102,7 @@ SHAPES = {
             (_height(), _width("reach", fixed=True, default=1.0), Number("n", "number", 0.1, 6.0)),
             "a power",
         ),
-        Shape("exponential", EXPONENTIAL, "height * e^(-x / scale)", (_height(), _width("scale")), "an exponential that fades"),
+        Shape("exponential", EXPONENTIAL, "height * e^(-x / scale)", (_height(), _width("scale")), "a decaying exponential"),
         Shape(
             "approach", APPROACH, "height * (1 - e^(-x / scale))", (_height(), _width("scale")), "an exponential that approaches a level"
         ),
@@ -112,30 +111,30 @@ SHAPES = {
             GAUSSIAN,
             "height * e^(-((x - at) / width)^2)",
             (_height(), _width("width"), _place(default=0.0)),
-            "a bell curve",
+            "a Gaussian",
         ),
         Shape(
             "sine",
             SINE,
             "amplitude * sin(2 pi x / period + phase_rad)",
             (_height("amplitude"), _width("period"), Number("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0)),
-            "a wave",
+            "a sine",
         ),
         Shape(
             "gas spring",
             GAS_SPRING,
             "height * |1 + (x - at) / length|^-n",
             (_height(), _width("length"), _place(default=0.0), Number("n", "number", 0.5, 3.0, default=1.3, fixed=True)),
-            "the pressure of an enclosed gas",
+            "the pressure of a gas spring",
         ),
-        Shape("saturation", SATURATION, "height * tanh(x / scale)", (_height(), _width("scale")), "a curve that saturates"),
-        Shape("stage", STAGE, "height * clip(x / width, -1, 1)", (_height(), _width("width")), "a line that ends at a level"),
+        Shape("saturation", SATURATION, "height * tanh(x / scale)", (_height(), _width("scale")), "a saturation"),
+        Shape("stage", STAGE, "height * clip(x / width, -1, 1)", (_height(), _width("width")), "a line with limits"),
         Shape(
             "bending",
             BENDING,
             "gain * (x / sqrt(1 + (x / knee)^2) - x)",
             (Number("knee", "variable", 1e-12, neutral=math.inf, logarithmic=True),),
-            "a characteristic that bends over",
+            "a saturating characteristic",
         ),
         Shape("clip", CLIP, "gain * (clip(x, -limit, limit) - x)", (Number("limit", "variable", 1e-12, neutral=math.inf),), "a limit"),
         Shape(
@@ -152,10 +151,14 @@ SHAPES = {
             (Number("limit", "variable", neutral=-math.inf),),
             "a limit on one side",
         ),
+        Shape("dead band", DEAD_BAND, "-gain * clip(x, -band, band)", (Number("band", "variable", 0.0, neutral=0.0),), "a dead band"),
         Shape(
-            "dead band", DEAD_BAND, "-gain * clip(x, -band, band)", (Number("band", "variable", 0.0, neutral=0.0),), "a band without answer"
+            "lag",
+            LAG,
+            "first-order lag",
+            (Number("time_constant_s", "time", 0.0, 1.0, neutral=0.0, logarithmic=True),),
+            "a first-order lag",
         ),
-        Shape("lag", LAG, "first-order lag", (Number("time_constant_s", "time", 0.0, 1.0, neutral=0.0, logarithmic=True),), "a lag"),
         Shape(
             "notch",
             NOTCH,
@@ -175,25 +178,25 @@ SHAPES = {
         ),
     )
 }
-"""Every shape by its name. `gain` is the nominal factor from the variable to the output: the motor's torque constant, the position gain, 1."""
+"""All shapes by name. `gain` is the nominal gain from the variable to the output: torque constant of the motor, position gain, or 1."""
 
 CURVE = Shape("table", TABLE, "points", (Number("scale", "number", neutral=0.0, default=1.0),), "a table")
-"""A curve through points, times `scale`; beyond the points the last value holds."""
+"""A curve through points, times `scale`; constant beyond the points."""
 
 
 def find_shape(formula: object, variable: str, where: str) -> Shape:
-    """The shape of that name, or with that equation; an InputError with all of them where there is none."""
+    """The shape with that name or equation. Raises InputError for an unknown one."""
     wanted = "".join(str(formula).split())
     for shape in SHAPES.values():
         if wanted in (shape.name.replace(" ", ""), "".join(shape.text(variable).split()), "".join(shape.equation.split())):
             return shape
     raise InputError(
-        f"{where}: formula = {str(formula)!r} is none of the shapes {', '.join(SHAPES)}; `twin effects law` lists their equations"
+        f"{where}: formula = {str(formula)!r} is not one of the shapes {', '.join(SHAPES)}; `twin effects law` lists their equations"
     )
 
 
 def table_row(points: Sequence[Sequence[float]], between: str) -> list[float]:
-    """Compiled numbers of a curve through points (x, y): count, then places, values and second derivatives (0 for straight pieces)."""
+    """Compiled row of a curve through points (x, y): count, x, y and second derivatives (0 for linear interpolation)."""
     x, y = np.array(points, float).T
     bend = CubicSpline(x, y, bc_type="natural")(x, 2) if between == "cubic" and len(x) > 2 else np.zeros(len(x))
     return [float(len(x)), *x, *y, *bend]
@@ -202,7 +205,7 @@ def table_row(points: Sequence[Sequence[float]], between: str) -> list[float]:
 def row_of(
     shape: Shape, numbers: Mapping[str, float], gain: float = 1.0, points: Sequence[Sequence[float]] = (), between: str = ""
 ) -> list[float]:
-    """Compiled numbers of a shape: its own in their order and the gain, or scale and points of a table."""
+    """Compiled row of a shape: its parameters and the gain, or scale and points of a table."""
     own = [numbers.get(n.name, n.default if n.default is not None else 0.0) for n in shape.numbers]
     if shape.code == TABLE:
         return [*own, *table_row(points, between)]
@@ -211,7 +214,7 @@ def row_of(
 
 @compiled
 def value_of(code, x, p):  # type: ignore[no-untyped-def]
-    """y(x) of the shape with this code and these compiled numbers."""
+    """y(x) of the shape with this code and compiled row."""
     if code == TABLE:
         return p[0] * curve_value(x, p)
     if code == STEP:
@@ -250,7 +253,7 @@ def value_of(code, x, p):  # type: ignore[no-untyped-def]
 
 @compiled
 def curve_value(x, p):  # type: ignore[no-untyped-def]
-    """The curve through the points of `table_row`, which stands at p[1:]."""
+    """The curve through the points of `table_row`, stored in p[1:]."""
     n = int(p[1])
     first = 2
     if x <= p[first]:
@@ -278,7 +281,7 @@ def _values(code, x, p, out):  # type: ignore[no-untyped-def]
 
 
 def values_of(shape: Shape, x: np.ndarray, row: Sequence[float]) -> np.ndarray:
-    """y (sample,) of a shape with these compiled numbers, as the loop computes it."""
+    """y (sample,) of a shape with this compiled row, as in the loop."""
     out = np.zeros(len(x))
     _values(shape.code, np.ascontiguousarray(x, float), np.array(row, float), out)
     return out

@@ -1,6 +1,6 @@
-"""Laws as compiled terms of the loop: what a law depends on, its row of numbers, its value now, and what each output changes.
+"""Laws as compiled terms of the loop: variables, layout of the parameter row, evaluation, and one term for each output.
 
-The row begins with the head below; the numbers of the shape or filter follow. The state of a filter follows that of the law.
+The row begins with the head below, followed by the parameters of the shape or filter. The state of a filter follows that of the law.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ S_STARTED, S_MEMORY, S_LAGGED, S_BEFORE, S_FIRST = range(FIRST_FREE)
 
 @compiled
 def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
-    """y of the law now; its memories advance by one call."""
+    """Current output y of the law; advances its memory by one call."""
     variable, row = int(p[P_VARIABLE]), x[int(p[P_AXIS])]
     h = row[X_STEP]
     speed = row[X_LOAD_SPEED] + (0.5 * h * row[X_LOAD_ACCELERATION] if in_the_middle else 0.0)
@@ -82,7 +82,7 @@ def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
         u = row[X_CURRENT]
     elif variable == V_TIME:
         u = row[X_TIME]
-    elif variable == V_DIRECTION:  # exact for a speed that holds through the cycle
+    elif variable == V_DIRECTION:  # exact for a constant speed over the cycle
         moved = abs(speed) * p[P_CYCLE] / p[P_LENGTH]
         if moved > 0.0:
             s[S_MEMORY] += (math.copysign(1.0, speed) - s[S_MEMORY]) * -math.expm1(-moved)
@@ -180,7 +180,7 @@ def record_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def
 
 @term
 def motor_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """Motor encoder: q + y - y at the start; its speed is the derivative."""
+    """Motor encoder: q + y - y(0); its speed is the derivative."""
     p, s, x = arrays(parameters, state, signals)
     y = law_value(p, s, x, axis, False)
     x[axis, X_MOTOR_POSITION] += y - s[S_FIRST]
@@ -190,6 +190,6 @@ def motor_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
 
 @term
 def scale_law(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """Scale: q + y - y at the start."""
+    """Scale: q + y - y(0)."""
     p, s, x = arrays(parameters, state, signals)
     x[axis, X_SCALE] += law_value(p, s, x, axis, False) - s[S_FIRST]

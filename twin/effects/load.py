@@ -1,4 +1,4 @@
-"""Effects in the load: more inertia on one axis, a mass clamped on the table."""
+"""Effects of the load: additional inertia of an axis, a mass clamped on the table."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.simulation.plant_spec import frames_of_model
 MILLIMETRES = {"m": ("mm", 1e3)}
 
 
-def _tenth_to_third(machine: Machine, axis: Axis) -> tuple[float, float]:
+def _usual_inertia(machine: Machine, axis: Axis) -> tuple[float, float]:
     total = total_inertia(machine, axis)
     return (0.10 * total, 0.35 * total)
 
@@ -24,23 +24,23 @@ def _tenth_to_third(machine: Machine, axis: Axis) -> tuple[float, float]:
 @effect(
     block="mechanics",
     parameters=(
-        Parameter("added", "mass", -1e5, 1e5, _tenth_to_third, neutral=0.0, beyond_tolerance=2.0, part_of=total_inertia, any_size=True),
+        Parameter("added", "mass", -1e5, 1e5, _usual_inertia, neutral=0.0, beyond_tolerance=2.0, part_of=total_inertia, any_size=True),
     ),
     separating_move="accelerations",
-    rivals="A torque feedforward that is off shows with feedforward on only. A drive train that gives looks like a little inertia.",
+    rivals="A wrong torque feedforward acts only with feedforward on. An elastic drive train looks like a small inertia.",
     imitated_by=("transmission_compliance",),
-    picture=Picture("More current in proportion to acceleration.", axis="X", sizes={"added": 800.0}),
+    picture=Picture("The current rises in proportion to acceleration.", axis="X", sizes={"added": 800.0}),
 )
 def inertia(change: Change, axis: Axis, added: float) -> None:
-    """More mass or inertia on one axis than the machine file has.
+    """Additional mass or inertia of one axis.
 
-    M = M_nominal + added, felt by this axis alone (no gravity and no coupling on rotary axes); on a vertical axis its
-    weight too: F = -added g. Source: paper, section 3 (equivalent inertia).
+    M = M_nominal + added, for this axis only (no gravity and no coupling on rotary axes). On a vertical axis its
+    weight also acts: F = -added g. Source: paper, section 3 (equivalent inertia).
     """
     if added < 0.0 and added <= -(load := change.load_inertia(axis)):
         unit = "kg" if axis.kind == "linear" else "kg m2"
         raise InputError(
-            f"inertia on axis {axis.name}: added = {added:g} {unit} takes away all of the load's {load:.4g} {unit}; "
+            f"inertia on axis {axis.name}: added = {added:g} {unit} removes the entire load of {load:.4g} {unit}; "
             f"give more than {-load:.4g}"
         )
     change.add_inertia(axis, added)
@@ -54,26 +54,26 @@ def inertia(change: Change, axis: Axis, added: float) -> None:
     axes="tilting",
     edits_bodies=True,
     parameters=(
-        # gravity shows mass times radius, and hardly how the product is shared out
+        # gravity identifies mass times radius, hardly each of them
         Parameter("mass_kg", "kilogram", 0.0, 500.0, (20.0, 60.0), neutral=0.0, judged_with="radius_m"),
         Parameter("radius_m", "metre", 0.0, 1.0, (0.1, 0.2), shown=MILLIMETRES),
         Parameter("angle_rad", "angle", 0.0, 2.0 * math.pi, (0.0, 2.0 * math.pi), periodic=True, shown=DEGREES),
         Parameter("height_m", "metre", -1.0, 1.0, (0.05, 0.2), default=0.1, shape=True, shown=MILLIMETRES),
     ),
     separating_move="accelerations",
-    rivals="More inertia on one axis has no weight. A constant force does not change with the tilt.",
+    rivals="An additional inertia has no weight. A constant force does not change with the tilt.",
     picture=Picture(
-        "Torque of the weight, changing with the tilt.",
+        "Gravity torque that changes with the tilt.",
         axis="A",
         with_axes="C",
         sizes={"angle_rad": 1.2, "radius_m": 0.2, "mass_kg": 50.0},
     ),
 )
 def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float, angle_rad: float, height_m: float) -> None:
-    """A mass clamped on the table that the machine file does not have.
+    """Mass clamped on the table that is missing in the machine file.
 
     Point mass at (radius cos angle, radius sin angle, height above the tilting axis) in the table frame: gravity torque
-    m g r over both rotary axes, inertia and coupling. Source: rigid-body mechanics.
+    m g r about both rotary axes, inertia and coupling. Source: rigid-body mechanics.
     """
     carried = _table_body(change.machine, axis)
 
@@ -88,7 +88,7 @@ def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float,
 
 
 def _table_body(machine: Machine, axis: Axis) -> str:
-    """The body of the last rotary axis that this one carries."""
+    """Body of the last rotary axis carried by this one."""
     model = frames_of_model(machine)
     carrier = int(model.joint(axis.name).bodyid[0])
     name = model.body(carrier).name

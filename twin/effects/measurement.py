@@ -1,4 +1,4 @@
-"""Effects in what the direct measuring system shows: the frame moves, the disc is off centre, the scale grows."""
+"""Effects of the direct measuring system: frame vibration, eccentric encoder disc, thermal drift."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from twin.units import ARCSEC
         Parameter("damping_ratio", "number", 0.0, 1.0, (0.02, 0.1), default=0.05, shape=True, logarithmic=True),
     ),
     separating_move="chirp",
-    rivals="A compliant transmission shows between motor and load in both encoders; the frame shows in the scale, hardly in the motor.",
+    rivals="A compliant transmission appears in both encoders; frame vibration appears in the scale and hardly at the motor.",
     picture=Picture(
-        "Each change of acceleration rings in the scale, hardly in the motor.",
+        "Each change of acceleration makes the scale signal ring, but hardly the motor.",
         "jerk",
         axis="X",
         sizes={"frequency_hz": 28.0, "mass_ratio": 0.08},
     ),
 )
 def frame_vibration(change: Change, axis: Axis, frequency_hz: float, mass_ratio: float, damping_ratio: float) -> None:
-    """The bed answers the carriage's acceleration; seen by the scale, not by the motor.
+    """Vibration of the bed by the acceleration of the carriage; visible in the scale, not at the motor.
 
     Scale = q + f with f'' + 2 damping_ratio w f' + w^2 f = mass_ratio q'', w = 2 pi frequency. Source: base mode of a machine
     on its levelling elements, 20 to 60 Hz.
@@ -53,15 +53,15 @@ def frame_vibration(change: Change, axis: Axis, frequency_hz: float, mass_ratio:
         Parameter("amplitude", "length", 0.0, 1e-2, (4 * ARCSEC, 15 * ARCSEC), neutral=0.0, logarithmic=True),
         Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
     ),
-    rivals="A cyclic error comes back every motor turn and shakes the motor; an eccentric encoder comes back every table turn.",
-    picture=Picture("Once a table turn between motor and scale, slowly.", "turn", axis="C"),
+    rivals="A cyclic error has the period of a motor turn and disturbs the motor; eccentricity has the period of a table turn.",
+    picture=Picture("Motor minus scale has the period of a table turn.", "turn", axis="C"),
 )
 def encoder_eccentricity(change: Change, axis: Axis, amplitude: float, phase_rad: float) -> None:
-    """Disc of the direct encoder off centre: an error that comes back every turn of the table.
+    """Eccentric disc of the direct encoder: an error with the period of a table turn.
 
-    Scale = q + amplitude (sin(q + phase) - sin(q0 + phase)), q0 where the run starts.
+    Scale = q + amplitude (sin(q + phase) - sin(q0 + phase)), q0 at the start of the run.
     """
-    change.add_term(every_table_turn, MEASURE, axis, [amplitude, phase_rad])
+    change.add_term(eccentric_scale, MEASURE, axis, [amplitude, phase_rad])
 
 
 @effect(
@@ -69,9 +69,9 @@ def encoder_eccentricity(change: Change, axis: Axis, amplitude: float, phase_rad
     axes="linear",
     parameters=(Parameter("rate", "speed", -1e-4, 1e-4, (-0.4e-6, 0.4e-6), neutral=0.0, shown={"m/s": ("um/min", 6e7)}),),
     separating_move="rest",
-    rivals="A wrong lead follows the position; drift goes on at rest and from run to run.",
+    rivals="A lead error follows the position; drift continues at rest and from run to run.",
     picture=Picture(
-        "Motor and scale part with time, whatever the axis does; this run began 20 s into the campaign.",
+        "Motor and scale drift apart with time, independent of the motion; this run began 20 s into the campaign.",
         "again",
         axis="X",
         sizes={"rate": 0.4e-6},
@@ -79,9 +79,9 @@ def encoder_eccentricity(change: Change, axis: Axis, amplitude: float, phase_rad
     ),
 )
 def thermal_drift(change: Change, axis: Axis, rate: float) -> None:
-    """Scale moves against the motor at a steady rate, across runs.
+    """Scale drifts against the motor at a constant rate, across runs.
 
-    Scale = q + rate (started_at_s + t). Source: growth of screw and bed, 12 um a metre and kelvin.
+    Scale = q + rate (started_at_s + t). Source: thermal expansion of screw and bed, 12 um per metre and kelvin.
     """
     change.scale_offset[change.index(axis)] += rate * change.started_at
     change.add_term(drifting_scale, MEASURE, axis, [rate, change.started_at])
@@ -89,7 +89,7 @@ def thermal_drift(change: Change, axis: Axis, rate: float) -> None:
 
 @term
 def frame(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """Advance [f, f'] by the tick that passed, under its mean acceleration; the scale shows q + f."""
+    """Advance [f, f'] over the last tick with its mean acceleration; the scale shows q + f."""
     p, s, x = arrays(parameters, state, signals)
     a = x[axis, X_LOAD_ACCELERATION]
     f, rate = s[0], s[1]
@@ -99,7 +99,7 @@ def frame(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
 
 
 @term
-def every_table_turn(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+def eccentric_scale(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """Scale += p[0] (sin(q + p[1]) - sin(q0 + p[1]))."""
     p, s, x = arrays(parameters, state, signals)
     wave = sine(x[axis, X_LOAD_POSITION] + p[1])

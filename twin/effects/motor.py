@@ -1,4 +1,4 @@
-"""Effects in the motor: less torque per ampere than the control believes, and a torque that ripples with the rotor's angle."""
+"""Effects of the motor: torque constant off nominal, and torque ripple."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from twin.simulation.sine import sine
             multiplies="torque_constant_nm_per_a", beyond_tolerance=2.0,
         ),
     ),
-    rivals="More inertia, Coulomb and viscous friction in the same proportion look the same. A known weight or added mass parts them.",
-    picture=Picture("More current for the same motion wherever torque is needed, also at rest on Z.", axis="Z", sizes={"factor": 0.9}),
+    rivals="Inertia, Coulomb and viscous friction scaled by the same factor look the same. A known weight or added mass distinguishes them.",
+    picture=Picture("Higher current for the same torque, also at rest on Z.", axis="Z", sizes={"factor": 0.9}),
 )  # fmt: skip
 def torque_constant(change: Change, axis: Axis, factor: float) -> None:
-    """Motor makes less (or more) torque per ampere than the control believes.
+    """Torque constant of the motor off nominal.
 
-    Kt = factor x nominal; the control still divides by the nominal, the back-EMF stays. Source: magnet temperature,
+    Kt = factor x nominal; the control still divides by the nominal Kt; the back-EMF is unchanged. Source: magnet temperature,
     saturation; tolerance of motor data 3 to 7.5 %.
     """
     change.scale(axis, torque_constant_nm_per_a=factor)
 
 
 SERVO_PEAK_NM = 20.0
-"""Peak torque of a machine tool's servo motor from which a ripple has the usual size; a smaller motor has less of it in proportion."""
+"""Peak torque above which the ripple has the usual size. Below, the usual ripple is proportional to the peak torque."""
 
 
 def _ripple_of_motor(machine: Machine, axis: Axis) -> tuple[float, float]:
@@ -50,18 +50,18 @@ def _ripple_of_motor(machine: Machine, axis: Axis) -> tuple[float, float]:
         Parameter("periods_per_rev", "number", 0.1, 500.0, (4.0, 12.0), logarithmic=True, scan=AlongTurn()),
         Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
     ),
-    rivals="Friction along the travel turns round with the direction of motion, a ripple does not.",
+    rivals="Position-dependent friction changes sign with the direction of motion; ripple does not.",
     picture=Picture(
-        "Current waves locked to the motor's angle: here 6 a turn.",
+        "Current ripple locked to the motor angle, here 6 periods per turn.",
         "constant speed",
         axis="X",
         sizes={"amplitude_nm": 0.25, "periods_per_rev": 6.0},
     ),
 )
 def torque_ripple(change: Change, axis: Axis, amplitude_nm: float, periods_per_rev: float, phase_rad: float) -> None:
-    """Motor torque ripples with the rotor's angle (cogging).
+    """Torque ripple over the rotor angle (cogging).
 
-    T += amplitude sin(n theta + phase), theta = motor position / r. Locked to position, even under reversal. Source:
+    T += amplitude sin(n theta + phase), theta = motor position / r. Locked to position, keeps its sign at a reversal. Source:
     detent torque of permanent-magnet motors, 1 to 4 % of rated.
     """
     change.add_term(ripple, FORCE, axis, [amplitude_nm, periods_per_rev / axis.ratio, phase_rad])

@@ -1,4 +1,4 @@
-"""What the picture of an effect shows: a short move on one axis, with the effect and without it."""
+"""The picture of an effect: a short move of one axis with and without the effect."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Move = Literal["acceleration", "reversal", "slow", "constant speed", "gentle", "jerk", "micro", "chirp", "turn", "again"]
-"""Moves of the pictures. An effect of another axis is shown on an axis that moves steadily while `from_axis` accelerates."""
+"""Moves of the pictures. An effect with a `from_axis` is shown on an axis at constant speed while `from_axis` accelerates."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """The picture of an effect. A new effect needs none of this: it is shown on an acceleration of its first axis.
+    """The picture of an effect. All fields are optional; the default is an acceleration of the first axis.
 
-    `look` says what to look at. Sizes that are not given are the middle of the usual range. `axis` and `with_axes` count
-    where the machine has them. The current is a mean over `smooth_s`, which takes out the staircase of the position cycle.
+    `look` is the caption. `sizes` default to the middle of the usual range. `axis` and `with_axes` are ignored on machines
+    without them. The current is averaged over `smooth_s`, which removes the steps of the position cycle.
     """
 
     look: str = ""

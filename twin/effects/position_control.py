@@ -1,4 +1,4 @@
-"""Effects in the position controller: gain, feedforward, delay and filter of the set point are not what the machine file says."""
+"""Effects of the position controller: gain, feedforward, delay and filter of the set point off nominal."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from twin.simulation.loop_terms import SETPOINT, X_SETPOINT, arrays, term
 @effect(
     block="position controller",
     parameters=(Parameter("factor", "factor", 0.3, 1.6, (0.85, 1.15), neutral=1.0, logarithmic=True, multiplies="position_gain_per_s"),),
-    rivals="At a constant speed a velocity feedforward that is off looks the same. It differs while the axis accelerates.",
+    rivals="At constant speed, a wrong velocity feedforward looks the same. The two differ while the axis accelerates.",
     picture=Picture("Feedforward off: the lag at constant speed is v / Kv.", axis="X", feedforward="off", sizes={"factor": 0.87}),
 )
 def position_gain(change: Change, axis: Axis, factor: float) -> None:
-    """Position gain Kv off what the machine file says.
+    """Position gain Kv off nominal.
 
-    Kv = factor x nominal. Shows wherever there is a following error: in proportion to speed with feedforward off, to
+    Kv = factor x nominal. Acts on any following error: proportional to speed with feedforward off, to
     acceleration with it on. Source: machine data POSCTRL_GAIN (MD32200).
     """
     change.scale(axis, position_gain_per_s=factor)
@@ -30,8 +30,8 @@ def position_gain(change: Change, axis: Axis, factor: float) -> None:
 @effect(
     block="position controller",
     parameters=(Parameter("factor", "factor", 0.5, 1.5, (0.95, 1.05), neutral=1.0, logarithmic=True, multiplies="velocity_feedforward"),),
-    rivals="A loop delay looks the same while feedforward is on. In a run with feedforward off only the delay shows.",
-    picture=Picture("An error in proportion to speed, only while feedforward is on.", axis="X", sizes={"factor": 0.96}),
+    rivals="With feedforward on, a loop delay looks the same. With feedforward off, only the delay acts.",
+    picture=Picture("An error proportional to speed, only with feedforward on.", axis="X", sizes={"factor": 0.96}),
 )
 def velocity_feedforward(change: Change, axis: Axis, factor: float) -> None:
     """Velocity feedforward weight off nominal.
@@ -44,20 +44,20 @@ def velocity_feedforward(change: Change, axis: Axis, factor: float) -> None:
 @effect(
     block="position controller",
     parameters=(Parameter("delay_s", "time", -0.002, 0.01, (-0.75e-3, 0.75e-3), neutral=0.0, starts=2),),
-    rivals="A velocity feedforward that is off looks the same while feedforward is on. Only a delay shows with feedforward off.",
-    picture=Picture("v times the delay, with feedforward on and off.", axis="X", sizes={"delay_s": 0.5e-3}),
+    rivals="With feedforward on, a wrong velocity feedforward looks the same. With feedforward off, only the delay acts.",
+    picture=Picture("An error of v times the delay, with feedforward on and off.", axis="X", sizes={"delay_s": 0.5e-3}),
 )
 def loop_delay(change: Change, axis: Axis, delay_s: float) -> None:
-    """Set point reaches the position loop later (or earlier).
+    """Set point delay of the position loop off nominal.
 
-    d_pos = nominal + delay_s: v x delay_s of extra following error, with feedforward on and off. Source: paper, section 2;
+    d_pos = nominal + delay_s: an additional following error of v x delay_s, with feedforward on and off. Source: paper, section 2;
     Sinumerik equivalent time of the speed loop (MD32810).
     """
     delay = axis.loops.position_delay_s + delay_s
     if delay < 0.0:
         raise InputError(
-            f"loop_delay on axis {axis.name}: delay_s = {delay_s:g} s takes away more than the {axis.loops.position_delay_s:g} s that the "
-            f"set point has; give at least {-axis.loops.position_delay_s:g}"
+            f"loop_delay on axis {axis.name}: delay_s = {delay_s:g} s exceeds the nominal delay of {axis.loops.position_delay_s:g} s "
+            f"of the set point; give at least {-axis.loops.position_delay_s:g}"
         )
     change.set(axis, position_delay_s=delay)
 
@@ -66,23 +66,25 @@ def loop_delay(change: Change, axis: Axis, delay_s: float) -> None:
     block="position controller",
     parameters=(Parameter("time_constant_s", "time", 0.0, 0.02, (1e-3, 4e-3), neutral=0.0, logarithmic=True, lag_cycle="position_cycle"),),
     separating_move="accelerations",
-    rivals="A loop delay of the same length looks the same at constant speed. A filter also rounds what changes quickly.",
+    rivals="At constant speed, a loop delay of the same length looks the same. A filter also smooths fast changes.",
     picture=Picture(
-        "v times the time constant, although feedforward is on: feedforward and set point part.", axis="X", sizes={"time_constant_s": 3e-3}
+        "An error of v times the time constant even with feedforward on, because the feedforward is not filtered.",
+        axis="X",
+        sizes={"time_constant_s": 3e-3},
     ),
 )
 def set_point_filter(change: Change, axis: Axis, time_constant_s: float) -> None:
     """First-order lag on the position set point, not on the feedforward.
 
     y += (s - y)(1 - exp(-Tp / T)) at every position cycle, s the delayed set point. Source: jerk filter of the control
-    (MD32402) set on one axis alone.
+    (MD32402), set on one axis only.
     """
     change.add_term(lagged_setpoint, SETPOINT, axis, [-math.expm1(-change.machine.position_cycle / time_constant_s)])
 
 
 @term
 def lagged_setpoint(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """y += p[0] (s - y); y starts on the first set point."""
+    """y += p[0] (s - y); y starts at the first set point."""
     p, s, x = arrays(parameters, state, signals)
     if s[1] == 0.0:
         s[0] = x[axis, X_SETPOINT]

@@ -1,4 +1,4 @@
-"""Numbers in the units that engineers use: um, arcsec, per cent, ms; the decimals follow the interval.
+"""Numbers in display units (um, arcsec, per cent, ms) with decimals that match the interval.
 
 interval_text("m", 1.26e-5, 1.242e-5, 1.278e-5)  ->  ('12.60 um', '12.42 to 12.78 um')
 """
@@ -26,11 +26,11 @@ _BY_UNIT: dict[str, tuple[str, float]] = {
 }
 
 FEWEST_DIGITS, MOST_DIGITS = 3, 5
-"""Significant digits of a number without an interval, and of one with a narrow interval."""
+"""Significant digits of a number without interval, and with a narrow interval."""
 
 
 def readable_unit(unit: str, value: float, parameter: Parameter | None = None) -> tuple[str, float, float]:
-    """Unit for people, factor and offset of an SI value: shown value = factor (value - offset)."""
+    """Display unit, factor and offset of an SI value: shown value = factor (value - offset)."""
     if parameter is not None and parameter.is_factor:
         return "%", 100.0, 1.0
     if parameter is not None and unit in parameter.shown:
@@ -41,11 +41,11 @@ def readable_unit(unit: str, value: float, parameter: Parameter | None = None) -
 
 
 def interval_text(unit: str, value: float, low: float, high: float, parameter: Parameter | None = None) -> tuple[str, str]:
-    """A value and its interval in the units that people use; the interval is '' where there is none."""
+    """A value and its interval in display units; '' without interval."""
     shown, factor, offset = readable_unit(unit, value, parameter)
     numbers = [factor * (x - offset) for x in (value, low, high)]
     half = 0.5 * abs(numbers[2] - numbers[1])
-    known = -math.floor(math.log10(abs(numbers[0]))) - 1 if numbers[0] else 0  # decimals of one digit, less one
+    known = -math.floor(math.log10(abs(numbers[0]))) - 1 if numbers[0] else 0  # decimals of the leading digit, minus one
     decimals = FEWEST_DIGITS + known
     if half > 0.0 and math.isfinite(half):
         decimals = min(1 - math.floor(math.log10(half)), MOST_DIGITS + known)
@@ -57,14 +57,14 @@ def interval_text(unit: str, value: float, low: float, high: float, parameter: P
 
 
 def parameter_label(name: str) -> str:
-    """'delay_s' -> 'delay', 'mass_kg' -> 'mass': the unit stands with the number."""
+    """Parameter name without its unit: 'delay_s' -> 'delay', 'mass_kg' -> 'mass'."""
     for ending in ("_rad", "_kg", "_hz", "_nm", "_s", "_m", "_a"):
         name = name.removesuffix(ending)
     return name.replace("_", " ")
 
 
 def setting_text(setting: Setting, machine: Machine) -> str:
-    """An effect with its axis and its parameters for people: 'backlash X (clearance 15.0 um)'."""
+    """An effect with axis and parameters in display units: 'backlash X (clearance 15.0 um)'."""
     values = []
     for name, value in setting.parameters.items():
         parameter = setting.effect.parameter(name)

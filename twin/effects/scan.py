@@ -1,6 +1,6 @@
-"""How the start values of a parameter are read from a residual: along the motor's turn, along the travel, in time, from a swing.
+"""Methods to read start values of a parameter from a residual: over the motor angle, over the travel, in time, from a resonance.
 
-A scan is data: it says what to look through and between which limits. `twin.diagnose.candidates` carries it out.
+A scan is data: the kind of scan and its limits. `twin.diagnose.candidates` performs it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from twin.machine.machine import Axis
 
 @dataclass(frozen=True)
 class AlongTurn:
-    """Waves over the motor's angle, from `low` to `high` a turn; the value is the number of waves a turn."""
+    """Sine over the motor angle; the value is its number of periods per turn, from `low` to `high`."""
 
     low: float = 0.5
     high: float = 40.0
@@ -25,9 +25,9 @@ class AlongTurn:
 
 @dataclass(frozen=True)
 class AlongTravel:
-    """Waves over the position, turned round with the direction of motion; the value is the wavelength [m, rad].
+    """Sine over the position that changes sign with the direction of motion; the value is the wavelength [m, rad].
 
-    Wavelengths are sought from a third of the shortest usual one to four times the longest. The wave is a sine from q = 0.
+    Wavelengths are sought from a third of the shortest usual one to four times the longest. The phase is zero at q = 0.
     """
 
     def waves(self, value: float, axis: Axis, seconds: float) -> float:
@@ -37,37 +37,37 @@ class AlongTravel:
 
 @dataclass(frozen=True)
 class InTime:
-    """Waves in time from `low_hz` to `high_hz`; the value is the frequency [Hz]."""
+    """Sine in time; the value is its frequency [Hz], from `low_hz` to `high_hz`."""
 
     low_hz: float = 1.0
     high_hz: float = 120.0
 
     def waves(self, value: float, axis: Axis, seconds: float) -> float:
-        """Number of waves in a run of so many seconds."""
+        """Number of periods in a run of `seconds`."""
         return value * seconds
 
 
 @dataclass(frozen=True)
 class Resonance:
-    """A swinging mass that the axis' acceleration excites, from `low_hz` to `high_hz`; the value is its frequency [Hz]."""
+    """Resonance excited by the acceleration of the axis; the value is its frequency [Hz], from `low_hz` to `high_hz`."""
 
     low_hz: float = 12.0
     high_hz: float = 90.0
     damping_ratio: float = 0.05
 
     def waves(self, value: float, axis: Axis, seconds: float) -> float:
-        """Zero: a swing dies out, its phase does not run away over a run."""
+        """Zero: a decaying oscillation accumulates no phase error over a run."""
         return 0.0
 
 
 @dataclass(frozen=True)
 class LargestCurrent:
-    """Shares of the largest current that was measured: levels at which a clipped current would show."""
+    """Fractions of the largest measured current: levels at which the current may be clipped."""
 
     shares: tuple[float, ...] = (0.85, 0.96, 0.99, 1.02, 1.05, 1.08)
 
     def waves(self, value: float, axis: Axis, seconds: float) -> float:
-        """Zero: a level is no wave."""
+        """Zero: a level has no periods."""
         return 0.0
 
 
@@ -75,6 +75,6 @@ Scan = AlongTurn | AlongTravel | InTime | Resonance | LargestCurrent
 
 
 def _reach(axis: Axis) -> float:
-    """Travel of an axis, at most a turn of a rotary one [m, rad]."""
+    """Travel of an axis [m, rad], at most one turn of a rotary axis."""
     low, high = axis.travel
     return min(high - low, 2.0 * math.pi if axis.kind == "rotary" else math.inf)

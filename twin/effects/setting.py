@@ -14,7 +14,7 @@ from twin.machine.machine import Machine
 
 @dataclass(frozen=True)
 class Setting:
-    """An effect on an axis with checked parameters; `from_axis` is the other axis, for an effect that has one."""
+    """An effect on an axis with checked parameters; `from_axis` is the source axis, if the effect has one."""
 
     effect: Effect
     axis: str
@@ -23,16 +23,16 @@ class Setting:
 
     @property
     def key(self) -> tuple[str, str, str | None]:
-        """Effect, axis and from_axis: what a machine can have once."""
+        """Effect, axis and from_axis; unique in a machine."""
         return self.effect.key, self.axis, self.from_axis
 
     def table(self) -> dict[str, Any]:
-        """As it stands in a machine file."""
+        """The `[[effect]]` table of a machine file."""
         source = {"from_axis": self.from_axis} if self.from_axis else {}
         return {"name": self.effect.name, "axis": self.axis, **source, **self.effect.definition, **self.parameters}
 
     def factor_on(self, field: str) -> float:
-        """The factor by which it multiplies a field of the axis, its motor or its loops; 1 where it leaves that as it is."""
+        """Factor of the effect on a field of the axis, its motor or its loops; 1 without influence."""
         return math.prod(self.parameters[p.name] for p in self.effect.parameters if p.multiplies == field and p.name in self.parameters)
 
     @property
@@ -42,19 +42,19 @@ class Setting:
 
     @property
     def is_nil(self) -> bool:
-        """True where a parameter has the value at which the effect does nothing."""
+        """True if a parameter is neutral, so that the effect does nothing."""
         return any(p.neutral is not None and self.parameters.get(p.name) == p.neutral for p in self.effect.parameters)
 
 
 def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Setting:
-    """A Setting from a table {name, axis, parameters...}; every fault is an InputError."""
+    """A Setting from a table {name, axis, parameters...}. Raises InputError for an invalid table."""
     if not isinstance(table, Mapping) or "name" not in table:
         raise InputError(f'{where}: an effect needs a name; write name = "backlash"')
     made = FROM_TABLE.get(table["name"]) if isinstance(table["name"], str) else None
     found = made(table, where) if made else find_effect(table["name"], where)
     where = f"{where}: {found.name}"
     if "axis" not in table:
-        raise InputError(f"{where}: 'axis' is missing; name one of {', '.join(machine.axis_names)}")
+        raise InputError(f"{where}: 'axis' is missing; give one of {', '.join(machine.axis_names)}")
     if table["axis"] not in machine.axis_names:
         raise InputError(f"{where}: no axis {table['axis']!r}; {nearest(str(table['axis']), machine.axis_names)}")
     axis = machine.axis(table["axis"])
@@ -92,7 +92,10 @@ def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Set
 
 
 def settings_of(machine: Machine) -> tuple[Setting, ...]:
-    """The machine's `[[effect]]` tables, checked; the same effect twice on an axis is an error. Effects on or from axes that are not driven are left out."""
+    """The checked `[[effect]]` tables of a machine, without those on or from axes that are not driven.
+
+    Raises InputError for an invalid table or a duplicate effect.
+    """
     where = str(machine.path or machine.name)
     still = [name for name in machine.document["axis"] if name not in machine.axis_names]
     settings = tuple(
@@ -104,7 +107,7 @@ def settings_of(machine: Machine) -> tuple[Setting, ...]:
     for setting in settings:
         key = setting.key
         if key in seen:
-            raise InputError(f"{where}: effect {setting.effect.name} stands twice on axis {setting.axis}; keep one")
+            raise InputError(f"{where}: effect {setting.effect.name} is given twice on axis {setting.axis}; keep one")
         seen.add(key)
     return settings
 
@@ -119,11 +122,11 @@ def parse_setting(text: str, machine: Machine) -> Setting:
     for assignment in filter(None, (parts[2] if len(parts) > 2 else "").split(",")):
         key, equals, value = assignment.partition("=")
         if not equals:
-            raise InputError(f"{where}: '{assignment}' is no PARAMETER=VALUE")
+            raise InputError(f"{where}: '{assignment}' is not of the form PARAMETER=VALUE")
         if key.strip() in table:
-            raise InputError(f"{where}: '{key.strip()}' stands twice; give it once")
+            raise InputError(f"{where}: '{key.strip()}' is given twice; give it once")
         try:
             table[key.strip()] = value.strip() if key.strip() == "from_axis" else float(value)
         except ValueError:
-            raise InputError(f"{where}: {key} = '{value}' is no number") from None
+            raise InputError(f"{where}: {key} = '{value}' is not a number") from None
     return check_setting(table, machine, where)

@@ -1,4 +1,4 @@
-"""Effects in the speed controller: gain, integral time, torque feedforward, current filter and limit are not what the machine file says."""
+"""Effects of the speed controller: gain, integral time, torque feedforward, current filter and current limit off nominal."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from twin.simulation.loop_terms import CURRENT, X_CURRENT_SETPOINT, arrays, term
     block="speed controller",
     parameters=(Parameter("factor", "factor", -1.0, 3.0, (0.5, 1.5), neutral=1.0, logarithmic=True, multiplies="torque_feedforward"),),
     separating_move="accelerations",
-    rivals="An inertia that is off also asks for torque in proportion to acceleration, but with feedforward off as well.",
-    picture=Picture("Errors where acceleration changes, which the speed controller has to make up for.", axis="X", sizes={"factor": 0.6}),
+    rivals="A wrong inertia also changes the torque in proportion to acceleration, but with feedforward off, too.",
+    picture=Picture("Errors when the acceleration changes, until the speed controller compensates.", axis="X", sizes={"factor": 0.6}),
 )
 def torque_feedforward(change: Change, axis: Axis, factor: float) -> None:
     """Torque feedforward weight off nominal.
 
-    a_t = factor x nominal: the speed controller has to make the missing (1 - a_t) J_ff a. Source: paper, section 2.
+    a_t = factor x nominal: the speed controller has to supply the missing (1 - a_t) J_ff a. Source: paper, section 2.
     """
     change.scale(axis, torque_feedforward=factor)
 
@@ -31,10 +31,8 @@ def torque_feedforward(change: Change, axis: Axis, factor: float) -> None:
     block="speed controller",
     parameters=(Parameter("factor", "factor", 0.2, 2.5, (0.6, 1.4), neutral=1.0, logarithmic=True, multiplies="speed_gain_nm_s_per_rad"),),
     separating_move="chirp",
-    rivals="A current filter or another integral time also changes how disturbances are met; a chirp parts them by frequency.",
-    picture=Picture(
-        "Reversals and jerks are followed less tightly; constant speed shows nothing.", "reversal", axis="X", sizes={"factor": 0.65}
-    ),
+    rivals="A current filter or a wrong integral time also changes the disturbance response; a chirp distinguishes them by frequency.",
+    picture=Picture("Larger errors at reversals and jerks; no error at constant speed.", "reversal", axis="X", sizes={"factor": 0.65}),
 )
 def speed_gain(change: Change, axis: Axis, factor: float) -> None:
     """Speed controller gain off nominal.
@@ -49,8 +47,8 @@ def speed_gain(change: Change, axis: Axis, factor: float) -> None:
     axes="integral",
     parameters=(Parameter("factor", "factor", 0.3, 10.0, (0.5, 2.2), neutral=1.0, logarithmic=True, multiplies="speed_integral_time_s"),),
     separating_move="chirp",
-    rivals="A speed gain that is off acts at once, the integral time only some milliseconds after a disturbance.",
-    picture=Picture("The friction's jump at a reversal is made up for more slowly.", "reversal", axis="X", sizes={"factor": 2.0}),
+    rivals="A wrong speed gain acts at once, the integral time only some milliseconds after a disturbance.",
+    picture=Picture("The friction step at a reversal is compensated more slowly.", "reversal", axis="X", sizes={"factor": 2.0}),
 )
 def speed_integral_time(change: Change, axis: Axis, factor: float) -> None:
     """Integral time of the speed controller off nominal.
@@ -66,20 +64,20 @@ def speed_integral_time(change: Change, axis: Axis, factor: float) -> None:
         Parameter("time_constant_s", "time", 0.0, 0.005, (0.5e-3, 1.5e-3), neutral=0.0, logarithmic=True, lag_cycle="current_cycle"),
     ),
     separating_move="chirp",
-    rivals="A loop delay is constant over frequency; the filter costs phase above 100 Hz first.",
-    picture=Picture("The speed loop loses phase: a reversal rings.", "reversal", axis="X", sizes={"time_constant_s": 1.5e-3}),
+    rivals="A loop delay is constant over frequency; the filter reduces the phase mainly above 100 Hz.",
+    picture=Picture("The speed loop loses phase margin and rings at a reversal.", "reversal", axis="X", sizes={"time_constant_s": 1.5e-3}),
 )
 def current_filter(change: Change, axis: Axis, time_constant_s: float) -> None:
     """First-order lag on the current set point.
 
-    y += (i* - y)(1 - exp(-Ti / T)) at every current cycle: phase loss in the speed loop. Source: current set point filters
+    y += (i* - y)(1 - exp(-Ti / T)) at every current cycle: phase lag in the speed loop. Source: current set point filters
     of the drive (611D has four).
     """
     change.add_term(lagged_current, CURRENT, axis, [-math.expm1(-change.machine.current_cycle / time_constant_s)])
 
 
-def _reached_when_accelerating(machine: Machine, axis: Axis) -> tuple[float, float]:
-    # what holds the axis against gravity is not there to accelerate
+def _usual_limit(machine: Machine, axis: Axis) -> tuple[float, float]:
+    # the holding current is not available for acceleration
     holding = abs(held_force(machine, axis)) * axis.ratio / axis.motor.torque_constant_nm_per_a
     return (holding + 0.1 * axis.motor.peak_current_a, 0.5 * axis.motor.peak_current_a)
 
@@ -88,18 +86,18 @@ def _reached_when_accelerating(machine: Machine, axis: Axis) -> tuple[float, flo
     block="speed controller",
     parameters=(
         Parameter(
-            "limit_a", "current", 0.1, 1000.0, _reached_when_accelerating, neutral=math.inf, logarithmic=True,
+            "limit_a", "current", 0.1, 1000.0, _usual_limit, neutral=math.inf, logarithmic=True,
             scan=LargestCurrent(), any_size=True,
         ),
     ),
     separating_move="accelerations",
-    rivals="Nothing else cuts the current off at one level in both directions.",
-    picture=Picture("The current is cut off, the axis falls behind and catches up.", axis="X", sizes={"limit_a": 9.5}),
+    rivals="No other effect clips the current at one level in both directions.",
+    picture=Picture("The current is clipped; the axis lags and catches up.", axis="X", sizes={"limit_a": 9.5}),
 )  # fmt: skip
 def current_limit(change: Change, axis: Axis, limit_a: float) -> None:
-    """Current set point clipped lower than the data sheet says.
+    """Current limit below the data sheet.
 
-    i* = clip(i*, +-limit_a): acceleration is not reached, the following error grows while it lasts. Source: drive power
+    i* = clip(i*, +-limit_a): the axis does not reach its acceleration and the following error grows. Source: drive power
     module derating.
     """
     change.set(axis, peak_current_a=min(limit_a, axis.motor.peak_current_a))
@@ -107,7 +105,7 @@ def current_limit(change: Change, axis: Axis, limit_a: float) -> None:
 
 @term
 def lagged_current(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """y += p[0] (i* - y); y starts on the first current set point."""
+    """y += p[0] (i* - y); y starts at the first current set point."""
     p, s, x = arrays(parameters, state, signals)
     if s[1] == 0.0:
         s[0] = x[axis, X_CURRENT_SETPOINT]

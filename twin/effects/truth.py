@@ -1,6 +1,6 @@
-"""A machine with known deviations: the parameter factors and effects of a `truth.toml`, to check the effects' physics.
+"""A machine with the parameter factors and effects of a `truth.toml`, to validate the physics of the effects.
 
-Only checks and the examination use this; diagnosis never reads a truth.
+Only checks and the examination use it; a diagnosis never reads a `truth.toml`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twin.machine.parameters import SPREAD, key_of
 
 
 def true_machine(machine: Machine, truth: str | Path | Mapping[str, Any]) -> Machine:
-    """The machine with the factors on its parameters and the effects that a `truth.toml` lists (its path or its content)."""
+    """The machine with the parameter factors and effects of a `truth.toml` (path or content)."""
     document = truth if isinstance(truth, Mapping) else read_toml(Path(truth))
     values: dict[str, Any] = {}
     for axis, factors in document.get("parameter", {}).items():

@@ -1,4 +1,4 @@
-"""Effects of a user: `--effects FILE` adds those of a Python file to the library, for one command and all its worker processes.
+"""User effects: `--effects FILE` adds the effects of a Python file to the library, for one command and its worker processes.
 
 The file holds one or more functions under `@effect(...)`, each complete in itself (`twin.effects.effect`). Worker processes find the
 files in the environment variable `TWIN_EFFECTS` and load them when they import `twin.effects`.
@@ -21,13 +21,13 @@ from twin.effects.effect import EFFECTS
 from twin.errors import InputError
 
 VARIABLE = "TWIN_EFFECTS"
-"""Environment variable with the files, separated as in PATH."""
+"""Environment variable with the files, separated like PATH."""
 
 _loaded: dict[Path, list[str]] = {}
 
 
 class _FromSource(SourceFileLoader):
-    """Reads the file itself, always: bytecode beside it knows a changed file by whole seconds and size alone."""
+    """Loader without bytecode cache, because the cache detects changes by size and whole seconds only."""
 
     def get_code(self, fullname: str) -> CodeType:
         return self.source_to_code(self.get_data(self.path), self.path)
@@ -35,9 +35,9 @@ class _FromSource(SourceFileLoader):
 
 @contextlib.contextmanager
 def effects_of(files: Sequence[str | Path]) -> Iterator[None]:
-    """Inside the `with` block the library has the effects of these files too, also in processes that are started there.
+    """Context in which the library includes the effects of these files, also in child processes.
 
-    Raises InputError for a file that cannot be imported, holds no effect, or one whose name the library has already.
+    Raises InputError for a file that cannot be imported, has no effect, or redefines an effect.
     """
     before = os.environ.get(VARIABLE)
     added = [path for path in dict.fromkeys(Path(file).resolve() for file in files) if path not in _loaded]
@@ -56,13 +56,13 @@ def effects_of(files: Sequence[str | Path]) -> Iterator[None]:
 
 
 def load(file: str | Path, given_by: str = "--effects") -> None:
-    """Add the effects of a file to the library; nothing of it is kept where it is faulty."""
+    """Add the effects of a file to the library. A faulty file leaves the library unchanged."""
     path = Path(file).resolve()
     if path in _loaded:
         return
     where = f"{given_by} {file}"
     if not path.is_file():
-        raise InputError(f"{where}: there is no such file; give a Python file that holds functions under @effect(...)")
+        raise InputError(f"{where}: there is no such file; give a Python file with functions under @effect(...)")
     known = dict(EFFECTS)
     module_name = f"twin_effects_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
     loader = _FromSource(module_name, str(path))
@@ -75,7 +75,7 @@ def load(file: str | Path, given_by: str = "--effects") -> None:
         loader.exec_module(module)
         new = [name for name in EFFECTS if name not in known]
         if not new:
-            raise InputError("it holds no effect; write @effect(...) from twin.effects.effect above a function")
+            raise InputError("the file has no effect; write @effect(...) from twin.effects.effect above a function")
     except BaseException as error:
         EFFECTS.clear()
         EFFECTS.update(known)
@@ -84,32 +84,32 @@ def load(file: str | Path, given_by: str = "--effects") -> None:
             raise InputError(f"{where}: {error}") from None
         if isinstance(error, Exception | SystemExit):
             raise InputError(
-                f"{where}: cannot be imported{_line_of(error, path)}: {type(error).__name__}: {error}; mend the file"
+                f"{where}: cannot be imported{_line_of(error, path)}: {type(error).__name__}: {error}; correct the file"
             ) from None
         raise
     _loaded[path] = new
 
 
 def load_from_environment() -> None:
-    """Load the files that the process which started this one was given."""
+    """Load the files that the parent process has loaded."""
     for file in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
         load(file, VARIABLE)
 
 
 def loaded_files() -> tuple[Path, ...]:
-    """The files whose effects the library has now."""
+    """Files whose effects are in the library."""
     return tuple(_loaded)
 
 
 def share(files: Sequence[Path]) -> None:
-    """Load these files in this process and name them to the ones that it starts: for workers that another process did not start."""
+    """Load these files in this process and its future child processes, for workers that were not started by the process that loaded them."""
     for file in files:
         load(file)
     os.environ[VARIABLE] = os.pathsep.join(str(path) for path in _loaded)
 
 
 def _line_of(error: BaseException, path: Path) -> str:
-    """' in line N' of the file where it failed, '' where that is not known."""
+    """Line number of an import error in the file, '' if unknown."""
     line = error.lineno if isinstance(error, SyntaxError) else None
     trace = error.__traceback__
     while trace is not None:

@@ -22,7 +22,7 @@ from twin.identify.between_samples import SETTLED_CYCLES, measured_ripple
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
-from twin.simulation import known_forces
+from twin.simulation import recorded_forces
 
 BAND_HZ = 20.0
 """Regressions look below this: drive trains are rigid there (a 150 Hz mode adds 0.4 % of the load at its edge)."""
@@ -224,8 +224,8 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
 
 def _known_torques(trace: Trace, machine: Machine, axis: Axis) -> tuple[np.ndarray | None, np.ndarray | None]:
     """(sample,) outside load and injected command as torques at the motor [Nm]; None where none is recorded."""
-    load = known_forces.outside_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
-    added = known_forces.injected(trace, machine) if trace.injections(axis.name) else None
+    load = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
+    added = recorded_forces.injected(trace, machine) if trace.injections(axis.name) else None
     return load, None if added is None else added[:, machine.axis_names.index(axis.name)]
 
 

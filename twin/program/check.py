@@ -16,7 +16,8 @@ from twin.machine.machine import Machine
 from twin.program.interpolator import set_point_blocks
 from twin.program.place import OutsideTravel, placed
 from twin.program.read import PROGRAM_ENDINGS, read_program
-from twin.simulation.setpoints import LimitWatch, setpoints_of
+from twin.simulation.setpoint_limits import LimitWatch
+from twin.simulation.setpoints import setpoints_of
 from twin.units import AXIS_UNITS
 
 NO_PROGRAM = (".md", ".txt.md", ".py", ".json", ".toml", ".png", ".pdf", ".html", ".xml", ".c", ".h", ".sh", ".ini", ".hal", ".log")

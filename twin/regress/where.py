@@ -29,9 +29,9 @@ from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common
-from twin.simulation.in_force import closed_on, sent_before, speed_set_point
+from twin.simulation.drive_setpoints import closed_on, received_from_nc, speed_set_point
 from twin.simulation.lanes import commissioned_inertia
-from twin.simulation.setpoints import delay_weights
+from twin.simulation.position_command import delay_weights
 
 Law = tuple[np.ndarray, np.ndarray, np.ndarray]
 """The output of a law from the machine file (sample,) or the rows of a regressed law (sample, column); the recorded output (sample,);
@@ -198,7 +198,7 @@ def _speed_controller(machine: Machine, axis: Axis, inertia: float, trace: Trace
     now, before, first = (_delayed(machine, axis, trace, d + back * cycle) for back in (0.0, 1.0, 2.0))
     forward = loops.torque_feedforward * inertia * (now - 2.0 * before + first) / cycle**2 / r
     integral = _speed_integral(machine, axis, trace) / loops.speed_integral_time_s
-    torque = loops.speed_gain_nm_s_per_rad * (error + integral) + sent_before(forward, trace, axis, machine.speed_cycle)[:, 0]
+    torque = loops.speed_gain_nm_s_per_rad * (error + integral) + received_from_nc(forward, trace, axis, machine.speed_cycle)[:, 0]
     current = torque / axis.commissioned_torque_constant
     command, free = _command(axis, trace)
     return current - (current[0] if axis.has_speed_integral else 0.0), command, free

@@ -1,7 +1,7 @@
-"""The gap of a campaign as one result: its verdict in a sentence, the outliers, a table, a picture, its document.
+"""The gap of a campaign: verdict, outliers, tables, plot and JSON document.
 
-For every run, axis and signal the gap is the RMS of measured minus simulated; beside it stands the RMS that measuring noise alone makes
-(twin against twin). Their ratio says whether the twin explains the measurement.
+For every run, axis and signal the gap is the RMS of measured minus simulated, compared with the RMS of measuring noise alone
+(twin against twin). A ratio near 1 means that the twin explains the measurement.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 AS_EXPECTED = 1.5
-"""Gap over noise up to which a signal is as it should be: the ratio of a twin with its own noise realisation stays below it."""
+"""Gap over noise up to which a signal agrees with the twin. A simulated run with another noise realisation stays below it."""
 
 
 class Outlier(NamedTuple):
-    """A signal whose gap is more than noise."""
+    """Gap of one signal of an axis in a run, and its ratio to noise."""
 
     run: str
     axis: str
@@ -65,7 +65,7 @@ class CampaignGap:
 
     @property
     def verdict(self) -> str:
-        """One sentence: the axes that are as they should be, then each other axis with its largest gap."""
+        """One sentence: axes that agree with the twin, then each other axis with its largest gap."""
         axes = list(dict.fromkeys(axis for run in self.runs.values() for axis in run))
         worst: dict[str, Outlier] = {}
         for row in self.outliers:
@@ -79,7 +79,7 @@ class CampaignGap:
         return "; ".join(parts)
 
     def summary_table(self) -> str:
-        """One line an axis: largest gap over all runs of each signal, and how many times noise that is."""
+        """Text table with one line per axis: largest gap of each signal over all runs, and its ratio to noise."""
         lines = []
         shown = [s for s in COMPARED if any(s in signals for axes in self.runs.values() for signals in axes.values())]
         for axis in dict.fromkeys(axis for run in self.runs.values() for axis in run):
@@ -93,7 +93,7 @@ class CampaignGap:
         return table(["axis", *(text for s in shown for text in (s.replace("_", " "), "x noise", "in run"))], lines)
 
     def full_table(self) -> str:
-        """Every run, axis and signal: RMS, largest, RMS that noise alone makes."""
+        """Text table of every run, axis and signal: RMS, maximum, RMS of noise alone."""
         shown = [s for s in COMPARED if any(s in signals for axes in self.runs.values() for signals in axes.values())]
         rows = []
         for run, axes in self.runs.items():
@@ -103,7 +103,7 @@ class CampaignGap:
         return table(["run", "axis", *(s.replace("_", " ") for s in shown)], rows)
 
     def document(self) -> dict[str, Any]:
-        """What `twin gap --json` writes."""
+        """The document of `twin gap --json`."""
         plain = {
             run: {axis: {s: asdict(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in self.runs.items()
         }
@@ -120,11 +120,11 @@ class CampaignGap:
         return pa.Table.from_pylist(rows)
 
     def to_pandas(self) -> Any:
-        """The same as a pandas data frame."""
+        """One row for each run, axis and signal as a pandas data frame."""
         return self.to_table().to_pandas()
 
     def plot(self) -> Figure:
-        """Gap over noise of every axis and run, a panel a signal, on a logarithmic scale; returns a matplotlib figure."""
+        """Plot gap over noise of every axis and run, one panel per signal, on a logarithmic scale; returns a matplotlib figure."""
         from twin.report.ratio_map import ratio_figure
 
         axes = list(dict.fromkeys(axis for run in self.runs.values() for axis in run))
@@ -143,7 +143,7 @@ def gap(campaign: Campaign | str | Path, machine: Machine | None = None, *, prog
     """Simulate every run of a measured campaign and compare signal by signal.
 
     `campaign` is a campaign or its folder; `machine` defaults to the Mikron. `progress` is called with the name of each finished run.
-    Raises InputError where no run holds a measured signal or a set point lies outside the machine's travel.
+    Raises InputError if no run has a measured signal, or if a set point lies outside the travel of the machine.
     """
     machine = machine or load_machine()
     known = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)

@@ -1,4 +1,4 @@
-"""The cascade of one drive: P position loop, P or PI speed loop, PI current loop, and the winding between the ticks.
+"""The control cascade of a drive: P position loop, P or PI speed loop, PI current loop, and the motor winding.
 
 Law per axis (Prevost, Lavernhe, Lartigue; times are cycles of the control, `r` axis units per motor radian):
 
@@ -9,14 +9,17 @@ Law per axis (Prevost, Lavernhe, Lartigue; times are cycles of the control, `r` 
     every current cycle:   e = i* - i;  u = clip(Kpi e + Ii, +-u_bus);  Ii += Kpi Ti/Tni e unless clipped
     between two ticks:     L di/dt = u - R i - Ke w   under held u and w, solved exactly
 
-With `dsc_delay_s` Td > 0 the drive closes the position loop (dynamic servo control, DSC). w* and T_ff of the first two lines are
-then what the NC sends; the drive receives them Td late and adds what its newest encoder value says, at every speed cycle:
+"Unless clipped" is the anti-windup: the integrator holds while its output is limited.
+
+With `dsc_delay_s` Td > 0 the drive closes the position loop (dynamic servo control, DSC). The NC sends w*_NC and T_ff,NC of the first two
+lines. The drive receives them with the delay Td and corrects w* for the motion since then, at every speed cycle:
 
     w*(T) = w*_NC(T - Td) - Kv (x(T) - x(T - Td)) / r,    T_ff(T) = T_ff,NC(T - Td)
 
-Kt and J_ff are those that the control was commissioned with; the motor's own Kt makes the torque. Without a current loop
-i* is the command (A, V, Nm) of an ideal actuator and i = i* at once. A P speed loop has 1/Tn = 0. w is measured, or made from
-the motor encoder, (q(k) - q(k-n)) / (n Ts), and may pass a first-order lag. The functions are compiled; `twin.simulation.cascade_reference` states the same law in plain numpy and a test holds both equal.
+The controllers use the commissioned Kt and J_ff; the torque follows from the Kt of the motor. Without a current loop i* is the command
+(A, V, Nm) of an ideal actuator and i = i*. A P speed loop has 1/Tn = 0. The speed w is measured, or differentiated from the motor encoder,
+(q(k) - q(k-n)) / (n Ts), and may pass a first-order filter. `twin.simulation.cascade_reference` implements the same law in plain numpy;
+a test compares both.
 """
 
 from __future__ import annotations
@@ -32,58 +35,58 @@ from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import MOST_MEAN_CYCLES
 
 WHOLE_CYCLE = 1e-9
-"""A delay this close to a whole number of speed cycles is whole."""
+"""A delay this close to a whole number of speed cycles counts as whole."""
 
 
 class Drives(NamedTuple):
-    """Constants of all drives, each (axis,) float64 unless said otherwise."""
+    """Constants of all drives, each (axis,) float64 unless noted."""
 
     ratio: np.ndarray  # axis units per motor rad
     position_gain: np.ndarray  # 1/s
     speed_gain: np.ndarray  # Nm s/rad
-    speed_integral_gain: np.ndarray  # Kp Ts / Tn, Nm s/rad a speed cycle
-    control_torque_constant: np.ndarray  # Nm/A, what the control divides by
+    speed_integral_gain: np.ndarray  # Kp Ts / Tn, Nm s/rad per speed cycle
+    control_torque_constant: np.ndarray  # commissioned Kt, Nm/A
     peak_current: np.ndarray  # A
     current_gain: np.ndarray  # V/A
-    current_integral_gain: np.ndarray  # Kpi Ti / Tni, V/A a current cycle
+    current_integral_gain: np.ndarray  # Kpi Ti / Tni, V/A per current cycle
     bus_limit: np.ndarray  # V
-    torque_constant: np.ndarray  # Nm/A, the motor's own
+    torque_constant: np.ndarray  # Kt of the motor, Nm/A
     back_emf: np.ndarray  # V s/rad
     resistance: np.ndarray  # ohm
     decay: np.ndarray  # exp(-R h / L) over one base tick h
     mean_decay: np.ndarray  # mean of exp(-R t / L) over the tick
-    current_loop: np.ndarray  # bool: a current controller and a winding; else the command acts at once
+    current_loop: np.ndarray  # bool: a current controller and a winding; otherwise an ideal actuator
     on_motor_encoder: np.ndarray  # bool: the position loop is closed on the motor encoder
-    mean_cycles: np.ndarray  # int64: n of the differentiated position, 0 where the speed is measured
+    mean_cycles: np.ndarray  # int64: n of the differentiated position, 0 for a measured speed
     differentiation_rate: np.ndarray  # 1 / (n Ts), 1/s
-    speed_lag: np.ndarray  # 1 - exp(-Ts / T) of the speed's filter, 1 without
-    reference_lag: np.ndarray  # 1 - exp(-Ts / Tr) of the integrator's reference model, 1 without
+    speed_lag: np.ndarray  # 1 - exp(-Ts / T) of the speed filter, 1 without filter
+    reference_lag: np.ndarray  # 1 - exp(-Ts / Tr) of the integrator's reference model, 1 without model
     dsc: np.ndarray  # bool: the drive closes the position loop
-    dsc_cycles: np.ndarray  # int64: whole speed cycles of its delay
-    dsc_part: np.ndarray  # what is left of its delay, as a part of a speed cycle
+    dsc_cycles: np.ndarray  # int64: whole speed cycles of Td
+    dsc_part: np.ndarray  # fraction of a speed cycle that remains of Td
 
 
 class DriveState(NamedTuple):
-    """State of all drives, each (axis,) float64 unless said otherwise."""
+    """State of all drives, each (axis,) float64 unless noted."""
 
-    commanded_speed: np.ndarray  # w* as the position controller of the NC computes it, rad/s at the motor
-    commanded_torque: np.ndarray  # T_ff as the NC computes it, Nm
-    speed_setpoint: np.ndarray  # w* in force in the drive, rad/s at the motor
-    torque_feedforward: np.ndarray  # T_ff in force in the drive, Nm
+    commanded_speed: np.ndarray  # w*_NC, output of the NC's position controller, rad/s at the motor
+    commanded_torque: np.ndarray  # T_ff,NC, Nm
+    speed_setpoint: np.ndarray  # w* active in the drive, rad/s at the motor
+    torque_feedforward: np.ndarray  # T_ff active in the drive, Nm
     speed_integral: np.ndarray  # I, Nm
     current_setpoint: np.ndarray  # A
     current_integral: np.ndarray  # V
     voltage: np.ndarray  # V
     current: np.ndarray  # A, or the command
     reference_speed: np.ndarray  # w_r, rad/s at the motor
-    seen_speed: np.ndarray  # speed that the speed controller sees, axis units a second
+    seen_speed: np.ndarray  # input of the speed controller, axis units/s
     seen_positions: np.ndarray  # (axis, MOST_MEAN_CYCLES + 1) motor encoder at the last speed cycles, newest first
-    sent: np.ndarray  # (axis, cycle, 2) w*_NC + Kv x / r and T_ff,NC at the last speed cycles, a ring
-    newest: np.ndarray  # int64: where the newest of them stands, -1 before the first
+    sent: np.ndarray  # (axis, cycle, 2) ring buffer of w*_NC + Kv x / r and T_ff,NC at the last speed cycles
+    newest: np.ndarray  # int64: index of the newest entry of `sent`, -1 before the first cycle
 
 
 def drives_of(machine: Machine) -> Drives:
-    """Constants of the cascade, computed from the machine's data sheet."""
+    """Constants of the cascade, computed from the machine file."""
     h = machine.base_tick
 
     def column(value: Callable[[Axis], float]) -> np.ndarray:
@@ -125,9 +128,9 @@ def drives_of(machine: Machine) -> Drives:
 
 
 def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
-    """State at standstill: the integrators carry `held_torque` (axis,) [Nm at the motor], the windings its current.
+    """State at standstill: integrators and windings carry the holding torque `held_torque` (axis,) [Nm at the motor].
 
-    A P speed controller has no integrator: what holds it is a following error.
+    A P speed controller has no integrator and holds by a following error.
     """
     current = held_torque / drives.torque_constant
     zero = np.zeros_like(current)
@@ -151,7 +154,7 @@ def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
 
 @compiled(inline=True)
 def position_controller(a, drives, state, setpoint, velocity_feedforward, torque_feedforward, position):  # type: ignore[no-untyped-def]
-    """w* of axis `a` from the delayed set point, the feedforward (axis units a second; Nm) and the measured position."""
+    """w* of axis `a` from the delayed set point, the feedforward (axis units/s; Nm) and the measured position."""
     speed = (drives.position_gain[a] * (setpoint - position) + velocity_feedforward) / drives.ratio[a]
     state.commanded_speed[a] = speed
     state.commanded_torque[a] = torque_feedforward
@@ -162,10 +165,10 @@ def position_controller(a, drives, state, setpoint, velocity_feedforward, torque
 
 @compiled(inline=True)
 def drive_position_loop(a, drives, state, position):  # type: ignore[no-untyped-def]
-    """w* in force of axis `a` whose drive closes the position loop: what the NC sent Td ago, and how far the axis has moved since."""
+    """w* of axis `a` whose drive closes the position loop (DSC): the delayed w* of the NC, corrected for the motion since then."""
     moved = drives.position_gain[a] * position / drives.ratio[a]
     ring = state.sent[a]
-    if state.newest[a] < 0:  # the first cycle: the axis has stood here
+    if state.newest[a] < 0:  # first cycle: the axis was at rest here
         ring[:, 0] = state.commanded_speed[a] + moved
         ring[:, 1] = state.commanded_torque[a]
     at = state.newest[a] + 1
@@ -185,11 +188,11 @@ def drive_position_loop(a, drives, state, position):  # type: ignore[no-untyped-
 
 @compiled(inline=True)
 def speed_seen(a, drives, state, speed, position):  # type: ignore[no-untyped-def]
-    """Speed of axis `a` for the speed controller [axis units a second]: `speed` as measured, or differentiated from `position`."""
+    """Input of the speed controller of axis `a` [axis units/s]: the measured `speed` or the differentiated `position`, filtered."""
     n = drives.mean_cycles[a]
     if n > 0:
         seen = state.seen_positions[a]
-        if math.isnan(seen[0]):  # the first cycle: the axis has stood here
+        if math.isnan(seen[0]):  # first cycle: the axis was at rest here
             seen[:] = position
         for i in range(n, 0, -1):
             seen[i] = seen[i - 1]
@@ -203,7 +206,7 @@ def speed_seen(a, drives, state, speed, position):  # type: ignore[no-untyped-de
 
 @compiled(inline=True)
 def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
-    """i* of axis `a` from the motor speed [rad/s]; True where the current limit is met."""
+    """i* of axis `a` from the motor speed [rad/s]; True at the current limit."""
     error = state.speed_setpoint[a] - motor_speed
     integrated = error
     if drives.reference_lag[a] < 1.0:
@@ -223,7 +226,7 @@ def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-
 
 @compiled(inline=True)
 def current_controller(a, drives, state, current_setpoint, current):  # type: ignore[no-untyped-def]
-    """Voltage of axis `a` from set and measured current [A]; True where the bus limit is met. An ideal actuator just takes the command."""
+    """Voltage of axis `a` from set point and measured current [A]; True at the bus limit. An ideal actuator applies the command directly."""
     if not drives.current_loop[a]:
         state.current[a] = current_setpoint
         return False
@@ -240,7 +243,7 @@ def current_controller(a, drives, state, current_setpoint, current):  # type: ig
 
 @compiled(inline=True)
 def winding(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
-    """Advance the current of axis `a` by one tick under held voltage and speed; its mean over the tick [A] makes the torque."""
+    """Advance the current of axis `a` by one tick at constant voltage and speed; returns its mean over the tick [A]."""
     if not drives.current_loop[a]:
         return state.current[a]
     final = (state.voltage[a] - drives.back_emf[a] * motor_speed) * (1.0 / drives.resistance[a])

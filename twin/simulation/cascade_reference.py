@@ -1,6 +1,6 @@
-"""The control law in plain numpy, and a plain Python loop over `mujoco.mj_step` that simulates a machine with it.
+"""Reference implementation: the control law in plain numpy, and a Python loop over `mujoco.mj_step`.
 
-Written from the law (docs/theory.md), not from the compiled kernels: slow, for tests and for the benchmark. All arrays
+Implemented from the law (docs/theory.md), not from the compiled kernels; slow, for tests and for the benchmark. All arrays
 are (axis,) in the machine's order; `r` is axis units per motor radian.
 """
 
@@ -19,7 +19,7 @@ from twin.simulation.setpoints import Setpoints
 CHANNELS = ("position", "velocity", "velocity_setpoint", "current", "current_setpoint", "voltage", "drive_velocity_setpoint")
 
 BEFORE_CYCLES = 4
-"""Position cycles before the start at which the set point stands on its first value; delays beyond them need no more."""
+"""Position cycles at the first set point before the start, for delayed set points."""
 
 
 @dataclass
@@ -30,8 +30,8 @@ class ReferenceCascade:
     held_torque: np.ndarray  # Nm at the motor, what the integrators carry at rest
     w_NC: np.ndarray = field(init=False)  # speed set point as the NC computes it, rad/s
     T_NC: np.ndarray = field(init=False)  # torque feedforward as the NC computes it, Nm
-    w_star: np.ndarray = field(init=False)  # speed set point in force, rad/s
-    T_ff: np.ndarray = field(init=False)  # torque feedforward in force, Nm
+    w_star: np.ndarray = field(init=False)  # speed set point active in the drive, rad/s
+    T_ff: np.ndarray = field(init=False)  # torque feedforward active in the drive, Nm
     sent: list[np.ndarray] = field(init=False)  # (w_NC, T_NC, x) at the speed cycles so far
     I: np.ndarray = field(init=False)  # noqa: E741  integrator of the speed loop, Nm
     i_star: np.ndarray = field(init=False)  # current set point, A
@@ -66,7 +66,7 @@ class ReferenceCascade:
         self.Td = column([p.dsc_delay_s for p in loops])
         self.T_w = column([p.speed_filter_time_s for p in loops])
         self.T_r = column([p.speed_reference_time_s for p in loops])
-        # at rest: the motor holds, nothing moves
+        # at rest: the motors hold the axes
         self.i = self.held_torque / self.Kt
         self.i_star = self.i.copy()
         self.I = np.where(np.isfinite(self.Tn), self.i * self.control_Kt, 0.0)
@@ -83,7 +83,7 @@ class ReferenceCascade:
         self.T_NC = torque
 
     def drive(self, x: np.ndarray) -> None:
-        """w*(T) = w_NC(T - Td) - Kv (x(T) - x(T - Td)) / r and T_ff(T) = T_NC(T - Td); between two speed cycles on a straight line.
+        """w*(T) = w_NC(T - Td) - Kv (x(T) - x(T - Td)) / r and T_ff(T) = T_NC(T - Td), linear between speed cycles.
 
         Td = 0 is w* = w_NC: the NC closes the loop.
         """
@@ -99,9 +99,9 @@ class ReferenceCascade:
         self.T_ff = T
 
     def speed_cycle(self, w: np.ndarray, q: np.ndarray) -> None:
-        """T* = Kp e + I + T_ff; i* limited; the integrator stands still where the limit is met.
+        """T* = Kp e + I + T_ff; i* limited; the integrator holds at the limit (anti-windup).
 
-        w as measured, or (q(k) - q(k-n)) / (n Ts); then a first-order lag where there is one.
+        w as measured, or (q(k) - q(k-n)) / (n Ts); optionally filtered by a first-order lag.
         """
         Ts = self.machine.speed_cycle
         self.q_seen.append(q)
@@ -122,7 +122,7 @@ class ReferenceCascade:
         self.I = np.where(free, self.I + self.Kp * self.machine.speed_cycle / self.Tn * (self.w_r - self.w_seen), self.I)
 
     def current_cycle(self) -> None:
-        """u = Kpi e + I_i; u limited; the integrator stands still where the limit is met. Without current loop i = i*."""
+        """u = Kpi e + I_i; u limited; the integrator holds at the limit (anti-windup). Without current loop i = i*."""
         self.i = np.where(self.has_loop, self.i, self.i_star)
         e = self.i_star - self.i
         unlimited = self.Kpi * e + self.I_i
@@ -131,7 +131,7 @@ class ReferenceCascade:
         self.I_i = np.where(free, self.I_i + self.Kpi * self.machine.current_cycle / self.Tni * e, self.I_i)
 
     def winding(self, w: np.ndarray, h: float) -> np.ndarray:
-        """L di/dt = u - R i - Ke w over h with u and w held; returns the mean current, which makes the torque."""
+        """L di/dt = u - R i - Ke w over h at constant u and w; returns the mean current, which gives the torque."""
         steady = (self.u - self.Ke * w) / self.R
         rate = self.R / self.L
         before = self.i
@@ -151,7 +151,7 @@ def commands(machine: Machine, setpoints: Setpoints, cycles: int) -> tuple[np.nd
         spline = CubicSpline(samples, setpoints.position[:, a], bc_type="natural")
 
         def s(times: np.ndarray, spline: CubicSpline = spline) -> np.ndarray:
-            if machine.setpoint_interpolation == "linear":  # between the NC's samples at its position cycles
+            if machine.setpoint_interpolation == "linear":  # between NC samples at position cycles
                 grid = np.arange(-BEFORE_CYCLES, cycles) * tp
                 return np.interp(times, grid, spline(np.clip(grid, samples[0], samples[-1])))
             return np.asarray(spline(np.clip(times, samples[0], samples[-1])))
@@ -166,7 +166,7 @@ def commands(machine: Machine, setpoints: Setpoints, cycles: int) -> tuple[np.nd
 
 
 class ReferenceSimulation:
-    """A machine without effects and noise, one Python call a tick; state of the engine in `plant.data`."""
+    """A machine without effects and noise, one Python call per tick; state of the engine in `plant.data`."""
 
     def __init__(self, machine: Machine, setpoints: Setpoints, ticks: int) -> None:
         self.machine = machine
@@ -179,7 +179,7 @@ class ReferenceSimulation:
         mujoco.mj_forward(self.plant.model, data)
         ratio = np.array([axis.ratio for axis in machine.axes])
         self.cascade = c = ReferenceCascade(machine, data.qfrc_bias[self.plant.load_dof] * ratio)
-        # a P speed controller holds by a following error
+        # a P speed controller holds with a following error
         sag = np.where(np.isfinite(c.Tn), 0.0, c.held_torque * ratio / (c.Kp * c.Kv))
         data.qpos[self.plant.load_position] -= sag
         self.record = np.zeros((ticks, len(machine.axes), len(CHANNELS)))
@@ -191,7 +191,7 @@ class ReferenceSimulation:
         position_every, speed_every, current_every = self.every
         for k in range(first, first + ticks):
             v = data.qvel[plant.load_dof]
-            x = data.qpos[plant.load_position] - 0.5 * h * v  # the engine keeps positions half a step ahead
+            x = data.qpos[plant.load_position] - 0.5 * h * v  # MuJoCo's positions lead by half a step
             w = v / c.r
             if k % position_every == 0:
                 cycle = k // position_every
@@ -208,7 +208,7 @@ class ReferenceSimulation:
 
 
 def simulate_reference(machine: Machine, setpoints: Setpoints, ticks: int) -> np.ndarray:
-    """Record (tick, axis, channel) of CHANNELS, SI, from rest on the first set point on."""
+    """Record (tick, axis, channel) of CHANNELS, SI, from rest at the first set point."""
     simulation = ReferenceSimulation(machine, setpoints, ticks)
     simulation.run(0, ticks)
     return simulation.record

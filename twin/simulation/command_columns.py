@@ -1,6 +1,6 @@
-"""Signals of a run that follow from its command: what the control feeds forward, and the acceleration of the motor in axis units.
+"""Signals of a run that follow from its command: velocity feedforward, and acceleration of the motor in axis units.
 
-A SINUMERIK records VFFWS and TFFWS, from which gain and delay of the feedforward are read; `torque_feedforward` the loop records itself.
+A SINUMERIK records them as VFFWS and TFFWS; identification reads weight and delay of the feedforward from them. The loop records `torque_feedforward`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import numpy as np
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation.lanes import commissioned_inertia
-from twin.simulation.setpoints import Setpoints, command_of
+from twin.simulation.position_command import command_of
+from twin.simulation.setpoints import Setpoints
 
 
 def with_command_columns(trace: Trace, machine: Machine, setpoints: Setpoints) -> Trace:

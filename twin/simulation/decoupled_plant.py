@@ -1,14 +1,14 @@
-"""The decoupled plant: each axis by itself in closed form, some ten times faster than the engine, for fits and screening.
+"""The decoupled plant: independent axes in closed form, about ten times faster than MuJoCo, for fits and screening.
 
-Per axis (and per rotor that turns on its own) and tick h, in the engine's own order so that both agree:
+Each axis, and each rotor with its own joint, takes the same step as in MuJoCo, per tick h:
 
-    a  = (F - b(t) - D v) / M(t)                    free acceleration under drive, bias and viscous friction
-    f  = clip(-(a + B v) / (1/M + R), +-level)      Coulomb force as the engine's soft constraint has it
-    v += h (M a + f) / (M + h D);  q += h v         semi-implicit, viscous friction implicit
+    a  = (F - b(t) - D v) / M(t)                    free acceleration under drive force, bias and viscous friction
+    f  = clip(-(a + B v) / (1/M + R), +-level)      Coulomb force of MuJoCo's soft constraint
+    v += h (M a + f) / (M + h D);  q += h v         semi-implicit Euler, viscous friction implicit
 
-M(t) and the bias b(t) (gravity, Coriolis, the other axis' acceleration) are read off the MJCF along a known motion, the
-nominal run; an effect changes that motion by micrometres only. The compiled loop is the same one; only the address of the step
-differs. A test holds the decoupled plant to the MuJoCo run.
+Inertia M(t) and bias b(t) (gravity, Coriolis, acceleration of coupled axes) come from the MJCF, evaluated along a known motion: the
+nominal run. An effect changes that motion by micrometres only. The compiled loop is the same as for MuJoCo; only the address of the step
+function differs. A test compares the decoupled plant with MuJoCo.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from twin.simulation import loop
 from twin.simulation.engine_calls import call_address_2, call_address_3, call_address_4, engine_function_address
 from twin.simulation.plant_spec import Plant, build_plant, full_inertia, inertial_key
 
-# constants: header, then per degree of freedom, then the series
+# layout of the constants: header, constants of each degree of freedom, series
 _H, _COUNT, _ROWS, _ROW_TICKS = range(4)
 _HEADER = 4
 _VISCOUS, _REFERENCE, _SOFTNESS, _GEAR = range(4)
 _PER_DOF = 4
-# state: header, then one vector per quantity
+# layout of the state: header, one vector per quantity
 _TICK = 0
 _QPOS, _QVEL, _CTRL, _APPLIED, _BIAS, _PASSIVE, _CONSTRAINT, _LEVEL = range(8)
 _VECTORS = 8
 
 SERIES_PERIOD = 2e-3
-"""Spacing [s] of the inertia and bias along the motion."""
+"""Sample period of inertia and bias along the motion [s]."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A known motion of all axes: position, speed, acceleration, each (sample, axis) in SI, with its period [s].
+    """A known motion of all axes: position, speed, acceleration, each (sample, axis) in SI, and the sample period [s].
 
-    `loads` keeps inertia and bias of the models that were evaluated along it.
+    `loads` caches inertia and bias of the models evaluated along it.
     """
 
     position: np.ndarray
@@ -60,7 +60,7 @@ class Motion:
     parts: dict[tuple[int, ...], Motion] = field(default_factory=dict, repr=False)
 
     def part(self, axes: tuple[int, ...]) -> Motion:
-        """The same motion of some axes only, by index; remembered."""
+        """The motion of some axes, by index; cached."""
         if axes not in self.parts:
             index = list(axes)
             self.parts[axes] = Motion(self.position[:, index], self.speed[:, index], self.acceleration[:, index], self.period)
@@ -69,21 +69,21 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Loads:
-    """What the decoupled plant takes from a compiled model: inertia and bias of the loads along a motion, without rotors, and friction constants."""
+    """Loads of a compiled model along a motion: inertia, bias and friction constants."""
 
-    inertia: np.ndarray  # (row, axis) load alone
+    inertia: np.ndarray  # (row, axis) without rotor
     bias: np.ndarray  # (row, axis)
     row_ticks: float
     reference: np.ndarray  # B of the friction constraint
     softness: np.ndarray  # R of the friction constraint
 
     def of(self, axes: Sequence[int]) -> _Loads:
-        """Some of the axes, by index."""
+        """Loads of some axes, by index."""
         return _Loads(self.inertia[:, axes], self.bias[:, axes], self.row_ticks, self.reference[axes], self.softness[axes])
 
 
 class _Memory:
-    """Constants and state of all degrees of freedom as the compiled step reads them, and the loop's views of them."""
+    """Constants and state of all degrees of freedom in the layout of the compiled step, with the engine views of the loop."""
 
     def __init__(
         self,
@@ -95,8 +95,8 @@ class _Memory:
         load: np.ndarray,
         rotor: np.ndarray,
     ) -> None:
-        """`header`: base tick [s], ticks a row of the series, first tick. `constants` (dof, _PER_DOF), series (row, dof), `vectors`
-        (_VECTORS, dof); `load` and `rotor` (axis,) say which degree of freedom is whose."""
+        """`header`: base tick [s], ticks per row of the series, first tick. `constants` (dof, _PER_DOF), series (row, dof), `vectors`
+        (_VECTORS, dof); `load` and `rotor` (axis,) are the degrees of freedom of each axis."""
         tick, row_ticks, first_tick = header
         rows, dofs = inertia.shape
         self.header, self.constants, self.inertia, self.bias, self.load, self.rotor = header, constants, inertia, bias, load, rotor
@@ -125,10 +125,10 @@ class _Memory:
 
 
 class DecoupledPlant:
-    """Axes by themselves along a known motion; the same face to the loop as `twin.simulation.plant_spec.Plant`."""
+    """Independent axes along a known motion; same interface to the loop as `twin.simulation.mujoco_plant.MujocoPlant`."""
 
     def __init__(self, change: Change, motion: Motion, carried_by: Machine | None = None) -> None:
-        """`motion` is that of the change's axes, or of `carried_by`: the machine with all the axes that carry them."""
+        """`motion` covers the axes of `change`, or those of `carried_by`, a machine that also has the axes that carry them."""
         axes = change.machine.axes
         loads = loads_along(change, motion, carried_by)
         if carried_by is not None:
@@ -147,10 +147,10 @@ class DecoupledPlant:
         inertia, bias = np.empty((rows, dofs)), np.zeros((rows, dofs))
         inertia[:-1, :n] = loads.inertia + reflected
         bias[:-1, :n] = loads.bias
-        inertia[-1], bias[-1] = inertia[-2], bias[-2]  # what holds behind the end of the motion
+        inertia[-1], bias[-1] = inertia[-2], bias[-2]  # values after the end of the motion
         rotor = np.arange(n)
         for i, a in enumerate(split):
-            # the friction constraint of a load by itself is softer by as much as it is lighter
+            # the softness of the friction constraint is inversely proportional to the inertia, here without the rotor
             constants[a, _SOFTNESS] *= inertia[0, a] / loads.inertia[0, a]
             inertia[:, a] -= reflected[a]
             inertia[:, n + i] = reflected[a]
@@ -166,11 +166,11 @@ class DecoupledPlant:
 
     @property
     def times(self) -> tuple[float, float, float]:
-        """Plants with the same can be put side by side: base tick [s], ticks a row of the loads' series, first tick."""
+        """Base tick [s], ticks per row of the loads, first tick. Plants with equal values can be joined."""
         return self._memory.header
 
     def place_at_rest(self, start: np.ndarray, constant_force: np.ndarray, change: Change) -> np.ndarray:
-        """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
+        """Place load and rotor at `start` (axis,); returns the holding force at each axis."""
         held = self.start_bias - constant_force
         self.engine.qpos[: len(start)] = start
         for a in self._split:
@@ -178,10 +178,10 @@ class DecoupledPlant:
         return held
 
 
-class SideBySide:
-    """Decoupled plants of the same `times` in one memory, axis after axis, each in the state that it has now; owns what its engine reads.
+class JoinedPlants:
+    """Several decoupled plants of equal `times` as one, in their current state; owns the memory that its engine addresses.
 
-    Behind the end of its own motion a plant keeps its last loads.
+    A plant keeps its last loads after the end of its motion.
     """
 
     def __init__(self, plants: Sequence[DecoupledPlant]) -> None:
@@ -191,8 +191,8 @@ class SideBySide:
         self._memory = _Memory(
             parts[0].header,
             np.concatenate([part.constants for part in parts]),
-            np.concatenate([_to_rows(part.inertia, rows) for part in parts], axis=1),
-            np.concatenate([_to_rows(part.bias, rows) for part in parts], axis=1),
+            np.concatenate([_extended(part.inertia, rows) for part in parts], axis=1),
+            np.concatenate([_extended(part.bias, rows) for part in parts], axis=1),
             np.concatenate([part.vectors for part in parts], axis=1),
             np.concatenate([part.load + at for part, at in zip(parts, first)]),
             np.concatenate([part.rotor + at for part, at in zip(parts, first)]),
@@ -200,24 +200,24 @@ class SideBySide:
         self.engine = self._memory.engine
 
 
-def _to_rows(series: np.ndarray, rows: int) -> np.ndarray:
-    """A series (row, dof) made longer by its last row."""
+def _extended(series: np.ndarray, rows: int) -> np.ndarray:
+    """A series (row, dof), extended to `rows` by repeating its last row."""
     return np.concatenate([series, np.repeat(series[-1:], rows - len(series), axis=0)]) if len(series) < rows else series
 
 
-_MEMORY = 64
-_remembered: OrderedDict[object, _Loads] = OrderedDict()
+_MAX_CACHED = 64
+_cache: OrderedDict[object, _Loads] = OrderedDict()
 _lock = threading.Lock()
 
 
 def loads_along(change: Change, motion: Motion, machine: Machine | None = None) -> _Loads:
-    """Loads of a changed machine (or of `machine` with its edits) along a motion; kept, because a fit asks for the same masses many times."""
+    """Loads of a changed machine, or of `machine` with its edits, along a motion; cached, because a fit needs the same loads many times."""
     machine = machine or change.machine
-    # the loads depend on neither friction nor drives, and on effects only where they edit the model
+    # the loads do not depend on friction or drives; effects change them only by editing the model
     edited = b"" if not change.model_edits else _bodies_of(build_plant(machine, change.model_edits).model)
     key = (inertial_key(machine), edited, machine.base_tick)
     with _lock:
-        known = _remembered.get(key) or motion.loads.get(key)
+        known = _cache.get(key) or motion.loads.get(key)
     if known is not None:
         return known
     plant = build_plant(machine, change.model_edits)
@@ -233,17 +233,17 @@ def loads_along(change: Change, motion: Motion, machine: Machine | None = None) 
         reference=2.0 / (impedance * np.maximum(model.dof_solref[plant.load_dof, 0], 2.0 * machine.base_tick)),
         softness=(1.0 - impedance) / impedance * model.dof_invweight0[plant.load_dof],
     )
-    # axes that move along lines and do not push each other have the same loads on every motion
-    remembered = _remembered if _same_everywhere(plant) else motion.loads
+    # uncoupled linear axes have the same loads on every motion
+    cache = _cache if _independent_of_motion(plant) else motion.loads
     with _lock:
-        remembered[key] = loads
-        while len(remembered) > _MEMORY:
-            remembered.popitem(last=False)
+        cache[key] = loads
+        while len(cache) > _MAX_CACHED:
+            cache.popitem(last=False)
     return loads
 
 
-def _same_everywhere(plant: Plant) -> bool:
-    """Are inertia and bias of the loads the same wherever the axes stand and however they move: slides only, no coupling?"""
+def _independent_of_motion(plant: Plant) -> bool:
+    """Whether inertia and bias of the loads are constant on every motion: slides only, without coupling."""
     model, data = plant.model, plant.data
     if np.any(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
         return False
@@ -252,11 +252,11 @@ def _same_everywhere(plant: Plant) -> bool:
 
 
 COUPLED = 1e-9
-"""Inertia between two axes, as a share of the largest, up to which they do not push each other."""
+"""Off-diagonal inertia, as a fraction of the largest inertia, up to which axes count as uncoupled."""
 
 
 def _bodies_of(model: mujoco.MjModel) -> bytes:
-    """The part of a model that decides its loads and that an edit can change."""
+    """Cache key: the fields of a model that an edit can change and that its loads depend on."""
     parts = (
         model.body_mass, model.body_inertia, model.body_pos, model.body_quat, model.body_ipos, model.body_iquat,
         model.jnt_pos, model.jnt_axis, model.dof_armature, model.opt.gravity,
@@ -265,9 +265,9 @@ def _bodies_of(model: mujoco.MjModel) -> bytes:
 
 
 def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Diagonal inertia of the loads (without rotors and armature) and bias (row, axis) along a motion.
+    """Diagonal inertia of the loads, without rotors and armature, and bias, each (row, axis), along a motion.
 
-    Bias: gravity and Coriolis forces plus what the other axes' accelerations ask of this one.
+    The bias holds gravity, Coriolis forces and the coupling forces of other axes' accelerations.
     """
     model, data = plant.model, plant.data
     axes = len(plant.load_dof)
@@ -293,7 +293,7 @@ def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np
 
 @compiled
 def _read_along(stages, forces, full_inertia, model, data, views, places, motion, own, inertia, bias):  # type: ignore[no-untyped-def]
-    """Fill inertia and bias (row, axis) at each row of the motion, with the stages of the engine's forward dynamics that they need."""
+    """Fill inertia and bias (row, axis) along the motion by the required stages of MuJoCo's forward dynamics."""
     qpos, qvel, engine_bias, full = views
     load_position, load_dof = places
     position, speed, acceleration = motion
@@ -303,7 +303,7 @@ def _read_along(stages, forces, full_inertia, model, data, views, places, motion
             qvel[load_dof[a]] = speed[row, a]
         for stage in stages:
             call_address_2(stage, model, data)
-        call_address_4(forces, model, data, 0, engine_bias.ctypes.data)  # without accelerations
+        call_address_4(forces, model, data, 0, engine_bias.ctypes.data)  # mj_rne at zero acceleration
         call_address_3(full_inertia, model, data, full.ctypes.data)
         for a in range(len(own)):
             i = load_dof[a]
@@ -315,7 +315,7 @@ def _read_along(stages, forces, full_inertia, model, data, views, places, motion
 
 
 def _is_constant(plant: Plant, motion: Motion) -> bool:
-    """No hinge moves: inertia and gravity stay what they are at the start."""
+    """Whether no hinge moves, so that inertia and gravity forces are constant."""
     model = plant.model
     hinges = [a for a, dof in enumerate(plant.load_dof) if model.jnt_type[model.dof_jntid[dof]] == mujoco.mjtJoint.mjJNT_HINGE]
     return not hinges or bool(np.ptp(motion.position[:, hinges], axis=0).max() < 1e-4)
@@ -325,7 +325,7 @@ _Pointer = types.CPointer(types.float64)
 
 
 def decoupled_step(constants_pointer: Any, state_pointer: Any) -> None:
-    """One tick of all degrees of freedom; the law stands at the top of the module."""
+    """Advance all degrees of freedom by one tick, by the law in the module docstring."""
     header = carray(constants_pointer, (_HEADER,))
     h = header[_H]
     n = int(header[_COUNT])

@@ -1,15 +1,16 @@
-"""What a run takes from the drives, counted at every tick inside the compiled loop.
+"""Load of the drives in a run, accumulated at every tick inside the compiled loop.
 
-A record of 1 kHz sees two samples of a current that the position controller steps every 2 ms: its largest value and its RMS come
-out too low, and differently for each design. The loop therefore adds up, tick by tick, where a run asks for it:
+The position controller steps the current every 2 ms. A record at 1 kHz has two samples per step, so its peak and RMS are too low by an
+amount that depends on the design. On request the loop accumulates at every tick:
 
     mean square     of the current over the tick, exact for the exponential between two ticks
-    smooth part     the mean over each position cycle: what the motion asks for; the rest within the cycle is ripple
-    work            motor torque times speed, T (w_before + w_after) / 2 h: exact for the kinetic energy under held torque
+    smooth part     mean over each position cycle, required by the motion; the rest within the cycle is ripple
+    work            motor torque times speed, T (w_before + w_after) / 2 h, exact for the kinetic energy at constant torque
     electrical      u times the mean current over the tick
-    largest torque  while driving, in classes of speed: the duty cycle against the motor's curve; braking, the back EMF helps
+    largest torque  while driving, by speed class: the duty cycle against the torque curve of the motor. Braking is omitted, because the
+                    back-EMF then helps
 
-Everything is of the true current, without measuring noise. Sums stand in one row an axis, D_... name its columns.
+All quantities use the true current without measuring noise. The sums of an axis form one row; D_... index its columns.
 """
 
 from __future__ import annotations
@@ -24,46 +25,46 @@ from twin.compiled_functions import compiled
 from twin.machine.axis import Axis
 
 (
-    D_CYCLE_SUM,  # A, mean currents of the ticks of the running position cycle
-    D_CYCLE_SQUARE,  # A2, their mean squares
-    D_CYCLES,  # whole position cycles
-    D_SQUARE,  # A2, mean squares of whole cycles
-    D_SMOOTH_SQUARE,  # A2, squares of the means of whole cycles
+    D_CYCLE_SUM,  # A, sum of the mean currents in the current position cycle
+    D_CYCLE_SQUARE,  # A2, sum of the mean squares in the current position cycle
+    D_CYCLES,  # number of complete position cycles
+    D_SQUARE,  # A2, sum over complete cycles of the mean square
+    D_SMOOTH_SQUARE,  # A2, sum over complete cycles of the squared mean
     D_LARGEST,  # A
     D_SMOOTH_LARGEST,  # A
     D_WORK,  # J
     D_BRAKING,  # J, the negative part of the work
     D_ELECTRICAL,  # J
-    D_LARGEST_SPEED,  # axis units a second
+    D_LARGEST_SPEED,  # axis units/s
 ) = range(11)
 SUMS = 11
 
 SPEED_CLASSES = 50
-"""Classes of speed, up to FASTEST times the axis' limit; what is faster counts to the last one."""
+"""Number of speed classes, up to FASTEST times the speed limit of the axis. The last class includes all higher speeds."""
 FASTEST = 1.25
 
 
 class DriveSums(NamedTuple):
-    """What the loop adds up: sums (axis, D_...) and largest torque (axis, class) [Nm at the motor]; no axis where nothing is counted."""
+    """Accumulators of the loop. They have no axes if the load is not load_sums."""
 
-    sums: np.ndarray
-    torque: np.ndarray
-    classes_per_speed: np.ndarray  # (axis,) classes for each axis unit a second
-
-
-NOTHING_COUNTED = DriveSums(np.zeros((0, SUMS)), np.zeros((0, SPEED_CLASSES)), np.zeros(0))
+    sums: np.ndarray  # (axis, D_...)
+    torque: np.ndarray  # (axis, class) largest driving torque, Nm at the motor
+    classes_per_speed: np.ndarray  # (axis,) classes per axis unit/s
 
 
-def drive_sums(axes: tuple[Axis, ...]) -> DriveSums:
-    """Sums of a run that has not begun."""
+NO_SUMS = DriveSums(np.zeros((0, SUMS)), np.zeros((0, SPEED_CLASSES)), np.zeros(0))
+
+
+def empty_sums(axes: tuple[Axis, ...]) -> DriveSums:
+    """Accumulators at the start of a run."""
     classes = np.array([SPEED_CLASSES / (FASTEST * axis.max_velocity) for axis in axes])
     return DriveSums(np.zeros((len(axes), SUMS)), np.zeros((len(axes), SPEED_CLASSES)), classes)
 
 
 @compiled(inline=True)
-def count_tick(a, counted, drives, state, before, mean, motor_speed, cycle_ends, position_ticks, h):  # type: ignore[no-untyped-def]
-    """Add one tick of axis `a`: current `before` it, `mean` over it and, in the state, after it [A]; speed at its start, axis units a second."""
-    sums = counted.sums[a]
+def count_tick(a, load_sums, drives, state, before, mean, motor_speed, cycle_ends, position_ticks, h):  # type: ignore[no-untyped-def]
+    """Add one tick of axis `a`: current [A] `before` the tick, `mean` over it, and after it in `state`; initial speed [axis units/s]."""
+    sums = load_sums.sums[a]
     after = state.current[a]
     # between the ticks i(t) = final + away exp(-R t / L)
     square = mean * mean
@@ -79,8 +80,8 @@ def count_tick(a, counted, drives, state, before, mean, motor_speed, cycle_ends,
     speed = abs(motor_speed)
     sums[D_LARGEST_SPEED] = max(sums[D_LARGEST_SPEED], speed)
     if mean * motor_speed >= 0.0:
-        at = min(int(speed * counted.classes_per_speed[a]), counted.torque.shape[1] - 1)
-        counted.torque[a, at] = max(counted.torque[a, at], abs(drives.torque_constant[a] * mean))
+        at = min(int(speed * load_sums.classes_per_speed[a]), load_sums.torque.shape[1] - 1)
+        load_sums.torque[a, at] = max(load_sums.torque[a, at], abs(drives.torque_constant[a] * mean))
     if cycle_ends:
         smooth = sums[D_CYCLE_SUM] / position_ticks
         sums[D_CYCLES] += 1.0
@@ -92,22 +93,22 @@ def count_tick(a, counted, drives, state, before, mean, motor_speed, cycle_ends,
 
 
 @compiled(inline=True)
-def count_work(a, counted, torque, before, after, h):  # type: ignore[no-untyped-def]
-    """Add the work of axis `a` in one step: its motor's torque [Nm], speed of the rotor before and after [rad/s]."""
+def count_work(a, load_sums, torque, before, after, h):  # type: ignore[no-untyped-def]
+    """Add the work of axis `a` in one step: motor torque [Nm], rotor speed before and after the step [rad/s]."""
     work = 0.5 * torque * (before + after) * h
-    counted.sums[a, D_WORK] += work
+    load_sums.sums[a, D_WORK] += work
     if work < 0.0:
-        counted.sums[a, D_BRAKING] -= work
+        load_sums.sums[a, D_BRAKING] -= work
 
 
 @dataclass(frozen=True)
 class DriveLoad:
-    """What a run took from the drive of one axis.
+    """Load of the drive of one axis in a run.
 
-    `effort_` numbers are of what its speed controller commands (`Axis.effort`: A, V or Nm): over all ticks, of the smooth part
-    (means over position cycles), and of the ripple around it. Energies [J]: what the motor gave to the mechanics in all (`work`), what
-    of it came back while braking, and what its winding took. `torque` (class,) is the largest driving torque [Nm at the motor] in
-    classes of speed whose upper ends are `speed` (class,) [rad/s at the motor].
+    `effort_` values are those of the output of the speed controller (`Axis.effort`: A, V or Nm) over all ticks; `smooth_` values those of
+    its means over position cycles; `ripple_rms` that of the rest. Energies [J]: `work` is the net work of the motor on the mechanics,
+    `braking` the part returned while braking, `electrical` the energy into the winding. `torque` (class,) is the largest driving torque
+    [Nm at the motor] in speed classes with upper ends `speed` (class,) [rad/s at the motor].
     """
 
     effort_max: float
@@ -123,9 +124,9 @@ class DriveLoad:
     torque: np.ndarray
 
 
-def drive_load(axis: Axis, counted: DriveSums, a: int) -> DriveLoad:
-    """The load of axis number `a` from the sums of a finished run."""
-    sums = counted.sums[a]
+def drive_load(axis: Axis, load_sums: DriveSums, a: int) -> DriveLoad:
+    """Load of axis number `a` from the accumulators of a finished run."""
+    sums = load_sums.sums[a]
     cycles = max(sums[D_CYCLES], 1.0)
     square, smooth = float(sums[D_SQUARE] / cycles), float(sums[D_SMOOTH_SQUARE] / cycles)
     return DriveLoad(
@@ -138,6 +139,6 @@ def drive_load(axis: Axis, counted: DriveSums, a: int) -> DriveLoad:
         braking=float(sums[D_BRAKING]),
         electrical=float(sums[D_ELECTRICAL]),
         speed_max=float(sums[D_LARGEST_SPEED]),
-        speed=np.arange(1, SPEED_CLASSES + 1) / (counted.classes_per_speed[a] * axis.ratio),
-        torque=counted.torque[a].copy(),
+        speed=np.arange(1, SPEED_CLASSES + 1) / (load_sums.classes_per_speed[a] * axis.ratio),
+        torque=load_sums.torque[a].copy(),
     )

@@ -1,4 +1,4 @@
-"""Draws what an effect looks like: a short move with the effect (colour of the axis) and without it (grey)."""
+"""Draw the picture of an effect: a short move with the effect (colour of the axis) and without it (grey)."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _PERIOD = 1e-3
 
 
 def setpoint(move: Move, axis: Axis) -> np.ndarray:
-    """(sample,) at 1 ms."""
-    unit = 1.0 if axis.kind == "linear" else 6.0  # a rotary axis in rad moves that much further
+    """Set points (sample,) of a move at 1 ms."""
+    unit = 1.0 if axis.kind == "linear" else 6.0  # scale of the moves of a rotary axis [rad/m]
     slow = {"slow": (0.004, 0.010), "reversal": (0.0015, 0.010)}
     if move in slow:
         distance, speed = slow[move]
@@ -54,7 +54,7 @@ def setpoint(move: Move, axis: Axis) -> np.ndarray:
 
 
 def axes_shown(effect: Effect, machine: Machine) -> tuple[Axis, Axis | None]:
-    """The axis of the picture and the one that pushes it, for an effect that has one; an InputError where the machine has none."""
+    """The axis of the picture, and the source axis of an effect that has one. Raises InputError if the machine has no such axis."""
     able = effect.axes(machine)
     if len(able) < 1 + effect.from_axis:
         raise InputError(f"{machine.path or machine.name}: no axis of this machine can have {effect.name}: it is for {effect.which_axes}")
@@ -64,13 +64,13 @@ def axes_shown(effect: Effect, machine: Machine) -> tuple[Axis, Axis | None]:
 
 
 def sizes_of(effect: Effect, machine: Machine, axis: Axis) -> dict[str, float]:
-    """The picture's parameters: as given, else the middle of the usual range."""
+    """Parameters of the picture: as given, or the middle of the usual range."""
     usual = {p.name: sum(p.usual_range(machine, axis)) / 2.0 for p in effect.parameters if not p.shape}
     return {**usual, **effect.picture.sizes}
 
 
 def traces_of(effect: Effect, machine: Machine) -> tuple[Axis, Trace, Trace, dict[str, float]]:
-    """The shown axis, the run without and with the effect, and its parameters."""
+    """The shown axis, the runs without and with the effect, and its parameters."""
     shown = effect.picture
     axis, pushing = axes_shown(effect, machine)
     also = [a for a in shown.with_axes if a in machine.axis_names]
@@ -92,7 +92,7 @@ def traces_of(effect: Effect, machine: Machine) -> tuple[Axis, Trace, Trace, dic
 
 
 def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
-    """Write the picture of an effect: set point's speed, following error, current, motor minus scale, with and without it."""
+    """Write the picture of an effect: speed of the set point, error without the delay, current, motor minus scale, with and without it."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -122,7 +122,7 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
     with plt.rc_context(style):
         figure, places = plt.subplots(4, 1, figsize=(8.6, 6.2), sharex=True, layout="constrained", height_ratios=(0.7, 1, 1, 1))
         for place, (label, of) in zip(places, rows):
-            # the same without the effect lies below, wider, so that both are seen where they agree
+            # the curve without the effect is wider and below, so that both are visible where they agree
             place.plot(without.time, of(without), color=grey, linewidth=2.6, alpha=0.75)
             if place is not places[0]:
                 place.plot(having.time, of(having), color=colour, linewidth=1.1)
@@ -144,14 +144,14 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
 
 
 def smoothed(values: np.ndarray, width: float, period: float) -> np.ndarray:
-    """Running mean; the ends keep their values."""
+    """Moving average with edge padding."""
     count = max(1, round(width / period))
     padded = np.pad(values, (count // 2, count - 1 - count // 2), mode="edge")
     return np.convolve(padded, np.full(count, 1.0 / count), "valid")
 
 
 def floor(place: Any, smallest: float) -> None:
-    """Values that are nothing are drawn as nothing: no scale below `smallest`."""
+    """Limit the vertical scale to at least `smallest`, so that rounding errors are drawn as zero."""
     low, high = place.get_ylim()
     if high - low < smallest:
         middle = (low + high) / 2.0
@@ -159,7 +159,7 @@ def floor(place: Any, smallest: float) -> None:
 
 
 def quantised(path: Path) -> None:
-    """Few colours: a third of the file."""
+    """Reduce the colours of an image, to a third of the file size."""
     from PIL import Image
 
     Image.open(path).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
@@ -172,11 +172,11 @@ READABLE = {
     "m/s": ((1e-4, 1e6, "um/s"), (1.0, 1e3, "mm/s")),
     "N/m": ((math.inf, 1e-6, "N/um"),),
 }
-"""Units in which people say small values: (up to, factor, name)."""
+"""Display units of small values: (upper limit, factor, name)."""
 
 
 def readable(value: float, unit: str) -> str:
-    """A value as it stands in a title."""
+    """A value with its display unit."""
     for below, factor, name in READABLE.get(unit, ()):
         if abs(value) < below:
             return f"{value * factor:.3g} {name}"

@@ -1,6 +1,6 @@
-"""Calls through C addresses from compiled code, so that loops can call the engine and effect terms without Python.
+"""Calls of C functions by address from compiled code: the loop calls the engine and the effect terms without Python.
 
-An address is plain data here: the compiled loop stays cacheable on disk and one loop serves every combination of terms.
+An address is plain data, so the compiled loop can be cached on disk and serves all combinations of terms.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic as _intrinsic
 
-intrinsic: typing.Any = _intrinsic  # its type hides the signatures of what it makes
+intrinsic: typing.Any = _intrinsic  # untyped: the type of `intrinsic` hides the signatures of its functions
 
 
 @intrinsic
@@ -51,7 +51,7 @@ def _call(count: int) -> tuple[typing.Any, typing.Any]:
 
 @functools.cache
 def engine_function_address(name: str) -> int:
-    """Address of a function of MuJoCo's C library, e.g. 'mj_step'."""
+    """Address of a function of the MuJoCo library, e.g. 'mj_step'."""
     import mujoco
 
     folder = Path(mujoco.__file__).parent

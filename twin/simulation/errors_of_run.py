@@ -1,10 +1,10 @@
-"""Errors of one axis in a run: with the constant delay of the control, without it, and after reversals.
+"""Errors of an axis in a run: with and without the constant delay of the control, and after reversals.
 
     following error        e(t) = s(t) - x(t)
     error without delay    e'(t) = s(t - d) - x(t),   d = position delay of the control, and of a drive that closes the loop (`Loops.set_point_delay_s`)
 
-A control with feedforward delays its set points by d, so that e is v d at constant speed: 500 um at 15 m/min and 2 ms, whatever
-the machine does. e' is what is left, and what backlash, friction and elasticity change.
+A control with feedforward delays its set points by d, so e is v d at constant speed: 500 um at 15 m/min and 2 ms, regardless of
+the mechanics. e' is the remaining error; backlash, friction and elasticity change it.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from twin.machine.axis import Axis
 from twin.recordings.trace import Trace
 
 REVERSAL_WINDOW = 0.1
-"""Time after a reversal of the set point in which its error peak is sought [s]."""
+"""Duration of the search for the error peak after a reversal of the set point [s]."""
 
 SETPOINT_STEP = 1e-9
-"""A set point that changes by less from sample to sample stands still [m, rad]."""
+"""Smallest change from sample to sample that counts as motion of the set point [m, rad]."""
 
 
 class AxisErrors(NamedTuple):
@@ -40,12 +40,12 @@ def error_without_delay(trace: Trace, axis: Axis) -> np.ndarray:
 
 
 def delayed_set_point(trace: Trace, axis: Axis) -> np.ndarray:
-    """Set point that acts at each sample (sample,) [m, rad]: what an axis without any error would show."""
+    """Set point minus the delay of the control (sample,) [m, rad]: the position of an axis without errors."""
     return np.interp(trace.time - axis.loops.set_point_delay_s, trace.time, trace.get(axis.name, "setpoint"))
 
 
 def reversal_times(trace: Trace, axis: str) -> np.ndarray:
-    """Times (reversal,) [s] at which the set point begins to move the other way, standstill between both ways included."""
+    """Times (reversal,) [s] at which the set point starts to move in the opposite direction, with or without a standstill before."""
     steps = np.diff(trace.get(axis, "setpoint"))
     moving = np.flatnonzero(np.abs(steps) > SETPOINT_STEP)
     turns = moving[1:][np.sign(steps[moving[1:]]) != np.sign(steps[moving[:-1]])]

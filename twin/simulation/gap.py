@@ -1,8 +1,8 @@
-"""The sim-to-real gap: every run of a campaign simulated and compared signal by signal.
+"""The sim-to-real gap: simulate every run of a campaign and compare signal by signal.
 
-The twin's prediction is the mean of a few runs with measuring noise in the loop (the control sees noisy samples, which
-moves an axis that is about to stick), its own record free of noise. `noise` is the gap that measuring noise alone makes:
-each realisation against the mean of the others, plus what the sensors add to a record.
+The prediction is the mean of a few simulations with measuring noise in the loop, recorded without noise. The noise that the control sees
+moves an axis that is about to stick. `noise` is the gap of measuring noise alone:
+each realisation against the mean of the others, plus the noise of the sensors.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from twin.recordings.ballbar import FINEST, Ballbar
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.lanes import PlantFace
+from twin.simulation.lanes import PlantInterface
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
@@ -32,27 +32,27 @@ from twin.simulation.two_encoders import BOTH, with_equal_means
 from twin.units import ARCSEC, AXIS_UNITS
 
 COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "torque")
-"""Of the last three the one that the axis' speed controller commands."""
+"""Compared signals. Of the last three, only the output of the axis' speed controller is compared."""
 
 REALISATIONS = 4
-"""Runs with noise in the loop from which expectation and scatter are taken."""
+"""Number of simulations with noise in the loop for mean and scatter."""
 
 SAME_PERIOD = 1e-4
-"""Relative difference of periods that the printed times of a record may make."""
+"""Relative tolerance of the sample period, for rounded times in a record."""
 
 SAME_TIME = 0.01
-"""Share of a period by which the last samples of a record and of its simulation may part and count as simultaneous."""
+"""Tolerance, as a fraction of the period, up to which the last samples of a record and its simulation count as simultaneous."""
 
 LEAST_NOISE = {"position": 1e-9, "motor_position": 1e-9, "velocity": 1e-7, "current": 1e-4}
-"""Least noise of any record, SI: used where the machine file gives none."""
+"""Smallest noise of a record, SI; used if the machine file gives none."""
 
 LEAST_COMMAND = 1e-4
-"""Resolution of a command, as a share of its limit: that of a converter."""
+"""Resolution of a command, as a fraction of its limit: that of a converter."""
 
 
 @dataclass(frozen=True)
 class SignalGap:
-    """Gap of one signal of one axis in one run, in `unit`: RMS, largest, and the RMS that noise alone makes."""
+    """Gap of one signal of one axis in one run, in `unit`: RMS, maximum, and RMS of noise alone."""
 
     rms: float
     max: float
@@ -62,7 +62,7 @@ class SignalGap:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the twin expects of a run: mean trace, and the RMS scatter of each (axis, signal) that noise causes, SI."""
+    """Prediction of a run: mean trace, and the scatter (sample,) of each (axis, signal) due to noise, SI."""
 
     trace: Trace
     scatter: dict[tuple[str, str], np.ndarray]
@@ -78,16 +78,16 @@ def predict(
 ) -> Prediction:
     """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations.
 
-    With a known `motion` of the machine's axes the engine simulates one realisation, and what the others would be besides, and their
-    scatter, comes from the decoupled plant along it: its realisations differ by what the engine's do, and take a tenth of the time.
-    Without `engine` all come from it.
+    With a known `motion` of the axes, MuJoCo simulates one realisation. The decoupled plant along that motion gives the differences of the
+    other realisations, which agree with those of MuJoCo, in a tenth of the time.
+    Without `engine`, all realisations come from the decoupled plant.
     """
     setpoints = recorded_setpoints(run.trace, machine)
     check_travel(setpoints, machine, f"run {run.name}")
     actual = machine.with_feedforward(run.feedforward)
     period = simulated_period(machine, run.trace.period, run.ballbar)
 
-    def realised(i: int, plant_of: Callable[[Change], PlantFace]) -> SimulationJob:
+    def realised(i: int, plant_of: Callable[[Change], PlantInterface]) -> SimulationJob:
         return SimulationJob(actual, setpoints, plant_of, period, run.started_at, seed + i)
 
     decoupled = MujocoPlant if motion is None else lambda change: DecoupledPlant(change, motion)
@@ -109,7 +109,7 @@ def predict(
 
 
 class Job(NamedTuple):
-    """What `predict` is asked."""
+    """Arguments of `predict`."""
 
     machine: Machine
     run: MeasuredRun
@@ -121,13 +121,13 @@ class Job(NamedTuple):
 def predict_campaign(
     machine: Machine, runs: Sequence[MeasuredRun], *, realisations: int = REALISATIONS, progress: Callable[[str], None] | None = None
 ) -> dict[str, Prediction]:
-    """`predict` for several runs on all cores; independent of the number of workers."""
+    """`predict` for several runs on all cores; the result does not depend on the number of workers."""
     predictions = predict_each([Job(machine, run, realisations) for run in runs], progress=progress)
     return {run.name: prediction for run, prediction in zip(runs, predictions)}
 
 
 def predict_each(jobs: Sequence[Job], *, threads: int | None = None, progress: Callable[[str], None] | None = None) -> list[Prediction]:
-    """`predict` for all jobs, in their order; the longest are simulated first, so that no core waits for one."""
+    """`predict` for all jobs, in order. The longest jobs start first, to balance the load."""
     order = sorted(range(len(jobs)), key=lambda i: -len(jobs[i].run.trace.time) * jobs[i].realisations)
     results: dict[int, Prediction] = {}
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
@@ -139,7 +139,7 @@ def predict_each(jobs: Sequence[Job], *, threads: int | None = None, progress: C
 
 
 def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[str, dict[str, SignalGap]]:
-    """Gap by axis and signal, for the signals that the run has."""
+    """Gap by axis and signal, for the signals of the run."""
     table: dict[str, dict[str, SignalGap]] = {}
     for axis in machine.axes:
         if axis.name not in run.trace.axes:
@@ -175,7 +175,7 @@ def gap_of_campaign(
 
 
 def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
-    """Unit in which a gap is given, and the factor from SI: um or arcsec, mm/s or deg/s; A, V, Nm or N."""
+    """Display unit of a gap and factor from SI: um or arcsec, mm/s or deg/s; A, V, Nm or N."""
     if signal in ("position", "motor_position"):
         return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
     if signal == "velocity":
@@ -184,14 +184,14 @@ def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
 
 
 def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
-    """(sample,) True where the set point moves: there the current (or the command) is compared, that of an axis that sticks is history."""
+    """Mask (sample,) of a moving set point. Only there the current or command is compared: that of a sticking axis depends on its history."""
     return np.abs(np.gradient(trace.get(axis.name, "setpoint"), trace.period)) > AT_REST[axis.kind]
 
 
 def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
-    """Standard deviation that a sensor adds to a record, rounding included [SI].
+    """Standard deviation of a sensor, with quantisation [SI].
 
-    A command is no measurement, but one step of the encoder jumps through the gains: K (1 / (n Ts) + Kv) step.
+    A command has no sensor, but the gains amplify an encoder step: K (1 / (n Ts) + Kv) step.
     """
     noise = machine.noise(axis)
     if signal == axis.effort and not axis.has_current_loop:
@@ -212,13 +212,13 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
 
 
 def encoders_noise(machine: Machine, axis: Axis) -> float:
-    """Standard deviation that the sensors add to motor encoder minus scale [m, rad]."""
+    """Standard deviation of motor encoder minus scale due to the sensors [m, rad]."""
     return max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
 
 
 def simulated_period(machine: Machine, period: float, ballbar: Ballbar | None = None) -> float:
-    """Sample period [s] of a simulation that is compared with a record of this one: the same, or each tick where that is no whole number
-    of ticks; of one that a ballbar sees, FINEST."""
+    """Sample period [s] of the simulation of a record with this `period`: the same, or one tick if the period is not a whole number of ticks;
+    for a ballbar, FINEST, or `period` if it is shorter."""
     if ballbar is not None:
         return min(simulated_period(machine, FINEST), period)
     ticks = period / machine.base_tick
@@ -226,7 +226,7 @@ def simulated_period(machine: Machine, period: float, ballbar: Ballbar | None = 
 
 
 def at_times(trace: Trace, times: np.ndarray) -> Trace:
-    """A simulated trace (rows at whole ticks from 0 on) at the times of a record (sample,) [s], which may begin anywhere."""
+    """A simulated trace, which starts at 0, at the times (sample,) [s] of a record, which may start at any time."""
     count = len(times)
     if len(trace.time) >= count and abs(trace.time[count - 1] - (times[-1] - times[0])) < SAME_TIME * trace.period:
         return replace(trace, time=times, signals={key: values[:count] for key, values in trace.signals.items()})
@@ -236,8 +236,8 @@ def at_times(trace: Trace, times: np.ndarray) -> Trace:
 
 
 def as_recorded(trace: Trace, times: np.ndarray, ballbar: Ballbar | None, noise_seed: int | None = None) -> Trace:
-    """A simulated trace at the times of a record (sample,) [s], with the positions that its ballbar, if there is one, sees; with
-    `noise_seed` also with the noise of the bar."""
+    """A simulated trace at the times (sample,) [s] of a record, with the positions measured by a ballbar, if there is one; `noise_seed` adds
+    the noise of the ballbar."""
     at = at_times(trace, times)
     if ballbar is None:
         return at

@@ -1,8 +1,9 @@
-"""One machine on its set points, ready to run, and several of them side by side in one compiled loop.
+"""Lanes: machines that are ready to run, several of them in one compiled loop.
 
-A processor waits for most of what an axis computes: each number needs the one before it. Machines beside each other do not need each
-other's numbers, so that eight of them take a third to two thirds of the time that they take one after another. To the loop they are one machine with
-the axes of all; each keeps its own command, noise, terms and record, and its numbers are those that it has alone.
+The arithmetic of one axis is a chain of dependent operations, so the processor mostly waits for latency. Lanes are independent of each
+other and their chains overlap: eight lanes in one loop take a third to two thirds of the time of eight separate loops. The loop sees one
+machine with the axes of all lanes. Each lane keeps its own command, noise, terms and record and computes exactly the numbers that it
+computes alone.
 """
 
 from __future__ import annotations
@@ -18,44 +19,46 @@ from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
 from twin.simulation import cascade, loop, loop_record
-from twin.simulation.decoupled_plant import DecoupledPlant, SideBySide
-from twin.simulation.drive_load import NOTHING_COUNTED, DriveSums, drive_sums
+from twin.simulation.decoupled_plant import DecoupledPlant, JoinedPlants
+from twin.simulation.drive_load import NO_SUMS, DriveSums, empty_sums
 from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
 from twin.simulation.plant_spec import home_inertia_at_motor
-from twin.simulation.setpoints import Command, Setpoints, command_of
+from twin.simulation.position_command import Command, command_of
+from twin.simulation.setpoints import Setpoints
 
-MOST_RECORDED = 15_000_000
-"""Samples of all axes of a record: 50 minutes of five axes at 1 kHz, 2 GB."""
-MOST_TICKS = 1_000_000_000
-"""35 hours of a machine with a tick of 125 us; hours of simulation."""
+MAX_RECORDED = 15_000_000
+"""Largest record, in samples of all axes: 50 minutes of five axes at 1 kHz, 2 GB."""
+MAX_TICKS = 1_000_000_000
+"""Longest run in ticks: 35 hours at a tick of 125 us, which take hours to simulate."""
 STRETCH_TICKS = 16_000
-"""Ticks advanced in one call of the loop. It bounds the memory that a run needs beside its trace, and the time between two progress reports."""
+"""Ticks in one call of the loop. Bounds the memory of a run beside its trace, and the time between two progress reports."""
 
 DIVERGED_SPEED = 3.0
-"""Multiple of its highest speed beyond which an axis has diverged."""
+"""Multiple of its maximum speed above which an axis has diverged."""
 
 
-class PlantFace(Protocol):
-    """What a run asks of the mechanics: an engine for the loop, and a start at rest."""
+class PlantInterface(Protocol):
+    """Mechanics of a run."""
 
     engine: loop.Engine
 
     def place_at_rest(self, start: np.ndarray, constant_force: np.ndarray, change: Change) -> np.ndarray:
-        """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
+        """Place load and rotor at `start` (axis,); returns the holding force at each axis."""
 
 
 @dataclass(frozen=True)
 class Lane:
     """One machine at rest on its first set point.
 
-    `actual` is the machine with its effects, `inertia` (axis,) [kg m2 at the motor] the one that its torque feedforward is commissioned with,
-    `held_torque` (axis,) [Nm at the motor] what its integrators carry, `noise_seed` that of its measuring noise (None: ideal).
+    `actual` is the machine with its effects, `inertia` (axis,) [kg m2 at the motor] the commissioned inertia of the torque feedforward,
+    `held_torque` (axis,) [Nm at the motor] the torque that the integrators carry at rest, `noise_seed` the seed of the measuring noise
+    (None: no noise).
     """
 
     machine: Machine
     setpoints: Setpoints
     actual: Change
-    plant: PlantFace
+    plant: PlantInterface
     drives: cascade.Drives
     schedule: loop.Schedule
     inertia: np.ndarray
@@ -80,36 +83,36 @@ class Lane:
 
     @property
     def ticks(self) -> int:
-        """Ticks from the first sample to the last one."""
+        """Ticks from the first sample to the last."""
         return (self.rows - 1) * self.schedule.record_ticks + 1
 
     @property
-    def draws(self) -> object:
-        """Lanes with the same draw the same numbers for their noise."""
+    def noise_key(self) -> object:
+        """Lanes with equal keys draw the same random numbers."""
         return self.noise_seed, self.axes
 
     @property
-    def fits_beside(self) -> object:
-        """Lanes with the same can be put side by side; None: the engine advances this one alone."""
+    def batch_key(self) -> object:
+        """Lanes with equal keys can share a loop; None: this lane runs alone, because MuJoCo steps one machine at a time."""
         if not isinstance(self.plant, DecoupledPlant):
             return None
         s = self.schedule
         cycles = (s.tick, s.position_ticks, s.speed_ticks, s.current_ticks, s.record_ticks)
-        return cycles, self.plant.times, self.noise_seed is None, self.count_load, self.setpoints.outside is None
+        return cycles, self.plant.times, self.noise_seed is None, self.count_load, self.setpoints.external_force is None
 
 
 def lane_of(
     machine: Machine,
     setpoints: Setpoints,
-    plant_of: Callable[[Change], PlantFace],
+    plant_of: Callable[[Change], PlantInterface],
     *,
     sample_period: float | None = None,
     started_at: float = 0.0,
     noise_seed: int | None = None,
     count_load: bool = False,
 ) -> Lane:
-    """The machine with its effects at rest; the arguments are those of `simulate`. Raises InputError where it cannot be held or recorded."""
-    # what the control was commissioned with stays; what the machine really is comes from file and effects
+    """The machine with its effects, at rest; arguments as for `simulate`. Raises InputError if it cannot be held or recorded."""
+    # effects change the machine, not the values that the control was commissioned with
     inertia = commissioned_inertia(machine)
     actual = apply_effects(machine, started_at)
     actual.lead_ticks = round(setpoints.lead / machine.base_tick)
@@ -120,21 +123,23 @@ def lane_of(
     held = _place_at_rest(actual, plant, drives, setpoints)
     lane = Lane(machine, setpoints, actual, plant, drives, schedule, inertia, held, noise_seed, count_load)
     if lane.rows < 2:
-        raise InputError(f"a run of {setpoints.duration:.4g} s has one sample every {lane.period:.4g} s: record it more often")
+        raise InputError(
+            f"a run of {setpoints.duration:.4g} s has less than two samples at a period of {lane.period:.4g} s; record it more often"
+        )
     return lane
 
 
 def _check_length(machine: Machine, setpoints: Setpoints, schedule: loop.Schedule) -> None:
-    """Refuse a run whose record would take more than 2 GB, or whose ticks would take days."""
+    """Raise InputError if the record would exceed 2 GB or the simulation would take days."""
     ticks = (setpoints.duration + setpoints.lead) / schedule.tick
-    said = f"a run of {setpoints.duration:.3g} s"
-    remedy = "cut the run into parts, or record with a longer period"
-    refuse_above(ticks / schedule.record_ticks * len(machine.axes), MOST_RECORDED, "samples to record", said, remedy)
-    refuse_above(ticks, MOST_TICKS, "ticks to simulate", said, "cut the run into parts")
+    run = f"a run of {setpoints.duration:.3g} s"
+    remedy = "split the run, or record with a longer period"
+    refuse_above(ticks / schedule.record_ticks * len(machine.axes), MAX_RECORDED, "samples to record", run, remedy)
+    refuse_above(ticks, MAX_TICKS, "ticks to simulate", run, "split the run")
 
 
 def _schedule(machine: Machine, sample_period: float | None) -> loop.Schedule:
-    """Cycles of the controllers and of the record in ticks."""
+    """Controller cycles and record period in ticks."""
     h = machine.base_tick
     return loop.Schedule(
         tick=h,
@@ -143,29 +148,32 @@ def _schedule(machine: Machine, sample_period: float | None) -> loop.Schedule:
         current_ticks=round(machine.current_cycle / h),
         record_ticks=max(1, round((sample_period or machine.sample_period) / h)),
         speed_bound=DIVERGED_SPEED * np.array([axis.max_velocity for axis in machine.axes]),
-        end=np.zeros(len(machine.axes), np.int64),  # set where the lanes are joined
+        end=np.zeros(len(machine.axes), np.int64),  # set by _joined
     )
 
 
-def _place_at_rest(actual: Change, plant: PlantFace, drives: cascade.Drives, setpoints: Setpoints) -> np.ndarray:
-    """Put the axes on the first set point, drive trains wound up as recorded; the torque (axis,) [Nm at the motor] that holds gravity and constant forces."""
+def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives, setpoints: Setpoints) -> np.ndarray:
+    """Place the axes at the first set point with the recorded deflection of their drive trains.
+
+    Returns the torque (axis,) [Nm at the motor] that holds gravity and constant forces.
+    """
     start = setpoints.start - actual.scale_offset
-    constant = actual.constant_force_at(start) + setpoints.outside_at_start
+    constant = actual.constant_force_at(start) + setpoints.external_force_at_start
     held_force = plant.place_at_rest(start, constant, actual)
     sag = _sag(actual.machine, held_force)
     if sag.any():
         held_force = plant.place_at_rest(start - sag, constant, actual)
-    if setpoints.wound is not None:
+    if setpoints.deflection is not None:
         engine = plant.engine
-        apart = engine.rotor_position != engine.load_position  # a rotor that does not turn by itself cannot be wound up
-        engine.qpos[engine.rotor_position[apart]] += setpoints.wound[apart]
+        elastic = engine.rotor_position != engine.load_position  # a rigid drive train does not deflect
+        engine.qpos[engine.rotor_position[elastic]] += setpoints.deflection[elastic]
     held_torque = np.asarray(held_force * drives.ratio)
     _check_held(actual.machine, held_torque / drives.torque_constant, drives)
     return held_torque
 
 
 def _sag(machine: Machine, held_force: np.ndarray) -> np.ndarray:
-    """Following error (axis,) [m, rad] with which a P speed controller holds a force at rest: F r^2 / (Kp Kv)."""
+    """Following error (axis,) [m, rad] of a P speed controller that holds a force at rest: F r^2 / (Kp Kv)."""
     return np.array(
         [
             0.0
@@ -177,17 +185,17 @@ def _sag(machine: Machine, held_force: np.ndarray) -> np.ndarray:
 
 
 def _check_held(machine: Machine, current: np.ndarray, drives: cascade.Drives) -> None:
-    """Refuse an axis that its current limit cannot hold at rest, with `current` (axis,): it would fall from the first tick on."""
+    """Raise InputError if the holding `current` (axis,) exceeds the current limit: the axis would drop at the first tick."""
     for a in np.flatnonzero(np.abs(current) > drives.peak_current):
         raise InputError(
-            f"axis {machine.axes[a].name} cannot be held at its start: that takes {abs(current[a]):.3g} {machine.axes[a].effort_unit}, "
-            f"its {machine.axes[a].effort} limit is {drives.peak_current[a]:.3g} {machine.axes[a].effort_unit}; "
-            "raise the limit or lower what it carries"
+            f"axis {machine.axes[a].name} cannot be held at its start: it needs {abs(current[a]):.3g} {machine.axes[a].effort_unit}, "
+            f"but its {machine.axes[a].effort} limit is {drives.peak_current[a]:.3g} {machine.axes[a].effort_unit}; "
+            "raise the limit or reduce the load"
         )
 
 
 def commissioned_inertia(machine: Machine) -> np.ndarray:
-    """J_ff (axis,) [kg m2 at the motor]: the machine file's, or the model's in the home pose where the file has none."""
+    """J_ff (axis,) [kg m2 at the motor]: from the machine file, or else from the model in the home pose."""
     known = [axis.commissioned_inertia for axis in machine.axes]
     if all(value is not None for value in known):
         return np.array(known, float)
@@ -195,57 +203,58 @@ def commissioned_inertia(machine: Machine) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Advanced:
-    """Lanes that have run: their record (row, axis of all), cycles at the limits (axis, 2), what their drives gave; `failed` is -1, or tick
-    * axes + axis where one diverged."""
+class LaneResults:
+    """Results of lanes that have run in one loop; axes of all lanes in order.
+
+    `record` holds (row, axis) arrays, `limited` (axis, 2) the cycles at the current and voltage limit, `load_sums` the drive loads.
+    `diverged_at` is -1, or tick * axes + axis of the first divergence.
+    """
 
     record: loop_record.Record
     limited: np.ndarray
-    counted: DriveSums
-    failed: int
+    load_sums: DriveSums
+    diverged_at: int
 
-    def of(self, lanes: Sequence[Lane], i: int) -> Advanced:
-        """That of lane `i` alone."""
+    def of(self, lanes: Sequence[Lane], i: int) -> LaneResults:
+        """Results of lane number `i`."""
         first = sum(lane.axes for lane in lanes[:i])
         axes = slice(first, first + lanes[i].axes)
         record = loop_record.Record(*(values[: lanes[i].rows, axes] for values in self.record))
-        counted = self.counted._replace(
-            sums=self.counted.sums[axes], torque=self.counted.torque[axes], classes_per_speed=self.counted.classes_per_speed[axes]
-        )
-        return Advanced(record, self.limited[axes], counted, -1)
+        load_sums = DriveSums(*(values[axes] for values in self.load_sums))
+        return LaneResults(record, self.limited[axes], load_sums, -1)
 
 
-def advance(lanes: Sequence[Lane], progress: Callable[[float], None] | None = None) -> Advanced:
-    """Run lanes that fit beside each other to the end of the longest; those that end earlier stand from there on."""
+def run_lanes(lanes: Sequence[Lane], progress: Callable[[float], None] | None = None) -> LaneResults:
+    """Run lanes of one `batch_key` to the end of the longest. Shorter runs stand still after their end."""
     simulation, _memory = _joined(lanes)
     schedule, axes = simulation.schedule, len(simulation.signals)
     longest = max(lanes, key=lambda lane: lane.ticks)
     record = loop_record.empty_record(longest.rows, axes)
     limited = np.zeros((axes, 2), np.int64)
-    of_all = tuple(axis for lane in lanes for axis in lane.machine.axes)
-    counted = drive_sums(of_all) if lanes[0].count_load else NOTHING_COUNTED
-    generators = {lane.draws: np.random.default_rng(lane.noise_seed) for lane in lanes}
+    all_axes = tuple(axis for lane in lanes for axis in lane.machine.axes)
+    load_sums = empty_sums(all_axes) if lanes[0].count_load else NO_SUMS
+    generators = {lane.noise_key: np.random.default_rng(lane.noise_seed) for lane in lanes}
     for first, ticks in _stretches(schedule, longest.ticks, lanes[0].actual.lead_ticks):
-        lead = first < 0  # before the first sample nothing is recorded or counted
-        failed = loop.advance(
+        lead_in = first < 0  # nothing is recorded or counted before the first sample
+        diverged_at = loop.advance(
             simulation,
             _command(lanes, first // schedule.position_ticks, -(-ticks // schedule.position_ticks)),
             _sensing(lanes, generators, ticks),
             first,
             ticks,
-            loop_record.empty_record(-first // schedule.record_ticks + 1, axes) if lead else record.rows(first // schedule.record_ticks),
-            np.zeros_like(limited) if lead else limited,
-            NOTHING_COUNTED if lead else counted,
+            loop_record.empty_record(-first // schedule.record_ticks + 1, axes) if lead_in else record.rows(first // schedule.record_ticks),
+            np.zeros_like(limited) if lead_in else limited,
+            NO_SUMS if lead_in else load_sums,
         )
-        if failed >= 0:
-            return Advanced(record, limited, counted, failed)
+        if diverged_at >= 0:
+            return LaneResults(record, limited, load_sums, diverged_at)
         if progress:
             progress((first + ticks) / longest.ticks)
-    return Advanced(record, limited, counted, -1)
+    return LaneResults(record, limited, load_sums, -1)
 
 
 def _joined(lanes: Sequence[Lane]) -> tuple[loop.Simulation, object]:
-    """All lanes as one machine, and the owner of the memory behind the addresses of its engine: it must live as long as the loop runs."""
+    """All lanes as one machine, and the owner of the memory that its engine addresses. Keep the owner alive while the loop runs."""
     plants = [lane.plant for lane in lanes]
     drives = cascade.Drives(*(np.concatenate(values) for values in zip(*(lane.drives for lane in lanes))))
     schedule = lanes[0].schedule._replace(
@@ -254,52 +263,47 @@ def _joined(lanes: Sequence[Lane]) -> tuple[loop.Simulation, object]:
     )
     first = np.cumsum([0, *(lane.axes for lane in lanes)]).tolist()
     terms = [replace(term, first=at) for lane, at in zip(lanes, first) for term in lane.actual.terms]
-    memory = plants[0] if len(plants) == 1 else SideBySide([plant for plant in plants if isinstance(plant, DecoupledPlant)])
+    memory = plants[0] if len(plants) == 1 else JoinedPlants([plant for plant in plants if isinstance(plant, DecoupledPlant)])
     state = cascade.drives_at_rest(drives, np.concatenate([lane.held_torque for lane in lanes]))
     signals = np.zeros((first[-1], SIGNAL_COUNT))
     return loop.Simulation(memory.engine, schedule, drives, state, term_table(terms, first[-1]), signals), memory
 
 
 def _command(lanes: Sequence[Lane], first_cycle: int, count: int) -> Command:
-    """The command of all lanes over `count` position cycles; a lane that has ended keeps its last set point."""
+    """The command of all lanes over `count` position cycles. A lane keeps its last set point after its end."""
     commands = [command_of(lane.actual.machine, lane.inertia, lane.setpoints, first_cycle, count) for lane in lanes]
     if len(lanes) == 1:
         return commands[0]
     return Command(
-        np.concatenate([_held_on(lane, c.setpoint, count) for lane, c in zip(lanes, commands)], axis=1),
-        np.concatenate([_to_length(c.velocity_feedforward, count) for c in commands], axis=1),
-        np.concatenate([_to_length(c.torque_feedforward, count) for c in commands], axis=1),
-        commands[0].outside
-        if lanes[0].setpoints.outside is None
-        else np.concatenate([_to_length(c.outside, count) for c in commands], axis=1),
+        np.concatenate([_padded(c.setpoint, count, lane.setpoints.position[-1]) for lane, c in zip(lanes, commands)], axis=1),
+        np.concatenate([_padded(c.velocity_feedforward, count) for c in commands], axis=1),
+        np.concatenate([_padded(c.torque_feedforward, count) for c in commands], axis=1),
+        commands[0].external_force
+        if lanes[0].setpoints.external_force is None
+        else np.concatenate([_padded(c.external_force, count) for c in commands], axis=1),
     )
 
 
-def _held_on(lane: Lane, setpoint: np.ndarray, count: int) -> np.ndarray:
-    """Set points (cycle, axis) with the last one of the lane in the cycles behind its end."""
-    missing = count - len(setpoint)
-    return setpoint if missing <= 0 else np.concatenate([setpoint, np.tile(lane.setpoints.position[-1], (missing, 1))])
-
-
-def _to_length(values: np.ndarray, count: int) -> np.ndarray:
-    """Values (cycle, ...) with nothing in the cycles behind their end."""
+def _padded(values: np.ndarray, count: int, last: np.ndarray | float = 0.0) -> np.ndarray:
+    """Values (cycle, axis, ...) extended to `count` cycles with `last`."""
     missing = count - len(values)
-    return values if missing <= 0 else np.concatenate([values, np.zeros((missing, *values.shape[1:]))])
+    return values if missing <= 0 else np.concatenate([values, np.broadcast_to(last, (missing, *values.shape[1:]))])
 
 
 def _sensing(lanes: Sequence[Lane], generators: dict[object, np.random.Generator], ticks: int) -> loop.Sensing:
-    """Noise of all lanes over a stretch: lanes with one seed have the same, each in the size of its machine."""
+    """Noise of all lanes over a stretch. Lanes with equal seeds get the same random numbers, scaled to their own sensors."""
     noises = [[lane.machine.noise(axis) for axis in lane.machine.axes] for lane in lanes]
     if lanes[0].noise_seed is None:
         noise = np.zeros((0, 0, 0))
     else:
-        drawn = {key: generators[key].standard_normal((ticks, axes, 3)) for key, axes in {lane.draws: lane.axes for lane in lanes}.items()}
+        axes_of = {lane.noise_key: lane.axes for lane in lanes}
+        drawn = {key: generators[key].standard_normal((ticks, axes, 3)) for key, axes in axes_of.items()}
         noise = np.empty((ticks, sum(lane.axes for lane in lanes), 3))
         at = 0
         for lane, of_lane in zip(lanes, noises):
             seen = [n.motor if axis.encoder == "motor" else n.position for n, axis in zip(of_lane, lane.machine.axes)]
             sizes = np.array([[q, n.speed, n.current] for q, n in zip(seen, of_lane)])
-            np.multiply(drawn[lane.draws], sizes, out=noise[:, at : at + lane.axes])
+            np.multiply(drawn[lane.noise_key], sizes, out=noise[:, at : at + lane.axes])
             at += lane.axes
     flat = [n for of_lane in noises for n in of_lane]
     return loop.Sensing(
@@ -310,11 +314,11 @@ def _sensing(lanes: Sequence[Lane], generators: dict[object, np.random.Generator
 
 
 def _stretches(schedule: loop.Schedule, total: int, lead_ticks: int) -> Iterator[tuple[int, int]]:
-    """First tick and number of ticks of each call of the loop: the lead-in, then whole cycles of control and record."""
+    """First tick and tick count of each call of the loop: the lead-in, then multiples of the position cycle and the record period."""
     if lead_ticks:
         yield -lead_ticks, lead_ticks
     cycle = int(np.lcm(schedule.position_ticks, schedule.record_ticks))
     stretch = cycle * max(1, STRETCH_TICKS // cycle)
     for first in range(0, max(total - 1, 1), stretch):
-        # the last sample is no stretch of its own
+        # a single remaining tick joins the last stretch
         yield first, total - first if total - first <= stretch + 1 else stretch

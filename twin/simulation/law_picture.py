@@ -1,4 +1,4 @@
-"""Draws the laws of a machine: each output over its variable, within what the axis can do."""
+"""Draw the laws of a machine: each output over its variable, within the range of the axis."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from twin.report.colours import axis_colour, hexadecimal
 from twin.units import ARCSEC, AXIS_UNITS
 
 SHOWN_TIME_S = 600.0
-"""Time that is shown of a law of time."""
+"""Range of a law over time."""
 
 ACROSS = 4
-"""A curve's range is so many of its widths, where the axis could go further."""
+"""Largest range of a curve in multiples of its width."""
 
 
 def laws_in(machine: Machine) -> list[Setting]:
@@ -30,12 +30,12 @@ def laws_in(machine: Machine) -> list[Setting]:
 
 
 def laws_shown(machine: Machine) -> list[Setting]:
-    """The laws of a machine, or the example of the page on its first axis where it has none."""
+    """The laws of a machine, or the example on its first axis if it has none."""
     return laws_in(machine) or [check_setting({**EXAMPLE, "axis": machine.axis_names[0]}, machine, "twin effects law")]
 
 
 def range_of(variable: str, machine: Machine, axis: Axis) -> tuple[float, float]:
-    """Values of a variable that the axis can reach, SI."""
+    """Range of a variable on an axis, SI."""
     half = {"velocity": axis.max_velocity, "speed_setpoint": axis.max_velocity, "acceleration": axis.max_acceleration, "direction": 1.0}
     half |= {
         "slack": 1.0,
@@ -51,7 +51,7 @@ def range_of(variable: str, machine: Machine, axis: Axis) -> tuple[float, float]
 
 
 def shown_in(quantity: str, axis: Axis) -> tuple[str, float]:
-    """Unit and factor from SI in which people read a quantity."""
+    """Display unit of a quantity and factor from SI."""
     units = AXIS_UNITS[axis.kind]
     linear = axis.kind == "linear"
     return {
@@ -70,12 +70,12 @@ def shown_in(quantity: str, axis: Axis) -> tuple[str, float]:
 
 
 def small_length(axis: Axis) -> tuple[str, float]:
-    """Unit and factor from SI of a displacement that is an error: um or arcsec."""
+    """Display unit of a position error and factor from SI: um or arcsec."""
     return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
 
 
 def draw_response(place: Any, law: Law, numbers: Mapping[str, float], machine: Machine, colour: str) -> None:
-    """Size and phase of a filter over the frequency; the phase on a scale of its own."""
+    """Draw magnitude and phase of a filter over frequency, with a second scale for the phase."""
     cycle = cycle_of(law, machine)
     frequency = np.geomspace(1.0, 0.45 / max(cycle, 1e-3), 500)
     passed = response(law.shape, numbers, cycle, frequency)
@@ -89,7 +89,7 @@ def draw_response(place: Any, law: Law, numbers: Mapping[str, float], machine: M
 
 
 def draw_laws(machine: Machine, path: Path) -> Path:
-    """Write the picture: one panel for each law."""
+    """Write the picture with one panel per law."""
     shown = laws_shown(machine)
     figure, places = new_figure(len(shown), 1, 8.6, 2.8)
     for place, setting in zip(places[:, 0], shown):

@@ -1,14 +1,14 @@
-"""The compiled loop: cascade, terms and engine advance together, tick by tick, and are recorded.
+"""The compiled loop: advances cascade, terms and engine tick by tick and records them.
 
 One tick of length h:
-    measure    load and rotor at the tick: the engine's semi-implicit steps leave qpos half a step of speed ahead, so the
-               position at the tick is qpos - h/2 qvel (exact under constant force); encoders, noise, rounding
+    measure    state of load and rotor at the tick, encoders, noise, quantisation. The engine integrates by semi-implicit Euler, so qpos
+               leads by half a step: the position at the tick is qpos - h/2 qvel, exact under constant force
     control    position, speed and current controller, each at its own cycle
-    winding    exact current over the tick; its mean makes the torque
+    winding    exact solution of the current over the tick; its mean gives the torque
     step       forces of the terms, then mj_step through its C address
-    record     the state at the tick, and how the torque splits; where asked for, what the drives give is counted
-Nothing here is global: two loops may run in two threads. An exception cannot leave compiled code, so the loop returns
-the tick and axis at which an axis left all bounds.
+    record     the state at the tick and the torque balance; optionally the load of the drives
+The loop has no global state, so several loops may run in threads. Compiled code cannot raise an exception, so the loop returns tick and
+axis of a divergence.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Engine(NamedTuple):
     passive: np.ndarray  # qfrc_passive: viscous
     constraint: np.ndarray  # qfrc_constraint: Coulomb
     frictionloss: np.ndarray
-    coulomb_level: np.ndarray  # (axis,) what frictionloss is without effects, restored after each call
+    coulomb_level: np.ndarray  # (axis,) frictionloss without effects, restored after each call
     load_position: np.ndarray
     load_dof: np.ndarray
     rotor_position: np.ndarray
@@ -94,27 +94,27 @@ class Engine(NamedTuple):
 
 
 class Schedule(NamedTuple):
-    """Base tick [s] and the cycles of the controllers and the record in ticks; bounds beyond which a run has diverged, and its ends."""
+    """Base tick [s], controller cycles and record period in ticks, divergence bounds and ends of the runs."""
 
     tick: float
     position_ticks: int
     speed_ticks: int
     current_ticks: int
     record_ticks: int
-    speed_bound: np.ndarray  # (axis,) axis units a second
-    end: np.ndarray  # (axis,) ticks of the run; a machine beside longer runs stands behind its end, and nothing is counted there
+    speed_bound: np.ndarray  # (axis,) axis units/s
+    end: np.ndarray  # (axis,) ticks of the run; cycles at the limits are not counted after it
 
 
 class Sensing(NamedTuple):
-    """Noise and rounding of what the control sees; `noise` (tick, axis, 3) is empty where measuring is ideal."""
+    """Noise and quantisation of the signals that the control sees; `noise` (tick, axis, 3) is empty for ideal sensors."""
 
-    noise: np.ndarray  # already scaled: position, speed (axis units), current
+    noise: np.ndarray  # scaled: position, speed (axis units), current
     position_resolution: np.ndarray
     motor_resolution: np.ndarray
 
 
 class Simulation(NamedTuple):
-    """All that a run advances: mechanics, cycles, drives with their state, terms with theirs, and the signals (axis, signal) between them."""
+    """State of a run: mechanics, schedule, drives, terms, and the signals (axis, signal) that they exchange."""
 
     engine: Engine
     schedule: Schedule
@@ -125,22 +125,22 @@ class Simulation(NamedTuple):
 
 
 @compiled
-def advance(simulation, command, sensing, first_tick, ticks, record, limited, counted):  # type: ignore[no-untyped-def]
-    """Advance by `ticks` ticks from `first_tick` on; returns -1, or tick * axes + axis where a run diverged.
+def advance(simulation, command, sensing, first_tick, ticks, record, limited, load_sums):  # type: ignore[no-untyped-def]
+    """Advance by `ticks` ticks from `first_tick`; returns -1, or tick * axes + axis of a divergence.
 
-    `command` is that of the position cycles of this stretch (`twin.simulation.setpoints.Command`); each record_ticks-th tick fills a
-    row of `record` (a Record); limited (axis, 2) counts cycles at the current and voltage limit, `counted` (a DriveSums, without axes
-    where nothing is to be counted) what the drives give at every tick. `first_tick` is a multiple of the position cycle and of the record's.
+    `first_tick` is a multiple of the position cycle and of the record period. `command` (a Command) covers the position cycles of this
+    stretch. Every record_ticks-th tick fills a row of `record` (a Record). `limited` (axis, 2) counts cycles at the current and voltage
+    limit. `load_sums` (a DriveSums) accumulates the load of the drives; it has no axes if the load is not counted.
     """
     engine, schedule, drives, state, terms, signals = simulation
     axes = drives.ratio.size
     has_measure = terms.start[MEASURE + 1] > terms.start[MEASURE]
-    has_force = terms.start[FORCE + 1] > terms.start[FORCE] or len(command.outside) > 0
+    has_force = terms.start[FORCE + 1] > terms.start[FORCE] or len(command.external_force) > 0
     has_drive = terms.start[DRIVE + 1] > terms.start[DRIVE]
     has_record = terms.start[RECORD + 1] > terms.start[RECORD]
-    counts = counted.sums.shape[0] > 0
+    counts_load = load_sums.sums.shape[0] > 0
 
-    # cycles are counted, not divided for: a division costs as much as a controller
+    # count the ticks of each cycle: a modulo operation costs as much as a controller
     row, since_recorded = -1, schedule.record_ticks - 1
     cycle, since_position = -1, schedule.position_ticks - 1
     since_speed, since_current = (first_tick - 1) % schedule.speed_ticks, (first_tick - 1) % schedule.current_ticks
@@ -180,7 +180,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
                     received_by_drive(a, drives, state, terms, signals)
                 if differentiated or drives.speed_lag[a] < 1.0:
                     measured_speed = speed_seen(a, drives, state, measured_speed, motor_position)
-                # what is constant is divided by first, for nothing waits for that
+                # the reciprocal of a constant is off the critical path, a division of the speed would be on it
                 if speed_controller(a, drives, state, measured_speed * (1.0 / drives.ratio[a])) and k < schedule.end[a]:
                     limited[a, CURRENT_LIMIT] += 1
             elif differentiated:
@@ -188,7 +188,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
             if current_due and current_cycle(a, drives, state, terms, signals, measured_current) and k < schedule.end[a]:
                 limited[a, VOLTAGE_LIMIT] += 1
             current = state.current[a]
-            if not drives.current_loop[a]:  # the command of this cycle acts, and is what the record shows
+            if not drives.current_loop[a]:  # the command acts within the cycle and is recorded
                 measured_current = current
             motor_speed = signals[a, X_MOTOR_SPEED]
             signals[a, X_CURRENT] = current
@@ -202,24 +202,24 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
                 record.seen_motor_position[row, a] = motor_position
                 record.seen_velocity[row, a] = measured_speed if sensing.noise.size > 0 or differentiated else motor_speed
                 record.seen_current[row, a] = measured_current + (signals[a, X_RECORDED_CURRENT] - current)
-            # winding: the motor turns as fast as its encoder shows
+            # winding: the back-EMF follows the speed of the motor encoder
             mean_current = winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
             engine.ctrl[engine.actuator[a]] = drives.torque_constant[a] * mean_current
-            if counts:
+            if counts_load:
                 cycle_ends = since_position == schedule.position_ticks - 1
                 count_tick(
-                    a, counted, drives, state, current, mean_current, motor_speed, cycle_ends, schedule.position_ticks, schedule.tick
+                    a, load_sums, drives, state, current, mean_current, motor_speed, cycle_ends, schedule.position_ticks, schedule.tick
                 )
 
         if has_force:
-            outside_forces(signals, command, cycle)
+            external_forces(signals, command, cycle)
             forces_of_terms(engine, terms, signals)
         call_address_2(engine.step, engine.model, engine.data)
-        if counts:
+        if counts_load:
             for a in range(axes):
                 before, after = signals[a, X_ROTOR_SPEED], engine.qvel[engine.rotor_dof[a]]
-                turn = 1.0 / drives.ratio[a]
-                count_work(a, counted, engine.ctrl[engine.actuator[a]], before * turn, after * turn, schedule.tick)
+                per_ratio = 1.0 / drives.ratio[a]
+                count_work(a, load_sums, engine.ctrl[engine.actuator[a]], before * per_ratio, after * per_ratio, schedule.tick)
         if recorded:
             for a in range(axes):
                 record_forces(a, row, record, engine, drives, signals)
@@ -232,8 +232,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, co
 
 @compiled(inline=True)
 def read_mechanics(a, engine, signals, k, h):  # type: ignore[no-untyped-def]
-    """Load and rotor of axis `a` at tick `k`, and what ideal encoders make of them."""
-    # measure: mechanics at the tick, half a step of speed behind the engine's positions
+    """State of load and rotor of axis `a` at tick `k`, and the readings of ideal encoders."""
     x = signals[a]
     speed = engine.qvel[engine.load_dof[a]]
     middle = engine.qpos[engine.load_position[a]]
@@ -255,21 +254,21 @@ def read_mechanics(a, engine, signals, k, h):  # type: ignore[no-untyped-def]
 
 @compiled(inline=True)
 def diverged(a, signals, schedule):  # type: ignore[no-untyped-def]
-    """Is axis `a` faster than it could ever be, or its speed no number?"""
+    """Whether the speed of axis `a` exceeds its bound or is not a number."""
     bound = schedule.speed_bound[a]
     return not abs(signals[a, X_ROTOR_SPEED]) < bound or not abs(signals[a, X_LOAD_SPEED]) < bound
 
 
 @compiled(inline=True)
 def seen_by_control(a, signals, drives, state, sensing, n):  # type: ignore[no-untyped-def]
-    """Scale, motor position, motor speed [axis units] and current of axis `a` with the noise and rounding of tick `n` of the stretch."""
+    """Scale, motor position, motor speed [axis units] and current of axis `a` with noise and quantisation at tick `n` of the stretch."""
     scale = signals[a, X_SCALE]
     motor_position = signals[a, X_MOTOR_POSITION]
     speed = signals[a, X_MOTOR_SPEED]
     current = state.current[a]
     if sensing.noise.size > 0:
         noise = sensing.noise[n, a]
-        if drives.on_motor_encoder[a]:  # the one encoder that the control has
+        if drives.on_motor_encoder[a]:  # the control has no other encoder
             motor_position += noise[0]
         else:
             scale = rounded(scale + noise[0], sensing.position_resolution[a])
@@ -281,14 +280,14 @@ def seen_by_control(a, signals, drives, state, sensing, n):  # type: ignore[no-u
 
 @compiled(inline=True)
 def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):  # type: ignore[no-untyped-def]
-    """The position controller of axis `a`: command of this position cycle, through the terms, against the measured position."""
+    """The position controller of axis `a` in this position cycle, with the SETPOINT and SPEED terms; `closed_on` is its measured position."""
     setpoint = command.setpoint[cycle, a]
     if terms.start[SETPOINT + 1] > terms.start[SETPOINT]:
         signals[a, X_SETPOINT] = setpoint
         call_axis_terms(terms, SETPOINT, signals, a)
         setpoint = signals[a, X_SETPOINT]
-    fed_speed, fed_torque = command.velocity_feedforward[cycle, a], command.torque_feedforward[cycle, a]
-    position_controller(a, drives, state, setpoint, fed_speed, fed_torque, closed_on)
+    velocity, torque = command.velocity_feedforward[cycle, a], command.torque_feedforward[cycle, a]
+    position_controller(a, drives, state, setpoint, velocity, torque, closed_on)
     if terms.start[SPEED + 1] > terms.start[SPEED]:
         signals[a, X_SETPOINT] = setpoint
         signals[a, X_FOLLOWING_ERROR] = setpoint - closed_on
@@ -301,7 +300,7 @@ def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):
 
 @compiled(inline=True)
 def received_by_drive(a, drives, state, terms, signals):  # type: ignore[no-untyped-def]
-    """The speed set point of axis `a` through the terms that lie between the position controller and the speed controller."""
+    """Apply the DRIVE terms to the speed set point of axis `a`."""
     sent = state.speed_setpoint[a] if drives.dsc[a] else state.commanded_speed[a]
     signals[a, X_SPEED_SETPOINT] = sent * drives.ratio[a]
     call_axis_terms(terms, DRIVE, signals, a)
@@ -310,7 +309,7 @@ def received_by_drive(a, drives, state, terms, signals):  # type: ignore[no-unty
 
 @compiled(inline=True)
 def current_cycle(a, drives, state, terms, signals, measured_current):  # type: ignore[no-untyped-def]
-    """The current controller of axis `a`, its set point and voltage through the terms; True where the voltage limit is met."""
+    """The current controller of axis `a` with the CURRENT and VOLTAGE terms; True at the voltage limit."""
     current_setpoint = state.current_setpoint[a]
     if terms.start[CURRENT + 1] > terms.start[CURRENT]:
         signals[a, X_CURRENT_SETPOINT] = current_setpoint
@@ -326,17 +325,17 @@ def current_cycle(a, drives, state, terms, signals, measured_current):  # type: 
 
 
 @compiled(inline=True)
-def outside_forces(signals, command, cycle):  # type: ignore[no-untyped-def]
-    """Known forces on load and motor from outside in this position cycle; the terms add theirs."""
+def external_forces(signals, command, cycle):  # type: ignore[no-untyped-def]
+    """Initialise the forces on load and motor with the external forces of this position cycle."""
     for a in range(len(signals)):
-        known = len(command.outside) > 0
-        signals[a, X_LOAD_FORCE] = command.outside[cycle, a, 0] if known else 0.0
-        signals[a, X_ROTOR_FORCE] = command.outside[cycle, a, 1] if known else 0.0
+        known = len(command.external_force) > 0
+        signals[a, X_LOAD_FORCE] = command.external_force[cycle, a, 0] if known else 0.0
+        signals[a, X_ROTOR_FORCE] = command.external_force[cycle, a, 1] if known else 0.0
 
 
 @compiled(inline=True)
 def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
-    """Forces beyond the model's own and those from outside, given to the engine for its next step."""
+    """Call the FORCE terms and pass the resulting forces to the engine for its next step."""
     for a in range(len(engine.load_dof)):
         x = signals[a]
         x[X_MOTOR_TORQUE] = 0.0
@@ -357,7 +356,7 @@ def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
 
 @compiled(inline=True)
 def call_term(terms, i, signals):  # type: ignore[no-untyped-def]
-    """Call term number `i` on its axis."""
+    """Call term number `i`."""
     call_address_4(
         terms.address[i],
         terms.parameters.ctypes.data + i * terms.parameters.strides[0],
@@ -369,19 +368,19 @@ def call_term(terms, i, signals):  # type: ignore[no-untyped-def]
 
 @compiled
 def call_terms(terms, stage, signals):  # type: ignore[no-untyped-def]
-    """Call the terms of one stage, in their order."""
+    """Call all terms of a stage."""
     for i in range(terms.start[stage], terms.start[stage + 1]):
         call_term(terms, i, signals)
 
 
 @compiled
 def call_axis_terms(terms, stage, signals, axis):  # type: ignore[no-untyped-def]
-    """Call the terms of one stage that belong to one row of the signals."""
+    """Call the terms of a stage that act on one axis, a row of the signals."""
     for i in range(terms.of_axis[stage, axis], terms.of_axis[stage, axis + 1]):
         call_term(terms, i, signals)
 
 
 @compiled(inline=True)
 def rounded(value, resolution):  # type: ignore[no-untyped-def]
-    """The nearest multiple of a resolution; the value itself where the resolution is 0."""
+    """Value rounded to the nearest multiple of a resolution; unchanged for resolution 0."""
     return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value

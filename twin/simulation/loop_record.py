@@ -1,4 +1,4 @@
-"""What the compiled loop records of each axis: encoders and drive at a tick, and how the torque splits in the step after it."""
+"""Channels that the compiled loop records for each axis: encoders and drive at a tick, and the torque balance of the following step."""
 
 from __future__ import annotations
 
@@ -11,46 +11,46 @@ from twin.simulation.loop_terms import X_FRICTION_FORCE, X_LOAD_POSITION, X_MOTO
 
 
 class Record(NamedTuple):
-    """What is recorded, each (row, axis) in SI; torques in Nm at the motor. The last four are as the control saw them, with noise and rounding."""
+    """Recorded channels, each (row, axis) in SI; torques in Nm at the motor. The `seen_` channels include noise and quantisation."""
 
-    position: np.ndarray  # measuring system at the load
+    position: np.ndarray  # direct measuring system
     motor_position: np.ndarray  # motor encoder, axis units
-    load_position: np.ndarray  # where the load truly is: no encoder shows it
-    velocity: np.ndarray  # of the motor, axis units
-    velocity_setpoint: np.ndarray  # as the position controller of the NC computes it
+    load_position: np.ndarray  # true position of the load
+    velocity: np.ndarray  # motor speed, axis units
+    velocity_setpoint: np.ndarray  # output of the NC's position controller
     current: np.ndarray  # A, or the command of an axis without current loop
     current_setpoint: np.ndarray
-    torque: np.ndarray  # the motor's
-    torque_feedforward: np.ndarray  # in force in the drive
-    torque_friction: np.ndarray  # what friction takes
-    torque_gravity: np.ndarray  # what gravity takes
-    drive_velocity_setpoint: np.ndarray  # in force in the drive
+    torque: np.ndarray  # motor torque
+    torque_feedforward: np.ndarray  # active in the drive
+    torque_friction: np.ndarray  # torque against friction
+    torque_gravity: np.ndarray  # torque against gravity and Coriolis forces
+    drive_velocity_setpoint: np.ndarray  # active in the drive
     seen_position: np.ndarray
     seen_motor_position: np.ndarray
     seen_velocity: np.ndarray
     seen_current: np.ndarray
 
     def rows(self, first: int) -> Record:
-        """The record from a row on."""
+        """The record from row `first`."""
         return Record(*(values[first:] for values in self))
 
 
 SEEN = "seen_"
 RECORDED = tuple(name for name in Record._fields if not name.startswith(SEEN))
-"""Channels of the record."""
+"""Channels without measuring noise."""
 
 MEASURED = tuple(name.removeprefix(SEEN) for name in Record._fields if name.startswith(SEEN))
-"""Channels that the record has once more, as the control saw them."""
+"""Channels that are also recorded as the control sees them."""
 
 
 def empty_record(rows: int, axes: int) -> Record:
-    """A record to be filled; all channels of a row lie side by side in memory."""
+    """An uninitialised record; the channels of a row are contiguous in memory."""
     return Record(*np.moveaxis(np.empty((rows, axes, len(Record._fields))), -1, 0))
 
 
 @compiled(inline=True)
 def record_control(a, row, record, drives, state, signals):  # type: ignore[no-untyped-def]
-    """Encoders and drive of axis `a` at the tick, after its controllers."""
+    """Record encoders and drive of axis `a` at the tick, after its controllers."""
     record.position[row, a] = signals[a, X_SCALE]
     record.motor_position[row, a] = signals[a, X_MOTOR_POSITION]
     record.load_position[row, a] = signals[a, X_LOAD_POSITION]
@@ -64,7 +64,7 @@ def record_control(a, row, record, drives, state, signals):  # type: ignore[no-u
 
 @compiled(inline=True)
 def record_forces(a, row, record, engine, drives, signals):  # type: ignore[no-untyped-def]
-    """How the torque of axis `a` splits in the step after the tick."""
+    """Record the torque balance of axis `a` in the step after the tick."""
     dof = engine.load_dof[a]
     record.torque_friction[row, a] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
     record.torque_gravity[row, a] = engine.bias[dof] * drives.ratio[a]

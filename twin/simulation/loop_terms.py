@@ -1,17 +1,17 @@
-"""Terms: small compiled laws that a machine may have beyond the nominal ones, called by the loop at eight places.
+"""Terms: compiled laws beyond the nominal machine, called by the loop at eight stages.
 
-A term is a C function `void law(parameters*, state*, signals*, axis)` made by `@term` from a function whose first line
-is `p, s, x = arrays(parameters, state, signals)`. It reads and changes the row `x[axis]` of the signals (and may read
-the rows of other axes). The loop keeps one table of active terms and knows none of them: no term, no cost.
+A term is a C function `void law(parameters*, state*, signals*, axis)`. `@term` makes it from a function whose first line is
+`p, s, x = arrays(parameters, state, signals)`. It reads and changes the row `x[axis]` of the signals and may read the rows of other axes.
+The loop calls the terms of a table by address and depends on none of them. A stage without terms is skipped.
 
-    MEASURE   every tick            what the encoders see: SCALE, MOTOR_POSITION, MOTOR_SPEED
+    MEASURE   every tick            encoder readings: SCALE, MOTOR_POSITION, MOTOR_SPEED
     SETPOINT  every position cycle  the delayed set point
-    SPEED     every position cycle  the speed set point that the position controller made
-    DRIVE     every speed cycle     the speed set point as the speed controller gets it
+    SPEED     every position cycle  the speed set point, output of the position controller
+    DRIVE     every speed cycle     the speed set point, input of the speed controller
     CURRENT   every current cycle   the current set point
-    VOLTAGE   every current cycle   the voltage that the current controller gives
+    VOLTAGE   every current cycle   the voltage, output of the current controller
     FORCE     every tick            LOAD_FORCE, ROTOR_FORCE, MOTOR_TORQUE, FRICTION_LEVEL
-    RECORD    every tick            the current as it is recorded
+    RECORD    every tick            the recorded current
 """
 
 from __future__ import annotations
@@ -30,39 +30,39 @@ from twin.compiled_functions import compiled, compiled_callback
 MEASURE, SETPOINT, SPEED, DRIVE, CURRENT, VOLTAGE, FORCE, RECORD = range(8)
 STAGES = 8
 
-# columns of the signals, one row an axis; positions in m or rad, forces at the axis in N or Nm
+# columns of the signals, one row per axis; positions in m or rad, forces at the axis in N or Nm
 (
     X_TIME,  # time of the tick, s
     X_STEP,  # base tick, s
     X_LOAD_POSITION,  # at the tick
     X_LOAD_SPEED,
     X_LOAD_ACCELERATION,  # mean over the last tick
-    X_LOAD_MIDDLE,  # position in the middle of the coming step, which springs are evaluated at
-    X_ROTOR_POSITION,  # motor side in axis units; the load's where both are rigidly coupled
+    X_LOAD_MIDDLE,  # position at the middle of the next step, for springs
+    X_ROTOR_POSITION,  # motor side in axis units; equal to the load's if both are rigidly coupled
     X_ROTOR_SPEED,
     X_ROTOR_MIDDLE,
-    X_SCALE,  # what the direct measuring system shows
-    X_MOTOR_POSITION,  # what the motor encoder shows, axis units
-    X_MOTOR_SPEED,  # axis units a second
+    X_SCALE,  # reading of the direct measuring system
+    X_MOTOR_POSITION,  # reading of the motor encoder, axis units
+    X_MOTOR_SPEED,  # axis units/s
     X_SETPOINT,  # delayed set point
     X_CURRENT_SETPOINT,
     X_LOAD_FORCE,  # force on the load
     X_ROTOR_FORCE,  # force on the rotor, at the axis
-    X_MOTOR_TORQUE,  # torque added to the motor's, Nm
-    X_FRICTION_LEVEL,  # Coulomb level of the load's contact, N or Nm
-    X_FRICTION_FORCE,  # friction on the load beside Coulomb's and the viscous one of the model
-    X_CURRENT,  # current of the motor, A, or the command of an axis without current loop
-    X_SPEED_SETPOINT,  # axis units a second
-    X_FOLLOWING_ERROR,  # delayed set point minus what the position loop is closed on
-    X_TRANSMISSION_ERROR,  # how far the transmission carries the load ahead of a rotor on a joint of its own; the coupling takes it
+    X_MOTOR_TORQUE,  # torque added to the motor torque, Nm
+    X_FRICTION_LEVEL,  # Coulomb friction of the load, N or Nm
+    X_FRICTION_FORCE,  # friction on the load beyond the model's Coulomb and viscous friction
+    X_CURRENT,  # motor current, A, or the command of an axis without current loop
+    X_SPEED_SETPOINT,  # axis units/s
+    X_FOLLOWING_ERROR,  # delayed set point minus the measured position of the position loop
+    X_TRANSMISSION_ERROR,  # lead of the load over the rotor by transmission error, for an elastic coupling
     X_TRANSMISSION_ERROR_SPEED,
-    X_RECORDED_CURRENT,  # current as it is recorded, A
+    X_RECORDED_CURRENT,  # A
     X_VOLTAGE,  # voltage at the winding, V
 ) = range(26)
 SIGNAL_COUNT = 26
 PARAMETER_COUNT = 88
 STATE_COUNT = 70
-"""Numbers of a term's state; a dead time remembers its last cycles there."""
+"""Size of a term's state; a dead time stores its last cycles there."""
 MAX_AXES = 32
 
 _Pointer = types.CPointer(types.float64)
@@ -71,17 +71,17 @@ _term_signature = types.void(_Pointer, _Pointer, _Pointer, types.int64)
 
 @compiled(inline=True)
 def arrays(parameters, state, signals):  # type: ignore[no-untyped-def]
-    """The three arrays behind a term's pointers: parameters, state, signals (axis, signal)."""
+    """Arrays behind a term's pointers: parameters, state, signals (axis, signal)."""
     return carray(parameters, PARAMETER_COUNT), carray(state, STATE_COUNT), carray(signals, (MAX_AXES, SIGNAL_COUNT))
 
 
 def term(law: Callable[..., None]) -> Any:
-    """Compile a law to a C function whose address the loop can call; compiled on first use and cached on disk."""
+    """Compile a law to a C function that the loop calls by address; compiled on first use and cached on disk."""
     return _LazyTerm(law)
 
 
 class _LazyTerm:
-    """A law that is compiled when its address is first asked for."""
+    """A law that is compiled on the first access to its address."""
 
     def __init__(self, law: Callable[..., None]) -> None:
         self.law = law
@@ -98,10 +98,10 @@ class _LazyTerm:
 
 @dataclass(frozen=True)
 class Term:
-    """One active term: which law, where, on which axis (index), with which parameters and initial state.
+    """One active term: law, stage, axis index, parameters and initial state.
 
-    `order` sorts the terms of a stage: a friction level (0) is shaped before it is used up by a bristle (1). `first` is the row of the
-    signals at which the axes of the term's machine begin; it is not 0 where several machines advance side by side.
+    `order` sorts the terms of a stage: terms that change the friction level (0) precede the bristle that uses it (1). `first` is the row of
+    the signals at which the axes of its machine begin, not 0 if several machines share a loop.
     """
 
     law: _LazyTerm
@@ -114,14 +114,14 @@ class Term:
 
 
 OF_ALL_AXES = (MEASURE, FORCE)
-"""Stages in which the terms of all axes are called together; those of the other stages are called axis by axis."""
+"""Stages whose terms are called for all axes at once. The other stages are called axis by axis."""
 
 
 class TermTable(NamedTuple):
-    """Active terms as the loop reads them.
+    """Active terms as arrays of the loop.
 
-    `start` (STAGES + 1,) bounds the terms of each stage, `of_axis` (STAGES, row + 1) those of each row of the signals in the stages that
-    are called axis by axis. `axis` counts from `first`, the row at which the machine of the term begins.
+    `start` (STAGES + 1,) bounds the terms of each stage. `of_axis` (STAGES, row + 1) bounds the terms of each row of the signals in the
+    stages that are called axis by axis. `axis` counts from `first`, the first row of the term's machine.
     """
 
     start: np.ndarray
@@ -134,8 +134,8 @@ class TermTable(NamedTuple):
 
 
 def term_table(terms: Sequence[Term], axes: int) -> TermTable:
-    """Sort terms by stage and order into the arrays of the loop; `axes` rows of signals."""
-    # machines side by side mostly have the same terms: the same law of all of them is called in a row, which the processor overlaps
+    """Table of terms, sorted by stage and order; `axes` is the number of rows of the signals."""
+    # machines in one loop mostly have the same terms: consecutive calls of one law overlap in the processor
     seen: Counter[tuple[int, int]] = Counter()
     keyed = []
     for t in terms:

@@ -1,4 +1,4 @@
-"""MuJoCo as the engine of the loop: the compiled model of a changed machine, started at rest."""
+"""The MuJoCo plant: the compiled model of a machine with its effects, started at rest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.simulation.plant_spec import build_plant
 
 
 class MujocoPlant:
-    """The whole machine in MuJoCo, with the effects' model edits and rotor joints."""
+    """The complete machine in MuJoCo, with model edits and rotor joints of its effects."""
 
     def __init__(self, change: Change) -> None:
         plant = build_plant(change.machine, change.model_edits, change.split_axes)
@@ -39,7 +39,7 @@ class MujocoPlant:
         )
 
     def place_at_rest(self, start: np.ndarray, constant_force: np.ndarray, change: Change) -> np.ndarray:
-        """Put load and rotor on the start (axis,); returns the force at each axis that holds it there."""
+        """Place load and rotor at `start` (axis,); returns the holding force at each axis."""
         plant, data = self.plant, self.plant.data
         data.qpos[:] = 0.0
         data.qvel[:] = 0.0

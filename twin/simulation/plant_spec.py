@@ -1,7 +1,7 @@
-"""The mechanics: a machine file's MJCF brought to the file's masses, inertias and friction, compiled by MuJoCo.
+"""The MuJoCo model of a machine: its MJCF with the masses, inertias and friction of the machine file.
 
-Values of the machine file win over those of the MJCF. An axis whose motor is not rigidly coupled to its load (backlash,
-compliance) gets a joint of its own for the rotor, `<axis>.rotor` in axis units; the coupling force is a term of the loop.
+Values of the machine file override those of the MJCF. An axis whose motor is not rigidly coupled to its load (backlash,
+compliance) gets a separate joint for the rotor, `<axis>.rotor` in axis units; the coupling force is a term of the loop.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from twin.machine.machine import Axis, Machine
 from twin.machine.model_file import check_safe, state_of_model
 from twin.machine.model_limits import compiled_spec, compiles, quiet_engine, refuse_singular
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 ModelEdit = Callable[["mujoco.MjSpec"], None]
-"""A change of the model that an effect makes, for example a body added to the table."""
+"""A change of the model by an effect, for example an additional body on the table."""
 
 ENGINE_TOLERANCE = 1e-12
 SOFT_FRICTION_S = 0.02
 STICKING = ([0.0005, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0])
-"""Friction that sticks: time constant of MuJoCo's default, and the parameters that the Mikron's model has instead."""
+"""Parameters of friction without creep, as in the model of the Mikron. They replace the defaults of MuJoCo, recognised by SOFT_FRICTION_S."""
 
 ROTOR_BODY_MASS = 1e-3
-"""Mass of the body that carries a rotor joint [kg]; its inertia is the joint's armature, this only has to be positive."""
+"""Mass of the body of a rotor joint [kg]. MuJoCo requires a positive value; the inertia of the rotor is the armature of the joint."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """A compiled model with one engine state, and where each driven axis lives in it (indices (axis,), int64)."""
+    """A compiled model with one engine state, and the indices (axis,) of the driven axes."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -46,11 +46,11 @@ class Plant:
     rotor_position: np.ndarray
     rotor_dof: np.ndarray
     actuator: np.ndarray
-    coulomb: np.ndarray  # nominal level at the axis, N or Nm
+    coulomb: np.ndarray  # nominal Coulomb friction at the axis, N or Nm
 
 
 def load_spec(path: Path) -> mujoco.MjSpec:
-    """Parse an MJCF file, or copy what was read of it before; errors in one line."""
+    """Parse an MJCF file, cached by its content. Raises InputError."""
     return _parsed(path, state_of_model(path)).copy()
 
 
@@ -65,7 +65,7 @@ def _parsed(path: Path, _state: bytes) -> mujoco.MjSpec:
 
 
 def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: Sequence[str] = ()) -> Plant:
-    """Compile the machine's model; `split_axes` get a rotor joint of their own."""
+    """Compile the model of a machine; `split_axes` get a separate rotor joint."""
     model = compile_model(machine, edits, split_axes)
     data = mujoco.MjData(model)
     joints = [model.joint(axis.name) for axis in machine.axes]
@@ -90,10 +90,10 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
     """MjModel of the machine: masses, inertias, friction and geometry of the machine file, base tick as time step."""
     spec = load_spec(machine.model_path)
     where = str(machine.path or machine.name)
-    spec.compiler.discardvisual = True  # pictures load the file themselves; geoms without mass only cost time here
+    spec.compiler.discardvisual = True  # geoms without mass only cost time here
     spec.option.timestep = machine.base_tick
     spec.option.gravity = [0.0, 0.0, -machine.gravity]
-    # the control watches the travel: a joint limit would push an axis that overshoots its end by a micrometre
+    # the control limits the travel; a joint limit would push back an axis that overshoots its end by a micrometre
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     _set_engine(spec)
     _set_inertias(spec, where)
@@ -113,7 +113,7 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
 
 
 def _check_joints(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
-    """Refuse a machine whose model has no joint, or one of the other kind, for an axis."""
+    """Raise InputError if an axis has no joint in the model, or a joint of the wrong type."""
     names = [joint.name for joint in spec.joints]
     for axis in machine.axes:
         if axis.name not in names:
@@ -127,7 +127,7 @@ def _check_joints(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
 
 
 def frames_of_model(machine: Machine) -> mujoco.MjModel:
-    """MjModel of the machine's frames: its MJCF with the lengths of the machine file, joints, sites and looks as they are drawn there."""
+    """MjModel for kinematics and pictures: the MJCF with the geometry of the machine file."""
     spec, where = load_spec(machine.model_path), str(machine.path or machine.name)
     _check_joints(spec, machine, where)
     _set_geometry(spec, machine)
@@ -135,7 +135,7 @@ def frames_of_model(machine: Machine) -> mujoco.MjModel:
 
 
 def _set_engine(spec: mujoco.MjSpec) -> None:
-    """Set the engine up for the twin: no contacts, no drives of the model's own, and the steps that the decoupled plant copies."""
+    """Set solver and integrator as assumed by the decoupled plant; remove contacts, sensors and actuators that are not plain motors."""
     option = spec.option
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.solver = mujoco.mjtSolver.mjSOL_PGS
@@ -144,7 +144,7 @@ def _set_engine(spec: mujoco.MjSpec) -> None:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND
     for sensor in list(spec.sensors):
         spec.delete(sensor)
-    # an actuator that is no plain motor (a position servo) would push by itself
+    # an actuator that is not a plain motor, such as a position servo, would add its own force
     names = {joint.name for joint in spec.joints}
     foreign = [a for a in spec.actuators if a.name not in names or a.name != a.target or a.biastype != mujoco.mjtBias.mjBIAS_NONE]
     if foreign:
@@ -155,7 +155,7 @@ def _set_engine(spec: mujoco.MjSpec) -> None:
 
 
 def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
-    """Make masses explicit that the file derives from shapes, so that they can be set and scaled."""
+    """Replace masses derived from shapes by explicit ones, so that they can be set and scaled."""
     from_shapes = [b for b in spec.bodies[1:] if b.geoms and (not b.explicitinertial or spec.compiler.inertiafromgeom == 1)]
     if not from_shapes or spec.compiler.inertiafromgeom == 0:
         return
@@ -169,10 +169,10 @@ def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
 
 
 def inertial_key(machine: Machine) -> tuple[object, ...]:
-    """All that masses, inertias and weights of the compiled model depend on: two machines with one key have the same.
+    """Cache key: all that masses, inertias and weights of the compiled model depend on.
 
-    The content of the model's files, lengths, bodies, gravity, and of each driven axis its mass, rotor and ratio. Friction, motors
-    and loops do not count.
+    The key holds the content of the model files, geometry, bodies, gravity, and mass, rotor and ratio of each driven axis. Friction, motors
+    and loops are not part of it.
     """
     axes = tuple((axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
     geometry = tuple((key, str(value)) for key, value in sorted(machine.geometry.items()))
@@ -180,15 +180,15 @@ def inertial_key(machine: Machine) -> tuple[object, ...]:
 
 
 MOST_REMEMBERED = 256
-"""Machines whose answers are remembered at once."""
+"""Largest number of cached results of a function."""
 
 
-def remembered(of_machine: Callable[[Machine], Answer]) -> Callable[[Machine], Answer]:
-    """A function of what stands in the `inertial_key` of a machine alone, remembered: fits and studies ask again and again."""
-    known: dict[object, Answer] = {}
+def remembered(of_machine: Callable[[Machine], Result]) -> Callable[[Machine], Result]:
+    """Decorator: cache a function that depends on the `inertial_key` of a machine only."""
+    known: dict[object, Result] = {}
 
     @functools.wraps(of_machine)
-    def answer(machine: Machine) -> Answer:
+    def answer(machine: Machine) -> Result:
         key = inertial_key(machine)
         found = known.get(key)
         if found is None:
@@ -204,7 +204,7 @@ def remembered(of_machine: Callable[[Machine], Answer]) -> Callable[[Machine], A
 def home_inertia_at_motor(machine: Machine) -> np.ndarray:
     """Inertia at each motor (axis,) [kg m2] with all axes at zero: rotor, screw or gear, and load.
 
-    J = r^2 M_ii(q = 0); this is what torque feedforward is commissioned with.
+    J = r^2 M_ii(q = 0); the torque feedforward is commissioned with it.
     """
     plant = build_plant(machine)
     plant.data.qpos[:] = 0.0
@@ -236,7 +236,7 @@ def _set_bodies(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
 
 
 def _set_moving_masses(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
-    """`moving_mass_kg` is all that a screw moves: each slide's own body gets what its children leave."""
+    """Set the mass of each slide: `moving_mass_kg`, the total mass that the screw moves, minus the mass of the bodies that the slide carries."""
     wanted = {axis.name: axis.moving_mass_kg for axis in machine.axes if axis.moving_mass_kg is not None}
     by_body = {spec.joint(name).parent.name: name for name in wanted}
 
@@ -247,8 +247,8 @@ def _set_moving_masses(spec: mujoco.MjSpec, machine: Machine, where: str) -> Non
             own = total - children
             if own <= 0.0:
                 raise InputError(
-                    f"{where}: [axis.{by_body[body.name]}]: moving_mass_kg = {total:g} does not exceed the {children:g} kg that it carries; "
-                    "it is all that the screw moves"
+                    f"{where}: [axis.{by_body[body.name]}]: moving_mass_kg = {total:g} does not exceed the {children:g} kg that the slide carries; "
+                    "give the total mass that the screw moves"
                 )
             if body.mass > 0:
                 body.inertia = np.asarray(body.inertia) * own / body.mass
@@ -259,13 +259,13 @@ def _set_moving_masses(spec: mujoco.MjSpec, machine: Machine, where: str) -> Non
 
 
 def _set_geometry(spec: mujoco.MjSpec, machine: Machine) -> None:
-    """Offsets, table height, spindle nose and tool length move the frames of the model, where it has them."""
+    """Move the frames of the model by the offsets, table height, spindle nose and tool length of the machine file."""
     geometry = machine.geometry
     table, workpiece, tool = spec.body("table"), spec.site("workpiece"), spec.site("tool")
     if table is not None and "a_axis_to_c_axis_y_m" in geometry:
         table.pos = [0.0, geometry["a_axis_to_c_axis_y_m"], geometry.get("a_axis_to_c_axis_z_m", 0.0)]
     if workpiece is not None and "table_top_above_a_axis_m" in geometry:
-        # the part frame lies on the table top; the file gives its height above the A axis
+        # the workpiece frame lies on the table top; the machine file gives its height above the A axis
         workpiece.pos = [*np.asarray(workpiece.pos)[:2], geometry["table_top_above_a_axis_m"] - geometry.get("a_axis_to_c_axis_z_m", 0.0)]
     if tool is not None and {"spindle_nose_at_home_m", "tool_length_m"} <= geometry.keys():
         nose = np.array(geometry["spindle_nose_at_home_m"], float)
@@ -278,12 +278,12 @@ def _set_geometry(spec: mujoco.MjSpec, machine: Machine) -> None:
 
 
 def _set_drive(spec: mujoco.MjSpec, axis: Axis, split: bool) -> None:
-    """Friction of the load, gear and rotor of one axis; with `split` the rotor turns on a joint of its own."""
+    """Set friction, gear ratio and rotor of one axis; with `split` the rotor gets its own joint."""
     joint = spec.joint(axis.name)
     joint.frictionloss = axis.coulomb_friction
     joint.damping = [axis.viscous_friction, 0.0, 0.0]
     joint.armature = 0.0
-    if joint.solref_friction[0] == SOFT_FRICTION_S:  # the engine's default creeps
+    if joint.solref_friction[0] == SOFT_FRICTION_S:  # the default of MuJoCo creeps
         joint.solref_friction = STICKING[0]
         joint.solimp_friction = STICKING[1]
     actuator = spec.actuator(axis.name)
@@ -295,13 +295,13 @@ def _set_drive(spec: mujoco.MjSpec, axis: Axis, split: bool) -> None:
         body = spec.worldbody.add_body(
             name=f"{axis.name}.rotor", mass=ROTOR_BODY_MASS, inertia=[ROTOR_BODY_MASS] * 3, explicitinertial=True
         )
-        # a horizontal slide in axis units: gravity does not act on a rotor
+        # a horizontal slide in axis units, on which gravity does not act
         body.add_joint(name=f"{axis.name}.rotor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
         actuator.target = f"{axis.name}.rotor"
 
 
 def _lock(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-    """An axis that is not driven stands still: its joint and its motor go."""
+    """Fix an axis that is not driven: delete its joint and its actuators."""
     for actuator in list(spec.actuators):
         if actuator.target == joint.name:
             spec.delete(actuator)

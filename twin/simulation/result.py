@@ -1,4 +1,4 @@
-"""What a run of the twin gives back: the followed trace, its errors, and where the drives met their limits."""
+"""Result of a simulation: the trace, its errors, and the time that the drives spent at their limits."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 class Run:
     """Result of `simulate`.
 
-    `trace` is what the control records, `without_noise` the same without measuring noise; `current_limited_s` and
-    `voltage_limited_s` [s] say per axis how long a limit was met; `machine` is the machine that was simulated; `load` is what each
-    drive gave, counted at every tick, where `simulate` was asked for it.
+    `trace` is the record of the control, `without_noise` the same without measuring noise. `current_limited_s` and
+    `voltage_limited_s` are the times at the limits [s] by axis. `machine` is the simulated machine. `load` is the load of
+    each drive, if `simulate` was called with `count_load`.
     """
 
     trace: Trace
@@ -42,12 +42,12 @@ class Run:
         return self.trace.get(axis, "setpoint") - self.trace.get(axis, "position")
 
     def error_without_delay(self, axis: str) -> np.ndarray:
-        """Set point one position delay earlier minus position (sample,) [m, rad]: what the constant delay of the control does not explain."""
+        """Delayed set point minus position (sample,) [m, rad]: the error beyond the constant delay of the control."""
         return error_without_delay(self.trace, self.machine.axis(axis))
 
     @functools.cached_property
     def errors(self) -> Mapping[str, AxisErrors]:
-        """By axis: largest errors with and without the delay, largest error after a reversal [m, rad]."""
+        """Errors by axis [m, rad]: largest with and without the delay, and after a reversal."""
         return {axis.name: axis_errors(self.trace, axis) for axis in self.machine.axes}
 
     def to_table(self) -> pa.Table:
@@ -59,7 +59,7 @@ class Run:
         return self.trace.to_pandas()
 
     def plot(self, *axes: str, title: str = "") -> Figure:
-        """Position, error without the delay, speed and effort of the given axes, or of all that move; returns a matplotlib figure."""
+        """Plot position, error without the delay and effort of the given axes, or of all moving axes; returns a matplotlib figure."""
         from twin.report.curves import Curve, Panel, curves_figure
 
         names = axes or tuple(name for name in self.trace.axes if self.trace.moves(name)) or self.trace.axes[:1]
@@ -88,7 +88,7 @@ class Run:
         return f"Run of {self.machine.name}: {self.trace.time[-1]:.3f} s, moving axes: {' '.join(moving) or 'none'}"
 
     def _repr_html_(self) -> str:
-        """A notebook shows the errors of each axis and the plot."""
+        """Notebook display: errors of each axis and the plot."""
         from twin.report.figure import figure_svg
 
         rows = []

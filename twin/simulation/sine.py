@@ -1,7 +1,7 @@
-"""Sine and cosine for compiled terms: faster than those of the C library, and as exact for the angles of a machine.
+"""Sine and cosine for compiled terms: faster than the C library, and as accurate for the angles of a machine.
 
-The angle is brought to [-pi/4, pi/4] by whole quarter turns, pi/2 taken away in three parts whose products with a count of quarter
-turns are exact; there two polynomials serve. The coefficients are those of Sun's fdlibm (k_sin.c, k_cos.c, 1993; freely granted).
+Range reduction subtracts whole quarter turns to [-pi/4, pi/4]; pi/2 is split into three parts whose products with the number of quarter
+turns are exact. Two polynomials follow, with the coefficients of Sun's fdlibm (k_sin.c, k_cos.c, 1993; freely granted).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from twin.compiled_functions import compiled
 
 LARGEST_QUARTERS = 2.0**20
-"""Count of quarter turns up to which its products with the parts of pi/2 are exact; beyond, the C library is asked."""
+"""Largest number of quarter turns with exact products. The C library computes larger angles."""
 
 _QUARTERS = 2.0 / math.pi
 _FIRST, _SECOND, _THIRD = 1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21
@@ -32,7 +32,7 @@ def sine_and_cosine(angle):  # type: ignore[no-untyped-def]
     r = angle - quarters * _FIRST - quarters * _SECOND - quarters * _THIRD
     z = r * r
     z2 = z * z
-    # in pairs: half the chain of products
+    # evaluated in pairs of terms: half the dependency chain of Horner's scheme
     sine = r + r * z * ((_S1 + z * _S2) + z2 * ((_S3 + z * _S4) + z2 * (_S5 + z * _S6)))
     cosine = 1.0 - 0.5 * z + z2 * ((_C1 + z * _C2) + z2 * ((_C3 + z * _C4) + z2 * (_C5 + z * _C6)))
     quarter = int(quarters) & 3

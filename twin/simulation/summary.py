@@ -1,4 +1,4 @@
-"""The summary of a run: per axis following error, current, and what part of its limits it used."""
+"""The summary of a run: following error, current and utilisation of the limits by axis."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from twin.units import AXIS_UNITS, deg_from_rad
 def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
     """Numbers of `summary.json`, in um, arcsec, m/min, deg/s, A.
 
-    Following error is set point minus position at the same time; without the delay the set point is taken `set_point_delay_s` earlier.
+    The following error is set point minus position at the same time; the error without delay takes the set point `set_point_delay_s` earlier.
     """
     axes = {}
     for axis in machine.axes:
@@ -53,7 +53,7 @@ def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
 
 
 def summary_table(summary: dict[str, Any]) -> str:
-    """The same as a table for people."""
+    """The summary as a text table."""
     rows = []
     for name, a in summary["axes"].items():
         effort, unit, error_unit = a["effort"], a["effort_unit"], a["following_error_unit"]
@@ -97,7 +97,7 @@ def effects_line(machine: Machine) -> str:
 
 
 def feedforward_line(machine: Machine) -> str:
-    """What the control feeds forward: 'velocity+torque', or by axis where they differ: 'X off, Y velocity'."""
+    """Feedforward of the control: 'velocity+torque', or by axis if the axes differ: 'X off, Y velocity'."""
     words = {axis.name: _feedforward(axis.loops) for axis in machine.axes}
     if len(set(words.values())) == 1:
         return next(iter(words.values()))
@@ -110,7 +110,7 @@ def _feedforward(loops: Loops) -> str:
 
 
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Plain text table: the first `left` columns left, the others right aligned."""
+    """Plain text table; the first `left` columns are left-aligned, the others right-aligned."""
     widths = [max(len(str(row[i])) for row in [heading, *rows]) for i in range(len(heading))]
     lines = []
     for row in [heading, *rows]:

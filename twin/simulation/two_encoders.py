@@ -1,4 +1,4 @@
-"""Motor encoder and scale of one axis: what parts them in a record, and one brought to the zero of the other."""
+"""Motor encoder and scale of an axis: their difference, and alignment of their zeros."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BOTH = ("motor_position", "position")
 
 
 def has_both(trace: Trace, name: str) -> bool:
-    """Does a trace hold both encoders of an axis?"""
+    """Whether a trace has both encoders of an axis."""
     return all(trace.has(name, signal) for signal in BOTH)
 
 
@@ -26,13 +26,13 @@ def motor_minus_scale(trace: Trace, name: str) -> np.ndarray:
 
 
 def shifted(trace: Trace, axis: Axis, offset: float) -> Trace:
-    """The trace with motor minus scale smaller by `offset` [m, rad]: the encoder that does not close the position loop is moved."""
+    """The trace with motor minus scale reduced by `offset` [m, rad]; shifts the encoder that does not close the position loop."""
     signal, sign = ("motor_position", -1.0) if axis.encoder != "motor" else ("position", 1.0)
     return replace(trace, signals={**trace.signals, (axis.name, signal): trace.get(axis.name, signal) + sign * offset})
 
 
 def with_equal_means(trace: Trace, machine: Machine, axes: Iterable[str]) -> Trace:
-    """The trace with the mean of motor minus scale taken out on some axes: they have no common zero, so the mean says nothing."""
+    """The trace without the mean of motor minus scale on some axes; the encoders have no common zero, so the mean carries no information."""
     for name in axes:
         if has_both(trace, name):
             trace = shifted(trace, machine.axis(name), float(np.mean(motor_minus_scale(trace, name))))

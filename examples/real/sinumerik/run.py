@@ -21,7 +21,7 @@ from twin.errors import TwinError
 from twin.identify.held_out import Division, divided
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
-from twin.simulation.fed_speed import beside_slope
+from twin.simulation.added_feedforward import added_feedforward
 from twin.simulation.gap import is_moving, predict
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
@@ -80,7 +80,7 @@ def summary_text(machine: Machine, campaign: Campaign) -> str:
             late.append((run.trace.get(axis.name, "position") - delayed)[moving])
             current.append((run.trace.get(axis.name, "current") - simulated.get(axis.name, "current"))[moving])
         e, f, i, d = (rms(np.concatenate(x)) for x in (gap, lag, current, late))
-        fed = [beside_slope(run.trace, machine, setpoints_of(run.trace, machine).at) for run in campaign.runs]
+        fed = [added_feedforward(run.trace, machine, setpoints_of(run.trace, machine).at) for run in campaign.runs]
         a = machine.axis_names.index(axis.name)
         pulse = max((float(np.abs(one[:, a]).max()) for one in fed if one is not None), default=0.0)
         pulses.append(f"{axis.name} {pulse * 1e3:.3f} mm/s")

@@ -1,4 +1,4 @@
-"""Laws of the control: a voltage that the inverter loses, a dead band of the position controller, and where they are held against."""
+"""Laws of the control: voltage error of the inverter, dead band of the position controller, and the reference of their residuals."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.other_structures import slides
-from tests.diagnose.law.test_keep import X, runs_of
+from tests.diagnose.law.test_closed_loop import X, runs_of
 from tests.diagnose.law.test_measure import COUNT, RUNS, M, samples_of
 from twin.diagnose.control_law import characteristic_of, law_error
 from twin.diagnose.law.measure import measured_laws
@@ -30,7 +30,7 @@ AXIS = X.axes[0]
 
 
 def test_a_voltage_is_measured_through_the_current_loop():
-    """The loop of the twin makes the record, tick by tick; the transfer function of the cut reads the voltage back from its samples."""
+    """The simulated loop makes the record; the transfer function recovers the voltage from its samples."""
     views = [view_of(X, run) for run in runs_of([INVERTER])]
     samples = next(s for s in residuals_of(views, lambda m: m, ("X",), in_turn) if s.block == CURRENT_LOOP)
     curve = measured_laws(samples, AXIS)[0]
@@ -38,7 +38,7 @@ def test_a_voltage_is_measured_through_the_current_loop():
     best = described(samples, curve, AXIS)
     assert best.shape == "saturation"
     assert best.numbers["height"] == pytest.approx(-14.0, rel=0.15)
-    assert 0.1 < best.numbers["scale"] < 0.4  # noise of the current blurs it; the closed loop decides
+    assert 0.1 < best.numbers["scale"] < 0.4  # current noise biases it; the closed-loop fit gives the final value
 
 
 def test_a_voltage_needs_a_current_loop(tmp_path):
@@ -62,7 +62,7 @@ def test_a_dead_band_is_found_beside_following_errors_a_thousand_times_as_large(
 
 
 def test_a_law_of_the_controller_is_held_against_the_record_at_the_measured_position():
-    """Inside a dead band an axis rests where chance left it: the error of the law there is that of the measured place, not of the simulated one."""
+    """Inside a dead band the rest position is arbitrary: the error of the law is evaluated at the measured, not the simulated position."""
     machine = with_effects(X, [BAND])
     run = runs_of([BAND])[0]
     view = view_of(X, run)

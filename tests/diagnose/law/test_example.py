@@ -1,4 +1,4 @@
-"""examples/unlisted_law: a drag that nobody listed, on the second plant, is found as a law."""
+"""examples/unlisted_law: an unlisted drag of the second plant is found as a law."""
 
 from __future__ import annotations
 

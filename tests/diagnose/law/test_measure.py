@@ -1,4 +1,4 @@
-"""A planted law is found in a block's residual, with its variable, its formula and its numbers; noise has none."""
+"""A planted law is identified in the residual of a block: variable, formula and parameters; noise has no law."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from twin.diagnose.law.known_physics import looks_like
 from twin.diagnose.law.laws import LEAST_PREDICTS
 from twin.diagnose.law.measure import excess, measured_laws
-from twin.diagnose.law.residual import Samples, remembered
+from twin.diagnose.law.residual import Samples, with_memory
 from twin.diagnose.law.shapes import described
 from twin.machine.machine import load_machine
 
@@ -21,7 +21,7 @@ RUNS, COUNT = 5, 400
 
 
 def motion(seed: int = 1) -> dict[str, np.ndarray]:
-    """Runs of strokes that differ in speed and place: position, speed and what follows from them."""
+    """Runs of strokes of different speed and position, with the variables derived from them."""
     rng = np.random.default_rng(seed)
     columns: dict[str, list[np.ndarray]] = {}
     for run in range(RUNS):
@@ -44,7 +44,7 @@ def motion(seed: int = 1) -> dict[str, np.ndarray]:
 
 
 def samples_of(y: np.ndarray, m: dict[str, np.ndarray], block: str = "mechanics", sigma: float = SIGMA) -> Samples:
-    """The residual with noise, and some break-aways that are far off."""
+    """The residual with noise and some outliers like break-aways."""
     rng = np.random.default_rng(7)
     run = np.repeat(np.arange(RUNS), COUNT)
     noisy = y + rng.normal(0.0, sigma, len(y))
@@ -64,7 +64,7 @@ PLANTED = {
     "friction that warms away": ("friction", "time", "approach", {"height": -150.0, "scale": 60.0},
         150.0 * (1 - np.exp(-M["time"] / 60.0)) * np.sign(V)),
     "a cable chain": ("force", "direction", "line", {"height": -120.0, "length": 4e-3},
-        -120.0 * remembered(V, M["travel"], FIRST, 4e-3, False)),
+        -120.0 * with_memory(V, M["travel"], FIRST, 4e-3, False)),
     "cogging": ("force", "turn", "sine", {"amplitude": 60.0, "period": 2 * math.pi / 4}, 60.0 * np.sin(4 * M["turn"] + 0.4)),
     "a wave over the travel": ("force", "position", "sine", {"amplitude": 60.0, "period": 0.0173}, 60.0 * np.sin(2 * math.pi * Q / 0.0173)),
 }  # fmt: skip
@@ -73,7 +73,7 @@ PLANTED = {
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_law_is_found(name: str):
     output, variable, shape, numbers, force = PLANTED[name]
-    # beside what a machine file may be off by
+    # in addition to errors of the machine file
     samples = samples_of(force + 12.0 + 25.0 * np.sign(V) + 90.0 * V, M)
     curves = measured_laws(samples, X)
     best = max((described(samples, c, X) for c in curves[:3]), key=lambda d: d.predicts)
@@ -88,7 +88,7 @@ def test_noise_has_no_law():
     assert all(c.predicts < LEAST_PREDICTS for c in measured_laws(samples, X))
 
 
-def test_what_one_run_alone_shows_predicts_nothing():
+def test_a_law_in_a_single_run_predicts_nothing():
     force = np.where(FIRST == COUNT, 300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
     flipped = np.where(FIRST == 2 * COUNT, -300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
     curves = measured_laws(samples_of(force + flipped, M), X)
@@ -97,7 +97,7 @@ def test_what_one_run_alone_shows_predicts_nothing():
 
 def test_a_play_of_the_scale_is_a_slack():
     half = 5e-6
-    y = half * remembered(V, M["travel"], FIRST, half, True)  # motor minus scale
+    y = half * with_memory(V, M["travel"], FIRST, half, True)  # motor minus scale
     samples = samples_of(y, M, "transmission", 5e-8)
     curve = measured_laws(samples, X)[0]
     best = described(samples, curve, X)
@@ -118,7 +118,7 @@ def test_a_curve_that_no_formula_describes_stays_a_table():
     assert np.corrcoef(np.interp(Q[inside], x, y), force[inside])[0, 1] > 0.95
 
 
-def test_the_dictionary_names_what_a_law_looks_like():
+def test_known_causes_match_laws():
     assert [k.name for k in looks_like("friction", "speed", "gaussian", -1)] == ["slide way with plastic lining"]
     assert [k.name for k in looks_like("force", "direction", "line", -1)] == ["cable chain"]
     assert looks_like("torque", "current", "bending", 0)[0].name == "magnetic saturation"

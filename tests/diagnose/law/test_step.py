@@ -1,4 +1,4 @@
-"""Which axes are asked for a law, and from where the search for one starts."""
+"""Axes for which a law is sought, and start values of the search."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ from twin.effects import EFFECTS, Setting
 
 
 def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None):
-    """Axes that are asked for a law, of a group of which only X was recorded; without `before` effects explain nothing."""
+    """Axes for which a law is sought, in a group of which only X was recorded; without `before`, effects explain nothing."""
     group = replace(group_of([np.full(50, 3.0)], "X"), axes=axes)
     asked = []
     monkeypatch.setattr(step, "laws_of", lambda groups, machine, corrected, axes, *rest: asked.append(axes))
@@ -22,22 +22,22 @@ def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None):
     return asked
 
 
-def test_an_axis_of_which_only_set_points_were_recorded_is_not_asked(mikron, monkeypatch):
+def test_no_law_is_sought_for_an_axis_with_set_points_only(mikron, monkeypatch):
     levels = {"X": 9.0, "Y": 9.0}
     assert asked_of(("X", "Y"), True, levels, levels, mikron, monkeypatch) == [["X"], ["X"]]
 
 
-def test_an_axis_is_asked_for_the_sake_of_one_loud_signal(mikron, monkeypatch):
+def test_one_loud_signal_starts_the_search_for_a_law(mikron, monkeypatch):
     assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch) == [["X"], ["X"]]
     assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.4}, mikron, monkeypatch) == []
 
 
-def test_one_loud_signal_is_small_beside_what_effects_explain(mikron, monkeypatch):
+def test_one_loud_signal_is_ignored_if_effects_explain_most(mikron, monkeypatch):
     assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch, before={"X": 15.0}) == [["X"], ["X"]]
     assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch, before={"X": 70.0}) == []
 
 
-def test_many_effects_that_leave_noise_alone_are_an_answer():
+def test_many_effects_that_leave_only_noise_are_a_result():
     group = group_of([np.full(50, 3.0)], "X")
     effects = [Setting(EFFECTS[name], "X", {}) for name in list(EFFECTS)[: MOST_EFFECTS + 1]]
     many, few = (SimpleNamespace(group=group, fit=SimpleNamespace(settings=some)) for some in (effects, effects[:3]))
@@ -47,7 +47,7 @@ def test_many_effects_that_leave_noise_alone_are_an_answer():
     assert not step.explained_by_many(many, {"X": 1.0}, {"X": 1.0})
 
 
-def test_play_is_also_fitted_from_the_travel_that_its_height_says(mikron):
+def test_play_is_also_started_with_its_height_as_length(mikron):
     law = {"name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line"}
     law |= {"height": -8e-6, "reach": 1.0, "length": 2e-6}
     proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))

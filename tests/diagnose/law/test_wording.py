@@ -1,4 +1,4 @@
-"""A law in one sentence: which way it goes is said."""
+"""The sentence of a law states its direction."""
 
 from types import SimpleNamespace
 
@@ -20,7 +20,7 @@ BELL = {"name": "law", "axis": "X", "block": "mechanics", "formula": "gaussian",
         ("force", 3.6, "height (3.6 +- 0.2) N"),
     ],
 )
-def test_a_bell_over_the_travel_says_its_sign(mikron: Machine, output: str, height: float, said: str) -> None:
+def test_the_sentence_of_a_gaussian_states_its_sign(mikron: Machine, output: str, height: float, said: str) -> None:
     setting = check_setting({**BELL, "output": output, "height": height}, mikron, "a test")
     law = SimpleNamespace(axis="X", setting=setting, deviations={"height": 0.1, "at": 0.002, "width": 0.001})
     assert said in sentence(law, mikron)

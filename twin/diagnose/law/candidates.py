@@ -1,4 +1,4 @@
-"""What a law may be: an output of a block over a variable, a force over the position, a friction (it turns with the motion) over the speed."""
+"""Candidates of laws: an output of a block over one variable, for example friction over speed or force over position."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, remembered
+from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, with_memory
 from twin.machine.machine import Axis
 
 LENGTHS = tuple(np.geomspace(2e-5, 6e-2, 12))
-"""Lengths over which a direction of motion may be remembered [m]; of a rotary axis at the same motor angle of a 10 mm lead."""
+"""Memory lengths of the direction of motion [m]; for a rotary axis at the same motor angle as a 10 mm lead."""
 
 PLAYS = tuple(np.geomspace(1e-6, 5e-5, 9))
-"""Half widths of a play [m]; of a rotary axis in proportion."""
+"""Half widths of a play [m]; scaled for a rotary axis."""
 
 LENGTH_PER_RAD = 0.2
-"""Metres that stand for a radian of a rotary axis in the lengths above."""
+"""Metres per radian of a rotary axis for the lengths above."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """What a law may be: the output of a block over one variable, of another axis with `source`; `length` of a remembered variable [m, rad]."""
+    """One candidate: output of a block over a variable of this axis or of the axis `source`; `length` [m, rad] of a variable with memory."""
 
     block: str
     output: str
     variable: str
     source: str = ""
     length: float = 0.0
-    period: float = 0.0  # of a wave over the variable, in its unit
+    period: float = 0.0  # of a sine over the variable, in its unit
 
     @property
     def is_friction(self) -> bool:
@@ -37,11 +37,11 @@ class Candidate:
 
 
 def candidates_of(samples: Samples, axis: Axis) -> Iterator[Candidate]:
-    """Everything that the residual of a block may depend on, as far as it was recorded."""
+    """All candidates for the residual of a block whose variables were recorded."""
     metre = 1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD
     turns = axis.kind == "rotary" or axis.ratio != 1.0
     if samples.block == MECHANICS:
-        # what is odd in the speed is a friction, what is even a force
+        # a friction is odd in the speed, a force even
         for variable in ("position", *(("turn",) if turns else ()), "speed", "time"):
             yield Candidate(MECHANICS, "force", variable)
         for variable in ("speed", "position", *(("turn",) if turns else ()), "acceleration_size", "time"):
@@ -79,12 +79,12 @@ def variable_of(samples: Samples, candidate: Candidate) -> np.ndarray:
     if candidate.variable == "acceleration_size":
         return np.abs(motion["acceleration"])
     if candidate.variable in ("direction", "slack"):
-        return remembered(motion["velocity"], motion["travel"], samples.first, candidate.length, candidate.variable == "slack")
+        return with_memory(motion["velocity"], motion["travel"], samples.first, candidate.length, candidate.variable == "slack")
     return motion[candidate.variable]
 
 
 def factor_of(samples: Samples, candidate: Candidate, axis: Axis) -> np.ndarray | float:
-    """What a value of the law is multiplied by in the residual: a friction acts against the motion, a torque through the ratio."""
+    """Factor from the output of a law to the residual: friction acts against the motion, torque through the ratio."""
     if candidate.is_friction:
         return -np.sign(samples.motion["velocity"])
     if candidate.output == "torque":
@@ -93,12 +93,12 @@ def factor_of(samples: Samples, candidate: Candidate, axis: Axis) -> np.ndarray 
 
 
 def from_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
-    """Columns (sample, n) of a displacement, which is zero where its run begins."""
+    """Columns (sample, n) of a displacement, zero at the start of each run."""
     return columns - columns[samples.first]
 
 
 def in_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.ndarray) -> np.ndarray:
-    """What values of a law (sample, n) make of the residual."""
+    """Contribution (sample, n) of values of a law to the residual."""
     if samples.through is not None:
         return samples.through.current(columns, samples.first)
     acting = columns * (factor if np.isscalar(factor := factor_of(samples, candidate, axis)) else np.asarray(factor)[:, None])

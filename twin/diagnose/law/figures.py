@@ -1,4 +1,4 @@
-"""Pictures of laws: what was measured with its band, and the formula over it."""
+"""Pictures of laws: measured points with their confidence band, and the formula."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from twin.report.figure import AMBER, BLUE, SOFT, new_figure
 from twin.simulation.law_picture import draw_response, shown_in, small_length
 
 HARDLY = 0.002
-"""Share of the samples up to which the runs hardly were at a place."""
+"""Fraction of the samples below which a point counts as hardly measured."""
 
 
 def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyped-def]
-    """One panel a law: the spline with its band, the formula over it, and where the runs were."""
+    """One panel per law: the measured curve with its band and the formula; points with few samples are marked."""
     figure, places = new_figure(len(laws), 1, 8.6, 3.1)
     for place, law in zip(places[:, 0], laws):
         axis = machine.axis(law.axis)
@@ -42,7 +42,7 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
             x_unit, per = small_length(axis)
         x = np.linspace(curve.x[0], curve.x[-1], 500)
         formula = table.values(x, law.setting.parameters, axis)
-        # a level, and over a speed a slope, are the machine's own: both are drawn about the same one
+        # level and, over a speed, slope belong to the nominal machine: fit both curves to the same ones
         weight = np.sqrt(_driven(law, curve.x))
         apart = curve.y - np.interp(curve.x, x, formula)
         y = curve.y - curve.free @ np.linalg.lstsq(curve.free * weight[:, None], apart * weight, rcond=None)[0]
@@ -61,7 +61,7 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
 
 
 def _driven(law: Law, at: np.ndarray) -> np.ndarray:
-    """Share of the samples next to each place (place,)."""
+    """Fraction of the samples closest to each point (point,)."""
     x = variable_of(law.samples, law.measured.candidate)
     period = law.measured.candidate.period or (2.0 * math.pi if law.measured.candidate.variable == "turn" else 0.0)
     x = np.mod(x, period) if period else x

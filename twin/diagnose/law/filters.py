@@ -1,11 +1,11 @@
-"""A control block whose output passes a filter that no effect describes: measured as a frequency response, recognised as lag, notch or dead time.
+"""Unlisted filters of a control block: measured as a frequency response, identified as first-order lag, notch or dead time.
 
-With U what the block should give by its law and Y what was recorded, as transforms of whole runs that begin and end at rest,
+U is the nominal output of the block, Y the recorded one, as Fourier transforms of complete runs that begin and end at rest.
 
-    H = sum(conj(U) Y / S) / sum(|U|^2 / S)         S: power of the noise, and of the share of U to which the law is trusted
+    H = sum(conj(U) Y / S) / sum(|U|^2 / S)         S: power of the noise and of the model error of U
 
-is the measured response. A filter F with its numbers and a free gain g, which is the block's own, leaves sum(|Y - g F U|^2 / S). Every run
-is left out in turn, the numbers fitted to the others, and the run predicted.
+is the measured response. The residual of a filter F with a free gain g of the block is sum(|Y - g F U|^2 / S). Each run
+is left out in turn and predicted by the filter fitted to the others.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from twin.effects.law_shapes import SHAPES, Shape
 from twin.machine.machine import Machine
 
 BAND_HZ = 1.0
-"""Lines of a run's transform are summed in bands of this width; the first one is left out: slower is what integrators and drift make."""
+"""Width of the frequency bands. The first band is omitted; it contains integrators and drift."""
 
 LEAST_S = 1.0
-"""Length of a run that is asked."""
+"""Shortest evaluated run."""
 
 HIGHEST = 0.9
-"""Share of the highest frequency that the record holds up to which lines are used."""
+"""Highest evaluated frequency as a fraction of the Nyquist frequency."""
 
 HIGHEST_IN_STEPS = 0.4
-"""The same over the rate of the position cycles, of a speed set point: it changes in steps, and what a step looks like in between is no filter."""
+"""Highest evaluated frequency of a speed set point, as a fraction of the position cycle rate. The set point changes in steps, and their shape between the steps is not a filter."""
 
 LAW_SHARE = 0.01
-"""Share of what a block should give to which its law is trusted."""
+"""Relative model error of the nominal output of a block."""
 
 STANDS_OUT = 30.0
-"""Power over noise in a band from which the response is shown there: noise that the record holds in part only passes otherwise."""
+"""Signal-to-noise power ratio of a band above which its response is shown."""
 
 RESPONSE_POINTS = 40
-"""Points of a measured response."""
+"""Number of points of a measured response."""
 
 PLACES = {
     "current": (
@@ -56,7 +56,7 @@ PLACES = {
     "received_speed": ((Candidate("position controller", "received_speed", "speed_setpoint"), ("lag", "dead time")),),
     "speed": ((Candidate("position controller", "speed", "speed_setpoint"), ("lag", "dead time")),),
 }
-"""Where a filter may act that shows in what a block gives or receives, and which are tried; a lag of the current set point is an effect
+"""Candidates of filters by output. A lag of the current set point is not among them, because it is an effect
 of the library."""
 
 
@@ -70,7 +70,7 @@ class _Lines:
 
 
 def filters_of(samples: Samples, machine: Machine) -> list[Described]:
-    """The filters that explain a control block, best first; none where the block passes no signal on or the record is too short."""
+    """Filters that explain a control block, best first; empty if the block has no recorded signal or the record is too short."""
     found = []
     for output in dict.fromkeys(p.output for p in samples.passed):
         passed = [p for p in samples.passed if p.output == output]
@@ -89,7 +89,7 @@ def filters_of(samples: Samples, machine: Machine) -> list[Described]:
 
 
 def _lines(passed: Passed, bands: np.ndarray) -> _Lines | None:
-    """Transforms of one run, summed in bands; None where nothing was asked of the block."""
+    """Transforms of one run, summed in bands; None if the block had no input."""
     count = len(passed.wanted)
     u, y = (np.fft.rfft(values - passed.wanted[0]) for values in (passed.wanted, passed.given))
     power = passed.noise**2 * count + (LAW_SHARE * np.abs(u)) ** 2
@@ -106,7 +106,7 @@ def _lines(passed: Passed, bands: np.ndarray) -> _Lines | None:
 
 
 def _loss(runs: Sequence[_Lines], f: np.ndarray) -> tuple[float, float]:
-    """What a filter (frequency,) leaves with its best gain, and that gain."""
+    """Residual of a filter (frequency,) with its optimal gain, and that gain."""
     cross = sum(float(np.sum((np.conj(f) * r.cross).real)) for r in runs)
     own = sum(float(np.sum(np.abs(f) ** 2 * r.own)) for r in runs)
     gain = cross / max(own, 1e-300)
@@ -114,12 +114,12 @@ def _loss(runs: Sequence[_Lines], f: np.ndarray) -> tuple[float, float]:
 
 
 def _left(run: _Lines, f: np.ndarray, gain: float) -> float:
-    """What a filter with its gain leaves of one run."""
+    """Residual of a filter with a gain in one run."""
     return float(np.sum(run.given - 2.0 * gain * (np.conj(f) * run.cross).real + gain**2 * np.abs(f) ** 2 * run.own))
 
 
 def _fitted(samples: Samples, candidate: Candidate, shape: Shape, cycle: float, runs: Sequence[_Lines], frequency: np.ndarray) -> Described:
-    """One filter, fitted to all runs and judged on each by the fit of the others."""
+    """One filter, fitted to all runs and cross-validated run by run."""
     names = [n.name for n in shape.numbers]
     starts, low, high = _starts(shape, cycle, frequency)
 
@@ -148,10 +148,10 @@ def _fitted(samples: Samples, candidate: Candidate, shape: Shape, cycle: float, 
 
 
 def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-    """Logarithms of the numbers that are tried first, and their bounds."""
+    """Logarithms of the start values and of their bounds."""
     slowest = 0.5 / frequency[0]
     if shape.name == "notch":
-        # numbers in the order of the shape: width, frequency
+        # order of the parameters as in the shape: width, frequency
         at = np.geomspace(2.0 * frequency[0], frequency[-1], 30)
         widths = (0.1, 0.4, 1.2)
         starts = [np.log([w, f]) for w, f in itertools.product(widths, at)]
@@ -162,8 +162,8 @@ def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.
 
 
 def _curve(candidate: Candidate, runs: Sequence[_Lines], frequency: np.ndarray, predicts: float, better: float) -> Curve:
-    """The measured response where what passes stands out of noise: its size over the frequency [Hz], with its standard deviation, which is
-    that of noise and of the runs among each other."""
+    """Magnitude of the measured response over frequency [Hz] in bands above noise. The standard deviation includes noise and the scatter between
+    runs."""
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, RESPONSE_POINTS + 1)
     x, y, band = [], [], []
     for low, high in itertools.pairwise(edges):

@@ -1,4 +1,4 @@
-"""Unlisted laws of the axes that stay unexplained: measured, recognised, fitted in closed loop, and kept where the gap shrinks on runs left out."""
+"""Unlisted laws of unexplained axes: measured, identified, fitted in closed loop, and kept if they reduce the gap on runs left out."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Say, State, state_of, with_law
 from twin.diagnose.law.filters import filters_of
-from twin.diagnose.law.keep import ClosedLoop, Fitted, Say, State, state_of, with_law
 from twin.diagnose.law.measure import Curve, excess, measured_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
-from twin.diagnose.law.springs import springs_of, sprung, unwound
+from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_rigid_drive_train
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.simulations import Mapper
@@ -23,48 +23,48 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 
 NOISY = 1.15
-"""Power of a block's residual over noise up to which nothing is asked of it."""
+"""Power of the residual of a block over noise up to which no law is sought in it."""
 
 LEAST_PREDICTS = 0.15
-"""Share of the loss on runs left out that a law must predict in its block."""
+"""Smallest fraction of the loss on runs left out that a law must predict in its block."""
 
 LEAST_RUNS = 0.6
-"""Share of the runs, weighted by what they leave, on which a law must be better."""
+"""Smallest fraction of the runs, weighted by their loss, that a law must improve."""
 
 TRIED = 3
-"""Candidates of a block that are described by formulas and tried in closed loop."""
+"""Number of candidates that are described by formulas and fitted in closed loop."""
 
 NEAR_BEST = 0.4
-"""Share of what the best candidate predicts from which another one is tried."""
+"""Smallest prediction of a further candidate, as a fraction of that of the best one."""
 
 MOST_LAWS = 3
-"""Laws of one axis."""
+"""Largest number of laws of one axis."""
 
 LEAST_CLOSED = 0.05
-"""Share of the gap above noise that a law must close on runs left out, in closed loop."""
+"""Smallest fraction of the gap above noise on runs left out that a law must close in closed loop."""
 
 LEAST_OF_ALL = 0.02
-"""The same share of what the corrected twin left before any law."""
+"""The same as a fraction of the gap before the first law."""
 
 LEAST_BESIDE = 0.002
-"""The same share that an effect which was found without the laws must close beside them to stay."""
+"""The same for an effect found by the search, to stay beside the laws."""
 
 LITTLE_LEFT = 0.02
-"""Share of that from which on nothing more is looked for."""
+"""Fraction of the gap before the first law below which the search for laws ends."""
 
 LEAST_EVIDENCE = 30.0
-"""Half the squares, over how far the twin is from noise, that a law must take away on runs left out."""
+"""Smallest decrease of half the sum of squares on runs left out, divided by the inflation over noise, that a law must achieve."""
 
 MOST_EFFECTS = 5
-"""Effects of an axis that a law may be asked to stand in for: of more, each has earned its place beside the others."""
+"""Largest number of effects of an axis that a law may replace."""
 
 MOST_PROBABLE = 0.98
-"""What nobody listed cannot be ruled out."""
+"""Upper limit of the probability of a law; unknown alternatives cannot be excluded."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """One law that was kept: as it stands in the machine, how it was measured, and what it closes of its axis' gap on runs left out."""
+    """One law: its setting, its measurement, and the fraction of the gap of its axis that it closes on runs left out."""
 
     setting: Setting
     measured: Described
@@ -84,12 +84,12 @@ class Law:
 
 @dataclass(frozen=True)
 class Laws:
-    """The laws of a machine, with the machines that have them: fitted to all runs, and to all but each fold."""
+    """The laws of a machine, with the machine fitted to all runs and those fitted without each fold."""
 
     laws: tuple[Law, ...]
     corrected: Machine
     without_fold: tuple[Machine, ...]
-    left: dict[str, float]  # share of each axis' gap above noise that stays unexplained, on runs left out
+    left: dict[str, float]  # by axis, unexplained fraction of the gap above noise on runs left out
 
 
 def laws_of(
@@ -102,11 +102,11 @@ def laws_of(
     mapper: Mapper,
     say: Say = lambda _: None,
 ) -> Laws:
-    """Laws of these axes beside the corrected twin.
+    """Laws of these axes in addition to the corrected machine.
 
-    groups          the groups of axes as they were observed against `machine`, the nominal machine without effects
-    corrected       what the search left: re-tuned, with its effects
-    axes            the axes of which something is unexplained
+    groups          groups of axes, observed against `machine`, the nominal machine without effects
+    corrected       result of the search: the re-tuned machine with its effects
+    axes            axes with an unexplained gap
     without_fold    the corrected machine fitted without the runs of each of `folds`
     """
     laws: list[Law] = []
@@ -114,7 +114,7 @@ def laws_of(
     left: dict[str, float] = {}
     for group in groups:
         for axis in [a for a in group.axes if a in axes]:
-            say(f"{axis}: is there a law that no effect describes?")
+            say(f"{axis}: searching for an unlisted law")
             best = _of_axis(group, machine, corrected, axis, folds, mapper, say)
             left[axis] = best.left
             if not best.laws or best.fitted is None:
@@ -127,7 +127,7 @@ def laws_of(
 
 
 def _taken_over(machine: Machine, state: State, axis: str) -> Machine:
-    """A machine with all that a state says of one axis."""
+    """A machine with the values and effects of one axis taken from a state."""
     whole = state.corrected()
     document = {**machine.document}
     document["axis"] = {**document["axis"], axis: whole.document["axis"][axis]}
@@ -145,7 +145,7 @@ def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, f
 
 @dataclass(frozen=True)
 class _OfAxis:
-    """Laws of one axis from one start, the fit that holds them, and the share of the gap above noise that is left."""
+    """Laws of one axis from one start, their fit, and the remaining fraction of the gap above noise."""
 
     laws: list[Law]
     fitted: Fitted | None
@@ -155,10 +155,10 @@ class _OfAxis:
 def _of_axis(
     group: Group, machine: Machine, corrected: Machine, axis: str, folds: Sequence[Sequence[int]], mapper: Mapper, say: Say
 ) -> _OfAxis:
-    """Laws of one axis beside the effects that were found on it, or instead of them where that predicts clearly better.
+    """Laws of one axis in addition to its effects, or instead of them if that predicts clearly better.
 
-    A search that lacks the law puts effects in its place that are not there. Laws are therefore looked for from the machine without the
-    axis' effects, too; those of the effects that still earn their place come back.
+    A search without the law may find effects that do not exist. The search for laws therefore also starts without the effects of the axis
+    and restores those that reduce the gap.
     """
     loop = ClosedLoop(group, (axis,), folds, mapper)
     state = state_of(machine, corrected, (axis,), group.thresholds)
@@ -166,11 +166,11 @@ def _of_axis(
     if not own or len(own) > MOST_EFFECTS:
         return _from(loop, state, axis, machine, say)
     beside = _from(loop, state, axis, machine, say, idle=own)
-    say(f"{axis}: a law instead of {', '.join(s.effect.name for s in own)}?")
+    say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own)}")
     bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
     starts = [bare]
     if any(s.effect.block == "transmission" for s in own):
-        starts += [with_law(unwound(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
+        starts += [with_law(with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     best = beside
     for start in starts:
         alone = _from(loop, start, axis, machine, say, own)
@@ -182,8 +182,8 @@ def _of_axis(
 
 
 def _clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
-    """Does a fit predict runs left out better by what each effect or law more must earn? As many of both: the old one stays unless the
-    other is clearly better."""
+    """Whether a fit predicts runs left out better by the margin that each additional effect or law requires. With equal numbers of them, the
+    new fit needs the margin once."""
     more = len(new.state.settings) - len(old.state.settings)
     margin = LEAST_EVIDENCE * _inflation(loop, new.held_out) * (more if more < 0 else more + 1)
     return new.held_out + margin < old.held_out
@@ -192,8 +192,8 @@ def _clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
 def _from(
     loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say, back: Sequence[Setting] = (), idle: Sequence[Setting] = ()
 ) -> _OfAxis:
-    """Laws of one axis from a state on, one after another while each earns its place; then effects come `back` that earn theirs, and those
-    go that are `idle` beside the laws."""
+    """Laws of one axis from a start state, added one by one while each reduces the gap enough. Then effects in `back` are restored if they
+    reduce the gap, and effects in `idle` are removed if they no longer do."""
     tolerance = machine.parameter_tolerance
     first = loop.fit(state, tolerance, steps=2)
     if first is None:
@@ -206,7 +206,7 @@ def _from(
             break
         say(f"{axis}: {', '.join(_named(d) for d, _ in proposals)} in closed loop")
         tried = [
-            (loop.fit(with_law(sprung(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
+            (loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
             for d, x, s in _settings(proposals, axis, machine)
         ]
         best = min(((f, d, x) for f, d, x in tried if f is not None), key=lambda t: t[0].held_out, default=None)
@@ -228,14 +228,14 @@ def _from(
         fitted = new
     if laws:
         fitted = _with_those_that_earn(loop, fitted, back, tolerance, LEAST_OF_ALL * _above(loop, first))
-        # what an effect explains no law needs to stand in for
+        # prefer an effect to a law that predicts no better
         fitted = _named_instead(loop, fitted, laws, back, tolerance)
         least = LEAST_BESIDE * _above(loop, first)
         fitted = _without_idle(loop, fitted, [*idle, *(law.setting for law in laws)], tolerance, least)
         fitted = _without_slip(loop, fitted, axis, tolerance)
         kept = {s.key for s in fitted.state.settings}
         laws = [law for law in laws if law.setting.key in kept]
-    # sizes of all laws are those of the last fit
+    # all sizes are those of the last fit
     settings = {s.key: i for i, s in enumerate(fitted.state.settings)}
     at = [settings[law.setting.key] for law in laws]
     doubt = loop.group.thresholds.model_error
@@ -245,7 +245,7 @@ def _from(
 
 
 def _with_those_that_earn(loop: ClosedLoop, fitted: Fitted, back: Sequence[Setting], tolerance: float, least: float) -> Fitted:
-    """The fit with those of the effects `back` that shrink the gap on runs left out, best first."""
+    """The fit with those of the effects `back` that reduce the gap on runs left out, best first."""
     waiting = list(back)
     while waiting:
         tried = [(loop.fit(with_law(fitted.state, s), tolerance, steps=2, like=fitted), s) for s in waiting]
@@ -259,8 +259,8 @@ def _with_those_that_earn(loop: ClosedLoop, fitted: Fitted, back: Sequence[Setti
 
 
 def _named_instead(loop: ClosedLoop, fitted: Fitted, laws: Sequence[Law], effects: Sequence[Setting], tolerance: float) -> Fitted:
-    """The fit with effects in place of those laws that predict runs left out next to no better: by less than a twentieth of what the law
-    closes, and of what it leaves."""
+    """The fit with an effect instead of each law that predicts runs left out hardly better: by less than LEAST_CLOSED of the loss that the law
+    removes and of the loss that remains."""
     for law in laws:
         held = {s.key for s in fitted.state.settings}
         others = tuple(s for s in fitted.state.settings if s.key != law.setting.key)
@@ -276,8 +276,8 @@ def _named_instead(loop: ClosedLoop, fitted: Fitted, laws: Sequence[Law], effect
 
 
 def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tolerance: float, least: float) -> Fitted:
-    """The fit without those of the effects that no longer earn their place, or have a size that no machine has or none, the least needed
-    first."""
+    """The fit without those of the `idle` settings that no longer reduce the gap enough, or whose size is implausible or not significant, the
+    least important first."""
     waiting = {s.key for s in idle}
     small = {
         s.key
@@ -300,7 +300,7 @@ def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tol
 
 
 def _without_slip(loop: ClosedLoop, fitted: Fitted, axis: str, tolerance: float) -> Fitted:
-    """The fit without slip before break-away where that predicts runs left out better: it was sized beside what the laws may have replaced."""
+    """The fit without slip before break-away if that predicts runs left out better; the slip was fitted without the laws."""
     kept = tuple(s for s in fitted.state.settings if s.axis != axis or s.effect.normal != "slip")
     if len(kept) == len(fitted.state.settings):
         return fitted
@@ -309,7 +309,7 @@ def _without_slip(loop: ClosedLoop, fitted: Fitted, axis: str, tolerance: float)
 
 
 def _inflation(loop: ClosedLoop, loss: float) -> float:
-    """How much larger than noise alone what is left is; at least 1."""
+    """Loss over the expected loss of noise, at least 1."""
     return max(1.0, loss / max(loop.expected, 1e-300))
 
 
@@ -319,13 +319,13 @@ def _above(loop: ClosedLoop, fitted: Fitted) -> float:
 
 
 def _earned(loop: ClosedLoop, before: float, after: float, least: float) -> bool:
-    """Does a law shrink the gap on runs left out by enough?"""
+    """Whether the decrease of the loss on runs left out justifies a law."""
     gain = before - after
     return gain > least and gain > LEAST_CLOSED * max(before - loop.expected, 0.0) and gain / _inflation(loop, after) > LEAST_EVIDENCE
 
 
 def _deviations(fitted: Fitted, index: int, model_error: float = 0.0) -> dict[str, float]:
-    """Standard deviations of the numbers of a setting, in their own units; `model_error` is the share that no number of samples takes away."""
+    """Standard deviations of the parameters of a setting; `model_error` is a relative error that does not fall with the number of samples."""
     out = {}
     for u, deviation in zip(fitted.unknowns, fitted.deviations):
         if u.setting == index:
@@ -335,7 +335,7 @@ def _deviations(fitted: Fitted, index: int, model_error: float = 0.0) -> dict[st
 
 
 def _has_size(fitted: Fitted, index: int) -> bool:
-    """Is the size of a setting known from none: outside its own 95 % interval?"""
+    """Whether the 95 % interval of the size of a setting excludes neutral."""
     setting = fitted.state.settings[index]
     size = setting.effect.size
     deviation = _deviations(fitted, index).get(size.name)
@@ -365,12 +365,12 @@ def _proposals(group: Group, state: State, axis: str, mapper: Mapper) -> list[tu
 
 
 def _settings(proposals: Sequence[tuple[Described, Samples]], axis: str, machine: Machine) -> list[tuple[Described, Samples, Setting]]:
-    """Proposals as settings. Play turns over within its own width: samples that are milliseconds apart show that less well than its height."""
+    """Proposals as settings. A play is also started with its height as length, because the height is measured better than the length."""
     out = []
     for d, s in proposals:
         table = d.table(axis)
         play = [{**table, "length": abs(table["height"])}] if d.candidate.variable == "slack" and "height" in table else []
         for start in (table, *play):
-            with contextlib.suppress(InputError):  # a number outside what its shape allows
+            with contextlib.suppress(InputError):  # a parameter out of the bounds of its shape
                 out.append((d, s, check_setting(start, machine, "a measured law")))
     return out

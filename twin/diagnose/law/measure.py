@@ -1,9 +1,8 @@
-"""Which quantities a block's residual depends on: smooth curves of one variable, judged on runs that took no part.
+"""Measured laws: the residual of a block as a smooth curve over one variable, cross-validated on runs left out.
 
-The curve of a candidate (`twin.diagnose.law.candidates`) is a
-penalised cubic B-spline; what the machine file may be off by (a constant, sign v, v, a) is fitted beside it. Every run is left out in
-turn and predicted from the others. The share of the squares that a curve predicts beyond the re-tuned machine decides between candidates,
-in a loss that grows linearly for outliers (break-aways).
+The curve of a candidate (`twin.diagnose.law.candidates`) is a penalised cubic B-spline, fitted together with nuisance regressors for errors
+of the machine file (constant, sign v, v, a). Each run is left out in turn and predicted from the others. Candidates are ranked by the
+fraction of the loss that they predict beyond the nuisance regressors. The Huber loss limits the influence of outliers such as break-aways.
 """
 
 from __future__ import annotations
@@ -21,36 +20,37 @@ from twin.machine.machine import Axis
 from twin.recordings.roughness import robust_deviation
 
 PIECES = 9
-"""Pieces of a smooth curve over the range driven."""
+"""Spline segments over the measured range."""
 
 TURN_PIECES = 24
-"""Pieces of a curve over one motor turn."""
+"""Spline segments over one motor turn."""
 
 PENALTIES = (1e-3, 1e-1, 1e1)
-"""Weights of the second differences of a curve that are tried, beside its own normal matrix."""
+"""Tried weights of the second-difference penalty, relative to the normal matrix."""
 
 QUANTILES = 65
-"""Quantiles of a variable that space its splines by how often its values were met."""
+"""Number of quantiles of a variable that define the spacing of its splines."""
 
 RANGE = 2e-3
-"""Share of the samples at either end of a variable that its curve does not follow."""
+"""Fraction of the samples at each end of a variable outside the range of its curve."""
 
 HUBER = 1.345
-"""Multiple of the standard deviation from which a sample counts linearly."""
+"""Huber threshold in standard deviations; the loss is linear above."""
 
 SWEEPS = 4
-"""Sweeps of re-weighting: more change the third digit."""
+"""Iterations of re-weighting; more change only the third digit."""
 
 SMALL = 1e-9
-"""Ridge beside a normal matrix, relative."""
+"""Ridge relative to the normal matrix."""
 
 
 WINDUP_SLOPE = 1
-"""Column of the nuisances of a spring that is its stiffness."""
+"""Column of the nuisance regressors of a spring that belongs to its stiffness."""
 
 
 def nuisances_in(samples: Samples) -> np.ndarray:
-    """What the machine file may be off by (sample, n): levels of force and friction, of one encoder against the other, none of a control law."""
+    """Nuisance regressors (sample, n) for errors of the machine file: constant force, friction, inertia; encoder scale and drift; none
+    but an offset for a control law."""
     ones = np.ones(len(samples))
     if samples.block == MECHANICS:
         v = samples.motion["velocity"]
@@ -64,9 +64,9 @@ def nuisances_in(samples: Samples) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Basis:
-    """Cubic B-splines of a variable over the range driven; `root` spaces them by the square root, `period` closes them to a ring.
+    """Cubic B-splines over the measured range of a variable; `root` spaces them by the square root, `period` makes them periodic.
 
-    `quantiles` (place,) of the variable space them by how often a value was met: a few runs without feedforward have following errors a
+    `quantiles` (point,) of the variable space them by the density of samples: following errors of a few runs without feedforward are a
     thousand times those of the others.
     """
 
@@ -85,7 +85,7 @@ class Basis:
         return full[:, :-3]
 
     def place(self, x: np.ndarray) -> np.ndarray:
-        """Where on the spline's own scale."""
+        """The variable on the scale of the splines."""
         if self.period:
             return np.mod(x, self.period)
         if self.quantiles is not None:
@@ -93,21 +93,21 @@ class Basis:
         return np.sign(x) * np.sqrt(np.abs(x)) if self.root else x
 
     def penalty(self, count: int) -> np.ndarray:
-        """Second differences (count, count)."""
+        """Penalty matrix of second differences (count, count)."""
         d = np.diff(np.vstack([np.eye(count), np.eye(count)[:2]]) if self.period else np.eye(count), 2, axis=0)
         penalty: np.ndarray = d.T @ d
         return penalty
 
 
 def basis_of(x: np.ndarray, variable: str, period: float = 0.0) -> Basis | None:
-    """Splines over the range of x (sample,), or over a period of it; None where it does not vary."""
+    """Splines over the range of x (sample,) or over its period; None for a constant x."""
     if variable == "turn" or period:
         pieces = TURN_PIECES if variable == "turn" else PIECES
         period = period or 2.0 * math.pi
         return Basis(np.arange(-3, pieces + 4) * period / pieces, False, period)
     if variable == "following_error" and np.ptp(x) > 0.0:
         values = np.quantile(x, np.linspace(RANGE, 1.0 - RANGE, QUANTILES))
-        values += 1e-9 * np.ptp(values) * np.arange(QUANTILES)  # where the axis rests many are one
+        values += 1e-9 * np.ptp(values) * np.arange(QUANTILES)  # distinct values if the axis mostly rests
         return Basis(np.arange(-3, PIECES + 4) / PIECES, False, quantiles=values)
     root = variable in ("speed", "velocity", "current")
     u = np.sign(x) * np.sqrt(np.abs(x)) if root else x
@@ -120,10 +120,10 @@ def basis_of(x: np.ndarray, variable: str, period: float = 0.0) -> Basis | None:
 
 @dataclass(frozen=True)
 class Curve:
-    """A measured law: the candidate, its points with a band (standard deviation), and how it predicts runs left out.
+    """A measured law: candidate, points with band (standard deviation), and prediction of runs left out.
 
-    `predicts` is the share of the loss that the re-tuned machine leaves on runs left out, and that the curve takes away; `runs_better` the
-    share of the runs, weighted by what they leave, on which it is better.
+    `predicts` is the fraction by which the curve reduces the cross-validated loss; `runs_better` the fraction of the runs, weighted by their
+    loss, that it improves.
     """
 
     candidate: Candidate
@@ -135,19 +135,19 @@ class Curve:
 
     @property
     def free(self) -> np.ndarray:
-        """What of the curve is the machine's own (place, n): a level, and over a speed a slope, which is its viscous friction."""
+        """Part of the curve that belongs to the nominal machine (point, n): a level, and over a speed a slope, its viscous friction."""
         return machines_own(self.x, self.candidate.variable)
 
 
 def machines_own(x: np.ndarray, variable: str) -> np.ndarray:
-    """Curves over a variable (place, n) that toleranced parameters make."""
+    """Curves over a variable (point, n) due to toleranced parameters."""
     level = np.ones((len(x), 1))
     return np.column_stack([level, x / max(float(np.abs(x).max()), 1e-300)]) if variable in ("speed", "velocity", "windup") else level
 
 
 @dataclass(frozen=True)
 class Loss:
-    """Least loss of linear columns on parts left out, with weights of outliers from a fit of all."""
+    """Cross-validated loss of a linear fit, with the outlier weights of the fit to all parts."""
 
     total: float
     of_part: np.ndarray
@@ -157,12 +157,12 @@ class Loss:
 
 
 def scale_of(values: np.ndarray, least: float) -> float:
-    """Robust standard deviation, at least what noise makes."""
+    """Robust standard deviation, at least `least`."""
     return max(robust_deviation(values - np.median(values)), least)
 
 
 def huber(values: np.ndarray, scale: float) -> np.ndarray:
-    """Loss of each value: half its square up to `HUBER` scales, linear beyond."""
+    """Huber loss of each value: half its square up to `HUBER` scales, linear above."""
     u = np.abs(values) / scale
     return np.where(u <= HUBER, 0.5 * u**2, HUBER * (u - 0.5 * HUBER))
 
@@ -170,9 +170,9 @@ def huber(values: np.ndarray, scale: float) -> np.ndarray:
 def left_out_loss(
     samples: Samples, columns: np.ndarray, scale: float, penalty: np.ndarray | None = None, weights: np.ndarray | None = None
 ) -> Loss:
-    """Loss on parts left out of a fit with these columns (sample, n), beside a penalty (n, n) on their coefficients.
+    """Cross-validated loss of a fit of these columns (sample, n) with a penalty (n, n) on their coefficients.
 
-    `weights` of outliers (sample,) are found, or start from those given.
+    `weights` (sample,) are the initial outlier weights, refined by one iteration; without them they are found from scratch.
     """
     parts = np.unique(samples.part)
     norm = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
@@ -202,11 +202,11 @@ def left_out_loss(
 
 
 CORRELATED = 5.0
-"""Samples that count as one, after smoothing."""
+"""Number of correlated samples, after smoothing, that count as one."""
 
 
 def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixed: np.ndarray, scale: float) -> Curve | None:
-    """The curve of a candidate beside `fixed` columns (sample, n), with what it predicts beyond them; None where its variable does not vary."""
+    """The curve of a candidate in addition to `fixed` columns (sample, n), with its prediction beyond them; None for a constant variable."""
     x = variable_of(samples, candidate)
     basis = basis_of(x, candidate.variable, candidate.period)
     if basis is None:
@@ -228,7 +228,7 @@ def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixe
     shown = basis.columns(at)[:, used]
     coefficients, covariance = best.coefficients[count - own :], best.covariance[count - own :, count - own :]
     y = shown @ coefficients
-    # the band is that of the shape: what the machine's own parameters make is taken out of it
+    # the band covers the shape only, without the part that belongs to the nominal machine
     own_curves = machines_own(at, candidate.variable)
     centred = shown - own_curves @ np.linalg.lstsq(own_curves, shown, rcond=None)[0]
     band = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", centred, covariance, centred), 0.0))
@@ -244,7 +244,7 @@ def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixe
 
 
 def _spaced(low: float, high: float, basis: Basis) -> np.ndarray:
-    """Places at which a curve is shown, dense where its splines are."""
+    """Points of a curve, spaced like its splines."""
     if basis.quantiles is not None:
         return np.interp(np.linspace(0.0, 1.0, 41), np.linspace(0.0, 1.0, len(basis.quantiles)), basis.quantiles)
     if not basis.root:
@@ -255,21 +255,21 @@ def _spaced(low: float, high: float, basis: Basis) -> np.ndarray:
 
 
 def measured_laws(samples: Samples, axis: Axis, fixed: np.ndarray | None = None) -> list[Curve]:
-    """The curves of all candidates of a block that predict something, best first, beside `fixed` columns that stand for laws already taken."""
+    """Curves of all candidates of a block that improve the prediction, best first; `fixed` columns represent laws already found."""
     columns = nuisances_in(samples) if fixed is None else np.column_stack([nuisances_in(samples), fixed])
     first = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
     scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
     base = left_out_loss(samples, columns, scale)
     left = samples.y - columns @ base.coefficients
-    candidates = [*candidates_of(samples, axis), *waves_of(samples, left, axis)]
+    candidates = [*candidates_of(samples, axis), *sines_of(samples, left, axis)]
     curves = [measure(samples, candidate, axis, base, columns, scale) for candidate in candidates]
     return sorted((c for c in curves if c is not None and c.predicts > 0.0), key=lambda c: -c.predicts)
 
 
-def waves_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candidate]:
-    """Waves over the position: for each output the period at which the spectrum of what is left (sample,) stands out most.
+def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candidate]:
+    """Sines over the position: for each output the period of the largest line in the spectrum of the residual `left` (sample,).
 
-    What is left is summed in narrow bins of the position, so that one transform asks all periods.
+    The residual is summed in narrow bins of the position, so that one Fourier transform covers all periods.
     """
     position = samples.motion["position"]
     span = float(np.ptp(position))
@@ -292,7 +292,7 @@ def waves_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candida
 
 
 def _is_of_turn(period: float, span: float, axis: Axis) -> bool:
-    """Is a wave over the position one of the motor turn, as far as the range driven tells them apart?"""
+    """Whether a period over the position is a harmonic of the motor turn, within the resolution of the measured range."""
     each_turn = 2.0 * math.pi * axis.ratio / period
     turns = span / (2.0 * math.pi * axis.ratio)
     direct = axis.kind == "linear" and axis.ratio == 1.0
@@ -300,20 +300,20 @@ def _is_of_turn(period: float, span: float, axis: Axis) -> bool:
 
 
 FINEST_WAVE_M = 1e-5
-"""Shortest wave over the position that is looked for [m]; of a rotary axis in proportion."""
+"""Shortest period over the position [m]; scaled for a rotary axis."""
 
 MOST_BINS = 200_000
-"""Bins of the position."""
+"""Largest number of bins of the position."""
 
 OVERSAMPLED = 4
-"""Steps of the spectrum for each whole wave over the range."""
+"""Oversampling of the spectrum by zero padding."""
 
 LEAST_WAVES = 3
-"""Waves that the range must hold; slower ones are a curve over the position."""
+"""Smallest number of periods in the range; longer periods are part of a curve over the position."""
 
 
 def excess(samples: Samples, columns: np.ndarray | None = None) -> float:
-    """Power of what columns leave of a residual over noise: 1 where nothing is left."""
+    """Power of the residual after a fit of the columns over that of noise; 1 for noise only."""
     columns = nuisances_in(samples) if columns is None else columns
     loss = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
     left = samples.y - columns @ loss.coefficients

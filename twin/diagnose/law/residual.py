@@ -1,15 +1,15 @@
-"""What the corrected twin leaves of each block of an axis, beside everything that it could depend on.
+"""Residuals of each block of an axis with the corrected machine, with the variables that they may depend on.
 
-Each block is cut out of the loop: it is fed with its measured inputs, and its output is compared with the recorded one. The same is done
-with a record that the corrected twin itself makes, and subtracted. What smoothing, sampling and the effects found make of a block is in
-both, so that the rest is what the twin does not know:
+Each block is evaluated in open loop: the model of the block computes its output from its measured inputs, and the recorded output is
+compared with it. The same evaluation of a simulated record of the corrected machine is subtracted; it contains the influence of smoothing,
+sampling and known effects. The residuals:
 
-    mechanics             force on the load that the motion shows:  M a - Kt i / r + friction + bias      [N, Nm]
+    mechanics             force balance of the load:  M a - Kt i / r + friction + bias                    [N, Nm]
     transmission          motor position minus scale                                                      [m, rad]
-    spring                force of the motor that does not accelerate its rotor, beside the drive train's spring [N, Nm]
-    position controller   speed set point beside the control law                                          [m/s, rad/s]
-    speed controller      current beside the one that the controller would command for the recorded speeds  [A]
-    current loop          the same, sample after sample: a voltage that the loop was not asked for shows there as the loop lets it through
+    spring                transmitted force minus the force of the drive train's spring                   [N, Nm]
+    position controller   speed set point minus that of the control law                                   [m/s, rad/s]
+    speed controller      current minus that of the control law for the recorded speeds                   [A]
+    current loop          the same at consecutive samples: it shows the response of the loop to a disturbance voltage
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from scipy.signal import lfilter, savgol_filter
 
 from twin.diagnose.blocks import MOTION, commanded_current, current_error, inertia_and_bias, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
-from twin.diagnose.law.no_force import without_force
 from twin.diagnose.law.voltage_to_current import VoltageToCurrent, voltage_to_current
+from twin.diagnose.law.zero_force import zero_force_offset
 from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects
@@ -35,35 +35,35 @@ from twin.recordings.trace import Trace
 from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 FORCE_PERIOD_S = 5e-3
-"""Spacing of the samples of a force balance: a fifth of the window over which its motion is smoothed."""
+"""Sample period of a force balance: a fifth of the smoothing window of the motion."""
 
 OTHER_PERIOD_S = 4e-3
-"""Spacing of the samples of the other blocks."""
+"""Sample period of the other blocks."""
 
 MOST_SAMPLES = 800
-"""Samples of an axis in a run, about: more of them only take time."""
+"""Approximate limit of the number of samples of an axis in a run; more only take time."""
 
 MOST_IN_A_ROW = 8000
-"""Samples of an axis in a run of a block whose samples follow one another without gaps."""
+"""Largest number of samples of an axis in a run for a block that needs consecutive samples."""
 
 LEAST_SAMPLES = 50
-"""Samples of an axis in a run below which the run says nothing about it."""
+"""Smallest number of samples of an axis in a usable run."""
 
 NOISE_SEED = 977
-"""Seed of the noise of the record from which a block's noise level is taken."""
+"""Noise seed of the simulation that gives the noise level of a block."""
 
 MECHANICS = "mechanics"
 SPRING = "spring"
-"""The part of the transmission that a spring makes."""
+"""The spring of the transmission."""
 
 CURRENT_LOOP = "current loop"
 
 
 @dataclass(frozen=True)
 class Passed:
-    """What a control block of one run makes of its inputs (sample,): `wanted` by its law, `given` as recorded, every `period` [s]; noise of `given`.
+    """Output of a control block in one run (sample,): `wanted` by its law, `given` as recorded, every `period` [s]; `noise` of `given`.
 
-    `output` says what passes: that of the block, or what it receives.
+    `output` names the signal: the output of the block, or its received input.
     """
 
     output: str
@@ -75,12 +75,12 @@ class Passed:
 
 @dataclass(frozen=True)
 class Samples:
-    """Residual `y` (sample,) of one block of one axis over all its runs, with what it may depend on.
+    """Residual `y` (sample,) of one block of one axis over all its runs, with the variables that it may depend on.
 
-    `part` (sample,) numbers the runs, or the stretches of a single one, that are left out in turn; `run` (sample,) the runs. `motion` has what
-    `_motion` finds; `others` the same of the axes that move beside it, by name. `sigma` is what noise makes of y. `first` (sample,)
-    is the index of the sample at which the run of each sample begins. `passed` is what a control block makes of its inputs, run by run;
-    `through` what a current loop makes of a voltage.
+    `part` (sample,) numbers the parts of the cross-validation: runs, or stretches of few runs; `run` (sample,) the runs. `motion` holds the
+    variables of `_motion`, `others` those of other moving axes by name. `sigma` is the standard deviation of noise in y. `first` (sample,) is
+    the index of the first sample of each run. `passed` holds the outputs of a control block run by run, `through` the response of a current
+    loop to a voltage.
     """
 
     axis: str
@@ -103,7 +103,7 @@ _Block = Callable[[RunView, Axis, Trace], tuple[np.ndarray, np.ndarray] | None]
 
 
 def residuals_of(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: Sequence[str], mapper: Mapper) -> list[Samples]:
-    """Residuals of all blocks of these axes beside the corrected twin; `machine_of` turns a run's nominal machine into it."""
+    """Residuals of all blocks of these axes; `machine_of` turns the nominal machine of a run into the corrected one."""
     runs = mapper(functools.partial(_of_run, views, machine_of, tuple(axes)), range(len(views)))
     found: dict[tuple[str, str], list[_Piece]] = {}
     for pieces in runs:
@@ -126,7 +126,7 @@ class _Piece:
 
 
 def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
-    """The pieces of all runs as one; a few runs are divided into stretches."""
+    """The pieces of all runs joined; up to three runs are divided into stretches for cross-validation."""
     stretches = 1 if len(pieces) > 3 else 4 if len(pieces) > 1 else 6
     part, run, first, at = [], [], [], 0
     for i, p in enumerate(pieces):
@@ -171,7 +171,7 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
         axis = actual.machine.axis(name)
         motion = _motion(view, name, axis)
         others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
-        cut = functools.cache(functools.partial(_cut, actual, axis, (view.trace, twin.without_noise, noisy)))  # two blocks are cut alike
+        cut = functools.cache(functools.partial(_cut, actual, axis, (view.trace, twin.without_noise, noisy)))  # two blocks share a law
         for block, law, period in (
             (MECHANICS, _forces, FORCE_PERIOD_S),
             ("transmission", _displacement, OTHER_PERIOD_S),
@@ -199,7 +199,7 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             elif block == "speed controller":
                 passed = _passed_by_speed_controller(actual, axis, twin.without_noise, beside, level)
             own = motion
-            if block == CURRENT_LOOP:  # at rest the noise of a current about zero would turn a voltage to and fro
+            if block == CURRENT_LOOP:  # at rest, current noise around zero would switch the sign of a voltage
                 moving = view.reference(name)[2]
                 own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], _window(view)))}
             pieces.append(
@@ -219,31 +219,30 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
 
 
 def _cut(view: RunView, axis: Axis, traces: Sequence[Trace], law: _Block) -> list[tuple[np.ndarray, np.ndarray]] | None:
-    """What a block is off by in each of the traces (sample,), and where that is known; None where the record does not show it."""
+    """Residual (sample,) of a block in each of the traces and where it is valid; None if a signal is missing."""
     found = [off for trace in traces if (off := law(view, axis, trace)) is not None]
     return found if len(found) == len(traces) else None
 
 
 def _passed_by_position_controller(view: RunView, motion: dict[str, np.ndarray], beside: np.ndarray, noise: float) -> Passed:
-    """The speed set points that a position controller should give and gives, at its cycles; `beside` (sample,) is their difference."""
+    """Nominal and recorded output of a position controller at its cycles; `beside` (sample,) is their difference."""
     every = max(1, round(view.machine.position_cycle / view.trace.period))
     wanted = motion["speed_setpoint"][::every]
     return Passed("speed", wanted, wanted + beside[::every], noise, every * view.trace.period)
 
 
 def _passed_by_speed_controller(view: RunView, axis: Axis, twin: Trace, beside: np.ndarray, noise: float) -> tuple[Passed, ...]:
-    """The current that a speed controller should give and gives, which differ by `beside` (sample,); and the set point that it was sent and receives.
+    """Nominal and recorded output of a speed controller, whose difference is `beside` (sample,), and its sent and received set point.
 
-    What it gives beside its law is what its PI law makes of a set point that it receives otherwise than it was sent: the law is run
-    backwards, e = (T - I) / Kp, I += Kp T / Tn e. Fed with a set point that the drive did not get, the law may ask for more than the drive
-    can give: here it has no limits.
+    The received set point is reconstructed from the residual by the inverse PI law, e = (T - I) / Kp, I += Kp T / Tn e. The current limit is
+    not applied, because the law with the sent set point may exceed it.
     """
     trace = view.trace
     wanted = commanded_current(view, axis, trace)
     apart, of_twin = (t.get(axis.name, axis.effort) - commanded_current(view, axis, t, limited=False) for t in (trace, twin))
     to_speed = axis.commissioned_torque_constant / axis.loops.speed_gain_nm_s_per_rad * axis.ratio
     rate = trace.period / axis.loops.speed_integral_time_s
-    # of e the integrator has taken rate e each sample before: e = T / Kp - rate sum(e before)
+    # the integrator holds rate e of each earlier sample: e = T / Kp - rate sum(e before)
     error = lfilter([1.0, -1.0], [1.0, -(1.0 - rate)], to_speed * (apart - of_twin))
     sent = trace.get(axis.name, "velocity_setpoint")
     return (
@@ -265,7 +264,7 @@ def _speed(trace: Trace, axis: Axis) -> np.ndarray:
 
 
 def _forces(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Force on the load beyond the model's, towards +q (sample,), and where the axis slides."""
+    """Force on the load beyond the model, towards +q (sample,), and where the axis slides."""
     driven = _driven(view, axis, trace)
     if driven is None:
         return None
@@ -280,7 +279,7 @@ def _forces(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nda
 
 
 def _driven(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Force of the motor at the axis and acceleration (sample,), smoothed alike; None without current, or of a run that is too short."""
+    """Motor force at the axis and acceleration (sample,) with equal smoothing; None without current or for a run that is too short."""
     window = _window(view)
     if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
         return None
@@ -289,44 +288,44 @@ def _driven(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nda
 
 
 def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Motor position minus scale (sample,); everywhere."""
+    """Motor position minus scale (sample,), valid everywhere."""
     if not has_both(view.trace, axis.name):
         return None
     return motor_minus_scale(trace, axis.name), np.ones(len(trace.time), bool)
 
 
 def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """What drives the load beyond the drive train's spring (sample,), everywhere; None where the machine has no spring there."""
-    wound, force = windup(view, axis, trace), transmitted_force(view, axis, trace)
+    """Transmitted force minus the force of the drive train's spring (sample,), valid everywhere; None without a spring."""
+    deflection, force = deflection_of(view, axis, trace), transmitted_force(view, axis, trace)
     coupling = apply_effects(view.machine).couplings.get(axis.name)
-    if wound is None or force is None or coupling is None:
+    if deflection is None or force is None or coupling is None:
         return None
-    stretch = np.sign(wound) * np.maximum(np.abs(wound) - coupling.clearance / 2.0, 0.0)
+    stretch = np.sign(deflection) * np.maximum(np.abs(deflection) - coupling.clearance / 2.0, 0.0)
     return force - coupling.stiffness * stretch, np.ones(len(trace.time), bool)
 
 
 def transmitted_force(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
-    """Force of the motor that does not accelerate its rotor: what goes through the drive train (sample,); None without current."""
+    """Transmitted force of the drive train: motor force minus inertia force of the rotor (sample,); None without current."""
     driven = _driven(view, axis, trace)
     return None if driven is None else np.asarray(driven[0] - axis.reflected_inertia * driven[1])
 
 
-def windup(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
-    """Motor position minus scale (sample,), smoothed, from where no force goes through the drive train; None where one of them was not
-    recorded. Without a current it counts from the start of the run.
+def deflection_of(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
+    """Deflection of the drive train (sample,): smoothed motor position minus scale, relative to the unloaded drive train, or to the start of the
+    run without a current; None if an encoder is missing.
 
-    Encoders have no common zero, and a run that begins under a weight begins wound up.
+    The encoders have no common zero, and under a weight a run begins with a deflected drive train.
     """
     displaced = _displacement(view, axis, trace)
     if displaced is None or len(trace.time) < 2 * _window(view):
         return None
-    wound = np.asarray(savgol_filter(displaced[0], _window(view), 2))
+    deflection = np.asarray(savgol_filter(displaced[0], _window(view), 2))
     force = transmitted_force(view, axis, trace)
-    return wound - (displaced[0][0] if force is None else without_force(wound, force))
+    return deflection - (displaced[0][0] if force is None else zero_force_offset(deflection, force))
 
 
 def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Speed set point beside the law (sample,), at the position cycles, while the axis moves."""
+    """Speed set point minus that of the control law (sample,), at the position cycles, while the axis moves."""
     error = law_error(trace, view, axis)
     if error is None or not view.trace.has(axis.name, "velocity_setpoint"):
         return None
@@ -338,12 +337,12 @@ def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarra
 
 
 def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Current beside the one that the controller would command (sample,), while the axis moves."""
+    """Current minus that of the control law (sample,), valid while the axis moves."""
     return (current_error(view, axis, trace), view.reference(axis.name)[2]) if shows_speed_controller(view, axis) else None
 
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:
-    """What a law may depend on (sample,), as it was measured; with `axis` all of it, without what another axis can pass on."""
+    """Measured variables of laws (sample,): all of them with `axis`, otherwise only those that can act on another axis."""
     trace, window = view.trace, _window(view)
     own = axis or view.machine.axis(name)
     signal = next((s for s in ("position", "motor_position") if trace.has(name, s)), "setpoint")
@@ -360,8 +359,8 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     motor = trace.get(name, "motor_position") if trace.has(name, "motor_position") else position
     found |= {"turn": motor / own.ratio, "time": view.started_at + trace.time - trace.time[0]}
     found["travel"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
-    if (wound := windup(view, own, trace)) is not None:
-        found["windup"] = wound
+    if (deflection := deflection_of(view, own, trace)) is not None:
+        found["windup"] = deflection
     if trace.has(name, own.effort):
         found["current"] = trace.get(name, own.effort)
     if trace.has(name, "velocity_setpoint") and signal != "setpoint":
@@ -371,8 +370,8 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     return found
 
 
-def remembered(samples_velocity: np.ndarray, travel: np.ndarray, first: np.ndarray, length: float, clipped: bool) -> np.ndarray:
-    """Direction of motion remembered over `length` of travel (sample,): with a tail, or as the place inside a play."""
+def with_memory(samples_velocity: np.ndarray, travel: np.ndarray, first: np.ndarray, length: float, clipped: bool) -> np.ndarray:
+    """Direction of motion with memory over `length` of travel (sample,): with exponential decay, or clipped as the position in a play."""
     z = np.zeros(len(travel))
     state = 0.0
     for i in range(len(travel)):

@@ -1,7 +1,7 @@
-"""A measured curve as a formula: every shape that suits the variable is fitted to the residual and judged on runs left out.
+"""A measured curve as a formula: each shape for the variable is fitted to the residual and cross-validated on runs left out.
 
-A shape is y = height f(x; c). Its height is linear, its other numbers c are searched (variable projection: grid, then simplex). A wave has a
-sine and a cosine. The shape that predicts best is taken; where the measured curve predicts clearly more, the law stays a table.
+A shape is y = height f(x; c). The height is linear; the parameters c are searched (variable projection: grid, then simplex). A sine has a
+sine and a cosine column. The shape with the best prediction wins; if the measured curve predicts clearly better, the law stays a table.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from scipy.optimize import minimize
 
 from twin.diagnose.law.candidates import Candidate, in_residual, variable_of
 from twin.diagnose.law.measure import Curve, Loss, huber, left_out_loss, nuisances_in, scale_of
-from twin.diagnose.law.residual import Samples, remembered
+from twin.diagnose.law.residual import Samples, with_memory
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
 from twin.machine.axis import Axis
 
 TABLE_BETTER = 0.04
-"""Share of the loss that a curve must predict beyond the best formula to stay a table."""
+"""Fraction of the loss that a curve must predict beyond the best formula to stay a table."""
 
 PER_NUMBER = 0.004
-"""Share of the loss that each further number of a formula has to bring."""
+"""Fraction of the loss that each further parameter of a formula must explain."""
 
 TABLE_POINTS = 15
-"""Points of a law that no formula describes."""
+"""Number of points of a table."""
 
 SUITS: dict[str, tuple[str, ...]] = {
     "speed": ("line", "power", "exponential", "gaussian", "step"),
@@ -49,26 +49,26 @@ SUITS: dict[str, tuple[str, ...]] = {
 """Shapes that are tried for each variable."""
 
 LONGEST_WAVE = 3.0
-"""Longest wave over the range driven."""
+"""Longest period of a sine, as a multiple of the measured range."""
 
 HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
-"""Waves of a motor turn that are tried."""
+"""Harmonics of the motor turn that are tried."""
 
 
 @dataclass(frozen=True)
 class Described:
-    """A law as a formula, or as a table where `shape` is None: numbers in SI, and what it predicts."""
+    """A law as a formula, or as a table if `shape` is None, with its parameters in SI and its prediction."""
 
     candidate: Candidate
     shape: str | None
     numbers: Mapping[str, float]
     predicts: float
     curve: Curve
-    column: np.ndarray = field(repr=False)  # (sample,) what it makes of the residual
+    column: np.ndarray = field(repr=False)  # (sample,) contribution to the residual
     points: tuple[tuple[float, float], ...] = ()
 
     def table(self, axis: str) -> dict[str, Any]:
-        """As an effect of a machine file."""
+        """The law as an `[[effect]]` table of a machine file."""
         c = self.candidate
         head: dict[str, Any] = {"name": NAME, "axis": axis, "block": c.block, "output": c.output, "variables": [c.variable]}
         if c.source:
@@ -84,7 +84,7 @@ class Described:
 
 
 def described(samples: Samples, curve: Curve, axis: Axis, fixed: np.ndarray | None = None) -> Described:
-    """The curve as the formula that predicts best, or as a table."""
+    """The curve as the formula with the best prediction, or as a table."""
     columns = nuisances_in(samples) if fixed is None else np.column_stack([nuisances_in(samples), fixed])
     first = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
     scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
@@ -98,7 +98,7 @@ def described(samples: Samples, curve: Curve, axis: Axis, fixed: np.ndarray | No
 
 
 def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
-    """The curve itself, through a few points; its level is the machine's own."""
+    """The curve as a table of a few points; its level belongs to the nominal machine and is removed."""
     places = np.unique(np.linspace(0, len(curve.x) - 1, TABLE_POINTS).round().astype(int))
     x = variable_of(samples, curve.candidate)
     period = curve.candidate.period or (2.0 * math.pi if curve.candidate.variable == "turn" else 0.0)
@@ -110,26 +110,26 @@ def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
 
 
 class _Problem:
-    """One shape of one candidate on the samples: its linear columns for given other numbers."""
+    """One shape of one candidate on the samples: its linear columns as a function of its nonlinear parameters."""
 
     def __init__(self, samples: Samples, curve: Curve, axis: Axis, shape: Shape) -> None:
         self.samples, self.candidate, self.axis, self.shape = samples, curve.candidate, axis, shape
         self.x = variable_of(samples, curve.candidate)
-        self.remembered = curve.candidate.variable in ("direction", "slack")
+        self.has_memory = curve.candidate.variable in ("direction", "slack")
         self.free, self.starts, self.logarithmic, self.given = _search_space(shape, self.x, curve.candidate)
 
     @property
     def is_characteristic(self) -> bool:
-        """Has the shape no height of its own?"""
+        """Whether the shape has no height."""
         return not any(n.of == "output" for n in self.shape.numbers)
 
     def columns(self, values: Sequence[float]) -> np.ndarray:
-        """(sample, n) of unit height; of a wave sine and cosine."""
+        """Columns (sample, n) of unit height; sine and cosine for a sine."""
         numbers = {**self.given, **dict(zip(self.free, values))}
         x = self.x
-        if self.remembered and "length" in numbers:
+        if self.has_memory and "length" in numbers:
             s = self.samples
-            x = remembered(s.motion["velocity"], s.motion["travel"], s.first, numbers["length"], self.candidate.variable == "slack")
+            x = with_memory(s.motion["velocity"], s.motion["travel"], s.first, numbers["length"], self.candidate.variable == "slack")
         if self.shape.name == "sine":
             angle = 2.0 * math.pi * x / numbers["period"]
             own = np.column_stack([np.sin(angle), np.cos(angle)])
@@ -143,7 +143,7 @@ class _Problem:
 
     @property
     def gain(self) -> float:
-        """Nominal factor of a characteristic."""
+        """Nominal gain of a characteristic."""
         if self.candidate.output == "torque":
             return self.axis.motor.torque_constant_nm_per_a
         return self.axis.loops.position_gain_per_s if self.candidate.variable == "following_error" else 1.0
@@ -152,7 +152,7 @@ class _Problem:
 def _search_space(
     shape: Shape, x: np.ndarray, candidate: Candidate
 ) -> tuple[list[str], list[tuple[float, ...]], list[bool], dict[str, float]]:
-    """Numbers that are searched with their starts, whether by ratio, and numbers that are given."""
+    """Searched parameters, their start values, whether they are logarithmic, and fixed parameters."""
     low, high = (float(v) for v in np.quantile(x, [0.002, 0.998]))
     span = max(high - low, 1e-12)
     reach = max(abs(low), abs(high), 1e-12)
@@ -187,7 +187,7 @@ def _search_space(
     if shape.name == "bending":
         return ["knee"], [tuple(reach * np.geomspace(0.6, 6.0, 8))], [True], {}
     if shape.name == "dead band":
-        # by how often it was met: without feedforward a following error is a thousand times a band
+        # quantiles: without feedforward, a following error is a thousand times the band
         return ["band"], [tuple(np.quantile(np.abs(x), np.linspace(0.05, 0.95, 16)))], [True], {}
     return ["limit"], [tuple((low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98]))], [False], {}
 
@@ -222,9 +222,9 @@ def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.
     numbers = dict(zip(problem.free, values))
     driven = float(np.ptp(problem.x))
     if not math.isfinite(loss(values)) or max(numbers.get("width", 0.0), numbers.get("scale", 0.0)) > driven:
-        return None  # a bell that is wider than what was driven is a parabola
+        return None  # a Gaussian wider than the measured range is a parabola
     if numbers.get("period", 0.0) > LONGEST_WAVE * driven:
-        return None  # and a wave that is so much longer a line
+        return None  # a sine much longer than the measured range is a line
     columns = problem.columns(values)
     if problem.is_characteristic:
         moved = Samples(**{**samples.__dict__, "y": samples.y - columns[:, 0]})
@@ -246,7 +246,7 @@ def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.
 
 
 def _polished(loss: Callable[[Sequence[float]], float], values: Sequence[float], logarithmic: Sequence[bool]) -> tuple[float, ...]:
-    """Numbers around `values` with the least loss, by a simplex."""
+    """Parameters near `values` with minimum loss, by a simplex."""
     scale = [abs(v) if log else max(abs(v), 1e-9) for v, log in zip(values, logarithmic)]
 
     def numbers(u: np.ndarray) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""The step of a diagnosis after the search: laws of the axes that no effect explains, and how far the gap shrinks with them."""
+"""The step of a diagnosis after the search: laws of the axes that effects do not explain, and the remaining gap."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import contextlib
 from dataclasses import replace
 
 from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
-from twin.diagnose.law.keep import Say
+from twin.diagnose.law.closed_loop import Say
 from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
@@ -18,43 +18,44 @@ from twin.simulation.decoupled_plant import Motion
 from twin.simulation.gap import REALISATIONS, Job, predict_each
 
 ALL_BUT = 0.1
-"""Share of the gap that may stay unexplained where the verdict is 'law'."""
+"""Largest unexplained fraction of the gap for the verdict 'law'."""
 
 
 LOUD = 3.0
-"""Gap over noise on runs left out from which an axis is asked for a law although effects explain most of it."""
+"""Gap over noise on runs left out above which a law is sought although effects explain most of the gap of the axis."""
 
 LOUD_SIGNAL = 1.5
-"""The same of one signal: what only shows at reversals is little of an axis, and as evidence it counts next to nothing."""
+"""The same limit for a single signal. A deviation at reversals only contributes little to the gap of an axis."""
 
 NEXT_TO_NOTHING = 1e-3
-"""Share of an axis' gap that effects may leave without being asked for the sake of one loud signal: it is small beside what they explain."""
+"""Unexplained fraction of the gap of an axis below which a single loud signal does not trigger the search for a law."""
 
 QUIET = 1.3
-"""The same up to which an axis is at its noise, as nearly as runs left out say."""
+"""Gap over noise on runs left out up to which an axis counts as explained down to noise."""
 
 HARDLY_LOUD = 2.0
-"""The same where effects explain less than half of the gap: they are no answer."""
+"""Gap over noise on runs left out above which a law is sought if effects explain less than half of the gap."""
 
 
 def keeps_its_gap(before: float, after: float) -> bool:
-    """Is an axis loud after correction, with more than a tenth of its gap left, or hardly loud, with most of it?
+    """Whether a considerable gap of an axis remains after correction.
 
-    `before` and `after` correction: its gap over noise on runs left out.
+    `before`, `after`: gap over noise on runs left out, before and after correction. True above LOUD with more than a tenth of the gap left, or
+    above HARDLY_LOUD with more than half of it left.
     """
     left = share_left(before, after)
     return (after > LOUD and left > ALL_BUT) or (after > HARDLY_LOUD and left > 0.5)
 
 
 def share_left(before: float, after: float) -> float:
-    """Share of an axis' gap above noise, in squares, that correction leaves; `before` and `after` it: its gap over noise."""
+    """Fraction of the squared gap above noise that correction leaves; `before`, `after`: gap over noise."""
     return max(after**2 - 1.0, 0.0) / max(before**2 - 1.0, 1e-300)
 
 
 def explained_by_many(found: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
-    """Do many effects of each loud axis of a group explain runs left out down to noise?
+    """Whether more than MOST_EFFECTS effects of each loud axis of a group explain the runs left out down to noise.
 
-    What is missing beside many small effects bends the sizes of the others: that they differ between runs is then no sign of a law.
+    A missing small effect changes the fitted sizes of the others. Sizes that differ between runs are then no evidence of a law.
     """
     loud = [axis for axis in found.group.axes if before.get(axis, 0.0) > QUIET]
     return bool(loud) and all(
@@ -73,10 +74,10 @@ def laws_beside(
     mapper: Mapper,
     say: Say,
 ) -> Iterator[Laws]:
-    """Laws of the axes of groups that the search left unknown, and of those that are loud still: an answer, and one by other weights.
+    """Laws of axes that the search left unknown or that are still loud; yields up to two results, with different weights of the samples.
 
-    `machine` is the nominal one, `before` and `after` correction: gaps over noise of axes on runs left out; `loudest`: that of the loudest
-    signal of an axis after correction.
+    `machine` is the nominal machine. `before` and `after` are the gaps over noise by axis on runs left out, `loudest` that of the loudest
+    signal of each axis after correction.
     """
     few = [axis for f in found for axis in _recorded(f) if _effects(f, axis) <= MOST_EFFECTS]
 
@@ -90,15 +91,15 @@ def laws_beside(
     if not axes:
         return
     without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
-    # the search trusts the twin less where it is far off; a law may be just there, or beside what chance makes of it
+    # the search down-weights samples with large errors; a law may act just there, so search with equal weights, too
     for groups, asked in (([f.rigid.without_doubt() for f in found], [a for a in axes if a in few]), ([f.rigid for f in found], axes)):
         if asked:
-            with contextlib.suppress(TwinError):  # a corrected twin that cannot be simulated has no residual to look at
+            with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual
                 yield laws_of(groups, machine, corrected, asked, folds, without, mapper, say)
 
 
 def _recorded(found: GroupState) -> list[str]:
-    """Axes of a group of which more was recorded than set points."""
+    """Axes of a group with recorded signals besides set points."""
     return [axis for axis in found.group.axes if any(channel.axis == axis for channel in found.group.channels)]
 
 
@@ -115,7 +116,7 @@ def predictions_with(
     engine: bool,
     threads: int,
 ) -> HeldOut | None:
-    """What is predicted after correction with the laws, each run by the machine fitted without it; None where that one cannot run."""
+    """Predictions after correction with the laws, of each run by the machine fitted without it; None if a simulation fails."""
     realisations = REALISATIONS if engine else FEWER_REALISATIONS
     jobs = [
         Job(laws.without_fold[k], runs[i], realisations, motion=motions[i], engine=engine) for k, fold in enumerate(folds) for i in fold

@@ -1,4 +1,4 @@
-"""What a current loop lets through of a voltage that nobody commanded: laws of the winding are looked for in the current."""
+"""Response of a current loop to a disturbance voltage. Voltage laws are sought in the residual of the current."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from twin.machine.machine import Axis
 
 @dataclass(frozen=True)
 class VoltageToCurrent:
-    """What a current loop lets through of a voltage that it was not asked for, sampled as the record is.
+    """Discrete transfer function of a current loop from a disturbance voltage to the current, at the sample period of the record.
 
-    i / u = s / (L s^2 + (R + Kp) s + Kp / Tn): the integrator takes away what lasts. As in the current's residual, what is slower than
-    `window` samples is taken out.
+    i / u = s / (L s^2 + (R + Kp) s + Kp / Tn); the integrator rejects constant disturbances. As in the residual of the current, the moving
+    mean over `window` samples is subtracted.
     """
 
     numerator: np.ndarray
@@ -25,7 +25,7 @@ class VoltageToCurrent:
     window: int
 
     def current(self, voltage: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """Current [A] of voltages [V] (sample, n); `first` (sample,) is the index at which the run of each sample begins."""
+        """Current [A] of voltages [V] (sample, n); `first` (sample,) is the index of the first sample of each run."""
         out = np.empty_like(voltage)
         begins = np.unique(first)
         for begin, end in zip(begins, [*begins[1:], len(first)]):
@@ -35,7 +35,7 @@ class VoltageToCurrent:
 
 
 def voltage_to_current(view: RunView, axis: Axis) -> VoltageToCurrent:
-    """What the current loop of an axis lets through, at the samples of a run; between them a voltage is a straight line, for the loop is faster than the record."""
+    """Response of the current loop of an axis at the samples of a run, for a voltage that is linear between samples."""
     motor, loops, period = axis.motor, axis.loops, view.trace.period
     gain, integral = loops.current_gain_v_per_a, loops.current_gain_v_per_a / loops.current_integral_time_s
     numerator, denominator, _ = cont2discrete(

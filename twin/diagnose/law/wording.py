@@ -1,4 +1,4 @@
-"""A law in words: as a sentence with numbers, and as an entry of `diagnosis.json`."""
+"""A law as a sentence with numbers, and as an entry of `diagnosis.json`."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from twin.simulation.effect_picture import readable
 from twin.simulation.law_picture import shown_in, small_length
 
 PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width", "frequency_hz": "at"}
-"""Words before the numbers of a filter."""
+"""Prepositions of the parameters of a filter."""
 
 BAND = 1.96
-"""Standard deviations to either side of a 95 % interval."""
+"""Half width of a 95 % interval in standard deviations."""
 
 
 def known(law: Law) -> tuple[Known, ...]:
-    """What of the known physics looks like it."""
+    """Known physical causes that match a law."""
     c = law.measured.candidate
     height = next((v for k, v in law.setting.parameters.items() if k in ("height", "amplitude")), 0.0)
     return looks_like(c.output, c.variable, law.measured.shape, int(np.sign(height)))
 
 
 def _value(law: Law, name: str, axis: Axis, source: Axis, signed: bool = False) -> str:
-    """A number with its doubt, in units for people: '(485 +- 2) N'; without its sign, which words around it say, or `signed`."""
+    """A value with its uncertainty in display units: '(485 +- 2) N'; the magnitude only, unless `signed`."""
     value, deviation = law.setting.parameters[name], law.deviations.get(name, 0.0)
     parameter = law.setting.effect.parameter(name)
     unit = parameter.unit(axis)
@@ -44,7 +44,7 @@ def _value(law: Law, name: str, axis: Axis, source: Axis, signed: bool = False) 
 
 
 def _shown(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
-    """Unit for people of a number of the shape."""
+    """Display unit and factor of a parameter of the shape."""
     described = law_in(law.setting)
     of = next((n.of for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
     if of == "output":
@@ -75,7 +75,7 @@ def sentence(law: Law, machine: Machine) -> str:
         low, high = (float(f([y for _, y in described.points])) * p["scale"] for f in (min, max))
         quantity = OUTPUTS[described.block][described.output].quantity
         unit, factor = small_length(axis) if quantity == "length" else shown_in(quantity, axis)
-        return f"{head} that goes from {factor * low:.3g} to {factor * high:.3g} {unit} with the {over}"
+        return f"{head} that varies from {factor * low:.3g} to {factor * high:.3g} {unit} with the {over}"
     if name in ("gaussian", "exponential") and described.variable == "speed" and described.output == "friction":
         width = "width" if name == "gaussian" else "scale"
         return f"{head} that is {_value(law, 'height', axis, source)} {'lower' if p['height'] < 0 else 'higher'} below {_value(law, width, axis, source)}"
@@ -83,20 +83,20 @@ def sentence(law: Law, machine: Machine) -> str:
         height, at, width = (_value(law, n, axis, source) for n in ("height", "at", "width"))
         return f"{head} that is {height} {'lower' if p['height'] < 0 else 'higher'} around {at} of the {over}, over a width of {width}"
     if described.variable == "direction":
-        return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the motion, which turns over within {_value(law, 'length', axis, source)} of travel"
+        return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the motion, which reverses within {_value(law, 'length', axis, source)} of travel"
     if described.variable == "slack":
-        return f"{head} of {_value(law, 'height', axis, source)} to either side, which turns over within {_value(law, 'length', axis, source)} of travel"
+        return f"{head} of {_value(law, 'height', axis, source)} to either side, which reverses within {_value(law, 'length', axis, source)} of travel"
     if described.output == "voltage" and name in ("saturation", "stage"):
         width = _value(law, "scale" if name == "saturation" else "width", axis, source)
-        return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the current, which turns over within {width}"
+        return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the current, which reverses within {width}"
     if name == "sine":
-        return f"{head} that swings by {_value(law, 'amplitude', axis, source)} each {_value(law, 'period', axis, source)} of the {over}"
+        return f"{head} that is a sine of amplitude {_value(law, 'amplitude', axis, source)} with period {_value(law, 'period', axis, source)} of the {over}"
     numbers = ", ".join(f"{n.name} {_value(law, n.name, axis, source, signed=True)}" for n in described.shape.numbers if n.name in p)
     return f"{head} over the {over}, {described.shape.words} ({numbers})"
 
 
 def entry(law: Law, machine: Machine) -> dict[str, Any]:
-    """The law as `diagnosis.json` has it: SI, 95 % intervals, the measured points with the standard deviation of each."""
+    """The law as an entry of `diagnosis.json`: SI, 95 % intervals, measured points with their standard deviations."""
     axis = machine.axis(law.axis)
     table = law.setting.table()
     curve = law.measured.curve

@@ -1,8 +1,8 @@
-"""Laws in closed loop: added to the corrected twin, fitted together with its effects and its tuning, and judged on runs left out.
+"""Closed-loop fit of laws, together with the effects and the tuning of the corrected machine, cross-validated on runs left out.
 
-All that the machine of an axis is made of is one vector: the numbers of laws and effects, and the deviations of toleranced parameters, which
-have a prior. The twin is simulated for each (Gauss-Newton, in the decoupled plant), and what the fit of the other runs leaves on each fold of
-runs is the loss that decides: a law is kept only if it makes that smaller.
+The unknowns of an axis form one vector: the parameters of laws and effects, and the deviations of toleranced parameters, which have a
+prior. Gauss-Newton fits them by simulations of the decoupled plant. A law is kept only if it reduces the cross-validated loss: the residual
+on each fold of runs after the fit to the others.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from twin.machine.machine import Machine
 from twin.simulation.run import all_or_raise
 
 STEPS = 8
-"""Gauss-Newton steps at most."""
+"""Largest number of Gauss-Newton steps."""
 
 RELATIVE_STEP = 0.03
-"""Step of a number over which its slope is taken, as a share of it."""
+"""Relative step of a parameter for its finite-difference slope."""
 
 ANGLE_STEP = 0.1
-"""The same of an angle [rad]."""
+"""Finite-difference step of an angle [rad]."""
 
 LARGEST_MOVE = 0.5
-"""Largest change in one step of a number to which the machine does not answer in proportion, as a share of it."""
+"""Largest relative change in one Gauss-Newton step of a parameter with a nonlinear response."""
 
 PRIOR_WEIGHT_ROWS = 60.0
-"""Samples that count as independent: the prior of the tuning is so much lighter than the sum over all rows."""
+"""Weight of the prior of the tuning relative to a single row; consecutive samples are not independent."""
 
 DAMPINGS = (0.0, 0.3, 3.0)
-"""Levenberg-Marquardt dampings that are tried in turn, as multiples of the normal matrix' diagonal."""
+"""Levenberg-Marquardt dampings, tried in order, as multiples of the diagonal of the normal matrix."""
 
 CONVERGED = 2e-4
-"""Relative gain of the loss below which the fit has converged."""
+"""Relative decrease of the loss below which the fit has converged."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number of the machine that is fitted: a parameter of an effect or law (`setting`), or a toleranced parameter."""
+    """One fitted parameter: of an effect or law (`setting`), or a toleranced machine parameter."""
 
     setting: int | None
     name: str
@@ -59,12 +59,12 @@ class Unknown:
 
 
 Name = Nuisance | tuple[tuple[str, str, str | None], str]
-"""A toleranced parameter, or a parameter of the setting with this key."""
+"""Identity of an unknown: a toleranced parameter, or key and parameter name of a setting."""
 
 
 @dataclass(frozen=True)
 class State:
-    """A machine in the making: the nominal one, what of its file is changed, settings, and deviations of toleranced parameters."""
+    """A machine during the fit: nominal machine, changed values, settings, and deviations of toleranced parameters."""
 
     machine: Machine  # nominal, without effects
     values: Mapping[str, Any]  # of the machine file, by path
@@ -73,7 +73,7 @@ class State:
     deviations: tuple[float, ...]
 
     def machine_of(self, machine: Machine) -> Machine:
-        """A run's nominal machine made into this one."""
+        """The machine of this state for a run with the given nominal machine."""
         machine = machine.with_values(dict(self.values)) if self.values else machine
         for nuisance, deviation in zip(self.nuisances, self.deviations):
             if deviation != 0.0:
@@ -81,11 +81,11 @@ class State:
         return with_effects(machine, self.settings)
 
     def corrected(self) -> Machine:
-        """The machine itself."""
+        """The machine of this state."""
         return self.machine_of(self.machine)
 
     def moved(self, unknowns: Sequence[Unknown], move: np.ndarray) -> State:
-        """The state with every unknown moved by so many of its steps, inside its bounds."""
+        """The state with each unknown moved by a multiple of its step, within its bounds."""
         settings, deviations = list(self.settings), list(self.deviations)
         for u, m in zip(unknowns, move):
             if u.nuisance is not None:
@@ -104,13 +104,13 @@ class State:
 
 
 def state_of(machine: Machine, corrected: Machine, axes: Sequence[str], thresholds: Any) -> State:
-    """The corrected twin as a state whose numbers on these axes can be fitted; `machine` is the nominal one without effects."""
+    """The corrected machine as a state with fitted parameters on these axes; `machine` is the nominal machine without effects."""
     nuisances = nuisances_of(machine, axes, thresholds) if machine.parameter_tolerance > 0.0 else ()
     return State(machine, _differences(machine.document, corrected.document), settings_of(corrected), nuisances, (0.0,) * len(nuisances))
 
 
 def _differences(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Values of a document by path that differ from another one, effects apart."""
+    """Values of `after` by path that differ from `before`, without effects."""
     out: dict[str, Any] = {}
     for key, value in after.items():
         if not prefix and key in ("effect", "model"):
@@ -124,22 +124,22 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], prefix: st
 
 
 def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unknown]:
-    """Numbers of effects and laws on these axes, then their toleranced parameters.
+    """Parameters of effects and laws on these axes, then their toleranced parameters.
 
-    What every machine has a little of stays as it was found, but for the spring of an axis with a law between its two encoders: without that
-    law the search found it from a windup that was something else.
+    Normal imperfections keep their fitted values. The spring of an axis with a law between its encoders is fitted again, because the search
+    sized it without that law.
     """
     found = []
-    wound = {s.axis for s in state.settings if s.effect.name == NAME and _is_between_encoders(s)}
+    between_encoders = {s.axis for s in state.settings if s.effect.name == NAME and _is_between_encoders(s)}
     for i, setting in enumerate(state.settings):
-        beside = setting.axis in wound and setting.effect.block == "transmission"
+        beside = setting.axis in between_encoders and setting.effect.block == "transmission"
         if setting.axis not in axes or (setting.effect.normal and not beside):
             continue
         for p in setting.effect.parameters:
             value = setting.parameters.get(p.name)
             if value is None or (p.shape and not p.periodic) or not math.isfinite(value):
                 continue
-            if value == 0.0 and not p.periodic:  # a place that the shape does not use
+            if value == 0.0 and not p.periodic:  # unused by the shape
                 continue
             positive = value > 0.0 and (p.logarithmic or p.low >= 0.0)
             step = ANGLE_STEP if p.periodic else RELATIVE_STEP * (1.0 if positive else abs(value))
@@ -150,7 +150,7 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
 
 
 def _name(unknown: Unknown, state: State) -> Name:
-    """Which number of which state's machine this is, whatever its index there."""
+    """Identity of an unknown, independent of its index in the state."""
     if unknown.nuisance is not None:
         return unknown.nuisance
     assert unknown.setting is not None
@@ -158,7 +158,7 @@ def _name(unknown: Unknown, state: State) -> Name:
 
 
 def _is_in_proportion(unknown: Unknown, state: State) -> bool:
-    """Does the machine answer in proportion to a number, which may then go as far as it asks for, through nothing to the other sign?"""
+    """Whether the response is proportional to an unknown. Its step is then unlimited and may change the sign."""
     if unknown.setting is None:
         return True
     effect = state.settings[unknown.setting].effect
@@ -166,26 +166,26 @@ def _is_in_proportion(unknown: Unknown, state: State) -> bool:
 
 
 def _is_between_encoders(law: Setting) -> bool:
-    """Does a law change motor minus scale: by a displacement, or as a force over the windup?"""
+    """Whether a law changes motor minus scale: by a displacement, or by a force over the windup."""
     return law.effect.definition.get("output") == "displacement" or law.effect.definition.get("variables") == ["windup"]
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A state fitted to a group of axes, with the loss on folds of runs left out and what the fit of the others is on each fold."""
+    """A state fitted to axes of a group, with its cross-validated loss and the fit without each fold."""
 
     state: State
     unknowns: list[Unknown]
     left: np.ndarray  # (row,) weighted
     columns: np.ndarray = field(repr=False)  # (row, unknown)
     loss: float
-    held_out: float  # half the squares on runs left out, of a single run on the half left out
-    moves: tuple[np.ndarray, ...]  # of each fold, in steps; of the only run none
+    held_out: float  # half the sum of squares on runs left out, for a single run on the half left out
+    moves: tuple[np.ndarray, ...]  # of the fit without each fold, in steps; zero for a single run
     deviations: np.ndarray  # (unknown,) standard deviations in steps
 
     @property
     def slopes(self) -> dict[Name, np.ndarray]:
-        """The columns by what they are the slope of, for one unit of it instead of a step."""
+        """Slopes (row,) by identity of the unknown, per unit instead of per step."""
         return {_name(u, self.state): self.columns[:, i] / u.step for i, u in enumerate(self.unknowns)}
 
     def without(self, fold: int) -> State:
@@ -194,7 +194,7 @@ class Fitted:
 
 
 class ClosedLoop:
-    """The gap of some axes of a group as a function of a state, with the folds on which it is judged."""
+    """The gap of some axes of a group as a function of a state, with the folds of the cross-validation."""
 
     def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper) -> None:
         self.group, self.axes, self.mapper = group, tuple(axes), mapper
@@ -202,7 +202,7 @@ class ClosedLoop:
         self.root = np.sqrt(group.credit[self.rows])
         self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
         self.only_run = len(folds) == 1
-        if self.only_run:  # its first half is predicted from its second one, and the other way round
+        if self.only_run:  # each half is predicted from the other half
             first = np.concatenate([np.arange(len(c.residual)) < len(c.residual) // 2 for c in self._channels()])
             self.fold_rows = [first, ~first]
         else:
@@ -214,12 +214,12 @@ class ClosedLoop:
         return [c for c in self.group.channels if c.axis in self.axes]
 
     def left(self, state: State) -> np.ndarray:
-        """What a state leaves of the measured runs (row,), weighted, beside the constants of each run that are zeros of encoders."""
+        """Weighted residual (row,) of a state on the measured runs, without the encoder zeros of each run."""
         return all_or_raise(self.left_by_each([state]))[0]
 
     def left_by_each(self, states: Sequence[State]) -> list[np.ndarray | TwinError]:
-        """What each of several states leaves, which have slip alike, or the error of one that cannot be simulated."""
-        # slip shows in shaken simulations alone
+        """Residuals of several states, or the error of a state that cannot be simulated. All states have slip, or none."""
+        # slip needs simulations with noise in the loop
         creeps = any(s.axis in self.axes and s.effect.normal == "slip" for s in states[0].settings)
         variations = [Variation(state.machine_of, axes=self.axes) for state in states]
         out: list[np.ndarray | TwinError] = []
@@ -232,10 +232,10 @@ class ClosedLoop:
         return out
 
     def fit(self, state: State, tolerance: float, steps: int = STEPS, like: Fitted | None = None) -> Fitted | None:
-        """Gauss-Newton from a state; None where it cannot be simulated.
+        """Gauss-Newton fit from a state; None if the state cannot be simulated.
 
-        Slopes are those of the fit `like` where it has them. They are taken again only where a step does not bring what they promise, and
-        those of toleranced parameters never: the machine answers to these in proportion.
+        The fit `like` provides initial slopes. They are computed again only if a step decreases the loss less than predicted. Slopes of
+        toleranced parameters are kept, because the response to them is linear.
         """
         unknowns = unknowns_of(state, self.axes, tolerance)
         prior = np.array([PRIOR_WEIGHT_ROWS if u.nuisance is not None else 1e-6 for u in unknowns])
@@ -250,8 +250,8 @@ class ClosedLoop:
             columns[:, i] = known[name] * unknowns[i].step if name in known else 0.0
         asked = [i for i, name in enumerate(names) if name not in known]
         bent = {i for i, u in enumerate(unknowns) if u.nuisance is None}
-        taken_here: set[int] = set()  # slopes that were taken at this state
-        # of the nuisances from what the machine file says, in steps
+        taken_here: set[int] = set()  # unknowns whose slopes were computed at this state
+        # deviation of the toleranced parameters from the machine file, in steps
         offset = np.array(
             [state.deviations[state.nuisances.index(u.nuisance)] / u.step if u.nuisance is not None else 0.0 for u in unknowns]
         )
@@ -262,7 +262,7 @@ class ClosedLoop:
             asked = sorted(bent - taken_here)
             better = self._better(state, unknowns, columns, left, prior, offset)
             if better is None and asked:
-                continue  # slopes from elsewhere led nowhere
+                continue  # no improvement with slopes from another state: compute them here
             if better is None:
                 break
             state, after, move = better
@@ -276,7 +276,7 @@ class ClosedLoop:
         return self._judged(state, unknowns, left, columns, loss, prior, offset)
 
     def _slopes(self, state: State, unknowns: Sequence[Unknown], asked: Sequence[int], left: np.ndarray) -> np.ndarray:
-        """Slopes (row, asked) of some of the unknowns over a step up, or down where that changes nothing or cannot be simulated."""
+        """Slopes (row, asked) of some unknowns by a forward step, or a backward step if the forward step has no effect or fails."""
         slopes = np.zeros((len(left), len(asked)))
         missing = list(range(len(asked)))
         for side in (1.0, -1.0):
@@ -290,7 +290,7 @@ class ClosedLoop:
     def _better(  # type: ignore[no-untyped-def]
         self, state: State, unknowns: Sequence[Unknown], columns: np.ndarray, left: np.ndarray, prior: np.ndarray, offset: np.ndarray
     ):
-        """The state after one step that makes the loss smaller, with what it leaves and the move (Levenberg-Marquardt); None where no step does."""
+        """State, residual and move of one Levenberg-Marquardt step that decreases the loss, or None."""
         before = 0.5 * float(left @ left) + 0.5 * float(prior @ offset**2)
         normal, slope = columns.T @ columns, columns.T @ left - prior * offset
         limits = np.array([math.inf if _is_in_proportion(u, state) else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
@@ -321,7 +321,7 @@ class ClosedLoop:
 
 
 def with_law(state: State, setting: Setting) -> State:
-    """The state with one more law."""
+    """The state with an additional law."""
     return replace(state, settings=(*state.settings, setting))
 
 

@@ -1,9 +1,9 @@
-"""The windup of a drive train counts from where no force goes through it, although encoders have no common zero."""
+"""The deflection of a drive train is relative to zero force, although the encoders have no common zero."""
 
 import numpy as np
 import pytest
 
-from twin.diagnose.law.residual import transmitted_force, windup
+from twin.diagnose.law.residual import deflection_of, transmitted_force
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
 from twin.geometry.scurve import moves_in_turn
@@ -24,8 +24,8 @@ GIVES_WAY = (5.0 * STIFFNESS, {"formula": "stage", "height": -4.5 * STIFFNESS * 
 
 @pytest.mark.parametrize("zero", [0.0, 5e-6])
 @pytest.mark.parametrize(("stiffness", "numbers"), [HARDENS, GIVES_WAY], ids=["hardens", "gives way"])
-def test_windup_of_a_run_that_begins_wound_up_counts_from_no_force(stiffness, numbers, zero):
-    """The record of a run that begins under a force draws the spring's law through the origin, wherever its encoders have their zero."""
+def test_deflection_of_a_run_that_begins_under_force_is_relative_to_zero_force(stiffness, numbers, zero):
+    """The spring characteristic of a run that begins under a force passes through the origin, for any zero of the encoders."""
     spring = {"name": "transmission_compliance", "axis": "X", "stiffness": stiffness}
     position = moves_in_turn(0.0, [0.08, -0.08], 0.3, 8.0, 200.0, 0.1, 1e-3)[1]
     machine = with_effects(X, [FORCE, spring, {**LAW, **numbers}])
@@ -35,6 +35,6 @@ def test_windup_of_a_run_that_begins_wound_up_counts_from_no_force(stiffness, nu
     force = transmitted_force(view, axis, view.trace)
     assert force[0] < -300.0
     assert force.max() > 1500.0
-    there = motor_minus_scale(trace, "X")  # the twin's own encoders are at zero without windup
-    beside = np.median(windup(view, axis, view.trace) - there)
+    there = motor_minus_scale(trace, "X")  # the simulated encoders are equal without deflection
+    beside = np.median(deflection_of(view, axis, view.trace) - there)
     assert abs(beside) < 0.15 * REACH

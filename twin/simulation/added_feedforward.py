@@ -1,11 +1,11 @@
-"""What a control feeds forward beside the speed of its set points, from a recorded feedforward.
+"""The part of a recorded velocity feedforward that the set points do not explain.
 
-A control may add to its velocity feedforward what no law of set points holds: pulses after a reversal that push through friction (SINUMERIK
-MD32500, friction compensation), or a shape of its own. Where the feedforward f is recorded, this part of it is known:
+A control may add signals to its velocity feedforward that do not follow from the set points, for example friction compensation pulses
+after a reversal (SINUMERIK MD32500). If the feedforward f is recorded, this part of it is known:
 
     f(t) = a v(t - d) + rest(t),    v(t) = (s(t) - s(t - Tp)) / Tp
 
-Weight a and delay d are fitted here, so that the rest hides neither of them: a machine file in which one is wrong is still wrong.
+Weight a and delay d are fitted, so that `rest` does not hide a wrong weight or delay in the machine file.
 """
 
 from __future__ import annotations
@@ -18,40 +18,40 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 
 MOST_DELAY_CYCLES = 8
-"""Longest delay of the feedforward that is tried, in position cycles."""
+"""Longest fitted delay of the feedforward, in position cycles."""
 
 EXPLAINED = 0.1
-"""A feedforward of which the set points leave more than this share (RMS) is another quantity, and not used."""
+"""Largest rest, as a fraction of the feedforward (RMS). A signal with a larger rest is another quantity and is not used."""
 
 ROUNDING = 1e-5
-"""A rest that stays below this share of the largest feedforward is rounding."""
+"""Largest rest, as a fraction of the maximum feedforward, that counts as rounding."""
 
 PART = 0.1
-"""By so much the part of a cycle by which the feedforward is late may lie outside of 0 to 1."""
+"""Tolerance of the fitted fraction of a cycle, which lies between 0 and 1."""
 
 ROUNDS = 4
 IN_LINE = 0.8
 OUT_OF_LINE = 4.0
-"""The fit leaves out, in so many rounds, what is so many times beyond the RMS of this part of the samples, the nearest: pulses must not bend it."""
+"""Outlier rejection of the fit: number of rounds, fraction of the smallest residuals that gives the RMS, and multiple of that RMS that rejects a sample."""
 
 
-def beside_slope(trace: Trace, machine: Machine, set_points: Callable[[np.ndarray], np.ndarray]) -> np.ndarray | None:
-    """Speed (sample, axis) [m/s, rad/s] that the recorded feedforward of each axis holds beside the slope of its set points; None without.
+def added_feedforward(trace: Trace, machine: Machine, set_points: Callable[[np.ndarray], np.ndarray]) -> np.ndarray | None:
+    """Speed (sample, axis) [m/s, rad/s] in the recorded feedforward of each axis beyond the slope of its set points, or None.
 
     `set_points` gives positions (time, axis) at times [s] since the first sample.
     """
     if trace.period > machine.position_cycle * 1.001:
         return None
-    fed = [a for a in machine.axes if trace.has(a.name, "velocity_feedforward") and a.loops.velocity_feedforward != 0.0]
+    recorded = [a for a in machine.axes if trace.has(a.name, "velocity_feedforward") and a.loops.velocity_feedforward != 0.0]
     out = np.zeros((len(trace.time), len(machine.axes)))
-    for axis in fed:
+    for axis in recorded:
         a = machine.axis_names.index(axis.name)
         out[:, a] = _rest(trace, axis, lambda times, a=a: set_points(times)[:, a], machine.position_cycle)  # type: ignore[misc]
     return out if out.any() else None
 
 
 def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray], cycle: float) -> np.ndarray:
-    """The rest (sample,) of one axis; zeros where there is none or the feedforward is another quantity."""
+    """The rest (sample,) of one axis; zeros if there is none or if the signal is another quantity."""
     fed = trace.get(axis.name, "velocity_feedforward")
     largest = float(np.abs(fed).max())
     none = np.zeros(len(fed))
@@ -66,7 +66,7 @@ def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray
     if len(seen) < 20:
         return none
     fits = [_fitted(speeds[:, k], speeds[:, k + 1], seen) for k in range(len(delays))]
-    # a swaying axis fits any delay by a part that is more than a cycle
+    # for an oscillating axis, any delay fits with a fraction outside of 0 to 1
     rests = [rest for rest, weight, part in fits if weight > 0.0 and -PART <= part <= 1.0 + PART]
     if not rests:
         return none
@@ -78,7 +78,7 @@ def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray
 
 
 def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """(rest (sample,), weight, part of a cycle of further delay): robust least squares of the feedforward on the speed and its change."""
+    """(rest (sample,), weight, further delay as a fraction of a cycle) by robust least squares of the feedforward on speed and its change."""
     columns = np.column_stack([speed, speed - before])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     keep = np.ones(len(fed), bool)
@@ -91,6 +91,6 @@ def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray) -> tuple[np.
 
 
 def _size(values: np.ndarray) -> float:
-    """RMS of the part of the values that is nearest to zero."""
+    """RMS of the smallest IN_LINE fraction of the values."""
     squares = np.sort(values**2)[: max(int(IN_LINE * len(values)), 1)]
     return float(np.sqrt(np.mean(squares)))

@@ -1,4 +1,4 @@
-"""What a recorded feedforward holds beside the slope of its set points."""
+"""The part of a recorded feedforward beyond the slope of the set points."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,15 @@ import pytest
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation.lanes import commissioned_inertia
-from twin.simulation.setpoints import command_of, recorded_setpoints
+from twin.simulation.position_command import command_of
+from twin.simulation.setpoints import recorded_setpoints
 
 TP = 2e-3
 AMPLITUDE, DECAY_S = 0.12e-3, 20e-3
 
 
 def recorded(weight: float = 1.0, delay_cycles: float = 0.0, pulses: bool = True) -> tuple[Trace, np.ndarray]:
-    """A swaying axis: its feedforward is the slope of the set points, and a pulse that decays after each reversal."""
+    """An oscillating axis whose feedforward is the slope of the set points plus a decaying pulse after each reversal."""
     t = np.arange(1500) * TP
     s = 0.01 * (1.0 - np.cos(2 * np.pi * 0.7 * np.maximum(t - 0.1, 0.0)))
     slope = np.diff(s, prepend=s[0]) / TP
@@ -33,9 +34,9 @@ def machine(mikron: Machine) -> Machine:
 
 
 @pytest.mark.parametrize(("weight", "delay_cycles"), [(1.0, 0.0), (0.9, 0.0), (1.0, 2.0), (1.0, 0.3)])
-def test_pulses_are_found_whatever_weight_and_delay(machine: Machine, weight: float, delay_cycles: float) -> None:
+def test_pulses_are_found_for_any_weight_and_delay(machine: Machine, weight: float, delay_cycles: float) -> None:
     trace, pulse = recorded(weight, delay_cycles)
-    fed = recorded_setpoints(trace, machine).fed
+    fed = recorded_setpoints(trace, machine).added_feedforward
     assert fed is not None
     assert np.sqrt(np.mean((fed[:, 0] - pulse) ** 2)) < 0.03 * np.sqrt(np.mean(pulse**2))
 
@@ -43,7 +44,7 @@ def test_pulses_are_found_whatever_weight_and_delay(machine: Machine, weight: fl
 @pytest.mark.parametrize(("weight", "delay_cycles"), [(1.0, 0.0), (0.8, 0.0), (1.0, 3.0)])
 def test_a_wrong_weight_or_delay_is_not_hidden(machine: Machine, weight: float, delay_cycles: float) -> None:
     trace, _ = recorded(weight, delay_cycles, pulses=False)
-    fed = recorded_setpoints(trace, machine).fed
+    fed = recorded_setpoints(trace, machine).added_feedforward
     assert fed is None or np.abs(fed).max() < 1e-3 * 0.044
 
 
@@ -51,7 +52,7 @@ def test_another_quantity_is_not_used(machine: Machine) -> None:
     trace, _ = recorded()
     rng = np.random.default_rng(0)
     trace.signals["X", "velocity_feedforward"] = rng.standard_normal(len(trace.time))
-    assert recorded_setpoints(trace, machine).fed is None
+    assert recorded_setpoints(trace, machine).added_feedforward is None
 
 
 def test_pulses_are_part_of_the_command(machine: Machine) -> None:

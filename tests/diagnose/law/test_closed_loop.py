@@ -1,4 +1,4 @@
-"""A law in closed loop: found on a record of a machine that has it, kept because runs left out are predicted; none where there is none."""
+"""Closed-loop fit of laws: a law of the recorded machine is found and cross-validated; a machine without a law gets none."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.cross_validation import folds_of
-from twin.diagnose.law.keep import ClosedLoop, state_of
+from twin.diagnose.law.closed_loop import ClosedLoop, state_of
 from twin.diagnose.law.laws import _from, _has_size, _named_instead, laws_of
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
@@ -50,7 +50,7 @@ def found(effects: list[dict], thresholds: Thresholds = DEFAULT):
     return laws_of([observe(views, ("X",), thresholds=thresholds)], X, X, ["X"], folds, [X] * len(folds), in_turn)
 
 
-def test_no_number_of_samples_makes_a_law_better_known_than_its_model():
+def test_model_error_limits_the_accuracy_of_a_law():
     (law,) = found([BELL], replace(DEFAULT, model_error=0.2)).laws
     height = law.setting.parameters["height"]
     assert 0.2 * abs(height) < law.deviations["height"] < 0.3 * abs(height)
@@ -65,11 +65,11 @@ def test_a_law_is_kept_with_its_numbers_and_the_gap_closes():
     assert law.setting.parameters["width"] == pytest.approx(0.010, rel=0.1)
     assert law.explained > 0.9
     assert laws.left["X"] < 0.1
-    # the corrected machine and those fitted without a fold have it
+    # the corrected machine and those fitted without a fold have the law
     assert all(len(settings_of(m)) == 1 for m in (laws.corrected, *laws.without_fold))
 
 
-def test_a_law_takes_the_place_of_an_effect_that_stood_in_for_it():
+def test_a_law_replaces_the_effects_that_imitated_it():
     runs = runs_of([BELL])
     views = [view_of(X, run) for run in runs]
     folds = folds_of(len(views))
@@ -94,7 +94,7 @@ def test_a_machine_without_a_law_gets_none():
     assert np.array_equal(laws.corrected.effects, X.effects)
 
 
-def test_zeros_of_encoders_are_beside_every_law():
+def test_encoder_zeros_are_fitted_with_every_law():
     runs = runs_of([{"name": "transmission_compliance", "axis": "X", "stiffness": 1e8}])
     apart = [replace(run, trace=shifted(run.trace, X.axes[0], (k - 1) * 3e-6)) for k, run in enumerate(runs)]
     states = [state_of(X, X, ("X",), observe_once(of).thresholds) for of in (runs, apart)]
@@ -107,8 +107,8 @@ def observe_once(runs):
     return observe([view_of(X, run) for run in runs], ("X",))
 
 
-def test_an_effect_is_named_instead_of_a_law_that_says_the_same():
-    """A wave of each motor turn is found as a law; the effect that it stands in for takes its place."""
+def test_an_effect_is_preferred_to_an_equivalent_law():
+    """A sine over the motor turn is found as a law; the equivalent effect replaces it."""
     wave = {"name": "cyclic_error", "axis": "X", "amplitude": 4e-6, "phase_rad": 0.5}
     there = settings_of(with_effects(X, [wave]))
     group = observe_once(runs_of([wave]))
@@ -121,7 +121,7 @@ def test_an_effect_is_named_instead_of_a_law_that_says_the_same():
 
 
 def test_a_single_run_is_predicted_half_by_half():
-    """Columns of chance take squares away from the run that they are fitted to, and predict its other half worse than nothing does."""
+    """Random columns reduce the squares of the half that they are fitted to and worsen the prediction of the other half."""
     group = observe_once(runs_of([])[:1])
     loop = ClosedLoop(group, ("X",), folds_of(1), in_turn)
     state = state_of(X, X, ("X",), group.thresholds)
@@ -134,7 +134,7 @@ def test_a_single_run_is_predicted_half_by_half():
     nothing = np.zeros(40)
     fitted = loop._judged(state, [], left, columns, 0.5 * float(left @ left), nothing, nothing)
     assert fitted.loss < 0.5 * float(before @ before) < fitted.held_out
-    assert fitted.without(0) == state  # nothing was left out of the machine that the file gets
+    assert fitted.without(0) == state  # the machine file is fitted to all samples
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class _State:
 
 @pytest.mark.parametrize(("left_by_effect", "named"), [(103.0, ["backlash"]), (140.0, ["law"])])
 def test_a_law_that_leaves_noise_stays_where_the_effect_leaves_more(left_by_effect, named):
-    """Play of a scale is next to a backlash on the whole of the gap, 1000 here, and far from it beside noise, 100."""
+    """Play of a scale explains almost as much of the gap (1000 here) as a backlash, but the difference is large against noise (100)."""
     play, backlash = (SimpleNamespace(key=name) for name in ("law", "backlash"))
     left = {("law",): 100.0, ("backlash",): left_by_effect, (): 1000.0}
 
@@ -156,7 +156,7 @@ def test_a_law_that_leaves_noise_stays_where_the_effect_leaves_more(left_by_effe
     assert [s.key for s in _named_instead(loop, fitted, [SimpleNamespace(setting=play)], [backlash], 0.01).state.settings] == named
 
 
-def test_a_fit_next_to_another_takes_its_slopes_and_comes_to_the_same(monkeypatch):
+def test_a_fit_with_the_slopes_of_another_has_the_same_result(monkeypatch):
     loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
     simulated = []
     left = loop.left_by_each
@@ -174,12 +174,12 @@ def test_a_fit_next_to_another_takes_its_slopes_and_comes_to_the_same(monkeypatc
     assert simulated_beside < 0.5 * simulated_alone
     assert beside.held_out == pytest.approx(alone.held_out, rel=1e-4)
     assert beside.state.settings[0].parameters["height"] == pytest.approx(alone.state.settings[0].parameters["height"], rel=1e-3)
-    # slopes that say the opposite are taken again
+    # slopes of the wrong sign are computed again
     wrong, _ = fitted(-280.0, like=replace(first, columns=-first.columns))
     assert wrong.state.settings[0].parameters["height"] == pytest.approx(alone.state.settings[0].parameters["height"], rel=1e-2)
 
 
-def test_a_height_of_the_wrong_sign_comes_through_nothing_to_its_own():
+def test_a_height_of_the_wrong_sign_changes_its_sign():
     loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
     start = state_of(X, with_effects(X, [{**BELL, "height": 1.0}]), ("X",), DEFAULT)
     fitted = loop.fit(start, X.parameter_tolerance)
@@ -188,7 +188,7 @@ def test_a_height_of_the_wrong_sign_comes_through_nothing_to_its_own():
 
 
 @pytest.mark.parametrize(("height", "kept"), [(-300.0, True), (-0.001, False)])
-def test_a_law_whose_height_may_as_well_be_zero_goes(height, kept):
+def test_a_law_with_an_insignificant_height_is_removed(height, kept):
     views = [view_of(X, run) for run in runs_of([BELL] if kept else [])]
     loop = ClosedLoop(observe(views, ("X",)), ("X",), folds_of(3), in_turn)
     state = state_of(X, with_effects(X, [{**BELL, "height": height}]), ("X",), DEFAULT)

@@ -1,0 +1,91 @@
+"""The command of the position controllers: delayed set point and feedforward at each position cycle.
+
+The control differentiates the set points s(t) backwards over its position cycle Tp, with delay d and axis units per motor radian r:
+
+    v_ff = a_v (s(t - d) - s(t - d - Tp)) / Tp
+    T_ff = a_t J_ff (s(t - d) - 2 s(t - d - Tp) + s(t - d - 2 Tp)) / Tp^2 / r
+
+With `setpoint_interpolation = "linear"` the delay of a set point is interpolated linearly between the NC's samples at its position
+cycles: a set point delayed by 1.5 cycles is the mean of the values one and two cycles old.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.simulation.setpoints import Command, Setpoints
+
+WHOLE_CYCLE = 1e-9
+"""A delay this close to a whole number of position cycles counts as whole."""
+
+
+def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Setpoints, first_cycle: int, count: int) -> Command:
+    """The command of `count` position cycles from `first_cycle` on; `commissioned_inertia` (axis,) [kg m2 at the motor]."""
+    tp = machine.position_cycle
+    laws = [
+        _CommandLaw(
+            axis.loops.position_delay_s,
+            axis.loops.feedforward_delay_s,
+            axis.loops.velocity_feedforward,
+            axis.loops.acceleration_weight * inertia,
+            axis.ratio,
+            machine.setpoint_interpolation == "linear",
+        )
+        for axis, inertia in zip(machine.axes, commissioned_inertia.tolist())
+    ]
+
+    return setpoints.command((tp, *laws), tp, first_cycle, count, lambda first, n: _evaluated(setpoints, laws, tp, first, n))
+
+
+def _evaluated(setpoints: Setpoints, laws: list[_CommandLaw], tp: float, first: int, count: int) -> Command:
+    """The command of `count` position cycles of length `tp` [s]."""
+    # one spline evaluation serves all axes and delays
+    delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in law.weights(wanted, tp)})
+    at = dict(zip(delays, setpoints.at_cycles(first, count, tp, delays)))
+    setpoint, velocity, torque = np.empty((3, count, len(laws)))
+    for a, law in enumerate(laws):
+
+        def read(delay: float, a: int = a, law: _CommandLaw = law) -> np.ndarray:
+            return sum((weight * at[d][:, a] for d, weight in law.weights(delay, tp)), start=np.zeros(count))
+
+        now, before, earlier = map(read, law.steps_back(tp))
+        setpoint[:, a] = read(law.delay)
+        velocity[:, a] = law.velocity_feedforward * (now - before) / tp
+        acceleration = (now - 2.0 * before + earlier) / tp**2
+        torque[:, a] = law.commissioned_inertia * acceleration / law.ratio
+    has_feedforward = np.array([law.velocity_feedforward != 0.0 for law in laws])
+    velocity += setpoints.added_feedforward_at(np.arange(first, first + count) * tp) * has_feedforward
+    torque += setpoints.injected_at(first, count, tp)
+    return Command(setpoint, velocity, torque, setpoints.external_force_at(first, count, tp))
+
+
+def delay_weights(delay: float, cycle: float, linear: bool) -> list[tuple[float, float]]:
+    """(delay, weight) of the samples that make up a delayed set point: one sample, or with `linear` the two neighbouring NC samples."""
+    if not linear:
+        return [(delay, 1.0)]
+    whole = math.floor(delay / cycle + WHOLE_CYCLE)
+    part = max(delay / cycle - whole, 0.0)
+    return [(n * cycle, weight) for n, weight in ((whole, 1.0 - part), (whole + 1, part)) if weight > WHOLE_CYCLE]
+
+
+class _CommandLaw(NamedTuple):
+    """Parameters of one axis' command."""
+
+    delay: float  # s
+    feedforward_delay: float  # s
+    velocity_feedforward: float  # weight a_v
+    commissioned_inertia: float  # a_t J_ff, kg m2 at the motor
+    ratio: float  # axis units per motor rad
+    linear: bool = False
+
+    def weights(self, delay: float, cycle: float) -> list[tuple[float, float]]:
+        """`delay_weights` with the interpolation of this control."""
+        return delay_weights(delay, cycle, self.linear)
+
+    def steps_back(self, cycle: float) -> tuple[float, float, float]:
+        """Delays of the three set points in a second difference."""
+        return self.feedforward_delay, self.feedforward_delay + cycle, self.feedforward_delay + 2.0 * cycle
