@@ -91,15 +91,15 @@ def _axis_table(machine: Machine, trace: Trace) -> str:
             continue
         errors = axis_errors(trace, axis)
         unit, factor = AXIS_UNITS[axis.kind].error
-        current = f"{np.abs(trace.get(axis.name, 'current')).max():.1f}" if trace.has(axis.name, "current") else "-"
+        peak = f"{np.abs(trace.get(axis.name, axis.effort)).max():.3g} {axis.effort_unit}" if trace.has(axis.name, axis.effort) else "-"
         without = f"{errors.without_delay * factor:.2f}"
         rows.append(
-            f"| {axis.name} | {errors.following * factor:.1f} | {without} | {errors.without_delay_rms * factor:.2f} | {unit} | {current} |"
+            f"| {axis.name} | {errors.following * factor:.1f} | {without} | {errors.without_delay_rms * factor:.2f} | {unit} | {peak} |"
         )
     if not rows:
         return ""
-    heads = "| axis | with | without | RMS | | A |"
-    return "Largest following error with and without the delay of the control, RMS without it, largest current:\n\n" + "\n".join(
+    heads = "| axis | with | without | RMS | | peak |"
+    return "Largest following error with and without the delay of the control, RMS without it, peak of current or torque:\n\n" + "\n".join(
         [heads, "|---|---:|---:|---:|---|---:|", *rows]
     )
 
