@@ -206,7 +206,7 @@ def test_runs_differ_by_colour_and_dash() -> None:
 def test_what_a_measured_trace_lacks_is_named() -> None:
     time = np.arange(10) * 1e-3
     trace = trace_of(time, setpoint=time, position=time, current=time)
-    assert not_recorded(trace, MACHINE) == ["X: velocity, velocity_setpoint, torque_friction, torque_gravity, torque_feedforward"]
+    assert not_recorded(trace, MACHINE) == ["X: speed, speed set point, torque of friction, torque of gravity, torque of feedforward"]
 
 
 def test_every_curve_has_a_name_with_a_unit_and_an_entity_of_its_own() -> None:

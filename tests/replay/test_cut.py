@@ -8,7 +8,7 @@ import pytest
 from tests.builders.grooves import PART, groove_trace
 from tests.replay.test_recording import check_layout
 from twin.machine.machine import load_machine
-from twin.replay.cut import MESH_VERTICES, write_cut
+from twin.replay.cut import LEAST_SIZE, MESH_VERTICES, write_cut
 from twin.replay.reading import Rows, read_layout, read_recording
 from twin.surface.levels import levels_of_trace
 from twin.surface.machining import Machining, machine_part
@@ -53,6 +53,16 @@ def test_the_relief_is_the_surface_with_its_deviation_magnified(machining: Machi
     factor = float(next(title for title in titles if title.startswith("Surface, deviation x")).rsplit("x", 1)[1])
     assert factor > 10
     assert np.allclose(vertices(held, path), one.point + factor * one.height[:, None] * one.direction, atol=1e-7)
+
+
+def test_a_small_surface_is_enlarged_beyond_the_reach_of_the_viewers_eye(machining: Machining, held: dict[str, dict[str, Rows]]) -> None:
+    one = machining.cuts[-1].finest
+    size = float(np.linalg.norm(np.ptp(one.point, axis=0)))
+    relief = held[f"{PART_FRAME}/relief/plane/followed"]
+    scale, move = (np.array(relief[f"Transform3D:{word}"].values[0][0], float) for word in ("scale", "translation"))
+    assert size < LEAST_SIZE and np.allclose(scale * size, LEAST_SIZE)
+    middle = 0.5 * (one.point.min(axis=0) + one.point.max(axis=0))
+    assert np.allclose(scale * middle + move, middle, atol=1e-6)
 
 
 def test_the_scale_has_its_unit(held: dict[str, dict[str, Rows]]) -> None:

@@ -280,7 +280,7 @@ def test_one_axis_measured_by_one_encoder_is_shown(machine: Machine, tmp_path: P
     assert check_layout(tmp_path / "x.rrd") > 5
     assert "/axes/X/position/measured" in held
     assert "/axes/X/following_error/measured" not in held
-    assert "Not recorded, so not shown: X: setpoint" in held["/summary"]["TextDocument:text"].values[0][0]
+    assert "Not recorded, so not shown: X: set point" in held["/summary"]["TextDocument:text"].values[0][0]
 
 
 def minute(noise: float = 1.0) -> Trace:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from twin.files import output_folder, shipped_example, write_json
 from twin.progress import Progress
 
 if TYPE_CHECKING:
+    from twin.compare.machines import Number
     from twin.machine import Machine
     from twin.recordings import Trace
 
@@ -39,10 +41,9 @@ def carry_out(args: argparse.Namespace) -> int:
     out = output_folder(args.out or "out/compare")
     document = {RUN: _runs, CAMPAIGN: _campaigns, MACHINE: _machines}[kinds[0]](args, first, second, out)
     write_json({"kind": f"{kinds[0]}s", **document}, out / "compare.json", "compare")
-    page = out / "report.html"
-    print(f"written to {out}: compare.json{', report.html, compare.rrd' if page.is_file() else ''}")
-    if page.is_file():
-        open_report(args, page)
+    moved = kinds[0] != MACHINE or args.input
+    print(f"written to {out}: compare.json, report.html{', compare.rrd' if moved else ''}")
+    open_report(args, out / "report.html")
     return 0
 
 
@@ -54,14 +55,14 @@ def _runs(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dic
     return document
 
 
-def _compared(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out: Path, inputs: str) -> dict:
+def _compared(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out: Path, inputs: str, numbers: Sequence[Number] = ()) -> dict:
     from twin.compare.compare import compare
     from twin.compare.pages import write_comparison_page
 
     comparison = compare(a, b, machine, names=names)
     print(comparison.verdict)
     print(comparison.table())
-    write_comparison_page(comparison, out / "report.html", inputs)
+    write_comparison_page(comparison, out / "report.html", inputs, numbers)
     return comparison.document()
 
 
@@ -108,6 +109,7 @@ def _campaigns(args: argparse.Namespace, first: Path, second: Path, out: Path) -
 
 def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
     from twin.compare.machines import differing_numbers
+    from twin.compare.pages import number_rows, write_machines_page
     from twin.machine import load_machine
     from twin.simulation.summary import table
 
@@ -117,9 +119,11 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     verdict = f"{len(numbers)} numbers differ." if numbers else "The two machine files hold the same numbers."
     print(verdict)
     if numbers:
-        print(table(["number", *names], [[n.path, _text(n.first), _text(n.second)] for n in numbers]))
+        print(table(["number", *names], number_rows(numbers)))
     document = {"first": names[0], "second": names[1], "verdict": verdict, "numbers": [n._asdict() for n in numbers]}
-    if args.input:
+    if not args.input:
+        write_machines_page(names, numbers, verdict, out / "report.html", f"{first}, {second}")
+    else:
         from twin.cli.arguments import setpoints_of_input
         from twin.simulation.run import simulate
 
@@ -131,7 +135,7 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
                 runs.append(simulate(machine.with_feedforward(word), trace).trace)
                 bar(None)
         document = {
-            **_compared(runs[0], runs[1], machines[0], names, out, f"{first}, {second} on {args.input}"),
+            **_compared(runs[0], runs[1], machines[0], names, out, f"{first}, {second} on {args.input}", numbers),
             "numbers": document["numbers"],
         }
         _record_designs((machines[0], runs[0]), (machines[1], runs[1]), names, out)
@@ -160,7 +164,3 @@ def _names(first: Path, second: Path) -> tuple[str, str]:
     a, b = (path.resolve() for path in (first, second))
     names = (a.stem, b.stem) if a.stem != b.stem else (f"{a.parent.name}/{a.stem}", f"{b.parent.name}/{b.stem}")
     return names if names[0] != names[1] else (str(first), f"{second} (2)")
-
-
-def _text(value: object) -> str:
-    return "-" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -151,7 +151,7 @@ def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, fo
     with Progress("simulating without the effects") as bar:
         nominal = simulate(without, setpoints, sample_period=followed.period, noise_seed=args.noise_seed, progress=bar).trace
     name = f"with {added[0].effect.name.replace('_', ' ')} {added[0].axis}" if len(added) == 1 else f"with {len(added)} effects"
-    comparison = compare(nominal, followed, machine, names=("without", name))
+    comparison = compare(nominal, followed, machine, names=("without" if own else "nominal", name))
     print(f"\n{comparison.verdict}\n{comparison.table()}")
     write_trace(nominal, out / "without.parquet")
     write_json({"kind": "runs", **comparison.document()}, out / "compare.json", "compare")

@@ -83,20 +83,27 @@ class Comparison:
         return tuple(dict.fromkeys(d.axis for d in self.differences if d.max > LEAST))
 
     def table(self) -> str:
-        """The errors of both and the differences, one line an axis that differs."""
-        rows = []
-        for e in self.errors:
-            of_axis = {d.signal: d for d in self.differences if d.axis == e.axis}
-            if e.axis not in self.differing:
-                continue
-            peaks = ["-" if p is None else f"{p:.2f} {e.unit}" for p in (e.first_reversal, e.second_reversal)]
-            cells = [f"{d.max:.3g} {d.unit}" if (d := of_axis.get(s)) else "-" for s in self._shown]
-            rows.append([e.axis, f"{e.first:.2f} {e.unit}", f"{e.second:.2f} {e.unit}", *peaks, *cells])
-        if not rows:
+        """The errors of both, then the differences by signal, of the axes that differ."""
+        if not self.differing:
             return ""
-        a, b = self.names
-        heading = ["axis", f"error {a}", f"error {b}", f"reversal {a}", f"reversal {b}"]
-        return table([*heading, *(f"{s.replace('_', ' ')} differs by" for s in self._shown)], rows)
+        errors = table(["axis", "error without delay", *self.names], self.error_rows(), left=2)
+        return f"{errors}\n\n{table(['axis', 'difference', 'RMS', 'largest', 'at'], self.difference_rows(), left=2)}"
+
+    def error_rows(self) -> list[list[str]]:
+        """Axis, 'largest' or 'after reversals', and that error of the first and of the second, with units."""
+        rows = []
+        for e in (e for e in self.errors if e.axis in self.differing):
+            kinds = (("largest", e.first, e.second), ("after reversals", e.first_reversal, e.second_reversal))
+            rows += [[e.axis, kind, *("-" if v is None else f"{v:.2f} {e.unit}" for v in pair)] for kind, *pair in kinds]
+        return rows
+
+    def difference_rows(self) -> list[list[str]]:
+        """Axis, signal, RMS and largest difference with units, and the time of the largest."""
+        return [
+            [d.axis, d.signal.replace("_", " "), f"{d.rms:.3g} {d.unit}", f"{d.max:.3g} {d.unit}", f"{d.at_s:.3f} s"]
+            for d in self.differences
+            if d.axis in self.differing
+        ]
 
     def document(self) -> dict[str, Any]:
         """What `twin compare` writes as compare.json."""
@@ -127,10 +134,6 @@ class Comparison:
             axis = self.machine.axes[0]
             panels.append(Panel(f"{axis.name} difference", [Curve("", np.zeros(len(self.first.time)), axis.name)]))
         return curves_figure(self.first.time, panels, f"{self.names[0]} and {self.names[1]}, aligned by {self.by}")
-
-    @property
-    def _shown(self) -> list[str]:
-        return [s for s in COMPARED if any(d.signal == s for d in self.differences)]
 
     def __repr__(self) -> str:
         return f"Comparison: {self.verdict}"

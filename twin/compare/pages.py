@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap
 
 if TYPE_CHECKING:
     from twin.compare.compare import Comparison
+    from twin.compare.machines import Number
 
 
 def write_gap_page(gap: CampaignGap, path: Path) -> None:
@@ -30,41 +32,50 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
         for r in rows
     ]
     marked = frozenset(i for i, row in enumerate(rows) if row.times_noise > AS_EXPECTED)
-    picture = Figure(figure_svg(gap.plot()), "Gap over what measuring noise alone makes; grey: as it should be.")
+    picture = Figure(figure_svg(gap.plot()), "Gap as a multiple of what measuring noise alone makes; grey: as it should be.")
     outliers = [Table(heading, cells[: len(marked)], left=3, marked=marked)] if marked else []
     every = Table(heading, cells, left=3, marked=marked, folded=f"{len(cells)} signals, largest first")
     sections = [
         Section("Where the twin and the machine differ", figures=[picture]),
         Section("Outliers", tables=outliers)
         if outliers
-        else Section("Outliers", [f"None: no signal is above {AS_EXPECTED:g} times what noise makes."]),
+        else Section("Outliers", [f"None: no signal is above {AS_EXPECTED:g} times noise alone."]),
         Section("Every signal", tables=[every]),
     ]
     write_page(path, f"Gap of {gap.campaign}", f"{gap.verdict}.", sections, made_line(gap.machine, gap.campaign))
 
 
-def write_comparison_page(comparison: Comparison, path: Path, inputs: str) -> None:
-    """Verdict, picture, errors of both, differences."""
-    errors = [
-        [
-            e.axis,
-            f"{e.first:.2f} {e.unit}",
-            f"{e.second:.2f} {e.unit}",
-            *("-" if p is None else f"{p:.2f} {e.unit}" for p in (e.first_reversal, e.second_reversal)),
-        ]
-        for e in comparison.errors
-        if e.axis in comparison.differing
-    ]
-    differences = [
-        [d.axis, d.signal.replace("_", " "), f"{d.rms:.3g} {d.unit}", f"{d.max:.3g} {d.unit}", f"{d.at_s:.3f} s"]
-        for d in comparison.differences
-        if d.axis in comparison.differing
-    ]
+def write_comparison_page(comparison: Comparison, path: Path, inputs: str, numbers: Sequence[Number] = ()) -> None:
+    """Verdict, picture, errors of both, differences; of two machines also the numbers that differ."""
     a, b = comparison.names
-    heading = ["axis", f"error, {a}", f"error, {b}", f"after reversals, {a}", f"after reversals, {b}"]
-    sections = [
-        Section("In one picture", figures=[Figure(figure_svg(comparison.plot()), f"Grey: {a}; colour: {b}. Aligned by {comparison.by}.")]),
-        Section("Errors without the delay of the control", tables=[Table(heading, errors)]),
-        Section(f"{b} minus {a}", tables=[Table(["axis", "signal", "RMS", "largest", "at"], differences, left=2)]),
-    ]
-    write_page(path, f"{a} and {b}", comparison.verdict, sections, made_line(comparison.machine.name, inputs))
+    picture = Figure(figure_svg(comparison.plot()), f"Error without the delay of the control. Grey: {a}; colour: {b}.")
+    sections = [Section("In one picture", figures=[picture])]
+    if comparison.differing:
+        errors = Table(["axis", "error", a, b], comparison.error_rows(), left=2)
+        differences = Table(["axis", "signal", "RMS", "largest", "at"], comparison.difference_rows(), left=2)
+        sections += [
+            Section("Errors without the delay of the control", tables=[errors]),
+            Section(f"Differences: {b} minus {a}", tables=[differences]),
+        ]
+    if numbers:
+        sections.append(_numbers_section(numbers, (a, b)))
+    write_page(path, _title(a, b), comparison.verdict, sections, made_line(comparison.machine.name, inputs))
+
+
+def write_machines_page(names: tuple[str, str], numbers: Sequence[Number], verdict: str, path: Path, inputs: str) -> None:
+    """The numbers in which two machine files differ."""
+    write_page(path, _title(*names), verdict, [_numbers_section(numbers, names)] if numbers else [], made_line(inputs=inputs))
+
+
+def number_rows(numbers: Sequence[Number]) -> list[list[str]]:
+    """Path, first and second value of each number that differs, '-' where a file has none."""
+    return [[n.path, *("-" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v) for v in (n.first, n.second))] for n in numbers]
+
+
+def _numbers_section(numbers: Sequence[Number], names: tuple[str, str]) -> Section:
+    return Section("Numbers of the machine files that differ", tables=[Table(["number", *names], number_rows(numbers))])
+
+
+def _title(a: str, b: str) -> str:
+    """'A and B', with a capital where A is a word."""
+    return f"{a[:1].upper()}{a[1:]} and {b}"

@@ -40,7 +40,7 @@ def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str
         ax.set_title(f"ISO 230-2, axis {name}:  {numbers} {fine}" if name else f"ISO 230-2:  {numbers} {fine}")
         ax.set_xlabel(f"target [{unit}]")
         ax.set_ylabel(f"deviation [{fine}]")
-        ax.legend(loc="best")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save_png(figure, path)
 
 

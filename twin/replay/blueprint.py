@@ -37,17 +37,21 @@ PATH_FROM = np.array([0.35, -0.75, 0.75])
 """From where a path is seen: steeper, most paths are flat."""
 NEAR = 1.3
 """The view at the part shows this many times the size of the path."""
+LEAST_CONTOUR_UM = 0.1
+"""The plot of the contour error reaches at least so far [um]: below that it would show rounding."""
 GROUP_TITLES = {
+    "error_without_delay": "error less delay",
     "following_error": "following error",
     "position": "position",
     "speed": "speed",
     "current": "current",
-    "torque": "torque at the motor",
-    "difference_position": "difference of position",
-    "difference_speed": "difference of speed",
-    "difference_current": "difference of current",
+    "torque": "motor torque",
+    "difference_position": "Δ position",
+    "difference_speed": "Δ speed",
+    "difference_current": "Δ current",
 }
-_COLUMNS = (("following_error", "position"), ("speed",), ("current",), ("torque",))
+"""Titles of the plots of an axis; longer ones are cut off beside the viewer's buttons."""
+_COLUMNS = (("error_without_delay", "following_error", "position"), ("speed",), ("current",), ("torque",))
 """Plots of one axis from left to right; those of one column are tabs. Differences get a column of their own in front."""
 
 
@@ -201,8 +205,10 @@ def _eye(bounds: np.ndarray, distance: float, view_from: np.ndarray = VIEW_FROM)
 def contour_view(curves: Sequence[Curve], states: Sequence[str], keys: Mapping[str, str]) -> rrb.View | rrb.Container | None:
     """The contour error of all runs, and beside it when an axis was at a limit or stuck; None where there is neither."""
     views: list[rrb.View | rrb.Container] = []
-    if any(curve.path.startswith(CONTOUR_ERROR) for curve in curves):
-        views.append(_with_key(_plot(CONTOUR_ERROR, "Contour error [um]"), keys.get(""), "Contour error"))
+    errors = [float(curve.values.max()) for curve in curves if curve.path.startswith(CONTOUR_ERROR)]
+    if errors:
+        least = rrb.ScalarAxis(range=(0.0, LEAST_CONTOUR_UM)) if max(errors) < LEAST_CONTOUR_UM else None
+        views.append(_with_key(_plot(CONTOUR_ERROR, "Contour error [um]", least), keys.get(""), "Contour error"))
     if states:
         views.append(rrb.StateTimelineView(origin="/states", name="Limits and sticking"))
     return rrb.Tabs(*views, active_tab=0) if views else None
@@ -238,9 +244,9 @@ def _steps_view(steps: Sequence[Curve]) -> rrb.View:
     return rrb.TimeSeriesView(origin=STEPS, name="Effect by effect", overrides=hidden, plot_legend=legend)
 
 
-def _plot(origin: str, name: str) -> rrb.View:
+def _plot(origin: str, name: str, axis_y: rrb.ScalarAxis | None = None) -> rrb.View:
     """A plot without a legend, which would cover its curves."""
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False))
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False), axis_y=axis_y)
 
 
 def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str | None = None) -> rrb.View | rrb.Container:

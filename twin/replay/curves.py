@@ -1,6 +1,6 @@
 """Time series of the axes: what was asked for, what happened, how the torque splits; a second run beside the first.
 
-Following error = set point - position. The torque at the motor splits into
+Following error = set point - position; the error without delay is the same with the set point as late as the control uses it. The torque at the motor splits into
 
     torque = inertia + friction + gravity        inertia: what is left, it accelerates the axis and its neighbours
 
@@ -19,12 +19,16 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.names import CONTOUR_ERROR, STEPS, axis_entity, entity
 from twin.report.colours import AXIS_COLOURS, LIMIT_COLOUR, RUN_COLOURS, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, run_colour
+from twin.simulation.errors_of_run import error_without_delay
 from twin.units import AXIS_UNITS
 
 CONTOUR_COLOUR = AXIS_COLOURS["A"]
 SET_POINT = "set point"
 NEAR_LIMIT = 0.5
 """Limits are drawn where a run reaches this share of them."""
+_TORQUE_PARTS = ("friction", "gravity", "feedforward")
+_DRAWN = {"setpoint": "set point", "position": "position", "velocity": "speed", "velocity_setpoint": "speed set point"}
+"""Signals that every axis has a curve of, in people's words; its current and the parts of its torque come on top."""
 SAME_TIME = 1e-9
 """Samples of two runs that lie closer are at the same time [s]."""
 
@@ -99,7 +103,7 @@ def torque_parts(trace: Trace, axis: Axis) -> dict[str, np.ndarray]:
         parts["motor"] = trace.get(axis.name, "torque")
     elif trace.has(axis.name, axis.effort):
         parts["motor"] = axis.motor.torque_constant_nm_per_a * trace.get(axis.name, axis.effort)
-    for part in ("friction", "gravity", "feedforward"):
+    for part in _TORQUE_PARTS:
         if trace.has(axis.name, f"torque_{part}"):
             parts[part] = trace.get(axis.name, f"torque_{part}")
     if {"motor", "friction", "gravity"} <= parts.keys():
@@ -108,16 +112,14 @@ def torque_parts(trace: Trace, axis: Axis) -> dict[str, np.ndarray]:
 
 
 def not_recorded(trace: Trace, machine: Machine) -> list[str]:
-    """What of the curves a trace has no data for, one line per axis: 'X: torque split, speed set point'."""
-    lines = []
+    """What of the curves a trace has no data for, a line for all axes that lack the same: 'X, Y: speed set point, torque of friction'."""
+    axes_that_lack: dict[str, list[str]] = {}
     for axis in machine.axes:
-        if axis.name not in trace.axes:
-            continue
-        lacking = [s for s in ("setpoint", "position", "velocity", "velocity_setpoint", axis.effort) if not trace.has(axis.name, s)]
-        lacking += [f"torque_{part}" for part in ("friction", "gravity", "feedforward") if not trace.has(axis.name, f"torque_{part}")]
-        if lacking:
-            lines.append(f"{axis.name}: {', '.join(lacking)}")
-    return lines
+        if axis.name in trace.axes:
+            signals = {**_DRAWN, axis.effort: axis.effort, **{f"torque_{part}": f"torque of {part}" for part in _TORQUE_PARTS}}
+            if lacking := [word for signal, word in signals.items() if not trace.has(axis.name, signal)]:
+                axes_that_lack.setdefault(", ".join(lacking), []).append(axis.name)
+    return [f"{', '.join(axes)}: {lacking}" for lacking, axes in axes_that_lack.items()]
 
 
 def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alone: bool) -> Iterator[Curve]:
@@ -140,6 +142,8 @@ def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alon
     yield from recorded("position", "position", "position", units.position, mine)
     error = following_error(trace, axis.name)
     if error is not None:
+        without = error_without_delay(trace, axis) * units.error[1]
+        yield curve("error_without_delay", "error without delay", units.error[0], without, mine)
         yield curve("following_error", "following error", units.error[0], error * units.error[1], mine)
     if first:
         leaf = f"set_point_{label}"

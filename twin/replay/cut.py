@@ -49,8 +49,12 @@ NEAR = 1.8
 """The view at the part shows this many times the size of the surface."""
 
 
+LEAST_SIZE = 0.1
+"""A smaller surface is enlarged to this in its own view [m]: the viewer draws nothing nearer than 10 mm to the eye."""
 LEAN = np.array([0.25, -0.6, 0.0])
-"""How far the look along the normals of a surface leans to the front and the right."""
+"""How far the look along the normals of a level surface leans to the front and the right."""
+LEAN_UP = np.array([0.0, 0.0, 0.5])
+"""The same for upright walls, which are seen from a little above."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,8 @@ def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, en
     )
     _log_surface(recording, shown.surface, one.whole, end, 1.0)
     _log_surface(recording, shown.relief, one.finest, end, factor)
+    middle, scale = _enlarged(one.finest)
+    recording.log(shown.relief, rr.Transform3D(translation=(1.0 - scale) * middle, scale=scale), static=True)
     colour = {PROGRAMMED: PROGRAM_COLOUR, COMMANDED: SETPOINT_COLOUR}.get(one.level.level, axis_colour("Z"))
     tool_path = one.level.path
     log_whole_path(recording, shown.path, tool_path.tip, colour, PATH_WIDTH, float(tool_path.time[-1] - tool_path.time[0]), full=False)
@@ -129,6 +135,12 @@ def _log_surface(recording: rr.RecordingStream, path: str, rays: HeightRays, end
         vertex_normals=normals.astype(np.float32),
     )
     recording.log(path, mesh, rr.AnyValues(quantity="deviation", unit="um", scale_end_um=end * 1e6, magnified=factor), static=True)
+
+
+def _enlarged(rays: HeightRays) -> tuple[np.ndarray, float]:
+    """Middle (3,) [m] of a surface, and the scale about it that brings it to LEAST_SIZE where it is smaller."""
+    low, high = rays.point.min(axis=0), rays.point.max(axis=0)
+    return 0.5 * (low + high), max(1.0, LEAST_SIZE / float(np.linalg.norm(high - low)))
 
 
 def _magnification(rays: HeightRays, end: float) -> float:
@@ -157,10 +169,13 @@ def _layout(
     tabs = []
     for one, cut, factor in zip(shown, machining.cuts, factors):
         whole, zone = (np.array([rays.point.min(axis=0), rays.point.max(axis=0)]) for rays in (cut.whole, cut.finest))
+        centre, scale = _enlarged(cut.finest)
         middle = whole.mean(axis=0)
         near = middle + NEAR * (whole - middle)
-        # the magnified surface is seen along its rays, leaning to the front: from aside a flat one would be a line
-        above = cut.finest.direction.mean(axis=0) + LEAN
+        # the magnified surface is seen along its rays, at a slant: from aside a flat one would be a line
+        normal = cut.finest.direction.mean(axis=0)
+        level = abs(float(normal[2])) / float(np.linalg.norm(normal))
+        above = normal + level * LEAN + (1.0 - level) * LEAN_UP
         at_part = scene_view(
             "At the part: machine, path, surface",
             part_frame,
@@ -169,7 +184,14 @@ def _layout(
             distance=1.0,
             seen_from=PATH_FROM,
         )
-        relief = scene_view(f"Surface, deviation x{factor:g}", part_frame, [f"+ {one.relief}"], zone, distance=1.1, seen_from=above)
+        relief = scene_view(
+            f"Surface, deviation x{factor:g}",
+            part_frame,
+            [f"+ {one.relief}"],
+            centre + scale * (zone - centre),
+            distance=1.1,
+            seen_from=above,
+        )
         views = (at_part, relief)
         tabs.append(rrb.Horizontal(*views, name=one.title))
     left = rrb.Vertical(

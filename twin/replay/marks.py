@@ -15,6 +15,7 @@ from twin.replay.curves import following_error
 from twin.replay.events import TELLING, WORST, Event
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STATES, TIMELINE, axis_entity, entity
 from twin.report.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
+from twin.simulation.errors_of_run import error_without_delay
 from twin.units import AXIS_UNITS
 
 MOST_MARKS = 60
@@ -42,7 +43,7 @@ def log_events(
 ) -> tuple[str, ...]:
     """Log the list of events, their marks in the plots, and a lane of states per axis. Returns the lanes.
 
-    Events of an axis are marked on its following error, those of the program on the contour error (sample,) [m].
+    Events of an axis are marked on its errors with and without the delay, those of the program on the contour error (sample,) [m].
     """
     colour_of = {axis.name: axis_colour(axis.name, i) for i, axis in enumerate(machine.axes)}
     colours = [LIMIT_COLOUR if "limit" in e.kind else colour_of.get(e.axis, SETPOINT_COLOUR) for e in events]
@@ -60,10 +61,10 @@ def log_events(
         mine = [e for e in events if e.axis == axis.name]
         error = following_error(trace, axis.name)
         if error is not None:
-            values = error * AXIS_UNITS[axis.kind].error[1]
-            _log_marks(
-                recording, axis_entity(axis.name, "following_error"), f"{axis.name} ", mine, trace.time, values, colour_of[axis.name]
-            )
+            factor = AXIS_UNITS[axis.kind].error[1]
+            for group, values in (("error_without_delay", error_without_delay(trace, axis)), ("following_error", error)):
+                root = axis_entity(axis.name, group)
+                _log_marks(recording, root, f"{axis.name} ", mine, trace.time, values * factor, colour_of[axis.name])
         lasting = [e for e in mine if e.end > e.start]
         if lasting:
             lanes.append(_log_lane(recording, axis.name, trace, lasting))

@@ -34,8 +34,8 @@ DRAW_STEPS = 3000
 POINTS_PER_MINUTE = 6000
 """Points that each path may keep; a busier one is drawn with a coarser tolerance."""
 LEAST_POINTS = 2000
-LEAST_SCALE = 8e-9
-"""End of the scale of a path without error [m]."""
+LEAST_SCALE = 8e-7
+"""Least end of the scale [m]: finer bands would colour the rounding of a path without error."""
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from twin.replay.scene import Scene, scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import summary_text
 from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of
+from twin.simulation.errors_of_run import error_without_delay
 from twin.stopping import leave_behind
 
 SOLID_WIDTH, THIN_WIDTH, DASH_WIDTH = 1.75, 0.4, 1.25
@@ -104,7 +105,7 @@ def write_recording(
             stretch=(also[0].start, also[0].end) if also and also[0].end > also[0].start else None,
             steps=steps,
             legend=LEGEND if paths else "",
-            legend_title=f"contour error of {main} [um]" if paths else "",
+            legend_title=f"Contour error of {main} [um]" if paths else "",
             has_events=bool(found),
             states=marks,
         )
@@ -237,11 +238,11 @@ def bounds_with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) 
 
 
 def busiest_axis(machine: Machine, trace: Trace) -> str:
-    """The axis whose following error is largest against its highest speed: the one to look at first."""
+    """The axis whose error without the delay is largest against its highest speed: the one to look at first."""
     shares = {
-        axis.name: float(np.abs(error).max()) / axis.max_velocity
+        axis.name: float(np.abs(error_without_delay(trace, axis)).max()) / axis.max_velocity
         for axis in machine.axes
-        if (error := following_error(trace, axis.name)) is not None
+        if following_error(trace, axis.name) is not None
     }
     return max(shares, key=lambda name: shares[name], default="")
 

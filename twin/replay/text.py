@@ -40,16 +40,16 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
     for label in labels[1:]:
         parts.append(_overlay_text(machine, runs[labels[0]], runs[label], labels[0], label))
     if events:
-        counts = ", ".join(f"{sum(e.kind == kind for e in events)} {kind}" for kind in KINDS if any(e.kind == kind for e in events))
+        counts = ", ".join(f"{kind} {count}x" for kind in KINDS if (count := sum(e.kind == kind for e in events)))
         if len(events) > MOST_EVENTS:
             counts += f" (the first {MOST_EVENTS} are marked)"
-        parts.append(f"**Events** {counts or 'none'}. A click on a time in the list *Events* goes there.")
+        parts.append(f"**Events** {counts or 'none'}. Click on a time in the list *Events* to go there.")
     if paths:
         reference = "the programmed path" if paths.programmed is not None else "the path of the set points"
         parts.append(
             f"The contour error is the distance of the tool point from {reference}, in the frame of the part. "
             + (
-                "The view *deviation* magnifies it and leaves that path as it is."
+                "The view *deviation* magnifies it; the reference path is drawn true to scale."
                 if len(paths.magnifications) > 1
                 else "It is too small to be magnified."
             )
@@ -91,15 +91,15 @@ def _axis_table(machine: Machine, trace: Trace) -> str:
             continue
         errors = axis_errors(trace, axis)
         unit, factor = AXIS_UNITS[axis.kind].error
-        current = f"{np.abs(trace.get(axis.name, 'current')).max():.1f}" if trace.has(axis.name, "current") else "-"
+        peak = f"{np.abs(trace.get(axis.name, axis.effort)).max():.3g} {axis.effort_unit}" if trace.has(axis.name, axis.effort) else "-"
         without = f"{errors.without_delay * factor:.2f}"
         rows.append(
-            f"| {axis.name} | {errors.following * factor:.1f} | {without} | {errors.without_delay_rms * factor:.2f} | {unit} | {current} |"
+            f"| {axis.name} | {errors.following * factor:.1f} | {without} | {errors.without_delay_rms * factor:.2f} | {unit} | {peak} |"
         )
     if not rows:
         return ""
-    heads = "| axis | error | less delay | its RMS | | A |"
-    return "Largest following errors, with and without the constant delay, and currents:\n\n" + "\n".join(
+    heads = "| axis | with | without | RMS | | peak |"
+    return "Largest following error with and without the delay of the control, RMS without it, peak of current or torque:\n\n" + "\n".join(
         [heads, "|---|---:|---:|---:|---|---:|", *rows]
     )
 

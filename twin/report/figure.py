@@ -1,4 +1,4 @@
-"""Figures of the reports: one look, drawn without a display, embedded as SVG or saved as PNG."""
+"""Figures of the reports: one style, drawn without a display, embedded as SVG or saved as PNG."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ INK, SOFT, BLUE, RED, GREEN, AMBER = "#1c2430", "#8a94a3", "#0b5394", "#c0392b",
 
 
 def new_figure(rows: int, columns: int, width: float = 11.0, height: float = 3.0, **options: Any) -> tuple[MplFigure, Any]:
-    """A figure of rows x columns panels in the reports' look, `height` inches a row; returns (figure, axes (rows, columns))."""
+    """A figure of rows x columns panels in the style of the reports, `height` inches a row; returns (figure, axes (rows, columns))."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -69,13 +69,25 @@ def plain_text(figure: MplFigure) -> MplFigure:
     return figure
 
 
+def house_style(figure: MplFigure) -> MplFigure:
+    """The figure with titles on the left and legends without frames, however it was drawn; polar panels keep their titles."""
+    for axes in figure.axes:
+        title = axes.get_title()
+        if title and not axes.get_title(loc="left") and axes.name != "polar":
+            axes.set_title("")
+            axes.set_title(title, loc="left", fontsize=min(axes.title.get_fontsize(), STYLE["axes.titlesize"]), weight="bold")
+        if legend := axes.get_legend():
+            legend.set_frame_on(False)
+    return figure
+
+
 def figure_svg(figure: MplFigure) -> str:
     """Inline SVG without the XML head; equal figures give equal text."""
     from matplotlib import rc_context
 
     out = io.StringIO()
     with rc_context(STYLE):
-        plain_text(figure).savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        plain_text(house_style(figure)).savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :]
 
@@ -87,4 +99,4 @@ def save_png(figure: MplFigure, path: str | Path, dots_per_inch: int = 130) -> N
     path = Path(path)
     # a name may leave no room for the panels: drawn all the same
     with rc_context(STYLE), beside(path) as partial, warnings.catch_warnings(action="ignore", category=UserWarning):
-        plain_text(figure).savefig(partial, dpi=dots_per_inch)
+        plain_text(house_style(figure)).savefig(partial, dpi=dots_per_inch)

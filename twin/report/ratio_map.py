@@ -15,23 +15,27 @@ if TYPE_CHECKING:
 LARGEST = 100.0
 """End of the colour scale: larger ratios have its last colour, their number says how large they are."""
 
+SMALLEST = 1e-3
+"""Smaller ratios have the colour of this one."""
 PALE = 3.0
-"""Below this share of the scale's end, in decades from 1, the field is dark and its number white."""
+"""Fields above this many times `expected` are dark, and their numbers white."""
 
 
 def ratio_figure(
     signals: Sequence[str], runs: Sequence[str], axes: Sequence[str], ratios: Mapping[tuple[str, str, str], float], expected: float
 ) -> Figure:
-    """Fields by (signal, run, axis); fields up to `expected` stay grey. The colours also part for colour-blind readers (cividis)."""
+    """Fields by (signal, run, axis); fields up to `expected` stay grey. Colour-blind readers can tell the colours apart (cividis)."""
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-    figure, grid = new_figure(1, len(signals), width=2.2 + 2.1 * len(signals), height=1.4 + 0.28 * len(runs), sharey=True)
+    figure, grid = new_figure(1, len(signals), width=2.2 + 2.1 * len(signals), height=1.2 + 0.3 * len(runs), sharey=True)
     colours = colormaps["cividis_r"].with_extremes(under="#eceff3", bad="white")
     image = None
     for panel, signal in zip(grid[0], signals):
         values = np.array([[ratios.get((signal, run, axis), np.nan) for axis in axes] for run in runs])
-        image = panel.imshow(values, aspect="auto", cmap=colours, norm=LogNorm(expected, LARGEST))
+        # the scale is logarithmic: a gap of nothing is drawn as a small one
+        image = panel.imshow(np.maximum(values, SMALLEST), aspect="auto", cmap=colours, norm=LogNorm(expected, LARGEST))
         panel.set_title(signal.replace("_", " "))
         panel.set_xticks(range(len(axes)), axes)
         panel.set_yticks(range(len(runs)), runs)
@@ -42,12 +46,15 @@ def ratio_figure(
                 panel.text(
                     j,
                     i,
-                    f"{value:.2g}" if value < 100 else f"{value:.0f}",
+                    f"{value:.1f}" if value < 10 else f"{value:.0f}",
                     ha="center",
                     va="center",
-                    fontsize=7,
+                    fontsize=8,
                     color="white" if dark else "#1c2430",
                 )
-    if image is not None:
-        figure.colorbar(image, ax=list(grid[0]), label="gap / noise alone", extend="both", shrink=0.8)
+    if image is not None and max(ratios.values(), default=0.0) > expected:
+        bar = figure.colorbar(image, ax=list(grid[0]), label="gap, times noise alone", extend="both")
+        bar.ax.yaxis.set_major_locator(FixedLocator([tick for tick in (1.5, 3.0, 10.0, 30.0, 100.0) if tick >= expected]))
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+        bar.ax.yaxis.set_minor_locator(NullLocator())
     return figure
