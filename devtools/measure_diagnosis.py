@@ -19,8 +19,9 @@ import tomllib
 from threadpoolctl import threadpool_limits
 
 from twin.diagnose.cross_validation import folds_of
-from twin.diagnose.observe import axis_groups, observe, on_threads
+from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
+from twin.diagnose.simulations import on_threads
 from twin.diagnose.verdict import judged
 from twin.diagnose.view import view_of
 from twin.exam.draw import SINGLES, draw_case, truth_of, write_campaign

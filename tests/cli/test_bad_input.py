@@ -146,7 +146,7 @@ MACHINES: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "infinite gain": (lambda t: t.replace("speed_gain_nm_s_per_rad = 3.4", "speed_gain_nm_s_per_rad = inf"), ("impossible",)),
     "text for a number": (lambda t: t.replace("kg = 700.0", 'kg = "heavy"'), ("moving_mass_kg = 'heavy'", "a number")),
     "travel turned round": (lambda t: t.replace("[-0.355, 0.355]", "[0.355, -0.355]"), ("travel_m", "below the second")),
-    "carries more than it weighs": (lambda t: t.replace("kg = 1050.0", "kg = 600.0"), ("[axis.Y]", "700 kg that it carries")),
+    "carries more than it weighs": (lambda t: t.replace("kg = 1050.0", "kg = 600.0"), ("[axis.Y]", "700 kg that the slide carries")),
     "no such joint": (lambda t: t.replace("[axis.X", "[axis.W").replace('"X"', '"W"'), ("axis W has no joint",)),
     "no such body": (lambda t: t.replace("[body.table]", "[body.tabel]"), ("[body.tabel]", "did you mean 'table'")),
     "impossible inertia": (lambda t: t.replace("[2.6, 2.6, 4.6]", "[2.6, 2.6, 5.6]"), ("[body.table]", "inertia_kg_m2")),

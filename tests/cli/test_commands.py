@@ -37,7 +37,7 @@ def test_what_if_beside_what_is(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["run", "examples/x_200mm.csv", *effect, "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "effects: backlash X (clearance 15.0 um); feedforward: velocity+torque" in out
-    assert "without and with backlash X differ on X: position by up to" in out
+    assert "nominal and with backlash X differ on X: position by up to" in out
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["feedforward"] == "velocity+torque"
     (x,) = (e for e in json.loads((tmp_path / "compare.json").read_text())["errors"] if e["axis"] == "X")

@@ -46,7 +46,7 @@ def test_a_screw_stays_in_newton_metres(tmp_path: Path) -> None:
 def test_a_rotary_axis_has_no_force(tmp_path: Path) -> None:
     file = tmp_path / "rotary.csv"
     file.write_text("time [s],A.setpoint [deg],A.torque [N]\n0,0,0\n0.001,0,0\n")
-    with pytest.raises(InputError, match=r"\[N\] is no unit of a torque; use \[Nm\]"):
+    with pytest.raises(InputError, match=r"\[N\] is not a unit of a torque; use \[Nm\]"):
         read_trace(file, axes={"A": "rotary"})
 
 
