@@ -1,8 +1,13 @@
 """Run the command line with `python -m twin`, or as `twin`; from the first moment it can be stopped."""
 
 from io import TextIOWrapper
+import os
 import sys
 import warnings
+
+# One BLAS thread, set before numpy loads: the commands use the cores with workers of their own, more threads only wait for each other,
+# and the last bits of a result must not depend on the number of cores.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from twin.stopping import ended, stoppable
 

@@ -1,6 +1,7 @@
 """The commands as a newcomer uses them: what they write, what they print, and that the demo and the benchmark work."""
 
 import json
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -183,3 +184,10 @@ def test_an_example_is_found_outside_the_checkout(
     assert main(["interpolate", "examples/two_planes.mpf", "--out", str(tmp_path / "s.csv")]) == 0
     assert main(["interpolate", "examples/none.mpf", "--out", str(tmp_path / "s.csv")]) == 2
     assert "examples/none.mpf" in capsys.readouterr().err
+
+
+def test_a_command_uses_one_blas_thread() -> None:
+    asked = "import twin.__main__, numpy, scipy.linalg; from threadpoolctl import threadpool_info; print({i['num_threads'] for i in threadpool_info()})"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    threads = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True, env=environment).stdout
+    assert threads.strip() == "{1}"
