@@ -1,10 +1,13 @@
 """Gaps on held-out runs, including folds whose machine cannot be simulated."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
-from twin.diagnose import corrected
+from twin.diagnose import corrected, validation
+from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import nuisances_of
 from twin.diagnose.tuning import tuning_from
 from twin.effects import with_effects
@@ -78,3 +81,28 @@ def test_axes_that_a_correction_makes_worse_keep_the_machine_file(mikron):
     for machine_of in (lambda f: corrected.corrected_machine(mikron, [f]), lambda f: corrected.fitted_without(mikron, [f], [0])):
         assert machine_of(found).document != nominal
         assert machine_of(stays).document == nominal
+
+
+LEVELS = {
+    "nominal": {"position": 30.0, "current": 1.0},
+    "good law": {"position": 1.1, "current": 1.2},
+    "law that opens another gap": {"position": 1.1, "current": 4.4},
+}
+
+
+@pytest.mark.parametrize(("law", "accepted"), [("good law", True), ("law that opens another gap", False)])
+def test_a_law_that_makes_one_signal_worse_is_refused(monkeypatch, law, accepted):
+    def gaps(machine, run, predicted):
+        return {"X": {signal: SignalGap(level, level, 1.0, "um") for signal, level in LEVELS[predicted].items()}}
+
+    monkeypatch.setattr(corrected, "gap_of", gaps)
+    proposal = SimpleNamespace(laws=[SimpleNamespace(axis="X")], corrected="machine with the law")
+    monkeypatch.setattr(validation, "laws_beside", lambda *_: [proposal])
+    predictions = {which: {"after": {run.name: which for run in RUNS}} for which in LEVELS}
+    monkeypatch.setattr(validation, "predictions_with", lambda *_, **__: corrected.HeldOut(predictions[law], []))
+    records = SimpleNamespace(runs=RUNS, motions=[], aligned=lambda *_: RUNS)
+    setup = SimpleNamespace(quick=False, machine="m", nominal="m", thresholds=DEFAULT, folds=FOLDS, threads=1, progress=None)
+    without = validation.Validated(tuple(RUNS), [], corrected.HeldOut(predictions["nominal"], []), {}, {}, "machine without")
+    found = validation.with_laws(setup, records, without)
+    assert (found.laws is proposal) is accepted
+    assert found.corrected == ("machine with the law" if accepted else "machine without")

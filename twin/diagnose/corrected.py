@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import itertools
+import math
 from typing import Any
 
 import numpy as np
@@ -97,11 +98,15 @@ class HeldOut:
             of_axis.setdefault(axis, []).extend(squares)
         return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in of_axis.items()}
 
+    def signal_levels(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[tuple[str, str], float]:
+        """RMS of gap over noise after correction, over runs, by axis and signal."""
+        return {key: float(np.sqrt(np.mean(squares))) for key, squares in self._squares(machine, runs).items()}
+
     def loudest(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
         """RMS of gap over noise of each axis after correction, over runs, in its worst signal."""
         of_axis: dict[str, float] = {}
-        for (axis, _), squares in self._squares(machine, runs).items():
-            of_axis[axis] = max(of_axis.get(axis, 0.0), float(np.sqrt(np.mean(squares))))
+        for (axis, _), level in self.signal_levels(machine, runs).items():
+            of_axis[axis] = max(of_axis.get(axis, 0.0), level)
         return of_axis
 
     def _squares(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[tuple[str, str], list[float]]:
@@ -119,6 +124,17 @@ def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[st
     """Does the correction increase the gap of these axes by more than chance? `before` and `after`: gap over noise by axis."""
     was, now = (float(np.hypot.reduce([level for axis, level in of.items() if axis in axes] or [0.0])) for of in (before, after))
     return now > was + thresholds.worse_by_chance
+
+
+def worse_signals(
+    before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float], thresholds: Thresholds = DEFAULT
+) -> list[tuple[str, str]]:
+    """Signals that a law makes worse, as (axis, signal): `before` and `after` are the gaps over noise without and with the law.
+
+    A law of the wrong kind may close the gap of one signal and open one in another that the machine explained without it.
+    """
+    limit = thresholds.signal_worse
+    return [key for key, level in after.items() if level > limit * max(1.0, before.get(key, math.inf))]
 
 
 def held_out_gaps(

@@ -156,6 +156,11 @@ class Thresholds:
 
     # verdict
     worse_by_chance: float = _of(0.3, "1", "increase of gap over noise by which a correction may be worse than the machine file by chance")
+    signal_worse: float = _of(
+        2.0,
+        "1",
+        "gap over noise of a signal, and ratio to its gap without the law, above which a law makes that signal worse and is refused",
+    )
     undecided: float = _of(
         6.0, "1", "held-out gap over noise above which 'none' becomes 'unknown'; a control that interpolates in its own way leaves 3"
     )

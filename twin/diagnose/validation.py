@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, is_worse, uncorrected
+from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, is_worse, uncorrected, worse_signals
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
 from twin.diagnose.law.laws import LEAST_CLOSED, Laws
 from twin.diagnose.law.step import ALL_BUT, explained_by_many, laws_beside, predictions_with
@@ -99,9 +99,11 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
                 if predicted is None:
                     continue
                 axes = {law.axis for law in laws.laws}
-                runs = records.aligned(nominal, predicted, axes)
+                runs, runs_without = records.aligned(nominal, predicted, axes), records.aligned(nominal, held_out, axes)
+                if worse_signals(held_out.signal_levels(machine, runs_without), predicted.signal_levels(machine, runs), setup.thresholds):
+                    continue
                 # the gap without the laws, with encoder zeros as free as they are with the laws
-                reference = min(best, held_out.mean_square(machine, records.aligned(nominal, held_out, axes)))
+                reference = min(best, held_out.mean_square(machine, runs_without))
                 mean_square = predicted.mean_square(machine, runs)
                 if mean_square - 1.0 < (1.0 - LEAST_CLOSED) * (reference - 1.0):
                     best = mean_square
