@@ -14,23 +14,21 @@ from pathlib import Path
 import random
 import time
 
-from devtools import fuzz_chain, fuzz_files, fuzz_folders, fuzz_import, fuzz_programs
+from devtools import fuzz_files, fuzz_folders, fuzz_programs, fuzz_recordings
 from devtools.fuzz_loop import SECONDS, Case, fuzz
 
-RARELY = ("chain", "study", "study_folder", "exam", "diagnose", "plan")
+RARELY = ("chain", "study", "study_folder", "exam", "diagnose", "plan", "height")
 """Kinds whose cases take longer than the others."""
 
 
 def kinds(data: Path) -> dict[str, Case]:
     """Kind -> case of all fuzzers."""
-    real = functools.cache(fuzz_import.real_recordings)
-    chain = functools.cache(fuzz_chain.real)
     return {
         **fuzz_files.all_kinds(),
         **fuzz_folders.all_kinds(),
         "program": program,
-        "recording": lambda seed, folder: fuzz_import.run_case(seed, folder, real(data))[1],
-        "chain": lambda seed, folder: fuzz_chain.run_case(seed, folder, chain(data), no_refine=True)[1],
+        "recording": lambda seed, folder: fuzz_recordings.recording(seed, folder, fuzz_recordings.real(data))[1],
+        "chain": lambda seed, folder: fuzz_recordings.chain(seed, folder, fuzz_recordings.real(data), no_refine=True)[1],
     }
 
 
@@ -73,7 +71,9 @@ def main() -> int:
     chosen = {k: v for k, v in known.items() if k in (args.only or known)}
     tally = fuzz(chosen, args.cases, args.seed, lambda s: print(s, flush=True), args.seconds, args.minutes, RARELY)
     took = time.monotonic() - begin
-    print(f"{tally.total} cases in {took:.0f} s, {60.0 * tally.total / took:.0f} a minute: {tally.cases}; {len(tally.faults)} faults")
+    for kind, count in tally.cases.items():
+        print(f"{kind:<14}{count:>6} cases {1e3 * tally.seconds[kind] / count:>7.0f} ms each")
+    print(f"{tally.total} cases in {took:.0f} s, {sum(tally.seconds.values()):.0f} s of processor time; {len(tally.faults)} faults")
     return 1 if tally.faults else 0
 
 

@@ -25,8 +25,10 @@ from typing import Any
 from unittest import mock
 from urllib.parse import quote, urlencode
 
-from devtools.fuzz_files import Files, laid, samples, spoil, told
+from devtools.fuzz_files import laid, told
 from devtools.fuzz_loop import Case, called
+from devtools.fuzz_samples import Files, samples
+from devtools.fuzz_spoil import spoil
 
 
 def made_by(

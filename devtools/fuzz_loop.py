@@ -47,6 +47,8 @@ class Tally:
     """Cases by kind, and what went wrong."""
 
     cases: dict[str, int] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Processor time by kind [s]."""
     faults: list[str] = field(default_factory=list)
 
     @property
@@ -54,23 +56,34 @@ class Tally:
         """All cases."""
         return sum(self.cases.values())
 
+    def add(self, seed: int, kind: str, seconds: float, fault: str, say: Callable[[str], Any]) -> None:
+        """Count a case, and report its fault if it has one."""
+        self.cases[kind] = self.cases.get(kind, 0) + 1
+        self.seconds[kind] = self.seconds.get(kind, 0.0) + seconds
+        if fault:
+            self.faults.append(f"seed {seed} ({kind}): {fault}")
+            say(self.faults[-1])
+
 
 def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ", "note: ", "warning: ")) -> tuple[int, str]:
     """(exit code, fault or "") of one command in this process: done, or refused with one line that begins with `twin:`."""
-    from twin.cli import main as twin
+    import twin
+    from twin.cli import main
 
     out, error = io.StringIO(), io.StringIO()
-    try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
-            warnings.simplefilter("error", RuntimeWarning)
-            code = int(twin([*map(str, arguments)]) or 0)
-    except SystemExit as stop:  # usage: said by the parser
-        code = int(stop.code or 0)
-    except TooLong:
-        raise
-    except BaseException:
-        return -1, traceback.format_exc(limit=-4)
-    lines = [line for line in error.getvalue().strip().splitlines() if not line.startswith(allowed)]
+    with _standard_error() as below:
+        try:
+            with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+                warnings.simplefilter("error", RuntimeWarning)
+                code = int(main([*map(str, arguments)]) or 0)
+        except SystemExit as stop:  # usage: said by the parser
+            code = int(stop.code or 0)
+        except TooLong:
+            raise
+        except BaseException:
+            return -1, traceback.format_exc(limit=-4)
+        error.write(below())
+    lines = [line for line in error.getvalue().strip().splitlines() if not line.startswith((*allowed, f"twin {twin.__version__}, "))]
     if code not in (0, 1, 2):
         return code, f"exit code {code}: {error.getvalue()[:300]}"
     if code == 2 and (len(lines) != 1 or not lines[0].startswith("twin: ")):
@@ -84,6 +97,24 @@ def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ",
     if "Traceback" in error.getvalue():
         return code, error.getvalue()[-1500:]
     return code, ""
+
+
+@contextlib.contextmanager
+def _standard_error() -> Iterator[Callable[[], str]]:
+    """What libraries in C and other processes write to standard error, past Python, as far as it has come."""
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as file:
+        os.dup2(file.fileno(), 2)
+
+        def read() -> str:
+            file.seek(0)
+            return file.read().decode(errors="replace")
+
+        try:
+            yield read
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def fuzz(
@@ -105,19 +136,12 @@ def fuzz(
         child = context.Process(target=_carry_out, args=(kinds, names, at, seed + cases, theirs, seconds, end), daemon=False)
         child.start()
         theirs.close()
-        for done, fault in _messages(mine):
+        for done, seconds_taken, fault in _messages(mine):
             at = done + 1
-            name = names[done % len(names)]
-            tally.cases[name] = tally.cases.get(name, 0) + 1
-            if fault:
-                tally.faults.append(f"seed {done} ({name}): {fault}")
-                say(tally.faults[-1])
+            tally.add(done, names[done % len(names)], seconds_taken, fault, say)
         child.join()
         if at < seed + cases and child.exitcode != 0:
-            name = names[at % len(names)]
-            tally.cases[name] = tally.cases.get(name, 0) + 1
-            tally.faults.append(f"seed {at} ({name}): the process ended with {child.exitcode}")
-            say(tally.faults[-1])
+            tally.add(at, names[at % len(names)], 0.0, f"the process ended with {child.exitcode}", say)
             at += 1
     return tally
 
@@ -175,11 +199,13 @@ def _carry_out(kinds: Mapping[str, Case], names: Sequence[str], start: int, end:
     for seed in range(start, end):
         if time.monotonic() >= last:
             break
-        pipe.send((seed, one_case(kinds[names[seed % len(names)]], seed, seconds)))
+        begun = time.process_time()
+        fault = one_case(kinds[names[seed % len(names)]], seed, seconds)
+        pipe.send((seed, time.process_time() - begun, fault))
     pipe.close()
 
 
-def _messages(pipe: Any) -> Iterator[tuple[int, str]]:
+def _messages(pipe: Any) -> Iterator[tuple[int, float, str]]:
     while True:
         try:
             yield pipe.recv()

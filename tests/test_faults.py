@@ -200,6 +200,62 @@ def test_a_worker_ends_with_its_parent() -> None:
     assert not _runs(child)
 
 
+UNEXPECTED = """
+    from twin.__main__ import run
+    import twin.cli.effects, sys
+    def carry_out(args):
+        raise {error}
+    twin.cli.effects.carry_out = carry_out
+    sys.argv = ["twin", "effects"]
+    sys.exit(run())
+"""
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            "KeyError('a' + chr(10) + 'b')",
+            ("a defect of twin", "not of your input: KeyError", "at twin/cli/parser.py:", "TWIN_TRACEBACK=1"),
+        ),
+        ("MemoryError", ("not enough memory",)),
+    ],
+)
+def test_an_unexpected_error_is_one_line_that_names_it_a_defect(error: str, words: tuple[str, ...]) -> None:
+    script = textwrap.dedent(UNEXPECTED.format(error=error))
+    without = {k: v for k, v in os.environ.items() if k != "TWIN_TRACEBACK"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=without, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert done.stderr.startswith("twin: ")
+    for word in words:
+        assert word in done.stderr
+    in_full = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env={**without, "TWIN_TRACEBACK": "1"}, check=False
+    )
+    assert "Traceback" in in_full.stderr
+
+
+WARNS_IN_A_WORKER = """
+    from twin.__main__ import run
+    import twin.cli.effects, multiprocessing, sys, warnings
+    from concurrent.futures import ProcessPoolExecutor
+    def carry_out(args):
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            pool.submit(warnings.warn, "a library says so", RuntimeWarning).result()
+    if __name__ == "__main__":
+        twin.cli.effects.carry_out = carry_out
+        sys.argv = ["twin", "effects"]
+        sys.exit(run())
+"""
+
+
+def test_a_library_in_a_worker_warns_nobody(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(textwrap.dedent(WARNS_IN_A_WORKER))
+    without = {k: v for k, v in os.environ.items() if k != "PYTHONWARNINGS"}
+    done = subprocess.run([sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, env=without, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 NAMES = {"bytes": b"a\xff$x_{", "letters": "<b>&\n\u00e9\u2028".encode(), "signs": b"-x %s {0} #"}
 
 

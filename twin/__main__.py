@@ -1,6 +1,7 @@
 """Run the command line with `python -m twin`, or as `twin`; from the first moment it can be stopped."""
 
 from io import TextIOWrapper
+import os
 import sys
 import warnings
 
@@ -10,8 +11,9 @@ from twin.stopping import ended, stoppable
 def run() -> int:
     """The command of the command line; its exit code."""
     stoppable()
-    if not sys.warnoptions:  # those of libraries, for who writes Python: a message of a command is one line
+    if not sys.warnoptions:  # warnings of libraries are for those who write Python; worker processes inherit the variable
         warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"
     for stream in (sys.stdout, sys.stderr):  # a name of a file may hold bytes that are no text, a terminal may know ASCII alone
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -24,6 +26,13 @@ def run() -> int:
 
         say(getattr(stop, "number", 2))
         return int(getattr(stop, "code", 130))
+    except Exception as error:
+        from twin.errors import TRACEBACK, defect
+
+        if os.environ.get(TRACEBACK):
+            raise
+        print(f"twin: {defect(error)}", file=sys.stderr)
+        return ended(2)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import difflib
+from pathlib import Path
+import traceback
 
+import twin
+
+TRACEBACK = "TWIN_TRACEBACK"
+"""Environment variable: where it is set, an unexpected error ends in Python's traceback."""
 LONGEST = 300
 """Characters of a message behind the file that it is about."""
 LONGEST_WORD = 80
@@ -53,3 +59,15 @@ def one_line(message: object) -> str:
         said = f"{said[: LONGEST * 6 // 10].rstrip()} ... {said[-LONGEST * 3 // 10 :].lstrip()}"
         return f"{where}: {said}"
     return text if said or len(text) <= LONGEST else f"{text[: LONGEST * 6 // 10].rstrip()} ... {text[-LONGEST * 3 // 10 :].lstrip()}"
+
+
+def defect(error: Exception) -> str:
+    """The line about an error that nobody expected: a defect of twin, or memory that is used up."""
+    if isinstance(error, MemoryError):
+        return "not enough memory; end other programs or give a smaller input"
+    package = Path(__file__).parent
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_relative_to(package)]
+    place = f" at {Path(frames[-1].filename).relative_to(package.parent).as_posix()}:{frames[-1].lineno}" if frames else ""
+    what = one_line(f"{type(error).__name__}: {error}")
+    todo = f"report this line with the command and its files ({TRACEBACK}=1 shows where it comes from)"
+    return f"a defect of twin {twin.__version__}, not of your input: {what}{place}; {todo}"

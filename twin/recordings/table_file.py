@@ -56,20 +56,15 @@ def _parquet(path: Path) -> Any:
 
 def _csv(path: Path) -> Any:
     """The table of a CSV file in UTF-8, or else in Latin-1, which German controls write."""
-    import pyarrow as pa
     import pyarrow.csv
 
     refuse_above(path.stat().st_size / 8.0, MOST_VALUES, "values", str(path), "cut the recording into runs")
     try:
         table = pyarrow.csv.read_csv(path)
-        if table.column_names:  # decoded here
-            return table
-    except pa.ArrowException as error:
-        if "UTF8" not in str(error):
-            raise
+        _ = table.column_names  # decodes the headings
     except UnicodeDecodeError:
-        pass
-        return pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
+        table = pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
+    return table
 
 
 def _is_number(cell: object) -> bool:
