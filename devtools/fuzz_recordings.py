@@ -365,7 +365,10 @@ def impossible_numbers(lumped: Path, identified: Path, *results: Path) -> str:
             if "NaN" in text or "Infinity" in text:
                 return f"{file.name} holds a number that is none"
             for entry in parameters(json.loads(text)):
-                if entry.get("name") in ("inertia", "coulomb", "viscous", "position_gain_per_s") and float(entry.get("value") or 0.0) < 0.0:
+                # an estimate that is not taken may be negative where its interval reaches above zero: it is not determined
+                value, high = (float(entry.get(key) or 0.0) for key in ("value", "high"))
+                stated = entry.get("taken", True) or high < 0.0
+                if entry.get("name") in ("inertia", "coulomb", "viscous", "position_gain_per_s") and value < 0.0 and stated:
                     return f"{file.name}: {entry}"
     return ""
 

@@ -23,6 +23,8 @@ DEEPEST = 40
 """Tables within tables, lists within lists."""
 LARGEST_INTEGER = 2**63
 """Whole numbers lie below it, as TOML demands; a float64 holds them."""
+DIGITS = "a whole number of more than 4300 digits; give one below 2^63"
+"""What Python refuses to read as a whole number."""
 LARGEST_NUMBER = 1e100
 """Larger numbers of a TOML file are no quantity of anything; their products overflow. Infinity is a word of its own."""
 
@@ -38,8 +40,10 @@ def toml_of(text: str, where: str, what: str = "a valid TOML file") -> dict[str,
         document = tomllib.loads(text)
     except RecursionError:
         raise InputError(f"{where}: not {what}: nested too deeply; write it flat") from None
-    except ValueError as error:  # also a whole number of thousands of digits, which TOMLDecodeError does not cover
+    except tomllib.TOMLDecodeError as error:
         raise InputError(f"{where}: not {what}: {error}; correct it there") from None
+    except ValueError:
+        raise InputError(f"{where}: not {what}: {DIGITS}") from None
     _check(document, where, LARGEST_NUMBER)
     return document
 
@@ -51,8 +55,10 @@ def read_json(path: Path, what: str = "a valid JSON file", largest: int = LARGES
         document = json.loads(text)
     except RecursionError:
         raise InputError(f"{path}: not {what}: nested too deeply; write it flat") from None
-    except ValueError as error:
+    except json.JSONDecodeError as error:
         raise InputError(f"{path}: not {what} ({error}); it is cut off or damaged: write it again") from None
+    except ValueError:
+        raise InputError(f"{path}: not {what}: {DIGITS}") from None
     _check(document, str(path))
     return document
 

@@ -74,6 +74,14 @@ def listed(table: Mapping[str, Any], key: str, where: str, default: list[Any] | 
     return value
 
 
+def one_of(table: Mapping[str, Any], key: str, options: Collection[str], where: str, default: str | None = None) -> str:
+    """A word of a table that is one of several."""
+    value = _given(table, key, where, default)
+    if not isinstance(value, str) or value not in options:
+        raise InputError(f"{where}: {key} = {value!r} is not known; {nearest(str(value), options)}")
+    return value
+
+
 def text(table: Mapping[str, Any], key: str, where: str) -> str:
     """A text of a table."""
     value = _given(table, key, where, None)

@@ -210,8 +210,9 @@ def is_count(value: object) -> TypeGuard[float]:
 
 
 def _runs(time: np.ndarray) -> bool:
-    """Does it only go forward?"""
-    return len(time) > 1 and bool(np.all(np.diff(np.asarray(time, float)) > 0.0))
+    """Is it finite, and does it only go forward?"""
+    time = np.asarray(time, float)
+    return len(time) > 1 and bool(np.isfinite(time).all() and (np.diff(time) > 0.0).all())
 
 
 def no_file(path: Path) -> InputError | None:
