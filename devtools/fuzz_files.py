@@ -86,6 +86,18 @@ def commands(kind: str, here: Path, rng: random.Random) -> tuple[object, ...]:
             ("replay", here, *small, "--out", here / "x.rrd"),
             ("compare", here / "a.parquet", here / "a.parquet", *small, *out),
         ],
+        "lab_axis": [
+            *(("machine", action, here / "axis.toml") for action in ("check", "show")),
+            ("run", here / "strokes.csv", "--machine", here / "axis.toml", *out, "--no-recording"),
+        ],
+        "mikron": [
+            *(("machine", action, here / "mikron.toml") for action in ("check", "show")),
+            *[("check", here / "p.mpf", "--machine", here / "mikron.toml")] * 2,
+        ],
+        "suites": [
+            ("regress", here / "suites.toml", "--list"),
+            ("regress", here / "suites.toml", *out, "--jobs", "1", "--no-evidence", "--update", "--reason", "the first result"),
+        ],
         "height": [
             (
                 "cut",

@@ -92,6 +92,17 @@ def samples() -> dict[str, dict[str, bytes]]:
             "a.parquet": _parquet({h: [float(row.split(",")[c]) for row in swing] for c, h in enumerate(("time [s]", "U.setpoint [mm]"))} | {"U.position [mm]": [0.0] * 51}),
             "campaign.toml": b'machine = "small"\n[[run]]\nfile = "a.parquet"\nfeedforward = "off"\n', **small,
         },
+        "lab_axis": {
+            "axis.toml": (examples / "lab_axis" / "axis.toml").read_bytes(),
+            "axis.xml": (examples / "lab_axis" / "axis.xml").read_bytes(),
+            "strokes.csv": b"".join((examples / "lab_axis" / "strokes.csv").read_bytes().splitlines(keepends=True)[:300]),
+        },
+        "mikron": {
+            "mikron.toml": (ROOT / "models" / "mikron_ucp710.toml").read_bytes() + FOR_PROGRAMS.encode(),
+            "mikron_ucp710.xml": (ROOT / "models" / "mikron_ucp710.xml").read_bytes(),
+            "p.mpf": b"G54 T1 D1 M6\nG0 X0 Y0 Z50\nTRAORI\nG1 X5 Y1 A1 C2 F2000\nTRAFOOF\nTOOLCHECK(1)\nG75 FP=1 Z0\nM30\n",
+        },
+        "suites": {"suites.toml": SUITES.encode(), "campaign/campaign.toml": campaign.encode(), "campaign/a.csv": long.encode(), **small},
         "height": {"map.csv": _height_csv(), "map.npz": _height_npz(), "map.sur": _height_sur(), "map.x3p": _height_x3p(), "dip.toml": DIP.encode(), "dip.csv": DIP_MOVE.encode()},
     }  # fmt: skip
 
@@ -116,6 +127,40 @@ variables = ["position"]
 between = "cubic"
 points = [[-0.2, 0.0], [0.0, 1.0], [0.15, 0.5]]
 period = 0.5
+"""
+FOR_PROGRAMS = """
+[variables]
+"$MC_EXAMPLE" = 1.0
+[tool.T1]
+length_m = 0.08
+radius_m = 0.005
+[frame.G54]
+X = 0.01
+[program]
+calls_without_motion = ["TOOLCHECK"]
+feed_mm_min = 1000.0
+"""
+SUITES = """[tolerance.gap]
+growth = 0.02
+above_noise = 0.05
+reason = "what another draw of the noise would change"
+[tolerance.parameters]
+relative = 1e-3
+of_interval = 0.5
+reason = "the same records give the same numbers"
+[[case]]
+name = "gap"
+kind = "campaign"
+machine = "small.toml"
+why = "the small machine against its recording"
+campaign = "campaign"
+[[case]]
+name = "fit"
+kind = "identify"
+machine = "small.toml"
+why = "friction of one axis from its own recording"
+campaign = "campaign"
+axes = ["U"]
 """
 DESIGN = """seed = 1
 machine = "small.toml"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from twin.documents import named_file, outer_file, read_json, read_json_table, read_toml
+from twin.documents import named_file, outer_file, read_json, read_json_table, read_toml, reading
 from twin.errors import InputError, nearest, one_line
 
 TOML = {
@@ -108,6 +108,30 @@ def test_a_name_inside_is_found(tmp_path: Path) -> None:
     assert outer_file("../sub/a.stl", tmp_path / "sub", "x").read_text() == "a"
 
 
+@pytest.mark.parametrize(
+    "error",
+    [OverflowError("too large"), KeyError("a"), RecursionError(), UnicodeDecodeError("utf-8", b"", 0, 1, "bad"), AssertionError("a\nb")],
+)
+def test_whatever_a_library_raises_on_a_damaged_file_is_refused(error: Exception) -> None:
+    def read() -> None:
+        with reading(Path("a.mat"), "MATLAB file", "save it again"):
+            raise error
+
+    with pytest.raises(InputError, match=r"a.mat: not a readable MATLAB file \(.+\); save it again$") as refused:
+        read()
+    assert "\n" not in str(refused.value)
+
+
+def test_memory_rights_and_what_is_refused_already_have_their_own_words() -> None:
+    for error, words in (
+        (MemoryError(), "reading it fills the memory"),
+        (PermissionError(), "check its permissions"),
+        (InputError("b: cut off"), "^b: cut off$"),
+    ):
+        with pytest.raises(InputError, match=words), reading(Path("a.mat"), "MATLAB file"):
+            raise error
+
+
 def test_a_message_is_short_and_keeps_what_to_do() -> None:
     message = f"/a/b/machine.toml: [axis.X]: kind = '{'x' * 900}': {'a word and ' * 200} use one of linear, rotary"
     text = one_line(message)
@@ -115,4 +139,5 @@ def test_a_message_is_short_and_keeps_what_to_do() -> None:
     assert text.startswith("/a/b/machine.toml: [axis.X]: kind = 'xxx")
     assert text.endswith("use one of linear, rotary")
     assert one_line("short:\n  and   sweet") == "short: and sweet"
+    assert nearest(0, ["X", "Y"]) == "known are: X, Y"
     assert nearest("zzzz", [f"name{i}" for i in range(500)]).endswith("and 476 more")

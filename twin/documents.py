@@ -7,7 +7,8 @@ name that leaves the folder of the file that holds it, also through a symbolic l
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+import contextlib
 import json
 import math
 from pathlib import Path
@@ -69,6 +70,30 @@ def read_json_table(path: Path, what: str = "a valid JSON file") -> dict[str, An
     if not isinstance(document, dict):
         raise InputError(f"{path}: not {what}: holds no table {{..}}; write it again")
     return document
+
+
+@contextlib.contextmanager
+def reading(path: Path, kind: str, remedy: str = "export it again") -> Iterator[None]:
+    """A block in which a library reads a file of somebody else. Libraries raise any class of error on a damaged file; here all of them are one.
+
+    Raises:
+        InputError: `path` is not a readable `kind`, with the reason of the library, and `remedy`.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except PermissionError:
+        raise InputError(f"{path}: cannot be read; check its permissions") from None
+    except MemoryError:
+        raise InputError(f"{path}: not a readable {kind} (reading it fills the memory); {remedy}") from None
+    except Exception as error:
+        raise InputError(f"{path}: not a readable {kind} ({reason_of(error)}); {remedy}") from None
+
+
+def reason_of(error: Exception) -> str:
+    """What a library says of a damaged file, in one short line."""
+    return " ".join(str(error).split())[:120] or type(error).__name__
 
 
 def named_file(name: object, folder: Path, where: str, *, within: Path | None = None) -> Path:

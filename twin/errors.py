@@ -37,10 +37,10 @@ class SimulationError(TwinError):
         self.trace = trace
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
+def nearest(word: object, known: Iterable[str]) -> str:
     """The tail of an error message: the nearest known word, or else the list of all known words."""
     known = sorted(known)
-    match = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    match = difflib.get_close_matches(str(word), known, n=1, cutoff=0.6)
     if match:
         return f"did you mean '{match[0]}'?"
     listed = ", ".join(known[:MOST_LISTED])

@@ -96,7 +96,7 @@ def test_sur_files_that_are_refused(tmp_path: Path) -> None:
 
 def test_faults(tmp_path: Path) -> None:
     (tmp_path / "map.x3p").write_text("no archive", encoding="utf-8")
-    for name, says in (("none.npz", "no such height map"), ("map.x3p", "cannot be read as a height map")):
+    for name, says in (("none.npz", "no such height map"), ("map.x3p", "not a readable height map")):
         with pytest.raises(InputError, match=says):
             read_height_map(tmp_path / name)
 

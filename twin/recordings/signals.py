@@ -212,7 +212,7 @@ def is_count(value: object) -> TypeGuard[float]:
 def _runs(time: np.ndarray) -> bool:
     """Is it finite, and does it only go forward?"""
     time = np.asarray(time, float)
-    return len(time) > 1 and bool(np.isfinite(time).all() and (np.diff(time) > 0.0).all())
+    return len(time) > 1 and bool((np.abs(time) < NO_MEASUREMENT).all() and (np.diff(time) > 0.0).all())
 
 
 def no_file(path: Path) -> InputError | None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import refuse_above
 
@@ -17,25 +18,19 @@ MOST_VALUES = 250_000_000
 def read_table(path: Path) -> dict[str, np.ndarray]:
     """Columns of a Parquet or CSV file as float arrays."""
     import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet
 
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
-    try:
+    with reading(path, "Parquet file" if path.suffix == ".parquet" else "CSV file", "write it again"):
         table = _parquet(path) if path.suffix == ".parquet" else _csv(path)
-    except PermissionError:
-        raise InputError(f"{path}: cannot be read; check its permissions") from None
-    except (pa.ArrowException, OSError, UnicodeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a readable {'Parquet' if path.suffix == '.parquet' else 'CSV'} file ({reason})") from None
+        names = table.column_names
     if table.num_rows == 0:
         raise InputError(f"{path}: the trace is empty; record at least two samples")
-    if len(set(table.column_names)) != len(table.column_names):
-        twice = next(n for n in table.column_names if table.column_names.count(n) > 1)
+    if len(set(names)) != len(names):
+        twice = next(n for n in names if names.count(n) > 1)
         raise InputError(f"{path}: column '{twice}' occurs twice; remove one")
     columns = {}
-    for name in table.column_names:
+    for name in names:
         column = table.column(name)
         if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
             row, cell = next(((i, c) for i, c in enumerate(column.to_pylist(), start=1) if not _is_number(c)), (1, column[0].as_py()))

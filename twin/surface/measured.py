@@ -13,6 +13,7 @@ import zipfile
 
 import numpy as np
 
+from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.limits import refuse_above
 from twin.surface.sur_file import read_sur
@@ -56,12 +57,8 @@ def read_height_map(path: Path) -> HeightMap:
     readers = {".npz": _npz, ".csv": _csv, ".sur": _sur, ".x3p": _x3p}
     if path.suffix.lower() not in readers:
         raise InputError(f"{path}: not a height map that can be read; {nearest(path.suffix.lower(), ENDINGS)}")
-    try:
+    with reading(path, "height map"):
         found = readers[path.suffix.lower()](path)
-    except InputError:
-        raise
-    except Exception as error:  # a damaged file fails in many ways
-        raise InputError(f"{path}: cannot be read as a height map ({type(error).__name__}: {error}); export it again") from None
     if found.height.shape != (len(found.v), len(found.u)) or min(found.height.shape) < 8:
         raise InputError(f"{path}: a map of {found.height.shape[0]} x {found.height.shape[1]} points; give at least 8 x 8")
     known = np.isfinite(found.height)
