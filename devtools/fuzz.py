@@ -1,8 +1,8 @@
-"""Every fuzzer through one loop: spoilt files, folders and options of all commands, mutilated recordings, changed programs.
+"""Fuzz all commands with corrupted files, folders, recordings and programs, and with unusual options.
 
-scripts/fuzz --cases 2000 --seed 1            all kinds in turn
-scripts/fuzz --cases 500 --only machine       one kind; --list names them
-scripts/fuzz --cases 1 --seed 1234 --only map a fault again
+scripts/fuzz --cases 2000 --seed 1              all kinds in turn
+scripts/fuzz --cases 500 --only machine         one kind; --list prints their names
+scripts/fuzz --cases 1 --seed 1234 --only map   repeat one case
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from devtools import fuzz_files, fuzz_folders, fuzz_programs, fuzz_recordings
 from devtools.fuzz_loop import SECONDS, Case, fuzz
 
 RARELY = ("chain", "study", "study_folder", "exam", "diagnose", "plan", "height")
-"""Kinds whose cases take longer than the others."""
+"""Kinds whose cases take longer than others."""
 
 
 def kinds(data: Path) -> dict[str, Case]:
-    """Kind -> case of all fuzzers."""
+    """All kinds by name."""
     return {
         **fuzz_files.all_kinds(),
         **fuzz_folders.all_kinds(),
@@ -40,7 +40,7 @@ def _mikron() -> object:
 
 
 def program(seed: int, folder: Path) -> str:
-    """A changed program: refused in one line, or read with the same meaning as its normalised print."""
+    """A mutated program is refused in one line, or its normalised print is read with the same meaning."""
     rng = random.Random(f"program {seed}")
     name = rng.choice(sorted(fuzz_programs.SAMPLES))
     text = fuzz_programs.mutate(fuzz_programs.SAMPLES[name], rng)
@@ -58,10 +58,10 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", action="append", metavar="KIND")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="longest time of one case")
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="recordings of real machines, where they are")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="end after so long, whatever is left")
-    parser.add_argument("--list", action="store_true", help="name the kinds and end")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="processor time that one case may take")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder with recordings of real machines, if any")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="stop after this time")
+    parser.add_argument("--list", action="store_true", help="print the names of the kinds")
     args = parser.parse_args()
     known = kinds(args.data.resolve())
     if args.list or not set(args.only or known) <= set(known):

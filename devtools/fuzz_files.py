@@ -1,7 +1,6 @@
-"""Spoilt files of every kind that a command reads, and options that nobody gives.
+"""Kinds of the fuzzer: corrupted files of every kind that a command reads, and unusual options.
 
-A case lays a small sample of `fuzz_samples`, spoils one of its files and carries out a command in this process. A command that is done, or refused in
-one line, is right; everything else is a fault.
+A case writes a small sample of `fuzz_samples`, corrupts one of its files and runs a command in this process.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from devtools.fuzz_spoil import VALUES, replaced, spoil
 
 
 def commands(kind: str, here: Path, rng: random.Random) -> tuple[object, ...]:
-    """A command that reads the files of a kind."""
+    """A random command that reads the files of a kind in the folder `here`."""
     small, out = ("--machine", here / "small.toml"), ("--out", here / "out")
     machine = [("machine", "check", here / "small.toml"), ("machine", "show", here / "small.toml"),
                ("run", here / "move.csv", *small, *out, "--no-recording")]  # fmt: skip
@@ -124,23 +123,23 @@ _PROGRAM: tuple[tuple[object, ...], ...] = (*[("check",)] * 3, *[("interpolate",
 
 
 def laid(files: Files, folder: Path) -> None:
-    """Write the files of a sample into a folder."""
+    """Write the files of a sample to a folder."""
     for name, content in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
 
 
 def told(name: str, command: tuple[object, ...], folder: Path, fault: str) -> str:
-    """A fault with what led to it."""
+    """A fault with the file and the command that led to it."""
     return f"{name}: twin {' '.join(str(a).replace(str(folder), '.') for a in command)}: {fault}" if fault else ""
 
 
 SEVERAL = ("nc", "iso", "archive", "height")
-"""Kinds whose commands read one file each; in the others every command reads the first."""
+"""Kinds in which each command reads another file of the sample; in the other kinds every command reads the first one."""
 
 
 def case_of(kind: str) -> Case:
-    """The case of a kind: its files, one of them spoilt, through a command."""
+    """The case function of a kind."""
 
     def case(seed: int, folder: Path) -> str:
         rng = random.Random(f"{kind} {seed}")
@@ -164,11 +163,11 @@ COMMANDS = (("run", "move.csv"), ("interpolate", "p.mpf"), ("check", "p.mpf"), (
 ARGUMENTS = ("", "nan", "inf", "-1", "0", "1e300", "x", "é", "/dev/null/x", ".", "move.csv", "a=b", "backlash:X:clearance=nan", "backlash", "XY", "99999999999",
              "x" * 300, "1e-300", "*", "$HOME", "<b>", "none.toml", "a\nb", "backlash X clearance 1e300", "X", "programmed", "off")  # fmt: skip
 NOT_HERE = ("--open", "--serve", "--screenshot", "--scheduler")
-"""Options that begin a browser, a viewer or a search for another computer."""
+"""Options that start a browser or a viewer, or connect to another computer."""
 
 
 def flags_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, bool]]:
-    """(option, takes a value) of a command and of its actions."""
+    """Options of a command and of its actions, each as (option, takes a value)."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in dict.fromkeys(action.choices.values()):
@@ -179,7 +178,7 @@ def flags_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, bool]]:
 
 @functools.cache
 def flags() -> dict[str, tuple[tuple[str, bool], ...]]:
-    """Command -> its options, and whether each takes a value."""
+    """`flags_of` every command, by its name."""
     from twin.cli.parser import build_parser
 
     commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
@@ -187,9 +186,9 @@ def flags() -> dict[str, tuple[tuple[str, bool], ...]]:
 
 
 def options(seed: int, folder: Path) -> str:
-    """A command with options that nobody gives, mostly of its own."""
+    """A command with unusual options and values, most of them its own options."""
     rng = random.Random(f"options {seed}")
-    os.chdir(folder)  # what is given relative is written there
+    os.chdir(folder)  # relative paths lead here
     (folder / "move.csv").write_text("time [s],X.setpoint [mm]\n0,0\n0.001,0\n0.002,0\n")
     (folder / "p.mpf").write_text("G1 X1 F100\nM30\n")
     (folder / "s.toml").write_text("x = 1\n")
@@ -206,7 +205,7 @@ def options(seed: int, folder: Path) -> str:
 
 @functools.cache
 def places() -> list[tuple[str, str, int, str]]:
-    """(kind, file, line, value): every value that no code expects in the place of every value of every TOML file, in an order that mixes them."""
+    """Every unexpected value at every place of every TOML sample, shuffled: (kind, file, line, value)."""
     files = [(kind, next(iter(files))) for kind, files in samples().items() if next(iter(files)).endswith(".toml")]
     found = []
     for kind, name in files:
@@ -218,12 +217,12 @@ def places() -> list[tuple[str, str, int, str]]:
 
 
 def every_value(seed: int, folder: Path) -> str:
-    """One of `places`: seeds 0 to len(places()) - 1 are all of them."""
+    """One of `places`; the seeds from 0 to len(places()) - 1 cover all of them."""
     return value_at(*places()[seed % len(places())], random.Random(f"every value {seed}"), folder)
 
 
 def value_at(kind: str, name: str, i: int, value: str, rng: random.Random, folder: Path) -> str:
-    """The fault where line i of a file has another value."""
+    """The fault, or "", after line `i` of a file got another value."""
     laid(samples()[kind], folder)
     lines = (folder / name).read_text(encoding="utf-8").split("\n")
     lines[i] = replaced(lines[i], value)
@@ -233,5 +232,5 @@ def value_at(kind: str, name: str, i: int, value: str, rng: random.Random, folde
 
 
 def all_kinds() -> dict[str, Case]:
-    """Every kind of file, and the options."""
+    """All kinds of this module."""
     return {**{kind: case_of(kind) for kind in samples()}, "options": options, "every_value": every_value}

@@ -1,10 +1,9 @@
-"""One loop for all fuzzers: seeded cases in a process of their own, with limits on time and memory; what is no refusal in one line is a fault.
+"""The loop of all fuzzers: seeded cases in a child process, with limits on time and memory.
 
-Pictures are drawn in one case of `DRAWN`, they take longer than all else; and a kind in `rarely` comes once while the others come three times.
-
-A kind is a name and a function `case(seed, folder) -> fault or ""`. The loop draws the kinds in turn. The child process writes which case it is
-at, so that a crash of the process is one fault, and goes on behind it. Beside what a kind reports, a fault is: a case above `SECONDS` of processor time, memory above
-`BYTES`, a file outside the folder of the case, a process that ends.
+A kind is a name and a function `case(seed, folder)` that returns a fault, or "" if there is none. The loop takes the kinds in turn; a kind in
+`rarely` comes once while the others come three times. Every case is reported to the parent process, so that a crash of the child counts as one fault
+and the loop continues with the next case. A case is also a fault if it takes more than `SECONDS` of processor time or `BYTES` of memory, or leaves a
+file outside its folder. Pictures are drawn in one case out of `DRAWN`, because drawing takes most of the time.
 """
 
 from __future__ import annotations
@@ -27,24 +26,24 @@ import warnings
 
 SECONDS = 60.0
 STANDS_STILL = 20.0
-"""On a computer with other work a case gets a share of a core; one that waits takes no processor time at all."""
+"""A case may take this many times `SECONDS` by the clock: a waiting process uses no processor time."""
 DRAWN = 8
-"""One case in so many draws its pictures; in the others an empty one is written."""
+"""One case in this many draws its pictures; the others write empty files."""
 BYTES = 2_000_000_000
-"""Memory that a case may take beside what the process has when all is loaded."""
+"""Memory that a case may use beyond that of a process with all modules loaded."""
 LONGEST_LINE = 420
-"""Characters of a message: a path, 300 for what is said."""
+"""Characters of a message: 300, and a path."""
 
 Case = Callable[[int, Path], str]
 
 
 class TooLong(BaseException):
-    """A case that goes on for longer than it may; no `except Exception` on the way swallows it."""
+    """A case exceeded its time. Not an Exception, so that no handler on the way catches it."""
 
 
 @dataclass
 class Tally:
-    """Cases by kind, and what went wrong."""
+    """Number of cases and processor time by kind, and all faults."""
 
     cases: dict[str, int] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -53,11 +52,11 @@ class Tally:
 
     @property
     def total(self) -> int:
-        """All cases."""
+        """Number of all cases."""
         return sum(self.cases.values())
 
     def add(self, seed: int, kind: str, seconds: float, fault: str, say: Callable[[str], Any]) -> None:
-        """Count a case, and report its fault if it has one."""
+        """Count a case and report its fault, if any."""
         self.cases[kind] = self.cases.get(kind, 0) + 1
         self.seconds[kind] = self.seconds.get(kind, 0.0) + seconds
         if fault:
@@ -66,7 +65,7 @@ class Tally:
 
 
 def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ", "note: ", "warning: ")) -> tuple[int, str]:
-    """(exit code, fault or "") of one command in this process: done, or refused with one line that begins with `twin:`."""
+    """Run a command in this process: (exit code, fault). It must succeed, or print one line that starts with `twin:`."""
     import twin
     from twin.cli import main
 
@@ -76,7 +75,7 @@ def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ",
             with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
                 warnings.simplefilter("error", RuntimeWarning)
                 code = int(main([*map(str, arguments)]) or 0)
-        except SystemExit as stop:  # usage: said by the parser
+        except SystemExit as stop:  # usage errors of the parser
             code = int(stop.code or 0)
         except TooLong:
             raise
@@ -101,7 +100,7 @@ def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ",
 
 @contextlib.contextmanager
 def _standard_error() -> Iterator[Callable[[], str]]:
-    """What libraries in C and other processes write to standard error, past Python, as far as it has come."""
+    """Capture what C libraries and child processes write to standard error; yields a function that returns it."""
     kept = os.dup(2)
     with tempfile.TemporaryFile() as file:
         os.dup2(file.fileno(), 2)
@@ -126,7 +125,7 @@ def fuzz(
     minutes: float = math.inf,
     rarely: tuple[str, ...] = (),
 ) -> Tally:
-    """Carry out cases seed, seed + 1, ..., each kind in its turn, in a child process that is begun anew where it ended; at most for so long."""
+    """Run cases `seed`, `seed + 1`, ... for at most `minutes`, taking the kinds in turn, in a child process that is restarted after a crash."""
     often = [kind for kind in kinds if kind not in rarely]
     names = [*often, *often, *often, *(kind for kind in kinds if kind in rarely)]
     tally, at, end = Tally(), seed, time.monotonic() + 60.0 * minutes
@@ -147,7 +146,7 @@ def fuzz(
 
 
 def one_case(kind: Case, seed: int, seconds: float = SECONDS) -> str:
-    """The fault of one case, "" where there is none: in an empty folder, with a watch on time, memory and stray files."""
+    """The fault of one case, or "": run in an empty folder, with limits on time and memory and a check for files outside."""
     with tempfile.TemporaryDirectory(prefix="twin-fuzz-") as scratch:
         here, place = Path(scratch) / "here", Path(scratch) / "case"
         here.mkdir()
@@ -172,7 +171,7 @@ def one_case(kind: Case, seed: int, seconds: float = SECONDS) -> str:
 
 @contextlib.contextmanager
 def _undrawn() -> Iterator[None]:
-    """Pictures are written, and nothing is on them."""
+    """Replace drawing by writing empty pictures."""
     from matplotlib.figure import Figure
 
     def empty(_: Figure, to: Any, **__: Any) -> None:
@@ -186,11 +185,11 @@ def _undrawn() -> Iterator[None]:
 
 
 _PEAK_LOADED = 600_000_000
-"""Memory of a process that has all rooms loaded."""
+"""Memory of a process with all modules loaded [bytes]."""
 
 
 def _carry_out(kinds: Mapping[str, Case], names: Sequence[str], start: int, end: int, pipe: Any, seconds: float, last: float) -> None:
-    """The child: cases one after the other until the moment `last`, each reported when it is done."""
+    """Body of the child process: run cases until the time `last`, and report each."""
     with contextlib.suppress(ImportError, ValueError):
         import resource
 
@@ -215,7 +214,7 @@ def _messages(pipe: Any) -> Iterator[tuple[int, float, str]]:
 
 @contextlib.contextmanager
 def _watch(seconds: float) -> Iterator[None]:
-    """Raise TooLong after so much processor time, or `STANDS_STILL` times as long by the clock, where the system can."""
+    """Raise TooLong after `seconds` of processor time, or `STANDS_STILL` times as long by the clock; on Unix only."""
     if not hasattr(signal, "setitimer"):
         yield
         return
@@ -236,7 +235,7 @@ def _watch(seconds: float) -> Iterator[None]:
 
 
 def _peak() -> int | None:
-    """Largest memory of this process so far [bytes]."""
+    """Peak memory of this process [bytes]."""
     try:
         import resource
     except ImportError:

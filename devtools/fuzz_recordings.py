@@ -1,8 +1,7 @@
-"""Spoilt recordings of a moving axis: imported (`recording`), or all the way to an identified machine and its gap (`chain`).
+"""Kinds of the fuzzer: corrupted recordings of a moving axis, imported (`recording`) or taken all the way to machine, identification and gap (`chain`).
 
-A recording made here is that of a machine whose position gain is known; so are some of the real ones below --data. Besides what every kind looks for,
-a case of `chain` is a fault where a command writes a number that no axis can have, or states a position gain that the recording does not have
-although what was done to it leaves the gain as it is.
+The position gain is known for simulated recordings and for some of the real ones in --data. A case of `chain` is also a fault if a command writes an
+impossible number, or states a wrong position gain although the mutation does not change the gain.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ Table = dict[str, np.ndarray]
 GAIN_PER_S = 40.0
 ROWS = 500
 FAR = 0.1
-"""A stated gain may differ from the known one by this share in addition to its interval."""
+"""A stated gain may differ from the known one by its interval and this share."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Columns of one recording, how its file is written, and what is known: position gain [1/s] by axis; empty where nothing is."""
+    """Columns of a recording, the writer of its file, and the known position gains [1/s] by axis."""
 
     name: str
     table: Table
@@ -44,7 +43,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Mutation:
-    """A change of a table; `keeps` says whether the known numbers still hold."""
+    """A change of a table; `keeps`: the known gains still hold."""
 
     apply: Callable[[Table, np.random.Generator], Table]
     keeps: bool
@@ -114,19 +113,19 @@ def noise(t: Table, rng: np.random.Generator) -> Table:
 
 
 def cut(t: Table, rng: np.random.Generator) -> Table:
-    """The rows from one to another."""
+    """Keep a range of rows."""
     n = len(next(iter(t.values())))
     a, b = sorted(rng.integers(0, n + 1, 2))
     return {k: v[a:b] for k, v in t.items()}
 
 
 def unsigned(t: Table, rng: np.random.Generator) -> Table:
-    """A current, voltage or torque without its sign."""
+    """Drop the sign of currents, voltages and torques."""
     return {k: np.abs(v) if k.split("|")[0].lower() in ("current", "vir", "torque", "act_torque_abs_nm") else v for k, v in t.items()}
 
 
 def shifted(t: Table, rng: np.random.Generator) -> Table:
-    """One encoder with a zero of its own."""
+    """Shift the zero of one encoder."""
     names = [k for k in t if "act_pos" in k or "ENC_POS" in k or k == "qm"]
     name = str(rng.choice(names)) if names else ""
     return {k: v + 0.3 if k == name else v for k, v in t.items()}
@@ -139,7 +138,7 @@ MUTATIONS = (
 
 
 def made(rng: np.random.Generator) -> Recording:
-    """One axis by its law: P position controller with delay and feedforward, a lagging speed loop, inertia and friction."""
+    """Simulate one axis: P position controller with delay and feedforward, a lagging speed loop, inertia and friction."""
     period = float(rng.choice([0.1e-3, 0.25e-3, 1e-3, 2e-3, 4e-3, 10e-3, 40e-3, 100e-3]))
     fine = 8
     n = int(rng.integers(2, np.clip(1.2 / period, ROWS // 2, 4 * ROWS)))
@@ -167,11 +166,11 @@ def made(rng: np.random.Generator) -> Recording:
 
 
 EDGE_NAMES = {"set_point": "DES_POS|1", "act_pos": "ENC_POS|1", "cmd_vel": "CMD_SPEED|1", "act_vel": "VEL_FFW|1", "current": "CURRENT|1"}
-"""Columns of a recording made here, as a SINUMERIK Edge names them."""
+"""Names that a SINUMERIK Edge gives the columns of a simulated recording."""
 
 
 def write_edge(path: Path, t: Table, rng: np.random.Generator) -> Path:
-    """The JSON of SINUMERIK Edge; rows as they come."""
+    """SINUMERIK Edge JSON, with the rows in their order."""
     own = {EDGE_NAMES.get(k, k): v for k, v in t.items() if k not in ("CYCLE", "t")}
     counter = t["CYCLE"] if "CYCLE" in t else t["t"] / 2e-3 if "t" in t else np.arange(len(next(iter(t.values()))))
     counter = np.clip(np.nan_to_num(counter, posinf=0.0, neginf=0.0), -1e15, 1e15)
@@ -209,7 +208,7 @@ def write_mat(path: Path, t: Table, rng: np.random.Generator) -> Path:
 
 
 def write_mat73(path: Path, t: Table, rng: np.random.Generator) -> Path:
-    """A MATLAB file of version 7.3, which is HDF5."""
+    """A MATLAB 7.3 file, which is HDF5."""
     import h5py
 
     path = path.with_suffix(".mat")
@@ -222,7 +221,7 @@ def write_mat73(path: Path, t: Table, rng: np.random.Generator) -> Path:
 
 
 def write_tdms(path: Path, t: Table, rng: np.random.Generator) -> Path:
-    """A TDMS file, with the time in the channels' properties."""
+    """A TDMS file whose channels carry start and increment."""
     return tdms_file(path.with_suffix(".tdms"), {k: v for k, v in t.items() if k != "t"}, 1e-3, {"set_point": "mm", "act_pos": "mm"})
 
 
@@ -233,7 +232,7 @@ def write_mdf(path: Path, t: Table, rng: np.random.Generator) -> Path:
 
 
 def write_parquet(path: Path, t: Table, rng: np.random.Generator) -> Path:
-    """A Parquet file, some columns as whole numbers, some with their unit."""
+    """A Parquet file with units in its headings, sometimes with integer columns."""
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -250,7 +249,7 @@ WRITERS = (write_csv, write_csv, write_edge, write_edge, write_mat, write_mat73,
 
 @functools.cache
 def real(folder: Path) -> list[Recording]:
-    """Recordings of real machines in a folder, none where they are not there."""
+    """Recordings of real machines in a folder, if any."""
     from scipy.io import loadmat
 
     out = []
@@ -285,7 +284,7 @@ def real(folder: Path) -> list[Recording]:
 
 
 def part_of(recording: Recording, rng: np.random.Generator) -> Recording:
-    """Up to 2 ROWS of a long recording, from anywhere."""
+    """A random part of a recording, shorter than 2 ROWS."""
     n = len(next(iter(recording.table.values())))
     length = int(rng.integers(2, 2 * ROWS))
     first = int(rng.integers(0, max(n - length, 1)))
@@ -293,7 +292,7 @@ def part_of(recording: Recording, rng: np.random.Generator) -> Recording:
 
 
 def chain(seed: int, folder: Path, recordings: list[Recording], no_refine: bool = False) -> tuple[str, str]:
-    """(how far it came, what went wrong or "") of one mutilated recording; `no_refine`: identified by regression only."""
+    """(last successful command, fault) of a corrupted recording; `no_refine`: identify by regression only."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
     recording = part_of(recordings[int(rng.integers(len(recordings)))], rng) if recordings and rng.random() < 0.6 else made(rng)
@@ -329,7 +328,7 @@ def chain(seed: int, folder: Path, recordings: list[Recording], no_refine: bool 
 
 
 def recording(seed: int, folder: Path, recordings: list[Recording]) -> tuple[int, str]:
-    """(exit code, fault or "") of one spoilt recording that is imported."""
+    """(exit code, fault) of importing a corrupted recording."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
     chosen = part_of(recordings[int(rng.integers(len(recordings)))], rng) if recordings and rng.random() < 0.3 else made(rng)
@@ -346,7 +345,7 @@ def recording(seed: int, folder: Path, recordings: list[Recording]) -> tuple[int
 
 
 def impossible_numbers(lumped: Path, identified: Path, *results: Path) -> str:
-    """Numbers that no axis can have: not finite, or negative where only positive ones exist."""
+    """Numbers that no axis can have: not finite, or negative where only positive ones are possible."""
     for file in (lumped, identified):
         if file.is_file():
             for axis in load_machine(file).axes:
@@ -365,7 +364,7 @@ def impossible_numbers(lumped: Path, identified: Path, *results: Path) -> str:
             if "NaN" in text or "Infinity" in text:
                 return f"{file.name} holds a number that is none"
             for entry in parameters(json.loads(text)):
-                # an estimate that is not taken may be negative where its interval reaches above zero: it is not determined
+                # an estimate that is not taken may be negative if its interval includes positive values: it is undetermined
                 value, high = (float(entry.get(key) or 0.0) for key in ("value", "high"))
                 stated = entry.get("taken", True) or high < 0.0
                 if entry.get("name") in ("inertia", "coulomb", "viscous", "position_gain_per_s") and value < 0.0 and stated:
@@ -374,7 +373,7 @@ def impossible_numbers(lumped: Path, identified: Path, *results: Path) -> str:
 
 
 def parameters(content: Any) -> list[dict[str, Any]]:
-    """Every table with a name and a value in a JSON document."""
+    """All objects with a name and a value in a JSON document."""
     if isinstance(content, dict):
         own = [content] if "name" in content and "value" in content else []
         return own + [p for value in content.values() for p in parameters(value)]
@@ -382,7 +381,7 @@ def parameters(content: Any) -> list[dict[str, Any]]:
 
 
 def wrong_gain(recording: Recording, result: Path) -> str:
-    """A position gain that is claimed, with its interval, and is not that of the recording."""
+    """A stated position gain that is not that of the recording."""
     if not result.is_file() or not recording.gains:
         return ""
     for entry in parameters(json.loads(result.read_text(encoding="utf-8"))):
@@ -392,5 +391,5 @@ def wrong_gain(recording: Recording, result: Path) -> str:
         value = float(entry["value"])
         half = 0.5 * (float(entry.get("high") or value) - float(entry.get("low") or value))
         if abs(value - known) > 3.0 * half + FAR * known:
-            return f"claims a position gain of {value:.4g} +-{half:.2g} 1/s of axis {entry.get('axis')}, it is {known:.4g}"
+            return f"states a position gain of {value:.4g} +-{half:.2g} 1/s of axis {entry.get('axis')}, it is {known:.4g}"
     return ""

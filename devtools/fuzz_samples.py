@@ -1,4 +1,4 @@
-"""Small files of every kind that a command reads, in order: what `fuzz_files` spoils."""
+"""Small valid files of every kind that a command reads, for `fuzz_files` to corrupt."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from tests.builders.small_machine import MJCF, TOML
 
 ROOT = Path(__file__).resolve().parents[1]
 Files = Mapping[str, bytes]
-"""Name below a folder -> content."""
+"""Content by name below a folder."""
 
 
 @functools.cache
 def samples() -> dict[str, dict[str, bytes]]:
-    """Kind -> files that are in order, small enough that a command takes a second at most; the first is spoilt most often."""
+    """Valid files by kind, so small that a command takes a second at most. The first file of a kind is corrupted most often."""
     examples = ROOT / "examples"
-    # a move of 50 samples: U 1 mm to and fro
+    # 51 samples of axis U moving 1 mm out and back
     swing = [f"{i * 1e-3:.3f},{0.5 * (1 - np.cos(2 * np.pi * i / 50)):.6f}" for i in range(51)]
     trace = "time [s],U.setpoint [mm]\n" + "\n".join(swing) + "\n"
     measured = (
@@ -264,7 +264,7 @@ def _height_x3p() -> bytes:
 
 
 def _parquet(columns: dict[str, Any]) -> bytes:
-    """A Parquet file of columns, each in its own type."""
+    """A Parquet file with these columns."""
     import pyarrow as pa
     import pyarrow.parquet
 

@@ -1,6 +1,6 @@
-"""How a file is spoilt: unexpected values, keys and elements moved or repeated, cells and bytes changed.
+"""Corrupting a file by its ending: unexpected values, moved or repeated keys and elements, changed cells and bytes.
 
-`spoil` treats a file by its ending. The same state of the random number generator gives the same file.
+The same state of the random number generator gives the same file.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ VALUES = (
     "1e9", "1e-9", "1e15", "9223372036854775807", "1" + "0" * 30, "1979-05-27", "07:32:00", '"\\u0000"', '"../../x"', '"/etc/hostname"', '"."',
     '"$x_{"', '"<b>&"', '"a/b"', '"' + "x" * 400 + '"', '"é\\n"', "12345678901234567890123", "0.5", "3", "1000000000", '"X"', '"-nan"',
 )  # fmt: skip
-"""What a value of a TOML file becomes."""
+"""Unexpected values of a TOML file."""
 WORDS = (
     "",
     "nan",
@@ -42,17 +42,17 @@ WORDS = (
     "[]",
     "true",
 )
-"""What an attribute or a cell becomes."""
+"""Unexpected values of an attribute or a cell."""
 
 
 def replaced(line: str, value: str) -> str:
-    """A line of TOML with another value; a name that is printed is never the word `nan`, which is looked for in what is printed."""
+    """A line of TOML with another value. A name never becomes `nan`, because the fuzzer looks for this word in the output."""
     key = line.split("=", 1)[0]
     return key + "= " + ("1" if key.strip() == "name" and value == "nan" else value)
 
 
 def spoil_toml(text: str, rng: random.Random) -> str:
-    """Another value, key, table or order."""
+    """Change values, keys, tables or their order."""
     lines = text.split("\n")
     settable = [i for i, line in enumerate(lines) if re.match(r"\s*[\w.\"*]+\s*=", line)]
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
@@ -74,7 +74,7 @@ def spoil_toml(text: str, rng: random.Random) -> str:
 
 
 def spoil_xml(text: str, rng: random.Random) -> str:
-    """Another attribute, element or order."""
+    """Change attributes, elements or their order."""
     for _ in range(rng.choice((1, 1, 2, 3))):
         what = rng.randrange(8)
         attributes = list(re.finditer(r'(\w+)="([^"]*)"', text))
@@ -82,7 +82,7 @@ def spoil_xml(text: str, rng: random.Random) -> str:
         if what < 4 and attributes:
             m = rng.choice(attributes)
             value = rng.choice((*WORDS, rng.choice(attributes)[2]))
-            if value == "nan" and m[1] in _NAMES:  # is printed, and what is printed is looked at for it
+            if value == "nan" and m[1] in _NAMES:  # the fuzzer looks for this word in the output
                 value = "x"
             text = text[: m.start(2)] + value + text[m.end(2) :]
         elif what == 4 and attributes:
@@ -113,7 +113,7 @@ _ELEMENTS = (
 
 
 def spoil_table(text: str, rng: random.Random) -> str:
-    """Another cell, heading, row or delimiter."""
+    """Change cells, headings or rows."""
     rows = [line.split(",") for line in text.strip("\n").split("\n")]
     for _ in range(rng.choice((1, 1, 2, 3))):
         i = rng.choice((0, rng.randrange(len(rows))))
@@ -134,7 +134,7 @@ def spoil_table(text: str, rng: random.Random) -> str:
 
 
 def spoil_json(text: str, rng: random.Random) -> str:
-    """Another value somewhere."""
+    """Change one value."""
     document = json.loads(text)
     at, key = document, None
     for _ in range(8):
@@ -150,7 +150,7 @@ def spoil_json(text: str, rng: random.Random) -> str:
 
 
 def spoil_bytes(content: bytes, rng: random.Random) -> bytes:
-    """Some bytes changed, the end cut off, or a number made large."""
+    """Change bytes, cut the end off, or make a number large."""
     data = bytearray(content)
     for _ in range(rng.choice((1, 2, 5, 20))):
         what = rng.randrange(5)
@@ -175,7 +175,7 @@ SPOIL: dict[str, Callable[[str, random.Random], str]] = {
 
 
 def spoil_parquet(content: bytes, rng: random.Random) -> bytes:
-    """A Parquet file with a column of another type, heading or place."""
+    """Change the type, heading or place of columns of a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -198,7 +198,7 @@ def spoil_parquet(content: bytes, rng: random.Random) -> bytes:
 
 
 def _typed(value: object, kind: Callable[[], object] | None = None) -> Callable[[int], object]:
-    """A column (row,) of one value in a type of Arrow."""
+    """A function that makes a column (row,) of one value, in an Arrow type."""
 
     def column(rows: int) -> object:
         import pyarrow as pa
@@ -227,7 +227,7 @@ _COLUMNS: tuple[Callable[[int], object], ...] = (
 
 
 def spoil_archive(content: bytes, rng: random.Random) -> bytes:
-    """A zip archive one of whose files is spoilt, by its text or its bytes; or gone."""
+    """Corrupt or remove one file of a zip archive."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     name = rng.choice(list(files))
@@ -244,7 +244,7 @@ def spoil_archive(content: bytes, rng: random.Random) -> bytes:
 
 
 def spoil_cells(text: str, rng: random.Random) -> str:
-    """XML with another text inside of an element, now and then."""
+    """Sometimes change the text of an XML element."""
     cells = list(re.finditer(r">([^<>]+)<", text))
     if not cells or rng.random() < 0.3:
         return text
@@ -256,7 +256,7 @@ SPOIL_BYTES = {".parquet": spoil_parquet, ".x3p": spoil_archive, ".npz": spoil_a
 
 
 def spoil(file: Path, rng: random.Random) -> None:
-    """Spoil one file in the way of its ending; now and then by its bytes."""
+    """Corrupt one file in the way of its ending, sometimes by its bytes."""
     by_text, by_bytes = SPOIL.get(file.suffix), SPOIL_BYTES.get(file.suffix, spoil_bytes)
     content = file.read_bytes()
     if by_bytes is not spoil_bytes and rng.random() < 0.7:

@@ -1,4 +1,4 @@
-"""What the world does to a command: a disk that is full, a signal, a second command in the same folder, a killed parent."""
+"""Commands on a full disk, under signals, beside a second command in the same folder, without a parent, and with a defect."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ENDS_IN_S = 3.0
 
 @contextlib.contextmanager
 def full_disk(size: int = 4096):
-    """Files of this process cannot grow beyond a size: what a full disk is, without one."""
+    """Limit the size of files of this process, which behaves like a full disk."""
     import resource
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -76,20 +76,18 @@ ON_A_FULL_DISK = """
 
 
 def test_a_recording_on_a_full_disk_is_removed(tmp_path: Path) -> None:
-    """The writer of recordings is a library of its own, which goes on as if nothing were wrong, with lines of its own."""
+    """The library that writes recordings reports no error on a full disk, only lines of its own."""
     write_trace(long_trace(), tmp_path / "a.csv")
     (tmp_path / "out").mkdir()
     command = [sys.executable, "-c", textwrap.dedent(ON_A_FULL_DISK), str(tmp_path / "a.csv"), "--out", str(tmp_path / "out" / "a.rrd")]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "TQDM_DISABLE": "1"}, check=False)
-    said = [
-        line for line in done.stderr.splitlines() if "compiled functions" not in line
-    ]  # kept nowhere either, where they are not kept already
+    said = [line for line in done.stderr.splitlines() if "compiled functions" not in line]  # the cache cannot be written either
     assert (done.returncode, len(said)) == (2, 1), done.stderr
     assert "a.rrd: cannot be written" in said[0]
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_what_is_stopped_leaves_nothing(tmp_path: Path) -> None:
+def test_a_stopped_write_leaves_no_file(tmp_path: Path) -> None:
     def stopped() -> None:
         with beside(tmp_path / "a.txt") as partial:
             partial.write_text("half")
@@ -100,10 +98,10 @@ def test_what_is_stopped_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_impossible_place_is_said_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unwritable_output_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("x")
     for place in (tmp_path / "file" / "out.toml", tmp_path):
-        with pytest.raises(InputError, match=r"cannot be written|a folder"):
+        with pytest.raises(InputError, match=r"cannot be written|is a folder"):
             output_file(place)
     begun = time.monotonic()
     assert "file" in refused(capsys, "plan", "--out", str(tmp_path / "file" / "plan"))
@@ -116,9 +114,9 @@ def test_a_second_command_in_one_folder_is_refused(tmp_path: Path) -> None:
     hold_folders()
     try:
         output_folder(tmp_path)
-        output_folder(tmp_path)  # the same command may ask again
+        output_folder(tmp_path)  # the same command may lock it again
         second = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert "another command of twin writes here" in second.stderr
+        assert "another twin command is writing here" in second.stderr
         assert str(os.getpid()) in second.stderr
     finally:
         release_folders()
@@ -127,7 +125,7 @@ def test_a_second_command_in_one_folder_is_refused(tmp_path: Path) -> None:
 
 
 def ended(script: str, number: int, after: float) -> tuple[int, str, float]:
-    """(exit code, standard error, seconds from the signal to the end) of a script that is armed and gets a signal."""
+    """(exit code, standard error, seconds from signal to end) of a script that gets a signal."""
     process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
@@ -143,7 +141,7 @@ IN_C = """
     import twin.cli.effects, hashlib, sys
     def carry_out(args):
         print("ready", flush=True)
-        hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # as compiled code: Python's own handlers have no turn
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # like compiled code: no Python signal handler runs meanwhile
     twin.cli.effects.carry_out = carry_out
     sys.argv = ["twin", "effects"]
     sys.exit(run())
@@ -216,7 +214,7 @@ UNEXPECTED = """
     [
         (
             "KeyError('a' + chr(10) + 'b')",
-            ("a defect of twin", "not of your input: KeyError", "at twin/cli/parser.py:", "TWIN_TRACEBACK=1"),
+            ("defect in twin", "not in your input: KeyError", "at twin/cli/parser.py:", "TWIN_TRACEBACK=1"),
         ),
         ("MemoryError", ("not enough memory",)),
     ],
@@ -249,7 +247,7 @@ WARNS_IN_A_WORKER = """
 """
 
 
-def test_a_library_in_a_worker_warns_nobody(tmp_path: Path) -> None:
+def test_warnings_of_a_library_in_a_worker_are_not_printed(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(textwrap.dedent(WARNS_IN_A_WORKER))
     without = {k: v for k, v in os.environ.items() if k != "PYTHONWARNINGS"}
     done = subprocess.run([sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, env=without, check=False)
@@ -261,7 +259,7 @@ NAMES = {"bytes": b"a\xff$x_{", "letters": "<b>&\n\u00e9\u2028".encode(), "signs
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_names_of_any_bytes_and_a_terminal_of_ascii(kind: str, tmp_path: Path) -> None:
-    """A run in a folder of such a name is simulated, recorded and summarised; bytes that are no text, which no library takes, are refused."""
+    """A run in a folder of such a name works; a name with bytes that are not text is refused."""
     place, name = os.fsencode(tmp_path) + b"/" + NAMES[kind], NAMES[kind] + b".csv"
     os.mkdir(place)
     moves = [f"{i * 1e-3:.3f},{0.02 * (1 - math.cos(2 * math.pi * i / 50)):.6f}" for i in range(51)]

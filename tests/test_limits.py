@@ -1,4 +1,4 @@
-"""Sizes are estimated before the work and refused with the estimate, the limit and the way to raise it; each in a second, with little memory."""
+"""Sizes above a limit are refused before the work, with the estimate, the limit and how to raise it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PROGRAMS = {
 
 
 @pytest.mark.parametrize("case", PROGRAMS)
-def test_a_program_that_takes_for_ever(case: str, tmp_path: Path, mikron: Machine) -> None:
+def test_a_program_that_takes_too_long(case: str, tmp_path: Path, mikron: Machine) -> None:
     text, words = PROGRAMS[case]
     (tmp_path / "p.mpf").write_text(text)
     program = read_program(tmp_path / "p.mpf", mikron)
@@ -45,14 +45,14 @@ def test_a_program_that_takes_for_ever(case: str, tmp_path: Path, mikron: Machin
     assert words in str(error.value)
 
 
-def test_set_points_that_fill_the_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_set_points_that_would_fill_the_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "p.mpf").write_text(PROGRAMS["feed"][0])
     line = refused(capsys, "interpolate", str(tmp_path / "p.mpf"), "--out", str(tmp_path / "p.parquet"))
     assert "set points (167 h), the limit is 1e+08" in line
     assert [p.name for p in tmp_path.iterdir()] == ["p.mpf"]
 
 
-def test_a_fault_behind_written_set_points_leaves_no_file(tmp_path: Path, mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_after_written_set_points_leaves_no_file(tmp_path: Path, mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(interpolator, "BLOCK", 100)
     (tmp_path / "p.mpf").write_text("G1 X1 F1000\nG4 F1\nX2\nG4 F10\nM30\n")
     program = read_program(tmp_path / "p.mpf", mikron)
@@ -68,7 +68,7 @@ OTHER_PROGRAMS = {
 
 
 @pytest.mark.parametrize("name", OTHER_PROGRAMS)
-def test_a_word_that_is_out_of_range(name: str, tmp_path: Path, mikron: Machine) -> None:
+def test_a_word_out_of_range(name: str, tmp_path: Path, mikron: Machine) -> None:
     text, words = OTHER_PROGRAMS[name]
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=words):
@@ -123,7 +123,7 @@ def test_a_zone_of_a_picometre() -> None:
 def test_rays_are_estimated_before_a_run_is_simulated(
     asked: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The zone of the dome is found by the feed: how large it is shows the cut, but none is smaller than its margin."""
+    """The feed decides the zone of the dome, so that its size is known only after the cut; its margin is the least size."""
     monkeypatch.setattr("twin.cli.cut.paths_of", lambda *_, **__: pytest.fail("the program was simulated first"))
     key, _, value = asked.partition(" = ")
     text = (EXAMPLES / "part3_dome.toml").read_text(encoding="utf-8")

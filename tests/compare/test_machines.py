@@ -10,7 +10,7 @@ from tests.builders.small_machine import TOML, write_small_machine
 
 @pytest.mark.parametrize(
     ("line", "says"),
-    [('[[effect]]\naxis = "U"\nclearance = 1e-5\n', "an effect needs a name"), ('name = ["small"]\n', "name = ['small'] is no text")],
+    [('[[effect]]\naxis = "U"\nclearance = 1e-5\n', "an effect needs a name"), ('name = ["small"]\n', "name = ['small'] is not text")],
 )
 def test_a_faulty_machine_is_not_compared(line: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     machine = write_small_machine(tmp_path)

@@ -33,7 +33,7 @@ def check_document(document: Mapping[str, Any], where: str) -> None:
     """Every table but those of the axes: keys known, numbers possible. Raises InputError with table, key and remedy."""
     keys.check_table(document, keys.TOP, where, TABLES)
     if not isinstance(document.get("name", ""), str):
-        raise InputError(f"{where}: name = {document['name']!r} is no text; write it in quotes")
+        raise InputError(f"{where}: name = {document['name']!r} is not text; write it in quotes")
     for table, known in (("control", keys.CONTROL), ("geometry", keys.GEOMETRY), ("measurement", keys.MEASUREMENT)):
         if table not in document and table != "geometry":
             raise InputError(f"{where}: table [{table}] is missing; add it")
