@@ -17,7 +17,7 @@ import time
 from devtools import fuzz_files, fuzz_folders, fuzz_programs, fuzz_recordings
 from devtools.fuzz_loop import SECONDS, Case, fuzz
 
-RARELY = ("chain", "study", "study_folder", "exam", "diagnose", "plan", "height")
+RARELY = ("chain", "study", "study_folder", "study_cells", "exam", "diagnose", "plan", "height")
 """Kinds whose cases take longer than others."""
 
 

@@ -17,6 +17,7 @@ import io
 import json
 from pathlib import Path
 import random
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -130,6 +131,25 @@ def study(seed: int, folder: Path) -> str:
     name = spoilt(study_folder(), folder, rng, lambda n: n.endswith(".sqlite"))
     command = ("study", folder / "study.toml", "--out", folder / "out", "--no-replay", "--threads", "1", "--resume")
     return told(name, command, folder, called(command)[1])
+
+
+CELLS = (None, "x", b"\xff", -1, 1e308, float("inf"), "", "[]", "{", "[[1]]", '{"a": 1e400}', '{"a": "x"}', '{"a": null}', "NaN", 2**62)
+"""Unexpected values in a data base."""
+
+
+def study_cells(seed: int, folder: Path) -> str:
+    """Continue a study with another value in one cell of its data base."""
+    rng = random.Random(f"study cells {seed}")
+    laid(study_folder(), folder)
+    with contextlib.closing(sqlite3.connect(folder / "out" / "study.sqlite")) as base, base:
+        table = rng.choice([name for (name,) in base.execute("select name from sqlite_master where type = 'table'")])
+        column = rng.choice([row[1] for row in base.execute(f"pragma table_info({table})")])
+        rows = [row for (row,) in base.execute(f"select rowid from {table}")]
+        value = rng.choice(CELLS)
+        with contextlib.suppress(sqlite3.IntegrityError):
+            base.execute(f"update {table} set {column} = ? where rowid = ?", (value, rng.choice(rows)))
+    command = ("study", folder / "study.toml", "--out", folder / "out", "--no-replay", "--threads", "1", "--resume")
+    return told(f"{table}.{column} = {value!r}", command, folder, called(command)[1])
 
 
 def golden(seed: int, folder: Path) -> str:
@@ -291,4 +311,4 @@ def started(words: Any) -> Any:
 
 def all_kinds() -> dict[str, Case]:
     """All kinds of this module."""
-    return {"run_folder": run, "study_folder": study, "golden": golden, "exam": exam, "desk": desk}
+    return {"run_folder": run, "study_folder": study, "study_cells": study_cells, "golden": golden, "exam": exam, "desk": desk}
