@@ -116,10 +116,11 @@ class Parameter:
         return QUANTITIES[self.quantity][0 if axis.kind == "linear" else 1]
 
     def usual_range(self, machine: Machine, axis: Axis) -> tuple[float, float]:
-        """Usual sizes on this axis; the bounds where nothing else is known."""
+        """Usual sizes on this axis, within the bounds; the bounds where nothing else is known."""
         if self.usual is None:
             return (self.low, self.high)
-        return self.usual(machine, axis) if callable(self.usual) else self.usual
+        low, high = self.usual(machine, axis) if callable(self.usual) else self.usual
+        return (min(max(low, self.low), self.high), min(max(high, self.low), self.high))
 
     @property
     def is_factor(self) -> bool:
