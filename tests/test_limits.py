@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.builders.refused import refused
+from tests.builders.small_machine import MJCF, TOML
 from tests.builders.study_files import FACTOR, write_spec
 from twin.cli import main
 from twin.errors import InputError
@@ -158,3 +159,14 @@ def test_the_message_names_the_factor_that_lets_it_through(monkeypatch: pytest.M
     monkeypatch.setenv("TWIN_LIMITS", "no")
     with pytest.raises(InputError, match="TWIN_LIMITS"):
         thousands(1.0)()
+
+
+@pytest.mark.parametrize(
+    ("period_us", "says"), [("1e-5", "us: about 1.7e+12 set points, the limit is 1e+07"), ("1e17", "give at most 150000")]
+)
+def test_a_plan_with_an_impossible_sample_period(period_us: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "small.xml").write_text(MJCF)
+    (tmp_path / "small.toml").write_text(TOML.replace("sample_period_us = 1000", f"sample_period_us = {period_us}"))
+    line = refused(capsys, "plan", "--machine", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"))
+    assert "[measurement]: sample_period_us" in line
+    assert says in line
