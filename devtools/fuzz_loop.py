@@ -24,6 +24,8 @@ from typing import Any
 from unittest import mock
 import warnings
 
+from twin.stopping import end_with_parent
+
 SECONDS = 60.0
 STANDS_STILL = 20.0
 """A case may take this many times `SECONDS` by the clock: a waiting process uses no processor time."""
@@ -190,6 +192,7 @@ _PEAK_LOADED = 600_000_000
 
 def _carry_out(kinds: Mapping[str, Case], names: Sequence[str], start: int, end: int, pipe: Any, seconds: float, last: float) -> None:
     """Body of the child process: run cases until the time `last`, and report each."""
+    end_with_parent()
     with contextlib.suppress(ImportError, ValueError):
         import resource
 

@@ -20,6 +20,7 @@ from tests.builders.small_machine import MJCF, TOML
 from twin.errors import InputError
 from twin.files import LOCK, beside, hold_folders, output_file, output_folder, release_folders, write_whole
 from twin.recordings.trace import Trace, write_trace
+from twin.stopping import PARENT
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of Unix")
 ENDS_IN_S = 3.0
@@ -196,6 +197,46 @@ def test_a_worker_ends_with_its_parent() -> None:
             break
         time.sleep(0.1)
     assert not _runs(child)
+
+
+ORPHAN = """
+    import multiprocessing, os, time
+    def work(pipe):
+        while os.getppid() == parent:
+            time.sleep(0.05)
+        from twin.stopping import end_with_parent
+        end_with_parent()
+        time.sleep(60)
+    parent = os.getpid()
+    worker = multiprocessing.get_context("fork").Process(target=work, args=(None,))
+    worker.start()
+    print(worker.pid, flush=True)
+    os._exit(0)
+"""
+
+
+def test_a_worker_whose_parent_is_gone_before_it_looks_ends_too() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(ORPHAN)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        timeout=5,
+        check=False,
+    )
+    child = int(done.stdout)
+    for _ in range(100):
+        if not _runs(child):
+            break
+        time.sleep(0.1)
+    assert not _runs(child)
+
+
+def test_a_program_whose_parent_is_gone_before_it_looks_ends_too() -> None:
+    script = "from twin.stopping import end_with_parent; end_with_parent(); import time; time.sleep(60)"
+    gone = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", script], env={**os.environ, PARENT: gone.stdout.strip()}, timeout=30, check=False)
+    assert done.returncode == 143
 
 
 UNEXPECTED = """

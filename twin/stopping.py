@@ -20,6 +20,8 @@ GRACE_S = 1.5
 """Time for a stopped command to clean up [s]; with it, Ctrl-C ends a command within 3 s."""
 _LOOK_S = 0.5
 WORDS = {signal.SIGINT: "stopped by the user", signal.SIGTERM: "stopped by another process (SIGTERM)"}
+PARENT = "TWIN_PARENT"
+"""Environment variable with the process number of the parent, for a worker that is a program of its own."""
 _said = threading.Lock()
 
 
@@ -91,9 +93,13 @@ def ended(code: int) -> int:
 
 def end_with_parent() -> None:
     """Set up a worker process: it ignores Ctrl-C, which its parent handles, and ends when its parent is gone."""
+    import multiprocessing
+
     with contextlib.suppress(ValueError):  # not called in a main thread
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = os.getppid()
+    # the parent may be gone already: a worker takes a second to load, and its own getppid() would then be that of init
+    known = multiprocessing.parent_process()
+    parent = known.pid if known is not None else int(os.environ.get(PARENT, os.getppid()))
 
     def look() -> None:
         while os.getppid() == parent:
