@@ -164,7 +164,7 @@ axes = ["U"]
 """
 DESIGN = """seed = 1
 machine = "small.toml"
-answer = ["U.tracking_error_rms_um"]
+answer = ["following_error_rms_U_um"]
 recommission = true
 retune = "same margins"
 least_phase_margin_deg = 5

@@ -28,8 +28,7 @@ def test_no_corrupted_file_and_no_option_is_a_fault() -> None:
 @pytest.mark.parametrize("kind", [k for k in fuzz_samples.samples() if k not in ("part", "map")])
 def test_an_uncorrupted_sample_is_valid(kind: str, tmp_path: Path) -> None:
     """Otherwise every case would be the same refusal."""
-    for name, content in fuzz_samples.samples()[kind].items():
-        (tmp_path / name).write_bytes(content)
+    fuzz_files.laid(fuzz_samples.samples()[kind], tmp_path)
     commands = dict.fromkeys(fuzz_files.commands(kind, tmp_path, random.Random(i)) for i in range(20))
     cheap = [c for c in commands if (c[0], c[-1]) != ("plan", "1") and "--plan" not in c]
     said = [called(command) for command in cheap]
