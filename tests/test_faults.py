@@ -276,11 +276,16 @@ def test_an_unexpected_error_is_one_line_that_names_it_a_defect(error: str, word
 
 WARNS_IN_A_WORKER = """
     from twin.__main__ import run
-    import twin.cli.effects, multiprocessing, sys, warnings
+    import twin.cli.effects, logging, multiprocessing, sys, warnings
     from concurrent.futures import ProcessPoolExecutor
+    from twin.stopping import end_with_parent
     def carry_out(args):
-        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
             pool.submit(warnings.warn, "a library says so", RuntimeWarning).result()
+            pool.submit(say).result()
+        say()
+    def say():
+        logging.getLogger("library").warning("a library says so")
     if __name__ == "__main__":
         twin.cli.effects.carry_out = carry_out
         sys.argv = ["twin", "effects"]
@@ -288,7 +293,7 @@ WARNS_IN_A_WORKER = """
 """
 
 
-def test_warnings_of_a_library_in_a_worker_are_not_printed(tmp_path: Path) -> None:
+def test_warnings_and_log_records_of_libraries_are_not_printed(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(textwrap.dedent(WARNS_IN_A_WORKER))
     without = {k: v for k, v in os.environ.items() if k != "PYTHONWARNINGS"}
     done = subprocess.run([sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, env=without, check=False)

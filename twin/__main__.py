@@ -11,9 +11,12 @@ from twin.stopping import ended, stoppable
 def run() -> int:
     """The command of the command line; its exit code."""
     stoppable()
+    import logging  # after the signal handlers
+
     if not sys.warnoptions:  # warnings of libraries are for those who write Python; worker processes inherit the variable
         warnings.simplefilter("ignore")
         os.environ["PYTHONWARNINGS"] = "ignore"
+    logging.getLogger().addHandler(logging.NullHandler())  # log records of libraries, such as that of matplotlib about a missing home
     for stream in (sys.stdout, sys.stderr):  # a name of a file may hold bytes that are no text, a terminal may know ASCII alone
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -93,8 +93,10 @@ def ended(code: int) -> int:
 
 def end_with_parent() -> None:
     """Set up a worker process: it ignores Ctrl-C, which its parent handles, and ends when its parent is gone."""
+    import logging
     import multiprocessing
 
+    logging.getLogger().addHandler(logging.NullHandler())  # as in the command itself
     with contextlib.suppress(ValueError):  # not called in a main thread
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     # the parent may be gone already: a worker takes a second to load, and its own getppid() would then be that of init
