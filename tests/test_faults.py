@@ -163,7 +163,22 @@ IN_THREADS = """
 """
 
 
-@pytest.mark.parametrize("script", [IN_C, IN_THREADS])
+IN_AN_IMPORT = """
+    from twin.__main__ import run
+    import twin.cli.effects, sys, time
+    def carry_out(args):
+        try:
+            print("ready", flush=True)
+            time.sleep(20)
+        except BaseException:
+            raise ImportError("initialization failed") from None
+    twin.cli.effects.carry_out = carry_out
+    sys.argv = ["twin", "effects"]
+    sys.exit(run())
+"""
+
+
+@pytest.mark.parametrize("script", [IN_C, IN_THREADS, IN_AN_IMPORT])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_command_within_three_seconds(script: str, number: int) -> None:
     code, error, seconds = ended(script, number, 0.2)

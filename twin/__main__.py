@@ -5,7 +5,7 @@ import os
 import sys
 import warnings
 
-from twin.stopping import ended, stoppable
+from twin.stopping import ended, received, say, stoppable
 
 
 def run() -> int:
@@ -25,13 +25,14 @@ def run() -> int:
 
         return ended(main())
     except KeyboardInterrupt as stop:  # before the command itself was there
-        from twin.stopping import say
-
         say(getattr(stop, "number", 2))
         return int(getattr(stop, "code", 130))
     except Exception as error:
         from twin.errors import TRACEBACK, defect
 
+        if (stopped := received()) is not None:
+            say(stopped.number)
+            return stopped.code
         if os.environ.get(TRACEBACK):
             raise
         print(f"twin: {defect(error)}", file=sys.stderr)

@@ -53,10 +53,20 @@ def stoppable() -> None:
     threading.Thread(target=_end, args=(read, write), daemon=True, name="twin-stopping").start()
 
 
+_received: Stopped | None = None
+
+
+def received() -> Stopped | None:
+    """The signal that stopped this process, if any. A library may turn the exception into one of its own, such as an ImportError."""
+    return _received
+
+
 def _raise(number: int, _: FrameType | None) -> None:
     for other in WORDS:
         signal.signal(other, signal.SIG_IGN)  # a second signal must not interrupt the clean-up
-    raise Stopped(number)
+    global _received
+    _received = Stopped(number)
+    raise _received
 
 
 def _end(read: socket.socket, _: socket.socket) -> None:
