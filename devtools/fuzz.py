@@ -1,8 +1,8 @@
-"""Every fuzzer through one loop: spoilt files, folders and options of all commands, mutilated recordings, changed programs.
+"""Fuzz all commands with corrupted files, folders, recordings and programs, and with unusual options.
 
-scripts/fuzz --cases 2000 --seed 1            all kinds in turn
-scripts/fuzz --cases 500 --only machine       one kind; --list names them
-scripts/fuzz --cases 1 --seed 1234 --only map a fault again
+scripts/fuzz --cases 2000 --seed 1              all kinds in turn
+scripts/fuzz --cases 500 --only machine         one kind; --list prints their names
+scripts/fuzz --cases 1 --seed 1234 --only map   repeat one case
 """
 
 from __future__ import annotations
@@ -14,23 +14,21 @@ from pathlib import Path
 import random
 import time
 
-from devtools import fuzz_chain, fuzz_files, fuzz_folders, fuzz_import, fuzz_programs
+from devtools import fuzz_files, fuzz_folders, fuzz_programs, fuzz_recordings
 from devtools.fuzz_loop import SECONDS, Case, fuzz
 
-RARELY = ("chain", "study", "study_folder", "exam", "diagnose", "plan")
-"""Kinds whose cases take longer than the others."""
+RARELY = ("chain", "study", "study_folder", "study_cells", "exam", "diagnose", "plan", "height")
+"""Kinds whose cases take longer than others."""
 
 
 def kinds(data: Path) -> dict[str, Case]:
-    """Kind -> case of all fuzzers."""
-    real = functools.cache(fuzz_import.real_recordings)
-    chain = functools.cache(fuzz_chain.real)
+    """All kinds by name."""
     return {
         **fuzz_files.all_kinds(),
         **fuzz_folders.all_kinds(),
         "program": program,
-        "recording": lambda seed, folder: fuzz_import.run_case(seed, folder, real(data))[1],
-        "chain": lambda seed, folder: fuzz_chain.run_case(seed, folder, chain(data), no_refine=True)[1],
+        "recording": lambda seed, folder: fuzz_recordings.recording(seed, folder, fuzz_recordings.real(data))[1],
+        "chain": lambda seed, folder: fuzz_recordings.chain(seed, folder, fuzz_recordings.real(data), no_refine=True)[1],
     }
 
 
@@ -42,7 +40,7 @@ def _mikron() -> object:
 
 
 def program(seed: int, folder: Path) -> str:
-    """A changed program: refused in one line, or read with the same meaning as its normalised print."""
+    """A mutated program is refused in one line, or its normalised print is read with the same meaning."""
     rng = random.Random(f"program {seed}")
     name = rng.choice(sorted(fuzz_programs.SAMPLES))
     text = fuzz_programs.mutate(fuzz_programs.SAMPLES[name], rng)
@@ -60,10 +58,10 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", action="append", metavar="KIND")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="longest time of one case")
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="recordings of real machines, where they are")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="end after so long, whatever is left")
-    parser.add_argument("--list", action="store_true", help="name the kinds and end")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="processor time that one case may take")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder with recordings of real machines, if any")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="stop after this time")
+    parser.add_argument("--list", action="store_true", help="print the names of the kinds")
     args = parser.parse_args()
     known = kinds(args.data.resolve())
     if args.list or not set(args.only or known) <= set(known):
@@ -73,7 +71,9 @@ def main() -> int:
     chosen = {k: v for k, v in known.items() if k in (args.only or known)}
     tally = fuzz(chosen, args.cases, args.seed, lambda s: print(s, flush=True), args.seconds, args.minutes, RARELY)
     took = time.monotonic() - begin
-    print(f"{tally.total} cases in {took:.0f} s, {60.0 * tally.total / took:.0f} a minute: {tally.cases}; {len(tally.faults)} faults")
+    for kind, count in tally.cases.items():
+        print(f"{kind:<14}{count:>6} cases {1e3 * tally.seconds[kind] / count:>7.0f} ms each")
+    print(f"{tally.total} cases in {took:.0f} s, {sum(tally.seconds.values()):.0f} s of processor time; {len(tally.faults)} faults")
     return 1 if tally.faults else 0
 
 

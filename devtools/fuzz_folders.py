@@ -1,9 +1,9 @@
-"""Spoilt folders that commands wrote, read again: a run, a study that goes on, golden results, an examination, the desk.
+"""Kinds of the fuzzer: corrupted output folders that are read again, those of a run, a study, golden results, an examination and the desk.
 
     scripts/fuzz --only exam --cases 100
 
-Each folder is made once by the commands themselves, from the samples of `fuzz_files`; a case spoils one or two of its files. What takes minutes in an
-examination (the draw, the diagnosis, the exam's own runs) is done once or left out; what reads its folder is all there.
+The commands write each folder once, from the samples of `fuzz_samples`; a case corrupts one of its files. The slow steps of an examination (the draw, the
+diagnosis, its own runs) are done once or left out; everything that reads its folder runs.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import io
 import json
 from pathlib import Path
 import random
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -25,8 +26,10 @@ from typing import Any
 from unittest import mock
 from urllib.parse import quote, urlencode
 
-from devtools.fuzz_files import Files, laid, samples, spoil, told
+from devtools.fuzz_files import laid, told
 from devtools.fuzz_loop import Case, called
+from devtools.fuzz_samples import Files, samples
+from devtools.fuzz_spoil import spoil
 
 
 def made_by(
@@ -34,7 +37,7 @@ def made_by(
     *commands: Callable[[Path], tuple[object, ...]],
     keep: tuple[str, ...] = (".json", ".csv", ".toml", ".xml", ".parquet", ".sqlite"),
 ) -> dict[str, bytes]:
-    """The files of a sample and those that commands make of it."""
+    """The files of a sample and those that commands write from it."""
     with tempfile.TemporaryDirectory(prefix="twin-fuzz-") as scratch:
         folder = Path(scratch)
         laid(samples()[kind], folder)
@@ -49,7 +52,7 @@ def made_by(
 
 
 def run_again(folder: Path) -> tuple[object, ...]:
-    """The move of a sample, simulated."""
+    """The command that simulates the move of a sample."""
     return ("run", folder / "move.csv", "--machine", folder / "small.toml", "--out", folder / "run", "--no-recording")
 
 
@@ -61,7 +64,7 @@ def run_folder() -> dict[str, bytes]:
 
 @functools.cache
 def study_folder() -> dict[str, bytes]:
-    """A study that is done."""
+    """A finished study."""
     return made_by("study", lambda f: ("study", f / "study.toml", "--out", f / "out", "--no-replay", "--threads", "1"))
 
 
@@ -99,7 +102,7 @@ def desk_folder() -> dict[str, bytes]:
 
 
 def spoilt(files: Files, folder: Path, rng: random.Random, most: Callable[[str], bool]) -> str:
-    """Lay the files, spoil one, mostly one for which `most` is true; its name."""
+    """Write the files, corrupt one of them (mostly one for which `most` is true) and return its name."""
     laid(files, folder)
     chosen = [name for name in files if most(name)]
     name = rng.choice(chosen if rng.random() < 0.85 else list(files))
@@ -123,15 +126,34 @@ def run(seed: int, folder: Path) -> str:
 
 
 def study(seed: int, folder: Path) -> str:
-    """Go on with a study."""
+    """Continue a study."""
     rng = random.Random(f"study folder {seed}")
     name = spoilt(study_folder(), folder, rng, lambda n: n.endswith(".sqlite"))
     command = ("study", folder / "study.toml", "--out", folder / "out", "--no-replay", "--threads", "1", "--resume")
     return told(name, command, folder, called(command)[1])
 
 
+CELLS = (None, "x", b"\xff", -1, 1e308, float("inf"), "", "[]", "{", "[[1]]", '{"a": 1e400}', '{"a": "x"}', '{"a": null}', "NaN", 2**62)
+"""Unexpected values in a data base."""
+
+
+def study_cells(seed: int, folder: Path) -> str:
+    """Continue a study with another value in one cell of its data base."""
+    rng = random.Random(f"study cells {seed}")
+    laid(study_folder(), folder)
+    with contextlib.closing(sqlite3.connect(folder / "out" / "study.sqlite")) as base, base:
+        table = rng.choice([name for (name,) in base.execute("select name from sqlite_master where type = 'table'")])
+        column = rng.choice([row[1] for row in base.execute(f"pragma table_info({table})")])
+        rows = [row for (row,) in base.execute(f"select rowid from {table}")]
+        value = rng.choice(CELLS)
+        with contextlib.suppress(sqlite3.IntegrityError):
+            base.execute(f"update {table} set {column} = ? where rowid = ?", (value, rng.choice(rows)))
+    command = ("study", folder / "study.toml", "--out", folder / "out", "--no-replay", "--threads", "1", "--resume")
+    return told(f"{table}.{column} = {value!r}", command, folder, called(command)[1])
+
+
 def golden(seed: int, folder: Path) -> str:
-    """Judge by golden results, or renew them."""
+    """Compare with golden results, or update them."""
     rng = random.Random(f"golden {seed}")
     name = spoilt(golden_folder(), folder, rng, lambda n: "golden" in n)
     renew = ("--update", "--reason", "the law of friction changed") if rng.random() < 0.3 else ()
@@ -140,10 +162,10 @@ def golden(seed: int, folder: Path) -> str:
 
 
 class Here(Executor):
-    """Carries out in this process what is asked, at once."""
+    """An executor that runs each call at once, in this process."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """The result of the call, as a future that is done."""
+        """The result of the call, as a finished future."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -157,7 +179,7 @@ EXAM = ("exam", "--open", "--cases", "1", "--short", "--quick", "--only", "usual
 
 @contextlib.contextmanager
 def cheap_exam() -> Iterator[None]:
-    """An examination in this process: its cases drawn once, the exam's own runs read but not simulated."""
+    """Run an examination in this process: cases are drawn once, and its own runs are read but not simulated."""
     from twin.exam import mark, session
     from twin.machine.machine import load_machine
     from twin.recordings.campaign import read_campaign
@@ -193,7 +215,7 @@ def _drawn(draw: Callable[..., Any], question: Any, machine_file: str, richness:
 
 @functools.cache
 def exam_folder() -> dict[str, bytes]:
-    """An examination of one case, answered with what the tiny campaign's diagnosis said, of another axis."""
+    """An examination of one case, answered with the diagnosis of the small campaign under the name of another axis."""
     from twin.exam.answer import write_answer
     from twin.machine.machine import load_machine
 
@@ -205,7 +227,7 @@ def exam_folder() -> dict[str, bytes]:
     }
     with tempfile.TemporaryDirectory(prefix="twin-fuzz-") as scratch, cheap_exam():
         out = Path(scratch)
-        called((*EXAM, out))  # sealed; nothing is answered yet
+        called((*EXAM, out))  # sealed, not answered yet
         case = out / "cases" / "0000"
         baselines = {"largest": {"verdict": "effect", "effect": "backlash", "axis": "X"}}
         write_answer(case / "answer", load_machine(), baselines, json.loads(said))
@@ -233,7 +255,7 @@ def exam(seed: int, folder: Path) -> str:
 
 
 def desk(seed: int, folder: Path) -> str:
-    """Ask the desk for its page, its files and its actions; every answer has a status below 500, and no request ends in a traceback."""
+    """Request the page, files and actions of the desk. Each status must be below 500, without a traceback."""
     from twin.desk.server import Desk
 
     rng = random.Random(f"desk {seed}")
@@ -283,10 +305,10 @@ def desk(seed: int, folder: Path) -> str:
 
 
 def started(words: Any) -> Any:
-    """No command is started."""
+    """Stands in for a command that the desk starts."""
     return subprocess.Popen([sys.executable, "-c", ""], stderr=subprocess.PIPE, text=True)
 
 
 def all_kinds() -> dict[str, Case]:
-    """Every folder."""
-    return {"run_folder": run, "study_folder": study, "golden": golden, "exam": exam, "desk": desk}
+    """All kinds of this module."""
+    return {"run_folder": run, "study_folder": study, "study_cells": study_cells, "golden": golden, "exam": exam, "desk": desk}

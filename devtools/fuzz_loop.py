@@ -1,10 +1,9 @@
-"""One loop for all fuzzers: seeded cases in a process of their own, with limits on time and memory; what is no refusal in one line is a fault.
+"""The loop of all fuzzers: seeded cases in a child process, with limits on time and memory.
 
-Pictures are drawn in one case of `DRAWN`, they take longer than all else; and a kind in `rarely` comes once while the others come three times.
-
-A kind is a name and a function `case(seed, folder) -> fault or ""`. The loop draws the kinds in turn. The child process writes which case it is
-at, so that a crash of the process is one fault, and goes on behind it. Beside what a kind reports, a fault is: a case above `SECONDS` of processor time, memory above
-`BYTES`, a file outside the folder of the case, a process that ends.
+A kind is a name and a function `case(seed, folder)` that returns a fault, or "" if there is none. The loop takes the kinds in turn; a kind in
+`rarely` comes once while the others come three times. Every case is reported to the parent process, so that a crash of the child counts as one fault
+and the loop continues with the next case. A case is also a fault if it takes more than `SECONDS` of processor time or `BYTES` of memory, or leaves a
+file outside its folder. Pictures are drawn in one case out of `DRAWN`, because drawing takes most of the time.
 """
 
 from __future__ import annotations
@@ -25,52 +24,67 @@ from typing import Any
 from unittest import mock
 import warnings
 
+from twin.stopping import end_with_parent
+
 SECONDS = 60.0
 STANDS_STILL = 20.0
-"""On a computer with other work a case gets a share of a core; one that waits takes no processor time at all."""
+"""A case may take this many times `SECONDS` by the clock: a waiting process uses no processor time."""
 DRAWN = 8
-"""One case in so many draws its pictures; in the others an empty one is written."""
+"""One case in this many draws its pictures; the others write empty files."""
 BYTES = 2_000_000_000
-"""Memory that a case may take beside what the process has when all is loaded."""
+"""Memory that a case may use beyond that of a process with all modules loaded."""
 LONGEST_LINE = 420
-"""Characters of a message: a path, 300 for what is said."""
+"""Characters of a message: 300, and a path."""
 
 Case = Callable[[int, Path], str]
 
 
 class TooLong(BaseException):
-    """A case that goes on for longer than it may; no `except Exception` on the way swallows it."""
+    """A case exceeded its time. Not an Exception, so that no handler on the way catches it."""
 
 
 @dataclass
 class Tally:
-    """Cases by kind, and what went wrong."""
+    """Number of cases and processor time by kind, and all faults."""
 
     cases: dict[str, int] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Processor time by kind [s]."""
     faults: list[str] = field(default_factory=list)
 
     @property
     def total(self) -> int:
-        """All cases."""
+        """Number of all cases."""
         return sum(self.cases.values())
+
+    def add(self, seed: int, kind: str, seconds: float, fault: str, say: Callable[[str], Any]) -> None:
+        """Count a case and report its fault, if any."""
+        self.cases[kind] = self.cases.get(kind, 0) + 1
+        self.seconds[kind] = self.seconds.get(kind, 0.0) + seconds
+        if fault:
+            self.faults.append(f"seed {seed} ({kind}): {fault}")
+            say(self.faults[-1])
 
 
 def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ", "note: ", "warning: ")) -> tuple[int, str]:
-    """(exit code, fault or "") of one command in this process: done, or refused with one line that begins with `twin:`."""
-    from twin.cli import main as twin
+    """Run a command in this process: (exit code, fault). It must succeed, or print one line that starts with `twin:`."""
+    import twin
+    from twin.cli import main
 
     out, error = io.StringIO(), io.StringIO()
-    try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
-            warnings.simplefilter("error", RuntimeWarning)
-            code = int(twin([*map(str, arguments)]) or 0)
-    except SystemExit as stop:  # usage: said by the parser
-        code = int(stop.code or 0)
-    except TooLong:
-        raise
-    except BaseException:
-        return -1, traceback.format_exc(limit=-4)
-    lines = [line for line in error.getvalue().strip().splitlines() if not line.startswith(allowed)]
+    with _standard_error() as below:
+        try:
+            with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+                warnings.simplefilter("error", RuntimeWarning)
+                code = int(main([*map(str, arguments)]) or 0)
+        except SystemExit as stop:  # usage errors of the parser
+            code = int(stop.code or 0)
+        except TooLong:
+            raise
+        except BaseException:
+            return -1, traceback.format_exc(limit=-4)
+        error.write(below())
+    lines = [line for line in error.getvalue().strip().splitlines() if not line.startswith((*allowed, f"twin {twin.__version__}, "))]
     if code not in (0, 1, 2):
         return code, f"exit code {code}: {error.getvalue()[:300]}"
     if code == 2 and (len(lines) != 1 or not lines[0].startswith("twin: ")):
@@ -86,6 +100,24 @@ def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ",
     return code, ""
 
 
+@contextlib.contextmanager
+def _standard_error() -> Iterator[Callable[[], str]]:
+    """Capture what C libraries and child processes write to standard error; yields a function that returns it."""
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as file:
+        os.dup2(file.fileno(), 2)
+
+        def read() -> str:
+            file.seek(0)
+            return file.read().decode(errors="replace")
+
+        try:
+            yield read
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+
 def fuzz(
     kinds: Mapping[str, Case],
     cases: int,
@@ -95,7 +127,7 @@ def fuzz(
     minutes: float = math.inf,
     rarely: tuple[str, ...] = (),
 ) -> Tally:
-    """Carry out cases seed, seed + 1, ..., each kind in its turn, in a child process that is begun anew where it ended; at most for so long."""
+    """Run cases `seed`, `seed + 1`, ... for at most `minutes`, taking the kinds in turn, in a child process that is restarted after a crash."""
     often = [kind for kind in kinds if kind not in rarely]
     names = [*often, *often, *often, *(kind for kind in kinds if kind in rarely)]
     tally, at, end = Tally(), seed, time.monotonic() + 60.0 * minutes
@@ -105,25 +137,18 @@ def fuzz(
         child = context.Process(target=_carry_out, args=(kinds, names, at, seed + cases, theirs, seconds, end), daemon=False)
         child.start()
         theirs.close()
-        for done, fault in _messages(mine):
+        for done, seconds_taken, fault in _messages(mine):
             at = done + 1
-            name = names[done % len(names)]
-            tally.cases[name] = tally.cases.get(name, 0) + 1
-            if fault:
-                tally.faults.append(f"seed {done} ({name}): {fault}")
-                say(tally.faults[-1])
+            tally.add(done, names[done % len(names)], seconds_taken, fault, say)
         child.join()
         if at < seed + cases and child.exitcode != 0:
-            name = names[at % len(names)]
-            tally.cases[name] = tally.cases.get(name, 0) + 1
-            tally.faults.append(f"seed {at} ({name}): the process ended with {child.exitcode}")
-            say(tally.faults[-1])
+            tally.add(at, names[at % len(names)], 0.0, f"the process ended with {child.exitcode}", say)
             at += 1
     return tally
 
 
 def one_case(kind: Case, seed: int, seconds: float = SECONDS) -> str:
-    """The fault of one case, "" where there is none: in an empty folder, with a watch on time, memory and stray files."""
+    """The fault of one case, or "": run in an empty folder, with limits on time and memory and a check for files outside."""
     with tempfile.TemporaryDirectory(prefix="twin-fuzz-") as scratch:
         here, place = Path(scratch) / "here", Path(scratch) / "case"
         here.mkdir()
@@ -148,7 +173,7 @@ def one_case(kind: Case, seed: int, seconds: float = SECONDS) -> str:
 
 @contextlib.contextmanager
 def _undrawn() -> Iterator[None]:
-    """Pictures are written, and nothing is on them."""
+    """Replace drawing by writing empty pictures."""
     from matplotlib.figure import Figure
 
     def empty(_: Figure, to: Any, **__: Any) -> None:
@@ -162,11 +187,12 @@ def _undrawn() -> Iterator[None]:
 
 
 _PEAK_LOADED = 600_000_000
-"""Memory of a process that has all rooms loaded."""
+"""Memory of a process with all modules loaded [bytes]."""
 
 
 def _carry_out(kinds: Mapping[str, Case], names: Sequence[str], start: int, end: int, pipe: Any, seconds: float, last: float) -> None:
-    """The child: cases one after the other until the moment `last`, each reported when it is done."""
+    """Body of the child process: run cases until the time `last`, and report each."""
+    end_with_parent()
     with contextlib.suppress(ImportError, ValueError):
         import resource
 
@@ -175,11 +201,13 @@ def _carry_out(kinds: Mapping[str, Case], names: Sequence[str], start: int, end:
     for seed in range(start, end):
         if time.monotonic() >= last:
             break
-        pipe.send((seed, one_case(kinds[names[seed % len(names)]], seed, seconds)))
+        begun = time.process_time()
+        fault = one_case(kinds[names[seed % len(names)]], seed, seconds)
+        pipe.send((seed, time.process_time() - begun, fault))
     pipe.close()
 
 
-def _messages(pipe: Any) -> Iterator[tuple[int, str]]:
+def _messages(pipe: Any) -> Iterator[tuple[int, float, str]]:
     while True:
         try:
             yield pipe.recv()
@@ -189,7 +217,7 @@ def _messages(pipe: Any) -> Iterator[tuple[int, str]]:
 
 @contextlib.contextmanager
 def _watch(seconds: float) -> Iterator[None]:
-    """Raise TooLong after so much processor time, or `STANDS_STILL` times as long by the clock, where the system can."""
+    """Raise TooLong after `seconds` of processor time, or `STANDS_STILL` times as long by the clock; on Unix only."""
     if not hasattr(signal, "setitimer"):
         yield
         return
@@ -210,7 +238,7 @@ def _watch(seconds: float) -> Iterator[None]:
 
 
 def _peak() -> int | None:
-    """Largest memory of this process so far [bytes]."""
+    """Peak memory of this process [bytes]."""
     try:
         import resource
     except ImportError:

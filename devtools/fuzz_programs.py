@@ -1,4 +1,4 @@
-"""Mutate programs and read them: no traceback, no hang, and what is accepted reads the same from its normalised print.
+"""Mutated part programs: each is refused in one line, or its normalised print is read with the same meaning.
 
 scripts/fuzz --only program --cases 100000 --seed 0
 """
@@ -20,9 +20,9 @@ from twin.program.collect import Collector
 from twin.program.read import understand
 
 FEWER_JUMPS = 300
-"""Jumps after which a loop of a mutated sample is endless: the samples need 20, and the limit of the reader takes seconds."""
+"""Limit on jumps while fuzzing. The samples need 20; reaching the limit of the reader takes seconds."""
 SLOWEST = 60.0
-"""Seconds of processor time that reading one mutated sample may take; the counts of blocks and jumps end every loop before."""
+"""Processor time for reading one program [s]. The limits on blocks and jumps end every loop sooner."""
 
 SAMPLES = {
     "part.mpf": """%_N_PART_MPF
@@ -186,7 +186,7 @@ m2
 
 
 def normalised(out: Collector) -> str | None:
-    """What was understood as a plain program; None for what plain words cannot say (tool axes, transformations, arcs in space)."""
+    """The program as plain G-code, or None if that cannot express it (tool axes, transformations, arcs in space)."""
     lines, feed = ["G90 G94 G64 G710"], None
     here = np.array([*out.position[:3]]) * 0.0
     plane = 17
@@ -227,7 +227,7 @@ def normalised(out: Collector) -> str | None:
 
 
 def mutate(text: str, rng: random.Random) -> str:
-    """The text with a few changes of characters, words or lines."""
+    """Change a few characters, words or lines."""
     for _ in range(rng.randint(1, 4)):
         at = rng.randrange(max(1, len(text)))
         what = rng.randrange(6)
@@ -254,7 +254,7 @@ def mutate(text: str, rng: random.Random) -> str:
 
 
 def check(name: str, text: str, machine: Machine, folder: Path) -> str:
-    """Read one text: 'refused', 'read' or 'read and re-read'; AssertionError on another meaning."""
+    """Read a program: 'refused', 'read' or 'read and re-read'. Raises AssertionError if its print has another meaning."""
     flow.MOST_JUMPS = FEWER_JUMPS
     path = folder / name
     path.write_text(text)
@@ -276,7 +276,7 @@ def check(name: str, text: str, machine: Machine, folder: Path) -> str:
         other = understand(again, machine)
     except InputError as error:
         if "close" in str(error) or "no feed" in str(error) or "feed" in str(error) or "out of range" in str(error):
-            return "read"  # arcs within the wider tolerance of ISO; feeds that are found when the program is finished
+            return "read"  # arcs within the wider ISO tolerance; feeds that are known only at the end of the program
         raise AssertionError(f"the normalised print is refused: {error}") from None
     assert other.kinds == out.kinds
     same = [np.allclose(a, b, rtol=0, atol=1e-9, equal_nan=True) for a, b in zip(out.targets, other.targets)]

@@ -1,10 +1,10 @@
-"""What commands survive: Ctrl-C at any moment, kill -9 of an examination, a disk that is full.
+"""Measure what commands survive: Ctrl-C at any moment, kill -9 of an examination, a full disk.
 
-    python devtools/measure_faults.py stop CAMPAIGN [--machine FILE]   Ctrl-C of `twin diagnose` from the first tenth of a second on
-    python devtools/measure_faults.py exam [--kills 20] [--cases 2]    kill -9 of `twin exam` at random moments of each stage, gone on with, compared
-    python devtools/measure_faults.py disk FOLDER                      commands that write into FOLDER, a file system that is nearly full
+    python -m devtools.measure_faults stop CAMPAIGN [--machine FILE]   Ctrl-C of `twin diagnose`, from 0.1 s after its start
+    python -m devtools.measure_faults exam [--kills 20] [--cases 2]    kill -9 of `twin exam` at random moments of each stage; resume and compare
+    python -m devtools.measure_faults disk FOLDER                      commands that write to FOLDER, on a nearly full file system
 
-Studies: `python devtools/measure_study.py kills`. Exit code 1 where a promise of docs/promises.md is broken.
+For studies see `python devtools/measure_study.py kills`. Exit code 1: a promise of docs/promises.md is broken.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from devtools.measure_study import write_example
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 MOMENTS_S = (0.1, 0.2, 0.3, 0.4, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-"""From when the interpreter has started, which is before any line of ours: Python itself ends with a traceback until then."""
+"""Moments of Ctrl-C after the start of the process [s]. During the first tenth of a second Python itself, not twin, ends with a traceback."""
 ENDS_IN_S = 3.0
 TWIN = (sys.executable, "-m", "twin")
 
 
 def stop(campaign: Path, machine: Path | None) -> bool:
-    """Ctrl-C of a diagnosis at each moment: how long it takes to end, its exit code and what it says."""
+    """Send Ctrl-C to a diagnosis at each moment; print how long it takes to end, its exit code and its message."""
     fine = True
     with tempfile.TemporaryDirectory() as folder:
         for moment in MOMENTS_S:
             command = [*TWIN, "diagnose", str(campaign), "--out", f"{folder}/{moment}", *(("--machine", str(machine)) if machine else ())]
-            # a group of its own, as a terminal does: all of its processes get the signal
+            # a process group of its own, as on a terminal: all processes get the signal
             with subprocess.Popen(
                 command,
                 stderr=subprocess.PIPE,
@@ -60,7 +60,7 @@ def stop(campaign: Path, machine: Path | None) -> bool:
 
 
 def alive(group: int) -> int:
-    """Processes of a group that still run."""
+    """Number of running processes of a process group."""
     found = 0
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -72,13 +72,13 @@ def alive(group: int) -> int:
 
 
 STAGES = (("", 0.5), ("cases/*/answer/diagnosis.json", 0.75), ("truths.json", 1.0))
-"""What must be there before a kill may come, and the share of the kills until then: draw and seal, between two diagnoses, when all is opened."""
+"""Stages of an examination: the file that must exist before a kill, and the share of all kills up to the end of the stage."""
 KILLED_WITHIN_S = (0.1, 8.0)
-"""From the start of a command, or from when what a stage waits for is there."""
+"""Range of the random delay of a kill after the start of the command, or after the file of the stage appears [s]."""
 
 
 def exam(kills: int, cases: int) -> bool:
-    """Kill one examination so often, early and at random moments of each stage, going on each time; then let it end and compare."""
+    """Kill one examination at random moments of each stage, resume it each time, let it finish and compare with an undisturbed one."""
     draw = random.Random(6)
     with tempfile.TemporaryDirectory() as name:
         out, whole = Path(name) / "killed", Path(name) / "whole"
@@ -96,10 +96,10 @@ def exam(kills: int, cases: int) -> bool:
                     while awaited and process.poll() is None and not any(out.glob(awaited)):
                         sleep(0.1)
                     sleep(draw.uniform(*KILLED_WITHIN_S))
-                    ended = process.poll() is not None  # one that was faster is not counted, and begins its last stage again
+                    ended = process.poll() is not None  # it finished before the kill: not counted
                     process.send_signal(signal.SIGKILL)
                 killed += not ended
-                sleep(1.5)  # its workers see that it is gone
+                sleep(1.5)  # time for the workers to notice
                 left = alive(process.pid)
                 fine &= not left
                 there = sorted(p.name for p in out.glob("*")) if out.is_dir() else []
@@ -117,7 +117,7 @@ def exam(kills: int, cases: int) -> bool:
 
 
 def results(out: Path) -> dict[str, object]:
-    """Seal, score and marks of an examination, and each answer; without its times."""
+    """Seal, score, marks and answers of an examination, without times."""
     if not (out / "exam.json").is_file():
         return {}
     document = json.loads((out / "exam.json").read_text(encoding="utf-8"))
@@ -127,22 +127,22 @@ def results(out: Path) -> dict[str, object]:
 
 
 def without_times(content: object) -> object:
-    """A document without the keys that say how long something took, or where it lies."""
+    """A document without the keys for durations and paths."""
     if isinstance(content, dict):
         return {k: without_times(v) for k, v in content.items() if not (k in ("seconds", "campaign") or str(k).endswith("_took_s"))}
     return [without_times(v) for v in content] if isinstance(content, list) else content
 
 
 def disk(folder: Path) -> bool:
-    """Every command that writes much, into a file system that fills up: refused in one line, and no half file."""
+    """Run all commands that write much until the disk is full: each must be refused in one line, without a partial file."""
     with tempfile.TemporaryDirectory() as name:
         commands = disk_commands(folder, write_example(Path(name), 8, seconds=0.4))
-        ended = [written(folder, what, arguments) for what, arguments in commands.items()]  # all of them, also behind a wrong one
+        ended = [written(folder, what, arguments) for what, arguments in commands.items()]  # run all of them, even after a failure
         return all(ended)
 
 
 def disk_commands(folder: Path, study: Path) -> dict[str, tuple[object, ...]]:
-    """Commands by name; each fills the disk a little more."""
+    """Commands by name; each fills the disk further."""
     traces, recorded = EXAMPLES / "traces", ("x_feedforward_off.csv", "x_velocity_feedforward.xml")
     return {
         "run": ("run", EXAMPLES / "x_200mm.csv", "--out", folder / "run"),
@@ -155,7 +155,7 @@ def disk_commands(folder: Path, study: Path) -> dict[str, tuple[object, ...]]:
 
 
 def written(folder: Path, what: str, arguments: tuple[object, ...]) -> bool:
-    """Carry one command out and say how it ended: done, or refused in one line with nothing half written."""
+    """Run one command and print how it ended. It must succeed or be refused in one line, without a partial file."""
     quiet = {**os.environ, "TQDM_DISABLE": "1"}
     done = subprocess.run([*TWIN, *map(str, arguments)], capture_output=True, text=True, check=False, env=quiet)
     said = [line for line in done.stderr.splitlines() if not line.startswith(("warning: ", "note: "))]

@@ -76,7 +76,7 @@ def test_without_a_folder_to_write_it_runs_and_says_so_once(tmp_path: Path) -> N
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import kernels; print(kernels.cube(2.0))"
     done = run(code, HOME=below, XDG_CACHE_HOME=below, NUMBA_CACHE_DIR=below)
     assert done.stdout == "8.0\n"
-    assert done.stderr.count("no folder for compiled functions") == 1
+    assert done.stderr.count("no writable folder for compiled functions") == 1
     assert done.stderr.count("\n") == 1
 
 

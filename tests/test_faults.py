@@ -1,4 +1,4 @@
-"""What the world does to a command: a disk that is full, a signal, a second command in the same folder, a killed parent."""
+"""Commands on a full disk, under signals, beside a second command in the same folder, without a parent, and with a defect."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from tests.builders.small_machine import MJCF, TOML
 from twin.errors import InputError
 from twin.files import LOCK, beside, hold_folders, output_file, output_folder, release_folders, write_whole
 from twin.recordings.trace import Trace, write_trace
+from twin.stopping import PARENT
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, locks and limits of Unix")
 ENDS_IN_S = 3.0
@@ -27,7 +28,7 @@ ENDS_IN_S = 3.0
 
 @contextlib.contextmanager
 def full_disk(size: int = 4096):
-    """Files of this process cannot grow beyond a size: what a full disk is, without one."""
+    """Limit the size of files of this process, which behaves like a full disk."""
     import resource
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -76,20 +77,18 @@ ON_A_FULL_DISK = """
 
 
 def test_a_recording_on_a_full_disk_is_removed(tmp_path: Path) -> None:
-    """The writer of recordings is a library of its own, which goes on as if nothing were wrong, with lines of its own."""
+    """The library that writes recordings reports no error on a full disk, only lines of its own."""
     write_trace(long_trace(), tmp_path / "a.csv")
     (tmp_path / "out").mkdir()
     command = [sys.executable, "-c", textwrap.dedent(ON_A_FULL_DISK), str(tmp_path / "a.csv"), "--out", str(tmp_path / "out" / "a.rrd")]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "TQDM_DISABLE": "1"}, check=False)
-    said = [
-        line for line in done.stderr.splitlines() if "compiled functions" not in line
-    ]  # kept nowhere either, where they are not kept already
+    said = [line for line in done.stderr.splitlines() if "compiled functions" not in line]  # the cache cannot be written either
     assert (done.returncode, len(said)) == (2, 1), done.stderr
     assert "a.rrd: cannot be written" in said[0]
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_what_is_stopped_leaves_nothing(tmp_path: Path) -> None:
+def test_a_stopped_write_leaves_no_file(tmp_path: Path) -> None:
     def stopped() -> None:
         with beside(tmp_path / "a.txt") as partial:
             partial.write_text("half")
@@ -100,10 +99,10 @@ def test_what_is_stopped_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_impossible_place_is_said_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unwritable_output_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("x")
     for place in (tmp_path / "file" / "out.toml", tmp_path):
-        with pytest.raises(InputError, match=r"cannot be written|a folder"):
+        with pytest.raises(InputError, match=r"cannot be written|is a folder"):
             output_file(place)
     begun = time.monotonic()
     assert "file" in refused(capsys, "plan", "--out", str(tmp_path / "file" / "plan"))
@@ -116,9 +115,9 @@ def test_a_second_command_in_one_folder_is_refused(tmp_path: Path) -> None:
     hold_folders()
     try:
         output_folder(tmp_path)
-        output_folder(tmp_path)  # the same command may ask again
+        output_folder(tmp_path)  # the same command may lock it again
         second = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert "another command of twin writes here" in second.stderr
+        assert "another twin command is writing here" in second.stderr
         assert str(os.getpid()) in second.stderr
     finally:
         release_folders()
@@ -127,7 +126,7 @@ def test_a_second_command_in_one_folder_is_refused(tmp_path: Path) -> None:
 
 
 def ended(script: str, number: int, after: float) -> tuple[int, str, float]:
-    """(exit code, standard error, seconds from the signal to the end) of a script that is armed and gets a signal."""
+    """(exit code, standard error, seconds from signal to end) of a script that gets a signal."""
     process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
@@ -143,7 +142,7 @@ IN_C = """
     import twin.cli.effects, hashlib, sys
     def carry_out(args):
         print("ready", flush=True)
-        hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # as compiled code: Python's own handlers have no turn
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # like compiled code: no Python signal handler runs meanwhile
     twin.cli.effects.carry_out = carry_out
     sys.argv = ["twin", "effects"]
     sys.exit(run())
@@ -164,7 +163,22 @@ IN_THREADS = """
 """
 
 
-@pytest.mark.parametrize("script", [IN_C, IN_THREADS])
+IN_AN_IMPORT = """
+    from twin.__main__ import run
+    import twin.cli.effects, sys, time
+    def carry_out(args):
+        try:
+            print("ready", flush=True)
+            time.sleep(20)
+        except BaseException:
+            raise ImportError("initialization failed") from None
+    twin.cli.effects.carry_out = carry_out
+    sys.argv = ["twin", "effects"]
+    sys.exit(run())
+"""
+
+
+@pytest.mark.parametrize("script", [IN_C, IN_THREADS, IN_AN_IMPORT])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_command_within_three_seconds(script: str, number: int) -> None:
     code, error, seconds = ended(script, number, 0.2)
@@ -200,12 +214,113 @@ def test_a_worker_ends_with_its_parent() -> None:
     assert not _runs(child)
 
 
+ORPHAN = """
+    import multiprocessing, os, time
+    def work(pipe):
+        while os.getppid() == parent:
+            time.sleep(0.05)
+        from twin.stopping import end_with_parent
+        end_with_parent()
+        time.sleep(60)
+    parent = os.getpid()
+    worker = multiprocessing.get_context("fork").Process(target=work, args=(None,))
+    worker.start()
+    print(worker.pid, flush=True)
+    os._exit(0)
+"""
+
+
+def test_a_worker_whose_parent_is_gone_before_it_looks_ends_too() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(ORPHAN)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        timeout=5,
+        check=False,
+    )
+    child = int(done.stdout)
+    for _ in range(100):
+        if not _runs(child):
+            break
+        time.sleep(0.1)
+    assert not _runs(child)
+
+
+def test_a_program_whose_parent_is_gone_before_it_looks_ends_too() -> None:
+    script = "from twin.stopping import end_with_parent; end_with_parent(); import time; time.sleep(60)"
+    gone = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", script], env={**os.environ, PARENT: gone.stdout.strip()}, timeout=30, check=False)
+    assert done.returncode == 143
+
+
+UNEXPECTED = """
+    from twin.__main__ import run
+    import twin.cli.effects, sys
+    def carry_out(args):
+        raise {error}
+    twin.cli.effects.carry_out = carry_out
+    sys.argv = ["twin", "effects"]
+    sys.exit(run())
+"""
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            "KeyError('a' + chr(10) + 'b')",
+            ("defect in twin", "not in your input: KeyError", "at twin/cli/parser.py:", "TWIN_TRACEBACK=1"),
+        ),
+        ("MemoryError", ("not enough memory",)),
+    ],
+)
+def test_an_unexpected_error_is_one_line_that_names_it_a_defect(error: str, words: tuple[str, ...]) -> None:
+    script = textwrap.dedent(UNEXPECTED.format(error=error))
+    without = {k: v for k, v in os.environ.items() if k != "TWIN_TRACEBACK"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=without, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert done.stderr.startswith("twin: ")
+    for word in words:
+        assert word in done.stderr
+    in_full = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env={**without, "TWIN_TRACEBACK": "1"}, check=False
+    )
+    assert "Traceback" in in_full.stderr
+
+
+WARNS_IN_A_WORKER = """
+    from twin.__main__ import run
+    import twin.cli.effects, logging, multiprocessing, sys, warnings
+    from concurrent.futures import ProcessPoolExecutor
+    from twin.stopping import end_with_parent
+    def carry_out(args):
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
+            pool.submit(warnings.warn, "a library says so", RuntimeWarning).result()
+            pool.submit(say).result()
+        say()
+    def say():
+        logging.getLogger("library").warning("a library says so")
+    if __name__ == "__main__":
+        twin.cli.effects.carry_out = carry_out
+        sys.argv = ["twin", "effects"]
+        sys.exit(run())
+"""
+
+
+def test_warnings_and_log_records_of_libraries_are_not_printed(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(textwrap.dedent(WARNS_IN_A_WORKER))
+    without = {k: v for k, v in os.environ.items() if k != "PYTHONWARNINGS"}
+    done = subprocess.run([sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, env=without, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 NAMES = {"bytes": b"a\xff$x_{", "letters": "<b>&\n\u00e9\u2028".encode(), "signs": b"-x %s {0} #"}
 
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_names_of_any_bytes_and_a_terminal_of_ascii(kind: str, tmp_path: Path) -> None:
-    """A run in a folder of such a name is simulated, recorded and summarised; bytes that are no text, which no library takes, are refused."""
+    """A run in a folder of such a name works; a name with bytes that are not text is refused."""
     place, name = os.fsencode(tmp_path) + b"/" + NAMES[kind], NAMES[kind] + b".csv"
     os.mkdir(place)
     moves = [f"{i * 1e-3:.3f},{0.02 * (1 - math.cos(2 * math.pi * i / 50)):.6f}" for i in range(51)]

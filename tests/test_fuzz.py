@@ -1,36 +1,34 @@
-"""A seeded part of `scripts/fuzz`, and a proof that its loop sees what it must see."""
+"""A seeded part of `scripts/fuzz`, and tests that its loop detects every class of fault."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+import random
 import signal
 import sys
 import time
 
 import pytest
 
-from devtools import fuzz_files, fuzz_folders, fuzz_loop
+from devtools import fuzz_files, fuzz_folders, fuzz_loop, fuzz_samples
 from devtools.fuzz_loop import called, fuzz, one_case
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the watch on time and memory is that of Unix")
 
 
-def test_no_spoilt_file_and_no_option_ends_in_more_than_one_line() -> None:
-    """Longer: scripts/fuzz --cases 20000."""
+def test_no_corrupted_file_and_no_option_is_a_fault() -> None:
+    """For more cases: scripts/fuzz --cases 20000."""
     said: list[str] = []
     tally = fuzz(fuzz_files.all_kinds(), 2 * len(fuzz_files.all_kinds()), 5000, said.append)
     assert tally.faults == []
     assert tally.total == 2 * len(fuzz_files.all_kinds())
 
 
-@pytest.mark.parametrize("kind", [k for k in fuzz_files.samples() if k not in ("part", "map")])
-def test_a_sample_that_is_not_spoilt_is_in_order(kind: str, tmp_path: Path) -> None:
-    """Else the fuzzer would see one refusal only."""
-    import random
-
-    for name, content in fuzz_files.samples()[kind].items():
-        (tmp_path / name).write_bytes(content)
+@pytest.mark.parametrize("kind", [k for k in fuzz_samples.samples() if k not in ("part", "map")])
+def test_an_uncorrupted_sample_is_valid(kind: str, tmp_path: Path) -> None:
+    """Otherwise every case would be the same refusal."""
+    fuzz_files.laid(fuzz_samples.samples()[kind], tmp_path)
     commands = dict.fromkeys(fuzz_files.commands(kind, tmp_path, random.Random(i)) for i in range(20))
     cheap = [c for c in commands if (c[0], c[-1]) != ("plan", "1") and "--plan" not in c]
     said = [called(command) for command in cheap]
@@ -38,15 +36,29 @@ def test_a_sample_that_is_not_spoilt_is_in_order(kind: str, tmp_path: Path) -> N
     assert 0 in [code for code, _ in said]
 
 
-ONCE_FAULTS = [
+FORMER_FAULTS = [
     ("study", 742159), ("suite", 743452), ("positions", 740768), ("model_new", 741066), ("model", 743275), ("urdf", 740200), ("model_new", 742817),
-    ("study_folder", 11), ("study_folder", 32000072), ("golden", 3), ("exam", 7), ("iso", 33002978), ("plan", 33008920), ("identify", 2), ("machine", 9102514), ("sinumerik", 9102713), ("every_value", 42), ("every_value", 434), ("every_value", 2197), ("every_value", 4933), ("model", 9300075),
+    ("study_folder", 11), ("study_folder", 32000072), ("golden", 3), ("exam", 7), ("iso", 33002978), ("plan", 33008920), ("identify", 2), ("machine", 9102514), ("sinumerik", 9102713), ("model", 9300075),
+    ("height", 62000021), ("height", 62000693), ("events", 65000278), ("study_cells", 48), ("study_cells", 1193),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("kind", "seed"), ONCE_FAULTS)
-def test_what_was_found_stays_mended(kind: str, seed: int) -> None:
+@pytest.mark.parametrize(("kind", "seed"), FORMER_FAULTS)
+def test_a_former_fault_is_refused(kind: str, seed: int) -> None:
     assert one_case({**fuzz_files.all_kinds(), **fuzz_folders.all_kinds()}[kind], seed) == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "file", "line", "value"),
+    [
+        ("map", "map.toml", 15, "-1"),
+        ("map", "map.toml", 33, "{}"),
+        ("machine", "small.toml", 15, "[1, 2]"),
+        ("part", "part.toml", 2, "1e-9"),
+    ],
+)
+def test_a_value_that_was_a_fault_is_refused(kind: str, file: str, line: int, value: str, tmp_path: Path) -> None:
+    assert fuzz_files.value_at(kind, file, line, value, random.Random(0), tmp_path) == ""
 
 
 def ends(seed: int, _: Path) -> str:
@@ -55,13 +67,13 @@ def ends(seed: int, _: Path) -> str:
     return ""
 
 
-def test_a_process_that_crashes_is_one_fault_and_the_rest_goes_on() -> None:
+def test_a_crash_is_one_fault_and_the_loop_continues() -> None:
     tally = fuzz({"ends": ends}, 4, 0, lambda _: None)
     assert tally.total == 4
     assert tally.faults == ["seed 1 (ends): the process ended with -9"]
 
 
-def test_the_watch_sees_time_memory_strays_and_tracebacks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_loop_detects_time_memory_stray_files_and_tracebacks(monkeypatch: pytest.MonkeyPatch) -> None:
     def fills(_: int, __: Path) -> str:
         import numpy as np
 

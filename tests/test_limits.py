@@ -1,4 +1,4 @@
-"""Sizes are estimated before the work and refused with the estimate, the limit and the way to raise it; each in a second, with little memory."""
+"""Sizes above a limit are refused before the work, with the estimate, the limit and how to raise it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.builders.refused import refused
+from tests.builders.small_machine import MJCF, TOML
 from tests.builders.study_files import FACTOR, write_spec
 from twin.cli import main
 from twin.errors import InputError
@@ -35,7 +36,7 @@ PROGRAMS = {
 
 
 @pytest.mark.parametrize("case", PROGRAMS)
-def test_a_program_that_takes_for_ever(case: str, tmp_path: Path, mikron: Machine) -> None:
+def test_a_program_that_takes_too_long(case: str, tmp_path: Path, mikron: Machine) -> None:
     text, words = PROGRAMS[case]
     (tmp_path / "p.mpf").write_text(text)
     program = read_program(tmp_path / "p.mpf", mikron)
@@ -45,14 +46,14 @@ def test_a_program_that_takes_for_ever(case: str, tmp_path: Path, mikron: Machin
     assert words in str(error.value)
 
 
-def test_set_points_that_fill_the_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_set_points_that_would_fill_the_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "p.mpf").write_text(PROGRAMS["feed"][0])
     line = refused(capsys, "interpolate", str(tmp_path / "p.mpf"), "--out", str(tmp_path / "p.parquet"))
     assert "set points (167 h), the limit is 1e+08" in line
     assert [p.name for p in tmp_path.iterdir()] == ["p.mpf"]
 
 
-def test_a_fault_behind_written_set_points_leaves_no_file(tmp_path: Path, mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_after_written_set_points_leaves_no_file(tmp_path: Path, mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(interpolator, "BLOCK", 100)
     (tmp_path / "p.mpf").write_text("G1 X1 F1000\nG4 F1\nX2\nG4 F10\nM30\n")
     program = read_program(tmp_path / "p.mpf", mikron)
@@ -68,7 +69,7 @@ OTHER_PROGRAMS = {
 
 
 @pytest.mark.parametrize("name", OTHER_PROGRAMS)
-def test_a_word_that_is_out_of_range(name: str, tmp_path: Path, mikron: Machine) -> None:
+def test_a_word_out_of_range(name: str, tmp_path: Path, mikron: Machine) -> None:
     text, words = OTHER_PROGRAMS[name]
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=words):
@@ -123,7 +124,7 @@ def test_a_zone_of_a_picometre() -> None:
 def test_rays_are_estimated_before_a_run_is_simulated(
     asked: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The zone of the dome is found by the feed: how large it is shows the cut, but none is smaller than its margin."""
+    """The feed decides the zone of the dome, so that its size is known only after the cut; its margin is the least size."""
     monkeypatch.setattr("twin.cli.cut.paths_of", lambda *_, **__: pytest.fail("the program was simulated first"))
     key, _, value = asked.partition(" = ")
     text = (EXAMPLES / "part3_dome.toml").read_text(encoding="utf-8")
@@ -158,3 +159,14 @@ def test_the_message_names_the_factor_that_lets_it_through(monkeypatch: pytest.M
     monkeypatch.setenv("TWIN_LIMITS", "no")
     with pytest.raises(InputError, match="TWIN_LIMITS"):
         thousands(1.0)()
+
+
+@pytest.mark.parametrize(
+    ("period_us", "says"), [("1e-5", "us: about 1.7e+12 set points, the limit is 1e+07"), ("1e17", "give at most 150000")]
+)
+def test_a_plan_with_an_impossible_sample_period(period_us: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "small.xml").write_text(MJCF)
+    (tmp_path / "small.toml").write_text(TOML.replace("sample_period_us = 1000", f"sample_period_us = {period_us}"))
+    line = refused(capsys, "plan", "--machine", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"))
+    assert "[measurement]: sample_period_us" in line
+    assert says in line

@@ -1,6 +1,6 @@
-"""Every place of the package that opens a file is listed here with its reason: a new one must use twin/documents.py, or be added and justified.
+"""All places of the package that open a file, with the reason. A new one must use twin/documents.py, or be added here and justified.
 
-What a file of somebody else names is opened through `named_file` and `outer_file`; TOML and JSON through `read_toml` and `read_json`.
+Files named in other files are opened through `named_file` and `outer_file`, TOML and JSON through `read_toml` and `read_json`.
 """
 
 import ast
@@ -12,9 +12,9 @@ PACKAGE = Path(__file__).resolve().parents[1] / "twin"
 
 METHODS = {"read_text", "read_bytes", "open", "fromfile", "loadtxt", "genfromtxt", "memmap", "loadmat", "whosmat", "imread", "from_file",
            "from_xml_path", "ParquetFile", "read_csv", "ZipFile", "File", "MDF", "TdmsFile", "RrdReader", "exec_module", "iterparse", "parse"}  # fmt: skip
-"""Names of calls that open a file, whatever they are called on (`parse` also of an XML file)."""
+"""Names of calls that open a file, on any object."""
 LOADERS = {"np", "numpy", "pickle", "tomllib", "json", "trimesh", "URDF", "pandas", "runpy", "yaml"}
-"""What has a `load`, `loads` or `run_path` that reads a file or its text."""
+"""Modules whose `load`, `loads` or `run_path` reads a file or its text."""
 
 ALLOWED = {
     "cli/exam.py": {"read_bytes": 2},  # the machine file that is asked for
@@ -63,11 +63,11 @@ ALLOWED = {
     "surface/measured.py": {"ZipFile": 2, "np.load": 1, "read_csv": 1},  # a map that the command names; no pickles
     "surface/sur_file.py": {"read_bytes": 1},  # a map that the command names
 }
-"""File -> call -> how often, and why it is no file of somebody else, or is read behind checks."""
+"""Number of calls by file and call, and why each is safe."""
 
 
 def openings() -> dict[tuple[str, str], int]:
-    """(file, call) -> how often it stands there."""
+    """Number of calls by (file, call)."""
     found: Counter[tuple[str, str]] = Counter()
     for file in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

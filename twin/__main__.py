@@ -9,14 +9,18 @@ import warnings
 # and the last bits of a result must not depend on the number of cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from twin.stopping import ended, stoppable
+from twin.stopping import ended, received, say, stoppable
 
 
 def run() -> int:
     """The command of the command line; its exit code."""
     stoppable()
-    if not sys.warnoptions:  # those of libraries, for who writes Python: a message of a command is one line
+    import logging  # after the signal handlers
+
+    if not sys.warnoptions:  # warnings of libraries are for those who write Python; worker processes inherit the variable
         warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"
+    logging.getLogger().addHandler(logging.NullHandler())  # log records of libraries, such as that of matplotlib about a missing home
     for stream in (sys.stdout, sys.stderr):  # a name of a file may hold bytes that are no text, a terminal may know ASCII alone
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -25,10 +29,18 @@ def run() -> int:
 
         return ended(main())
     except KeyboardInterrupt as stop:  # before the command itself was there
-        from twin.stopping import say
-
         say(getattr(stop, "number", 2))
         return int(getattr(stop, "code", 130))
+    except Exception as error:
+        from twin.errors import TRACEBACK, defect
+
+        if (stopped := received()) is not None:
+            say(stopped.number)
+            return stopped.code
+        if os.environ.get(TRACEBACK):
+            raise
+        print(f"twin: {defect(error)}", file=sys.stderr)
+        return ended(2)
 
 
 if __name__ == "__main__":

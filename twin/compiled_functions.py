@@ -1,9 +1,9 @@
-"""The decorators of all compiled functions: numba without the GIL, cached on disk under a digest of all their sources.
+"""Decorators of all compiled functions: numba without the GIL, cached on disk under a digest of all their sources.
 
-numba's own cache looks at the file of a function only, not at the files of what it calls or takes constants from: after
-a change to cascade.py a cached loop would keep the old law. Here a change to any source compiles everything anew. The
-sources are the files that use these decorators, what those files import by name, and the files given to `include_source`.
-Where a later numba keeps its stamp elsewhere, or no folder is writable, nothing is cached: slower, never stale.
+numba's own cache checks only the file of a function, not the files of the functions and constants that it uses: after a change to cascade.py, a
+cached loop would keep the old law. Here a change to any source recompiles everything. The sources are the files that use these decorators, the
+modules that those files import from twin, and the files given to `include_source`. If a later numba stores its stamp elsewhere, or no folder is
+writable, nothing is cached: slower, but never stale.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ _IMPORT = re.compile(rb"^from twin((?:\.\w+)*) import (?:\(([^)]*)\)|(.*))$", re
 _KERNEL = re.compile(rb"^from twin\.(compiled_functions|simulation\.loop_terms) import", re.M)
 _included: set[Path] = set()
 _SAID = "TWIN_SAID_NO_CACHE"
-"""Environment variable that marks the line about the missing folder as said, also for worker processes."""
+"""Environment variable: set once the note about the missing cache folder is printed, so that workers do not repeat it."""
 
 
 def include_source(file: str | Path) -> None:
-    """Count one more file, such as a user's own effect, among the sources of compiled functions outside the package.
+    """Add a file outside the package, such as a user's own effect, to the sources of the functions compiled outside the package.
 
-    Functions of the package call none of it by name (the loop calls laws by address), so that they stay in the cache.
+    Functions of the package stay cached, because none calls it by name: the loop calls laws by address.
     """
     _included.add(Path(file).resolve())
     digest.cache_clear()
 
 
 def sources(outside: bool = False) -> list[Path]:
-    """The files that decide what the package's compiled functions do, or those `outside` it."""
+    """Source files of the package's compiled functions; with `outside`, also those given to `include_source`."""
     kernels = [f for f in _PACKAGE.rglob("*.py") if _KERNEL.search(f.read_bytes())]
     found = {Path(__file__), *kernels, *(f for f in _included if outside and f.is_file())}
     for kernel in kernels:
@@ -55,7 +55,7 @@ def sources(outside: bool = False) -> list[Path]:
 
 @functools.cache
 def digest(outside: bool = False) -> str:
-    """Digest of `sources`, the stamp of everything in the cache."""
+    """SHA-256 of `sources`, the stamp of all cache entries."""
     return hashlib.sha256(b"\0".join(f.read_bytes() for f in sources(outside))).hexdigest()
 
 
@@ -70,11 +70,11 @@ def compiled(
     """Like `numba.njit`, without the GIL and cached.
 
     Args:
-        function: what to compile; without it, a decorator is returned.
-        inline: copy a small law into its callers.
-        allocates: the function makes arrays. Others do without numba's runtime (`_nrt`), which counts every use of a row.
-        ieee_division: a division by zero gives inf or nan, as in C; otherwise it raises ZeroDivisionError.
-        fastmath: what the compiler may reorder, see numba; False keeps the order of the source.
+        function: the function to compile; if missing, a decorator is returned.
+        inline: copy the function into its callers; for small laws.
+        allocates: the function creates arrays. Other functions run without numba's runtime (`_nrt`), which counts every reference to a row.
+        ieee_division: division by zero gives inf or nan, as in C; otherwise it raises ZeroDivisionError.
+        fastmath: numba's option; False keeps the order of operations of the source.
     """
     options = {"_nrt": allocates, "inline": "always" if inline else "never", "fastmath": fastmath}
     if ieee_division:
@@ -87,7 +87,7 @@ def compiled(
 
 
 def compiled_callback(signature: Any, function: Callable) -> Any:
-    """Like `numba.cfunc`: a C function with an address. It has no caller that an error could reach: division by zero is IEEE's."""
+    """Like `numba.cfunc`: a C function with an address. It cannot raise to a caller, so division by zero gives inf or nan."""
     arguments, result = sigutils.normalize_signature(signature)
 
     def make() -> CFunc:
@@ -99,18 +99,18 @@ def compiled_callback(signature: Any, function: Callable) -> Any:
 
 
 class _StampedFile(caching.IndexDataCacheFile):
-    """A cache file whose stamp holds the digest of all sources; what cannot be read or written is compiled."""
+    """A cache index whose stamp contains the digest of all sources. An entry that cannot be read or written is compiled instead."""
 
-    outside: bool  # True for a function whose file is no part of the package
+    outside: bool  # True for a function defined outside the package
 
     @property
     def _source_stamp(self) -> tuple[Any, str]:
-        return self.__dict__["_source_stamp"], digest(self.outside)  # the function's own file may lie outside the sources
+        return self.__dict__["_source_stamp"], digest(self.outside)  # the function's own file may not be among the sources
 
     def load(self, key: Any) -> Any:
         try:
             return super().load(key)
-        except Exception:  # written by an older twin whose types are gone, or damaged
+        except Exception:  # damaged, or written by an older twin with types that no longer exist
             with contextlib.suppress(OSError):
                 self.flush()
             return None
@@ -123,11 +123,11 @@ class _StampedFile(caching.IndexDataCacheFile):
 
 
 def _cached(function: Callable, make: Callable[[], Any]) -> Any:
-    """The dispatcher with caching under our stamp; without caching where this is not possible."""
+    """The dispatcher, cached under our stamp if possible."""
     dispatcher = make()
     try:
         dispatcher.enable_caching()
-    except (RuntimeError, OSError):  # numba finds no folder that it may write
+    except (RuntimeError, OSError):  # numba finds no writable folder
         _say_no_cache()
         return make()
     file = getattr(dispatcher._cache, "_cache_file", None)
@@ -139,11 +139,11 @@ def _cached(function: Callable, make: Callable[[], Any]) -> Any:
 
 
 def _say_no_cache() -> None:
-    """Say once, for this process and its workers, that every start compiles."""
+    """Print once, for this process and its workers, that every start compiles."""
     if not os.environ.get(_SAID):
         os.environ[_SAID] = "1"
         print(
-            "twin: no folder for compiled functions can be written, so every start compiles them again (about a minute); "
+            "twin: no writable folder for compiled functions, so every start compiles them again (about a minute); "
             "set NUMBA_CACHE_DIR to a writable folder",
             file=sys.stderr,
         )

@@ -1,40 +1,43 @@
-"""Errors that a user can act on: each message says what was given, where, and what to do."""
+"""Errors that a user can act on. Each message states where, what was given and what to do."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 import difflib
+from pathlib import Path
+import traceback
 
+import twin
+
+TRACEBACK = "TWIN_TRACEBACK"
+"""Environment variable; if set, an unexpected error prints Python's traceback."""
 LONGEST = 300
-"""Characters of a message behind the file that it is about."""
+"""Characters of a message after the file name."""
 LONGEST_WORD = 80
 MOST_LISTED = 24
-"""Known words that a message lists."""
+"""Number of known words that a message lists."""
 
 
 class TwinError(Exception):
-    """Base of all errors of this package; the command line prints it as one line and exits with 2."""
+    """Base of all errors of this package. The command line prints the message as one line and exits with 2."""
 
 
 class InputError(TwinError):
-    """A file, a value or an argument that cannot be used."""
+    """An unusable file, value or argument."""
 
 
 class SimulationError(TwinError):
-    """A simulation that stopped before its end.
-
-    `trace` holds what was recorded up to there (None if nothing was).
-    """
+    """A simulation that stopped early; `trace` is the recording up to that point, or None."""
 
     def __init__(self, message: str, trace: object | None = None) -> None:
         super().__init__(message)
         self.trace = trace
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """The tail of an error message: the nearest known word, or else the list of all known words."""
+def nearest(word: object, known: Iterable[str]) -> str:
+    """End of an error message: the nearest known word or, if none is near, a list of the known words."""
     known = sorted(known)
-    match = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    match = difflib.get_close_matches(str(word), known, n=1, cutoff=0.6)
     if match:
         return f"did you mean '{match[0]}'?"
     listed = ", ".join(known[:MOST_LISTED])
@@ -42,14 +45,26 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def one_line(message: object) -> str:
-    """A message as the command line prints it: one line, in which a long word or text of a file is not echoed whole.
+    """A message as the command line prints it: one line, with long words shortened.
 
-    What was given stands at the beginning, what to do at the end: of a message that is longer than `LONGEST` the middle goes.
+    The middle of a message longer than `LONGEST` is cut out, since the start says what was given and the end what to do.
     """
     words = [word if len(word) <= LONGEST_WORD or "/" in word else f"{word[: LONGEST_WORD // 2]}..." for word in str(message).split()]
     text = " ".join(words)
-    where, _, said = text.partition(": ")  # a path is given whole
+    where, _, said = text.partition(": ")  # a path is not shortened
     if len(said) > LONGEST:
         said = f"{said[: LONGEST * 6 // 10].rstrip()} ... {said[-LONGEST * 3 // 10 :].lstrip()}"
         return f"{where}: {said}"
     return text if said or len(text) <= LONGEST else f"{text[: LONGEST * 6 // 10].rstrip()} ... {text[-LONGEST * 3 // 10 :].lstrip()}"
+
+
+def defect(error: Exception) -> str:
+    """Message about an unexpected error: a defect of twin, or exhausted memory."""
+    if isinstance(error, MemoryError):
+        return "not enough memory; close other programs or use a smaller input"
+    package = Path(__file__).parent
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_relative_to(package)]
+    place = f" at {Path(frames[-1].filename).relative_to(package.parent).as_posix()}:{frames[-1].lineno}" if frames else ""
+    what = one_line(f"{type(error).__name__}: {error}")
+    todo = f"please report this line with the command and its files ({TRACEBACK}=1 prints the traceback)"
+    return f"defect in twin {twin.__version__}, not in your input: {what}{place}; {todo}"

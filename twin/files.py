@@ -1,4 +1,4 @@
-"""Files that commands write: whole or not at all, JSON without NaN, one line where a place cannot be written."""
+"""Output files: written completely or not at all, JSON without NaN, and a lock on each output folder."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ import twin
 from twin.errors import InputError
 
 FORMATS = 1
-"""Number of the formats of all JSON files."""
+"""Format number of all JSON files."""
 
 
 @contextlib.contextmanager
 def beside(path: str | Path) -> Iterator[Path]:
-    """A file beside `path`, to write to: moved into place when all is written, removed when that fails or is stopped.
+    """Yield a temporary file next to `path`. It replaces `path` when the block ends, and is removed when the block raises.
 
-    A disk that is full, or a command that is stopped, so leaves the old file or none, never half of one. Others may do the same at the
-    same time. Makes the folder.
+    A full disk or a stopped command therefore leaves the old file or none, never a partial one. Several processes may write the same path. Creates
+    the folder.
 
     Raises:
-        InputError: the place cannot be written to; the message names `path` and the reason.
+        InputError: the file cannot be written; the message names `path` and the reason.
     """
     path = Path(path)
     partial = path.with_name(f".{path.stem[:100]}.{os.getpid()}-{threading.get_ident()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield partial
-        with partial.open("rb") as file:  # what the disk could not take is said here at the latest
+        with partial.open("rb") as file:  # reports a full disk at the latest here
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); free the disk or give another place") from None
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); free some space or choose another path") from None
     except BaseException:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -48,36 +48,36 @@ def beside(path: str | Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file whole or not at all, and the folders to it that are not there.
+    """Write a text file completely or not at all, and create its folders.
 
     Raises:
-        InputError: the place cannot be written to.
+        InputError: the file cannot be written.
     """
     with beside(path) as partial:
-        partial.write_text(text, encoding="utf-8", errors="replace")  # names of files may hold bytes that are no text
+        partial.write_text(text, encoding="utf-8", errors="replace")  # file names may contain bytes that are not text
 
 
 def stamped(content: Mapping[str, Any], schema: str) -> dict[str, Any]:
-    """A document headed by its format and the version of twin: {"schema": "gap/1", "version": "0.1.0", ...}.
+    """The document with its format and the version of twin in front: {"schema": "gap/1", "version": "0.1.0", ...}.
 
-    `schema` names a JSON Schema of twin/report/schemas; the number rises when a key goes or changes its meaning.
+    `schema` names a JSON Schema in twin/report/schemas. Its number rises when a key is removed or changes its meaning.
     """
     return {"schema": f"{schema}/{FORMATS}", "version": twin.__version__, **content}
 
 
 def write_json(content: Mapping[str, Any], path: Path, schema: str) -> None:
-    """Write a document with its stamp; JSON knows neither NaN nor infinity: such a value is written as null.
+    """Write a stamped document as JSON. NaN and infinity, which JSON lacks, are written as null.
 
     Raises:
-        InputError: the place cannot be written to.
+        InputError: the file cannot be written.
     """
     write_whole(path, json.dumps(_finite(stamped(content, schema)), indent=2, allow_nan=False) + "\n")
 
 
 def shipped_example(path: str | Path) -> Path:
-    """The path itself; where it does not exist and begins with `examples/`, the example of that name that ships with the package.
+    """The path itself or, if it does not exist and starts with `examples/`, the example of that name shipped with twin.
 
-    Examples lie inside an installed package, and beside the package in a checkout that is installed in place.
+    Examples lie inside an installed package, and beside the package in an editable installation.
     """
     given, package = Path(path), Path(twin.__file__).parent
     if given.exists() or given.parts[:1] != ("examples",):
@@ -86,53 +86,53 @@ def shipped_example(path: str | Path) -> Path:
 
 
 def output_folder(path: str | Path) -> Path:
-    """The folder of a command's output, made where it is not there.
+    """Create a command's output folder and lock it for this command.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: the folder cannot be created, or another command is writing to it.
     """
     out = Path(path)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{out}: cannot make this folder ({error.strerror}); give another --out") from None
+        raise InputError(f"{out}: cannot create this folder ({error.strerror}); choose another --out") from None
     if _held is not None:
         _hold(out, _held)
     return out
 
 
 def output_file(path: str | Path) -> Path:
-    """The file of a command's output, tried before the work is done: its folder is made, and can be written to.
+    """Path of an output file, checked before the work: its folder is created and must be writable.
 
     Raises:
-        InputError: it cannot.
+        InputError: the file cannot be written there.
     """
     path = Path(path)
     if path.is_dir():
-        raise InputError(f"{path}: a folder; give the name of a file")
+        raise InputError(f"{path}: is a folder; give a file name")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path.parent):
             pass
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another path") from None
     return path
 
 
 LOCK = ".twin-lock"
-"""File that a command holds in its folder while it writes there."""
+"""Lock file of a command in its output folder."""
 _held: dict[Path, IO[str]] | None = None
-"""Folders that the command of this process holds; None outside of a command."""
+"""Locked folders of the command of this process; None outside of a command."""
 
 
 def hold_folders() -> None:
-    """From here on a folder of `output_folder` belongs to this command: another one is refused there."""
+    """Start locking: from now on `output_folder` locks its folder for this command."""
     global _held
     _held = {} if _held is None else _held
 
 
 def release_folders() -> None:
-    """The command is done: its folders are free."""
+    """Release all folders of this command."""
     global _held
     for folder, file in (_held or {}).items():
         with contextlib.suppress(OSError):
@@ -142,10 +142,10 @@ def release_folders() -> None:
 
 
 def _hold(folder: Path, held: dict[Path, IO[str]]) -> None:
-    """Hold a folder until the command is done; the system lets go of it where the process is killed."""
+    """Lock a folder until the command ends. The system releases the lock if the process is killed."""
     try:
         import fcntl
-    except ImportError:  # a system without such locks
+    except ImportError:  # a system without file locks
         return
     place = folder.resolve()
     if place in held:
@@ -153,7 +153,7 @@ def _hold(folder: Path, held: dict[Path, IO[str]]) -> None:
     try:
         file = (place / LOCK).open("a+", encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written to ({error.strerror}); give another --out") from None
+        raise InputError(f"{folder}: cannot be written to ({error.strerror}); choose another --out") from None
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -161,12 +161,12 @@ def _hold(folder: Path, held: dict[Path, IO[str]]) -> None:
         who = file.read(40).strip()
         file.close()
         raise InputError(
-            f"{folder}: another command of twin writes here{f' (process {who})' if who else ''}; wait for it, or give another --out"
+            f"{folder}: another twin command is writing here{f' (process {who})' if who else ''}; wait for it or choose another --out"
         ) from None
     except OSError:  # a file system without locks
         file.close()
         return
-    if not _is_at(file, place / LOCK):  # its holder removed it between our opening and our locking: another one may be there
+    if not _is_at(file, place / LOCK):  # removed by its owner between our open and our lock; there may be a new one
         file.close()
         return _hold(folder, held)
     with contextlib.suppress(OSError):
@@ -177,7 +177,7 @@ def _hold(folder: Path, held: dict[Path, IO[str]]) -> None:
 
 
 def _is_at(file: IO[str], path: Path) -> bool:
-    """Is this open file still the one at that path?"""
+    """True if the path still refers to this open file."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), path.stat())
     except OSError:

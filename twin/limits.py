@@ -1,4 +1,4 @@
-"""Sizes are estimated before the work: what is above a limit is refused with the estimate, the limit and the way to raise it."""
+"""Limits on sizes: each size is estimated before the work, and an InputError states estimate, limit and how to raise it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ import os
 from twin.errors import InputError
 
 RAISED_BY = "TWIN_LIMITS"
-"""Environment variable with the factor by which all limits are raised; `--limits FACTOR` of every command sets it, workers inherit it."""
-
+"""Environment variable with the factor on all limits. `--limits FACTOR` of every command sets it; workers inherit it."""
 
 MOST_SETPOINTS = 10_000_000
-"""Set points of one motion that is held: 2.8 hours at 1 kHz, 1 GB."""
+"""Set points of one motion held in memory: 2.8 hours at 1 kHz, 1 GB."""
 
 
 def raised_by() -> float:
-    """The factor by which limits are raised, 1 where nothing is said."""
+    """The factor on all limits; 1 by default."""
     try:
         factor = float(os.environ.get(RAISED_BY, "1"))
     except ValueError:
@@ -27,10 +26,9 @@ def raised_by() -> float:
 
 
 def refuse_above(estimate: float, limit: float, what: str, where: str, remedy: str) -> None:
-    """Refuse what would be larger than a limit.
+    """Raise InputError if `estimate` exceeds `limit` times the factor of `raised_by`.
 
-    Raises:
-        InputError: `where`: about `estimate` `what`, the limit, `remedy`, and the factor that would let it through.
+    The message states `where`, the estimate of `what`, the limit, `remedy` and the factor that would allow it.
     """
     limit *= raised_by()
     if not estimate <= limit:

@@ -1,4 +1,4 @@
-"""Progress on a terminal, nothing elsewhere."""
+"""Progress bars on a terminal; nothing is printed elsewhere."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from tqdm import tqdm
 
 
 class Progress:
-    """A progress bar on a terminal for work above a second.
+    """A progress bar that appears after one second.
 
-    Call it with the done fraction, or with None for one more of `total` steps; `say` shows what is being tried.
+    Call it with the fraction done, or with None to count one of `total` steps.
     """
 
     def __init__(self, text: str, total: int | None = None) -> None:
@@ -22,7 +22,7 @@ class Progress:
         self.bar.update(1 if fraction is None else fraction - self.bar.n)
 
     def say(self, text: str) -> None:
-        """Show what is being done, where the end is not known beforehand."""
+        """Show a text instead of the bar, for work of unknown length."""
         self.bar.bar_format = "{desc} ({elapsed})"
         self.bar.set_description_str(text)
 
@@ -34,11 +34,9 @@ class Progress:
 
 
 class Steps:
-    """A bar on a terminal that goes one step with each report, with its name."""
+    """A progress bar that advances one step per call and shows the name of the step."""
 
     def __init__(self, text: str, total: int) -> None:
-        from tqdm import tqdm
-
         self.bar = tqdm(total=total, desc=text, delay=1.0, disable=None, leave=False, bar_format="{desc} |{bar}| {elapsed}")
 
     def __call__(self, name: str) -> None:

@@ -1,8 +1,8 @@
-"""How a command ends when it is stopped: within seconds, in one line, and with every process that it began.
+"""Stopping a command: it ends within seconds, prints one line and leaves no process behind.
 
-Ctrl-C and SIGTERM raise in the main thread, so that what is half written is removed. A thread that waits for the signal itself ends the process
-`GRACE_S` later where the main thread is still in compiled code or waits for its workers. Workers end when the process that began them is gone,
-however that came about (`end_with_parent`).
+Ctrl-C and SIGTERM raise `Stopped` in the main thread, so that partial files are removed. A second thread receives the signal too and ends the process
+after `GRACE_S` if the main thread is still in compiled code or waiting for workers. Workers end as soon as their parent process is gone
+(`end_with_parent`).
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ import time
 from types import FrameType
 
 GRACE_S = 1.5
-"""What a stopped command may take to put things in order [s]; Ctrl-C ends it within 3 s."""
+"""Time for a stopped command to clean up [s]; with it, Ctrl-C ends a command within 3 s."""
 _LOOK_S = 0.5
 WORDS = {signal.SIGINT: "stopped by the user", signal.SIGTERM: "stopped by another process (SIGTERM)"}
+PARENT = "TWIN_PARENT"
+"""Environment variable with the process number of the parent, for a worker that is a program of its own."""
 _said = threading.Lock()
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal stopped the command; `code` is its exit code, 128 and the number of the signal."""
+    """A signal stopped the command; its exit code `code` is 128 plus the signal number."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -32,14 +34,14 @@ class Stopped(KeyboardInterrupt):
 
 
 def say(number: int) -> None:
-    """The one line on standard error, once."""
+    """Print the line about a signal on standard error, once per process."""
     if _said.acquire(blocking=False):
         with contextlib.suppress(OSError, ValueError):
             os.write(2, f"twin: {WORDS.get(signal.Signals(number), 'stopped')}\n".encode())
 
 
 def stoppable() -> None:
-    """Arm this process, which must be that of a command: called once, first of all, in its main thread."""
+    """Install the signal handlers. Call this once, before anything else, in the main thread of a command."""
     if os.name == "nt":
         return
     read, write = socket.socketpair()
@@ -51,14 +53,24 @@ def stoppable() -> None:
     threading.Thread(target=_end, args=(read, write), daemon=True, name="twin-stopping").start()
 
 
+_received: Stopped | None = None
+
+
+def received() -> Stopped | None:
+    """The signal that stopped this process, if any. A library may turn the exception into one of its own, such as an ImportError."""
+    return _received
+
+
 def _raise(number: int, _: FrameType | None) -> None:
     for other in WORDS:
-        signal.signal(other, signal.SIG_IGN)  # once is enough: what is put in order now is not disturbed
-    raise Stopped(number)
+        signal.signal(other, signal.SIG_IGN)  # a second signal must not interrupt the clean-up
+    global _received
+    _received = Stopped(number)
+    raise _received
 
 
 def _end(read: socket.socket, _: socket.socket) -> None:
-    """End the process a while after a signal, whatever its main thread does."""
+    """End the process `GRACE_S` after a signal, whatever the main thread is doing."""
     while True:
         number = read.recv(1)[0]
         if number in [int(known) for known in WORDS]:
@@ -74,13 +86,13 @@ _left_behind = False
 
 
 def leave_behind() -> None:
-    """A thread of a library waits for ever (a disk is full): the command must not wait for it when it ends."""
+    """Mark that a library's thread will never end (the disk is full), so that the command does not wait for it."""
     global _left_behind
     _left_behind = True
 
 
 def ended(code: int) -> int:
-    """The exit code of a command that is done; where something was left behind, the process ends here."""
+    """Return the exit code of a finished command, or end the process here if `leave_behind` was called."""
     if _left_behind:
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
@@ -90,10 +102,16 @@ def ended(code: int) -> int:
 
 
 def end_with_parent() -> None:
-    """A worker leaves Ctrl-C to the process that began it, and ends when that process is gone."""
-    with contextlib.suppress(ValueError):  # not in a main thread
+    """Set up a worker process: it ignores Ctrl-C, which its parent handles, and ends when its parent is gone."""
+    import logging
+    import multiprocessing
+
+    logging.getLogger().addHandler(logging.NullHandler())  # as in the command itself
+    with contextlib.suppress(ValueError):  # not called in a main thread
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = os.getppid()
+    # the parent may be gone already: a worker takes a second to load, and its own getppid() would then be that of init
+    known = multiprocessing.parent_process()
+    parent = known.pid if known is not None else int(os.environ.get(PARENT, os.getppid()))
 
     def look() -> None:
         while os.getppid() == parent:

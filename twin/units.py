@@ -1,4 +1,4 @@
-"""Units at the border: everything inside is SI (m, rad, s, N, kg, A); conversions live here and nowhere else."""
+"""Units. Everything inside twin is SI (m, rad, s, N, kg, A); all conversions are defined here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 from twin.errors import InputError, nearest
 
-# one unit: (dimension, factor to SI)
+# unit: (dimension, factor to SI)
 _LENGTH = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _ANGLE = {"rad": 1.0, "deg": math.pi / 180.0}
 _PER = {"s": 1.0, "min": 1.0 / 60.0}
@@ -28,18 +28,18 @@ UNITS: dict[str, tuple[str, float]] = {
 }
 
 ARCSEC = math.pi / 180.0 / 3600.0
-"""One arc second in rad."""
+"""One arcsecond [rad]."""
 
 
 def factor_to_si(unit: str, where: str) -> float:
-    """Factor that turns a value in `unit` into SI; `where` names the place for the error message."""
+    """Factor from `unit` to SI; `where` is the prefix of the error message."""
     if unit not in UNITS:
         raise InputError(f"{where}: unknown unit [{unit}]; {nearest(unit, UNITS)}")
     return UNITS[unit][1]
 
 
 def dimension(unit: str) -> str:
-    """Dimension of a unit of the table: 'length', 'angular speed', 'current', ..."""
+    """Dimension of a unit of UNITS: 'length', 'angular speed', 'current', ..."""
     return UNITS[unit][0]
 
 
@@ -54,7 +54,7 @@ def deg_from_rad(angle_rad: float) -> float:
 
 
 class AxisUnits:
-    """The units in which people read one kind of axis: (name, factor from SI) of each quantity."""
+    """Units in which people read the quantities of one kind of axis, each as (name, factor from SI)."""
 
     def __init__(self, position: str, speed: str, error: str, error_per_si: float) -> None:
         self.position = (position, 1.0 / UNITS[position][1])
@@ -82,7 +82,7 @@ RECORDED_UNITS: dict[str, tuple[str, float]] = {
     "rev": ("turns", 2.0 * math.pi),
     **{f"rev/{p}": ("turning speed", 2.0 * math.pi * g) for p, g in _PER.items()},
 }
-"""Units in what others recorded; turns are of the motor (rad), and need the travel of a turn."""
+"""Units of imported recordings. Revolutions are motor revolutions [rad]; to become travel they need the travel per revolution."""
 
 
 def dimension_recorded(unit: str) -> str:

@@ -17,6 +17,8 @@ from tests.builders.one_axis import MACHINE, NO_COULOMB, follow, there_and_back
 from tests.conftest import ROOT
 from twin.cli import main
 from twin.effects import BLOCKS, EFFECTS, Effect, apply_effects, check_setting, parse_setting, settings_of, with_effects
+from twin.effects.change import load_inertia
+from twin.effects.effect import Parameter
 from twin.effects.user_files import effects_of
 from twin.errors import InputError, SimulationError, TwinError
 from twin.machine.machine import load_machine
@@ -456,3 +458,15 @@ def test_laws_are_tested():
     text = "".join(file.read_text(encoding="utf-8") for file in folder.glob("test_effects_*.py"))
     assert [name for name in EFFECTS if f'"name": "{name}"' not in text] == []
     assert math.isfinite(X.coulomb_friction)
+
+
+def test_a_load_that_vanishes_beside_its_rotor_is_refused():
+    heavy = MACHINE.with_values({"axis.X.rotor_and_screw_inertia_kg_m2": 1e15})
+    with pytest.raises(InputError, match="axis X: its load vanishes beside its rotor"):
+        load_inertia(heavy, heavy.axis("X"))
+
+
+def test_usual_sizes_lie_within_the_bounds():
+    axis = MACHINE.axis("X")
+    for usual, expected in (((0.0, 0.0), (1.0, 1.0)), ((0.5, 20.0), (1.0, 9.0)), ((2.0, 3.0), (2.0, 3.0))):
+        assert Parameter("stiffness", "stiffness", 1.0, 9.0, usual).usual_range(MACHINE, axis) == expected

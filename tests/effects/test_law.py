@@ -171,8 +171,11 @@ def test_a_curve_goes_through_its_points_and_stays_beyond_them():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"block": "motor"}, "no block 'motor'"),
-        ({"output": "torque"}, "the mechanics has no output 'torque'"),
+        ({"block": "motor"}, "block = 'motor' is not known"),
+        ({"block": [["mechanics"]]}, "block = [['mechanics']] is not known"),
+        ({"output": "torque"}, "law of the mechanics: output = 'torque' is not known; known are: force, friction"),
+        ({"output": {"a": 1}}, "output = {'a': 1} is not known"),
+        ({"variables": [["speed"]]}, "no variable ['speed']"),
         ({"variables": ["weight"]}, "no variable 'weight'"),
         ({"variables": ["following_error"]}, "is available in the position controller only"),
         ({"variables": ["speed", "position"]}, "give exactly one"),

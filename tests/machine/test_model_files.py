@@ -339,7 +339,7 @@ def test_a_mesh_opens_no_other_file(tmp_path: Path) -> None:
     (tmp_path / "m.obj").write_text("mtllib ../secret.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
     assert len(load_mesh(tmp_path / "m.obj", process=False).faces) == 1
     (tmp_path / "m.dae").write_text('<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/hostname">]><COLLADA>&x;</COLLADA>')
-    with pytest.raises(InputError, match="cannot be read as a mesh"):
+    with pytest.raises(InputError, match="not a readable mesh"):
         load_mesh(tmp_path / "m.dae", process=False)
 
 

@@ -1,15 +1,15 @@
-"""A seeded part of `devtools/fuzz_chain.py`: damaged recordings up to an identified machine, without traceback or wrong result."""
+"""A seeded part of `scripts/fuzz --only chain`: damaged recordings up to an identified machine, without traceback or wrong result."""
 
 from pathlib import Path
 
 import pytest
 
-from devtools.fuzz_chain import impossible_numbers, real, run_case
+from devtools.fuzz_recordings import chain, impossible_numbers, real
 from tests.conftest import SHARED
 
 
 def test_mutilated_recordings_of_a_known_axis(tmp_path: Path) -> None:
-    results = [run_case(seed, tmp_path / str(seed), [], no_refine=True) for seed in range(100, 110)]
+    results = [chain(seed, tmp_path / str(seed), [], no_refine=True) for seed in range(100, 110)]
     assert [fault for _, fault in results if fault] == []
     reached = {step for step, _ in results}
     assert {"nothing", "gap"} <= reached  # some are refused, some are identified
@@ -17,7 +17,7 @@ def test_mutilated_recordings_of_a_known_axis(tmp_path: Path) -> None:
 
 @pytest.mark.xfail(reason="in a piece of one smooth move gain and feedforward cannot be separated, which the interval does not show")
 def test_a_piece_of_a_smooth_move_claims_no_gain(tmp_path: Path) -> None:
-    assert run_case(110, tmp_path, [], no_refine=True)[1] == ""
+    assert chain(110, tmp_path, [], no_refine=True)[1] == ""
 
 
 @pytest.mark.slow
@@ -25,7 +25,7 @@ def test_mutilated_recordings_of_real_machines(tmp_path: Path) -> None:
     recordings = real(SHARED / "data")
     if not recordings:
         pytest.skip("no recordings of real machines: ../shared/data is not beside this repository")
-    results = [run_case(seed, tmp_path / str(seed), recordings) for seed in range(200, 212)]  # for more run: scripts/fuzz --only chain
+    results = [chain(seed, tmp_path / str(seed), recordings) for seed in range(200, 212)]  # for more run: scripts/fuzz --only chain
     assert [fault for _, fault in results if fault] == []
     reached = {step for step, _ in results}
     assert {"nothing", "gap"} <= reached

@@ -264,12 +264,12 @@ BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
     "MDF cut off": (
         "run.mf4",
         lambda p: _cut(write_mdf(p, [(TIME, {n: (v, "") for n, v in move(TIME).items()})]), 0.3),
-        ("damaged MDF file",),
+        ("not a readable MDF file",),
     ),
     "MDF of a version that does not exist": (
         "run.mf4",
         lambda p: _patched(write_mdf(p, [(TIME, {n: (v, "") for n, v in move(TIME).items()})]), 8, b"9.99\xff\xff\xff\xff" + bytes(20)),
-        ("damaged MDF file",),
+        ("not a readable MDF file",),
     ),
     "number beyond measure": (
         "run.tdms",
@@ -289,7 +289,7 @@ BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
     "Parquet with a heading that is no text": (
         "run.parquet",
         lambda p: p.write_bytes(_parquet(p, "t", "soll", "ist").read_bytes().replace(b"soll", b"so\xffl")),
-        ("a damaged Parquet file",),
+        ("not a readable Parquet file",),
     ),
     "Parquet with a column twice": ("run.parquet", lambda p: _parquet(p, "t", "soll", "soll"), ("column 'soll' occurs twice",)),
     "unknown ending": (

@@ -1,12 +1,12 @@
-"""A seeded part of `devtools/fuzz_import.py`: damaged recordings are imported or refused in one line."""
+"""A seeded part of `scripts/fuzz --only recording`: damaged recordings are imported or refused in one line."""
 
 from pathlib import Path
 
-from devtools.fuzz_import import run_case
+from devtools.fuzz_recordings import recording
 
 
 def test_no_mutilated_recording_ends_in_a_traceback(tmp_path: Path) -> None:
-    results = [run_case(seed, tmp_path / str(seed), []) for seed in range(30)]
+    results = [recording(seed, tmp_path / str(seed), []) for seed in range(30)]
     assert [fault for _, fault in results if fault] == []
     codes = {code for code, _ in results}
     assert codes == {0, 2}  # some are read, some are refused

@@ -1,6 +1,7 @@
 """Gaps, rounded and jittering times, skew and other intervals are detected, reported and handled as the map requires."""
 
 import json
+import math
 from pathlib import Path
 import tomllib
 
@@ -9,6 +10,7 @@ import pytest
 
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_xml
 from twin.cli import main
+from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
 from twin.recordings.skew import skews_of
@@ -236,3 +238,10 @@ def test_units_as_others_write_them() -> None:
     assert split_heading("Pos X (mm)") == ("Pos X", "mm")
     assert split_heading("nckServoDataActCurr32 [u1, 7]") == ("nckServoDataActCurr32 [u1, 7]", "")
     assert Clock().column is None
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [1e300, math.inf, -math.inf, math.nan])
+def test_a_time_that_no_clock_shows(value: float) -> None:
+    with pytest.raises(InputError, match=r"signal: the time holds .* at row 3; repair it"):
+        timing_of(np.array([0.0, 1e-3, value, 3e-3]), "signal")

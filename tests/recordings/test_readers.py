@@ -9,6 +9,7 @@ import pytest
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_mdf, write_tdms, write_xml
 from twin.cli import main
 from twin.recordings.formats.delimited import find_dialect
+from twin.recordings.signals import Clock, share_time
 from twin.recordings.trace import Trace, read_trace
 
 TIME = np.arange(3000) * 1e-3
@@ -160,6 +161,14 @@ def test_matlab_7_3(tmp_path: Path) -> None:
     with open(tmp_path / "run.mat", "r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
     same(imported(tmp_path, [tmp_path / "run.mat"]), columns)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_column_that_is_no_clock_is_passed_over() -> None:
+    columns = {"time": (np.array([np.inf, np.inf, 1.0]), "s"), "t": (np.array([0.0, 1.0, 2.0]), "s"), "x": (np.zeros(3), "mm")}
+    signals = share_time(columns, Clock(), "file")
+    assert signals["x"].time is not None
+    assert list(signals["x"].time) == [0.0, 1.0, 2.0]
 
 
 def test_a_trace_of_the_twin_is_read_too(tmp_path: Path) -> None:

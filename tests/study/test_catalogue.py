@@ -146,7 +146,9 @@ def test_shares_of_the_ratings(folder: Path) -> None:
     [
         ('installed = "M80"', 'installed = "M90"', "'M90' is not in motors.toml"),
         ('axis = "X"\ninstalled = "40x10"', 'axis = "A"\ninstalled = "40x10"', "axis A has no screw"),
+        ('axis = "X"\ninstalled = "40x10"', 'axis = 0\ninstalled = "40x10"', "no axis 0; known are"),
         ('"40x10", "40x20"', '"40x10", "50x10"', "no screw '50x10'"),
+        ('"40x10", "40x20"', '"40x10", ""', "no screw ''"),
         ('"40x10", "40x20"', '"40x10"', "has one screw only"),
         ('axis = "X"\ninstalled = "M80"', 'axis = "X"', "'installed' is missing"),
         ("[[factor]]", '[[factor]]\nname = "k"\npath = "axis.X.motor.resistance_ohm"\nrange = [0.4, 0.6]\n[[factor]]', "both set"),

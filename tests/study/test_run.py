@@ -297,7 +297,7 @@ def test_folders_that_cannot_be_used(tmp_path: Path, capsys: pytest.CaptureFixtu
     (out / FILE).write_bytes(b"no database at all" * 100)
     assert "not the database of a study" in refused(capsys, "study", str(spec), "--out", str(out), "--resume")
     (tmp_path / "file").write_text("")
-    assert "cannot make this folder" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "file"))
+    assert "cannot create this folder" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "file"))
     (tmp_path / "taken" / FILE).mkdir(parents=True)
     assert "cannot be used" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "taken"))
 

@@ -96,6 +96,30 @@ def test_sur_files_that_are_refused(tmp_path: Path) -> None:
 
 def test_faults(tmp_path: Path) -> None:
     (tmp_path / "map.x3p").write_text("no archive", encoding="utf-8")
-    for name, says in (("none.npz", "no such height map"), ("map.x3p", "cannot be read as a height map")):
+    for name, says in (("none.npz", "no such height map"), ("map.x3p", "not a readable height map")):
         with pytest.raises(InputError, match=says):
             read_height_map(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("u", "height", "says"),
+    [
+        (np.arange(20) * 1e-5, 1e300, "heights up to 1e.300 m, the limit is 10 m"),
+        (np.arange(20) * 1.0, 1e-6, "u up to 19 m"),
+        (np.zeros(20), 1e-6, "does not increase"),
+        (np.full(20, np.nan), 1e-6, "u up to nan m"),
+    ],
+)
+def test_coordinates_that_no_map_has(u: np.ndarray, height: float, says: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "map.npz", u=u, v=np.arange(10) * 1e-5, height=np.full((10, 20), height))
+    with pytest.raises(InputError, match=says):
+        read_height_map(tmp_path / "map.npz")
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_map_that_hardly_lies_on_the_simulated_one() -> None:
+    u, v = np.arange(0.0, 3e-3, 1e-5), np.arange(0.0, 1.5e-3, 1e-5)
+    part = surface(u, v)
+    part[:, : int(0.8 * len(u))] = np.nan
+    with pytest.raises(InputError, match="covers 20%"):
+        compare(HeightMap(u, v, part), HeightMap(u, v, surface(u, v)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from twin.effects import settings_of
 from twin.machine.machine import Machine
 
 
@@ -27,7 +28,8 @@ def differing_numbers(a: Machine, b: Machine) -> list[Number]:
 def _plain(machine: Machine) -> dict[str, Any]:
     """The document with effects by name and axis, without what names files."""
     document = {key: value for key, value in machine.document.items() if key not in ("effect", "model", "name")}
-    effects = {f"{e['name']}.{e['axis']}": {k: v for k, v in e.items() if k not in ("name", "axis")} for e in machine.effects}
+    tables = [setting.table() for setting in settings_of(machine)]
+    effects = {f"{e['name']}.{e['axis']}": {k: v for k, v in e.items() if k not in ("name", "axis")} for e in tables}
     return {**document, "effect": effects}
 
 

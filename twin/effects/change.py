@@ -133,10 +133,24 @@ class Change:
         return tuple(self.couplings)
 
 
+LEAST_LOAD = 1e-9
+"""Load over rotor inertia; below it their sum cannot tell the load."""
+
+
 def load_inertia(machine: Machine, axis: Axis) -> float:
-    """Mass or inertia of an axis' load alone, without rotor, in the home pose [kg, kg m2]."""
+    """Mass or inertia of an axis' load alone, without rotor, in the home pose [kg, kg m2].
+
+    Raises:
+        InputError: the load is nothing beside the rotor, so that their difference is rounding.
+    """
     inertia, _ = _at_home(machine)
-    return float(inertia[machine.axis_names.index(axis.name)] - axis.reflected_inertia)
+    total, rotor = float(inertia[machine.axis_names.index(axis.name)]), axis.reflected_inertia
+    if not total - rotor > LEAST_LOAD * rotor:
+        unit = "kg" if axis.kind == "linear" else "kg m2"
+        raise InputError(
+            f"axis {axis.name}: its load vanishes beside its rotor, which acts like {rotor:.3g} {unit}; correct the inertia of one"
+        )
+    return total - rotor
 
 
 def held_force(machine: Machine, axis: Axis) -> float:

@@ -115,10 +115,11 @@ class Parameter:
         return QUANTITIES[self.quantity][0 if axis.kind == "linear" else 1]
 
     def usual_range(self, machine: Machine, axis: Axis) -> tuple[float, float]:
-        """Usual range on this axis; the bounds if none is given."""
+        """Usual range on this axis, within the bounds; the bounds if none is given."""
         if self.usual is None:
             return (self.low, self.high)
-        return self.usual(machine, axis) if callable(self.usual) else self.usual
+        low, high = self.usual(machine, axis) if callable(self.usual) else self.usual
+        return (min(max(low, self.low), self.high), min(max(high, self.low), self.high))
 
     @property
     def is_factor(self) -> bool:

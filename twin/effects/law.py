@@ -35,6 +35,7 @@ from twin.effects.setting import Setting
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED, VOLTAGE
+from twin.tables import one_of
 
 NAME = "law"
 
@@ -163,19 +164,15 @@ class Law:
 
 def law_of(table: Mapping[str, Any], where: str) -> Law:
     """The law of a table. Raises InputError for an invalid table."""
-    block = table.get("block", "mechanics")
-    if block not in OUTPUTS:
-        raise InputError(f"{where}: law: no block {block!r}; {nearest(str(block), OUTPUTS)}")
-    output = table.get("output", next(iter(OUTPUTS[block])))
-    if output not in OUTPUTS[block]:
-        raise InputError(f"{where}: law: the {block} has no output {output!r}; {nearest(str(output), OUTPUTS[block])}")
+    block = one_of(table, "block", OUTPUTS, f"{where}: law", "mechanics")
+    output = one_of(table, "output", OUTPUTS[block], f"{where}: law of the {block}", next(iter(OUTPUTS[block])))
     variables = table.get("variables", ())
     if not isinstance(variables, list | tuple) or len(variables) != 1:
         raise InputError(
             f'{where}: law: variables = {variables!r}: give exactly one, e.g. variables = ["speed"]; write a sum as several laws'
         )
     variable = variables[0]
-    if variable not in VARIABLES:
+    if not isinstance(variable, str) or variable not in VARIABLES:
         raise InputError(f"{where}: law: no variable {variable!r}; {nearest(str(variable), VARIABLES)}")
     only = VARIABLES[variable].only
     if only and block not in only:

@@ -25,7 +25,7 @@ from typing import Any
 from twin.documents import read_json_table
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.stopping import end_with_parent
+from twin.stopping import PARENT, end_with_parent
 
 from .budget import with_budget
 from .draw import Case, draw_case, truth_of, write_campaign
@@ -125,7 +125,9 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
             raise InputError(f"{folder}: the plant cannot run this campaign ({error}); draw with another --seed") from None
         command = [sys.executable, "-m", "twin.exam.candidate", str(campaign), machine_file, str(answer), *(["--quick"] if quick else [])]
         started = time.perf_counter()
-        done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1", PARENT: str(os.getpid())}, check=False
+        )
         reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
         if done.returncode < 0:  # killed from outside: no answer
             raise InputError(f"{folder}: the diagnosing process was killed (signal {-done.returncode}); repeat the command to continue")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.documents import reading
 from twin.errors import InputError
 
 ENDINGS = (".stl", ".obj", ".ply", ".dae")
@@ -28,7 +29,7 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
     ending = path.suffix.lower()
     if ending not in endings:
         raise InputError(f"{path}: not a mesh that can be read; give one of {', '.join(endings)}")
-    try:
+    with reading(path, "mesh"):
         if (size := path.stat().st_size) > LARGEST_BYTES:
             raise InputError(f"{path}: {size / 1e6:.0f} MB; a mesh has at most {LARGEST_BYTES / 1e6:.0f} MB: make it coarser")
         content = path.read_bytes()
@@ -37,11 +38,6 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
         # read from memory without a resolver, so that no material, texture or buffer is opened
         mesh: Any = trimesh.load(io.BytesIO(content), file_type=ending[1:], force="mesh", process=False)
         faces = len(mesh.faces)
-    except InputError:
-        raise
-    except (Exception, RecursionError) as error:  # trimesh raises many classes
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"{path}: cannot be read as a mesh ({reason}); export it again") from None
     if not faces:
         raise InputError(f"{path}: the mesh has no triangle; export it again")
     check_corners(mesh.vertices, str(path))

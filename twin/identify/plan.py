@@ -13,7 +13,7 @@ drive adds cogging and pre-sliding; docs/identify.md says how much wider interva
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
@@ -29,6 +29,7 @@ from twin.identify.direct import Direct, direct_route
 from twin.identify.parameters import parameters_of
 from twin.identify.products import split_products
 from twin.identify.result import Parameter
+from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
@@ -87,6 +88,10 @@ def plan_campaign(
     machine: Machine, precision: float = 0.01, longest_s: float = 900.0, progress: Callable[[str], None] | None = None
 ) -> Plan:
     """Plan runs for every axis of the machine; repeats grow until each parameter is within `precision` or the time is used."""
+    if machine.sample_period > DWELL_S:
+        raise InputError(
+            f"[measurement]: sample_period_us = {machine.sample_period * 1e6:g}: a plan has dwells of {DWELL_S:g} s; give at most {DWELL_S * 1e6:g}"
+        )
     runs = [*_friction_runs(machine), *_acceleration_runs(machine), *_table_runs(machine), *_check_runs(machine)]
     if not runs:
         raise InputError(f"machine {machine.name}: no axis to plan for; describe at least one axis in the machine file")
@@ -123,6 +128,7 @@ def _reach(axis: Axis) -> tuple[float, float]:
 def _path(machine: Machine, start: dict[str, float], moves: Sequence[tuple[str, float, float]], name: str, feedforward: str) -> PlannedRun:
     """Moves (axis, target, speed) one after the other with dwells."""
     period = machine.sample_period
+    refuse_above(_lasts(machine, start, moves) / period, MOST_SETPOINTS, "set points", "[measurement]: sample_period_us", "lengthen it")
     at = dict(start)
     rows = [np.tile(list(at.values()), (round(DWELL_S / period), 1))]
     order = list(at)
@@ -136,6 +142,16 @@ def _path(machine: Machine, start: dict[str, float], moves: Sequence[tuple[str, 
         blocks.append(({axis_name: target}, speed))
         rows += [part[1:], np.tile(list(at.values()), (round(DWELL_S / period), 1))]
     return PlannedRun(name, feedforward, Setpoints(np.vstack(rows), period), 1, tuple(blocks))
+
+
+def _lasts(machine: Machine, start: Mapping[str, float], moves: Sequence[tuple[str, float, float]]) -> float:
+    """Time of moves (axis, target, speed) with their dwells [s]."""
+    at, lasts = dict(start), DWELL_S
+    for name, target, speed in moves:
+        axis, distance = machine.axis(name), target - at[name]
+        lasts += DWELL_S + (time_of_move(distance, speed, SHARE * axis.max_acceleration, SHARE * axis.max_jerk) if distance else 0.0)
+        at[name] = target
+    return lasts
 
 
 def _home(machine: Machine) -> dict[str, float]:

@@ -32,6 +32,8 @@ LONGEST_CYCLE, MOST_TICKS = 1.0, 1_000_000
 def check_document(document: Mapping[str, Any], where: str) -> None:
     """Check every table except those of the axes. Raises InputError that names the table, the key and the remedy."""
     keys.check_table(document, keys.TOP, where, TABLES)
+    if not isinstance(document.get("name", ""), str):
+        raise InputError(f"{where}: name = {document['name']!r} is not text; write it in quotes")
     for table, known in (("control", keys.CONTROL), ("geometry", keys.GEOMETRY), ("measurement", keys.MEASUREMENT)):
         if table not in document and table != "geometry":
             raise InputError(f"{where}: table [{table}] is missing; add it")

@@ -11,7 +11,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.documents import named_file
+from twin.documents import named_file, reading
 from twin.errors import InputError, nearest
 from twin.machine.model_file import positive_mass, read_xml
 from twin.machine.model_limits import check_size
@@ -41,10 +41,8 @@ def read_urdf(path: Path) -> Any:
 
     checked_tree(path)
     logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
-    try:
+    with reading(path, "URDF", "correct it there"):
         return URDF.load(str(path), build_scene_graph=False, load_meshes=False, load_collision_meshes=False)
-    except Exception as error:
-        raise InputError(f"{path}: not a readable URDF ({' '.join(str(error).split())[:120]}); correct it") from None
 
 
 def check_urdf(path: Path) -> Element:

@@ -31,7 +31,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from twin.documents import named_file, read_toml
+from twin.documents import named_file, read_toml, reading
 from twin.errors import InputError
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.ballbar import Ballbar, ballbar_of
@@ -141,19 +141,13 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
 
 def _read_events(path: Path) -> dict[str, list[BlockEvent]]:
     """Events by run; empty if the file does not exist."""
-    import pyarrow as pa
     import pyarrow.parquet
 
     if not path.is_file():
         return {}
-    try:
+    with reading(path, "table of events with time, channel, block, text, run", "remove it or import again"):
         rows = pyarrow.parquet.ParquetFile(path).read().to_pylist()
         named = [(str(r["run"]), BlockEvent(float(r["time"]), int(r["channel"]), str(r["block"]), str(r["text"]))) for r in rows]
-    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(
-            f"{path}: not a table of events with time, channel, block, text, run ({reason}); remove it or import again"
-        ) from None
     out: dict[str, list[BlockEvent]] = {}
     for run, event in sorted(named, key=lambda one: one[1].time):
         out.setdefault(run, []).append(event)

@@ -178,7 +178,7 @@ def runs_of(mapping: Map, files: Sequence[Path]) -> list[tuple[RunMap, tuple[Pat
                 raise InputError(f"{mapping.path}: run {i + 1}: file '{name}' is not among the FILES; {nearest(name, by_name)}")
         out.append((replace(run, feedforward=run.feedforward or mapping.feedforward), tuple(by_name[n] for n in run.files)))
     names = [run.name for run, _ in out]
-    if twice := next((n for n in names if names.count(n) > 1), None):
+    if (twice := next((n for n in names if names.count(n) > 1), None)) is not None:
         of = " and ".join(f"'{', '.join(run.files)}'" for run, _ in out if run.name == twice)
         raise InputError(f"{mapping.path}: two runs are named '{twice}', those of {of}; give each its own name with [[run]] in the map")
     left = set(by_name) - {n for run in runs for n in run.files}

@@ -210,8 +210,9 @@ def is_count(value: object) -> TypeGuard[float]:
 
 
 def _runs(time: np.ndarray) -> bool:
-    """True if the time always increases."""
-    return len(time) > 1 and bool(np.all(np.diff(np.asarray(time, float)) > 0.0))
+    """True if the time is finite and always increases."""
+    time = np.asarray(time, float)
+    return len(time) > 1 and bool((np.abs(time) < IMPOSSIBLE_VALUE).all() and (np.diff(time) > 0.0).all())
 
 
 def check_readable(path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import refuse_above
 
@@ -17,25 +18,19 @@ MOST_VALUES = 250_000_000
 def read_table(path: Path) -> dict[str, np.ndarray]:
     """Columns of a Parquet or CSV file as float arrays."""
     import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet
 
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
-    try:
+    with reading(path, "Parquet file" if path.suffix == ".parquet" else "CSV file", "write it again"):
         table = _parquet(path) if path.suffix == ".parquet" else _csv(path)
-    except PermissionError:
-        raise InputError(f"{path}: cannot be read; check its permissions") from None
-    except (pa.ArrowException, OSError, UnicodeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a readable {'Parquet' if path.suffix == '.parquet' else 'CSV'} file ({reason})") from None
+        names = table.column_names
     if table.num_rows == 0:
         raise InputError(f"{path}: the trace is empty; record at least two samples")
-    if len(set(table.column_names)) != len(table.column_names):
-        twice = next(n for n in table.column_names if table.column_names.count(n) > 1)
+    if len(set(names)) != len(names):
+        twice = next(n for n in names if names.count(n) > 1)
         raise InputError(f"{path}: column '{twice}' occurs twice; remove one")
     columns = {}
-    for name in table.column_names:
+    for name in names:
         column = table.column(name)
         if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
             row, cell = next(((i, c) for i, c in enumerate(column.to_pylist(), start=1) if not _is_number(c)), (1, column[0].as_py()))
@@ -56,20 +51,15 @@ def _parquet(path: Path) -> Any:
 
 def _csv(path: Path) -> Any:
     """The table of a CSV file in UTF-8 or, if that fails, in Latin-1."""
-    import pyarrow as pa
     import pyarrow.csv
 
     refuse_above(path.stat().st_size / 8.0, MOST_VALUES, "values", str(path), "cut the recording into runs")
     try:
         table = pyarrow.csv.read_csv(path)
-        if table.column_names:  # accessing the names decodes them
-            return table
-    except pa.ArrowException as error:
-        if "UTF8" not in str(error):
-            raise
+        _ = table.column_names  # decodes the headings
     except UnicodeDecodeError:
-        pass
-        return pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
+        table = pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
+    return table
 
 
 def _is_number(cell: object) -> bool:

@@ -13,7 +13,7 @@ import itertools
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.signals import BLOCK, Column
+from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Column
 from twin.recordings.trace import RELATIVE_PERIOD_TOLERANCE
 
 LONGER = 1.5
@@ -62,9 +62,12 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     n = len(time)
     if n < 2:
         raise InputError(f"{where}: only {n} sample{'s' * (n != 1)}; a trace needs at least two")
+    for start in range(0, n, BLOCK):
+        fine = np.abs(np.asarray(time[start : start + BLOCK], float)) < IMPOSSIBLE_VALUE
+        if not fine.all():
+            row = start + int(np.argmin(fine))
+            raise InputError(f"{where}: the time holds {str(time[row : row + 1][0]).replace('nan', 'NaN')} at row {row + 1}; repair it")
     head = np.asarray(time[0 : min(n, MEDIAN_OF)], float)
-    if not np.all(np.isfinite(head)):
-        raise InputError(f"{where}: the time holds NaN at row {int(np.argmin(np.isfinite(head))) + 1}; repair it")
     quantum = _quantum(head)
     interval, rounded = _usual_step(head, quantum)
     if interval > LONGEST_S or 0.0 < interval < SHORTEST_S:
@@ -74,8 +77,6 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     repeated = 0
     limit = (LONGER * interval if period_s is None else LONGER_MIXED * max(interval, period_s)) + (quantum if rounded else 0.0)
     for row, steps in _steps(time):
-        if not np.all(np.isfinite(steps)):
-            raise InputError(f"{where}: the time holds NaN at row {row + int(np.argmin(np.isfinite(steps))) + 2}; repair it")
         if steps.min() < 0.0:
             i = int(np.argmin(steps))
             raise InputError(

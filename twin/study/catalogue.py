@@ -65,7 +65,7 @@ def choices_of(path: Path, axes: Sequence[Axis], installed: str, names: Sequence
         known_names = [name for known in entries.values() for name in known]
         raise InputError(f"{where}: installed = {installed!r} is not in {path.name}; {nearest(installed, known_names)}")
     known = entries[kind]
-    if wrong := next((name for name in names if name not in known), None):
+    if (wrong := next((name for name in names if name not in known), None)) is not None:
         raise InputError(f"{where}: no {kind} '{wrong}' in {path.name}; {nearest(wrong, list(known))}")
     chosen = list(names) or list(known)
     if len(set(chosen)) < 2:

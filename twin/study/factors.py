@@ -126,7 +126,7 @@ def catalogue_factor_of(table: Mapping[str, Any], machine: Machine, path: Path, 
     names = table.get("axes", [table["axis"]] if "axis" in table else [])
     if not isinstance(names, list) or not names:
         raise InputError(f"{where}: 'axis' is missing; name the axis, e.g. axis = \"X\"")
-    if wrong := next((name for name in names if name not in machine.axis_names), None):
+    if (wrong := next((name for name in names if name not in machine.axis_names), None)) is not None:
         raise InputError(f"{where}: no axis {wrong!r}; {nearest(str(wrong), machine.axis_names)}")
     values, installed = table.get("values", []), table.get("installed")
     if not isinstance(values, list) or not all(isinstance(v, str) for v in values):

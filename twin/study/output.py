@@ -93,7 +93,7 @@ def write_comparison(study: Study, answers: Answers, numbers: Sequence[int], out
     from twin.replay import write_side_by_side
 
     known = {row[0]: row for row in answers.rows}
-    if wrong := next((n for n in numbers if n not in known or not known[n][2]), None):
+    if (wrong := next((n for n in numbers if n not in known or not known[n][2]), None)) is not None:
         raise InputError(f"--compare {wrong}: no variant with this number could be run; see the numbers in {out / 'table.csv'}")
     work = work_of(study)
     duties = [duty_of(work, machine_of(study, np.array(known[n][1])), f"variant {n}") for n in numbers]

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
+from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.study.constraints import broken_by
 from twin.study.design import problem_of
@@ -237,8 +238,9 @@ def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, 
     path = Path(folder) / TABLE
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the --out folder of a finished `twin study`")
-    table = pyarrow.parquet.ParquetFile(path).read()
-    names = table.schema.metadata[b"factors"].decode().split("\n")
+    with reading(path, "table of a study", "run the study again with --resume"):
+        table = pyarrow.parquet.ParquetFile(path).read()
+        names = table.schema.metadata[b"factors"].decode().split("\n")
     if response not in table.column_names:
         raise InputError(f"{path}: no response '{response}'; {nearest(response, table.column_names[len(names) + 1 : -1])}")
     columns = np.column_stack([table.column(name).to_numpy() for name in [*names, response]])

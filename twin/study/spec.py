@@ -159,7 +159,7 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     part = _part(document, path, str(path), None)
     runs = tuple(_run(table, path, f"{path}: run {i + 1}", part) for i, table in enumerate(_tables(document, "run", path)))
     for what, names in (("factor", [f.name for f in factors]), ("run", [r.name for r in runs])):
-        if twice := next((name for name in names if names.count(name) > 1), None):
+        if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
             raise InputError(f"{path}: two of [[{what}]] have the name '{twice}'; give each its own")
     seed, answer = document.get("seed", 0), document.get("answer", [])
     if not isinstance(seed, int) or seed < 0:

@@ -12,6 +12,7 @@ from typing import Any
 from twin.errors import InputError
 from twin.files import output_folder
 from twin.study.evaluate import Answer
+from twin.tables import is_number
 
 FILE = "study.sqlite"
 
@@ -20,9 +21,9 @@ Row = tuple[int, list[float], dict[str, float], str | None]
 
 
 def _numbers(kind: type[Any], text: object) -> Any:
-    """A list or a table of numbers in JSON."""
+    """A list or an object of finite numbers in JSON."""
     found = json.loads(text) if isinstance(text, str) else None
-    if not isinstance(found, kind) or not all(isinstance(v, float | int) for v in (found.values() if kind is dict else found)):
+    if not isinstance(found, kind) or not all(map(is_number, found.values() if kind is dict else found)):
         raise ValueError
     return found
 
@@ -88,9 +89,12 @@ class Store:
         with self._said():
             found = self.connection.execute("SELECT number, factors, responses, reason FROM variant ORDER BY number").fetchall()
         try:
-            return [(n, _numbers(list, f), _numbers(dict, r), None if reason is None else str(reason)) for n, f, r, reason in found]
+            rows = [(n, _numbers(list, f), _numbers(dict, r), None if reason is None else str(reason)) for n, f, r, reason in found]
+            if len({len(factors) for _, factors, _, _ in rows}) > 1:
+                raise ValueError("rows of different length")
         except ValueError:
             raise InputError(f"{self.path}: a row is damaged; move the file away or give another --out") from None
+        return rows
 
     def close(self) -> None:
         """Close the database and release its lock."""

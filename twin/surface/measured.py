@@ -13,6 +13,7 @@ import zipfile
 
 import numpy as np
 
+from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.limits import refuse_above
 from twin.surface.sur_file import read_sur
@@ -22,6 +23,8 @@ MOST_BYTES = 500_000_000
 ENDINGS = (".npz", ".csv", ".sur", ".x3p")
 LEAST_OVERLAP = 0.25
 """Least covered share of the simulated map."""
+LARGEST = 10.0
+"""Limit of coordinates and heights [m]: nothing that a machine cuts is larger."""
 
 
 @dataclass(frozen=True)
@@ -54,16 +57,18 @@ def read_height_map(path: Path) -> HeightMap:
     readers = {".npz": _npz, ".csv": _csv, ".sur": _sur, ".x3p": _x3p}
     if path.suffix.lower() not in readers:
         raise InputError(f"{path}: not a height map that can be read; {nearest(path.suffix.lower(), ENDINGS)}")
-    try:
+    with reading(path, "height map"):
         found = readers[path.suffix.lower()](path)
-    except InputError:
-        raise
-    except Exception as error:  # a damaged file fails in many ways
-        raise InputError(f"{path}: cannot be read as a height map ({type(error).__name__}: {error}); export it again") from None
     if found.height.shape != (len(found.v), len(found.u)) or min(found.height.shape) < 8:
         raise InputError(f"{path}: a map of {found.height.shape[0]} x {found.height.shape[1]} points; give at least 8 x 8")
-    if not np.isfinite(found.height).any():
+    known = np.isfinite(found.height)
+    if not known.any():
         raise InputError(f"{path}: the map holds no measured point; export it again")
+    for what, values in (("u", found.u), ("v", found.v), ("heights", found.height[known])):
+        if not np.abs(values).max() < LARGEST:
+            raise InputError(f"{path}: {what} up to {np.abs(values).max():.3g} m, the limit is {LARGEST:g} m; check the unit of the map")
+    if not ((np.diff(found.u) > 0.0).all() and (np.diff(found.v) > 0.0).all()):
+        raise InputError(f"{path}: u or v does not increase from point to point; export the map again")
     return found
 
 
@@ -100,7 +105,7 @@ def _refined(read: Any, grid: np.ndarray, height: np.ndarray, shift: np.ndarray,
     def rms(samples: np.ndarray) -> float:
         difference = read(places - shift - samples * step) - heights
         known = np.isfinite(difference)
-        return float(np.std(_levelled(difference, places)[known])) if known.mean() > LEAST_OVERLAP else np.inf
+        return float(np.std(_levelled(difference, places)[known])) if known.mean() > LEAST_OVERLAP else LARGEST
 
     simplex = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 1.5]])
     return shift + step * minimize(rms, [0.0, 0.0], method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 0.02}).x

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.recordings.signals import ReadOptions, Recording, share_time, starts_with
@@ -75,12 +76,8 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
         raise InputError(f"{path}: a damaged MATLAB file (reading it fills the memory); save it again")
     if trial.returncode not in (0, 1):
         raise InputError(f"{path}: a damaged MATLAB file (reading it crashes); save it again")
-    try:
+    with reading(path, "MATLAB file", "save it again"):
         content = loadmat(path, squeeze_me=False, struct_as_record=True)
-    except Exception as error:  # scipy raises many classes for damaged files
-        raise InputError(
-            f"{path}: not a readable MATLAB file ({str(error).splitlines()[0] or type(error).__name__}); save it again"
-        ) from None
     for name, value in content.items():
         if not name.startswith("__"):
             _collect(name, value, columns)
@@ -119,9 +116,5 @@ def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
                 return
             columns[name.replace("/", ".")] = np.asarray(item).T
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:  # h5py raises many classes for damaged files
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"{path}: not a readable MATLAB file ({reason}); save it again") from None
+    with reading(path, "MATLAB file", "save it again"), h5py.File(path, "r") as file:
+        file.visititems(visit)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.documents import reason_of
 from twin.errors import InputError
 from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit, starts_with
 
@@ -34,13 +35,13 @@ def read(path: Path, options: ReadOptions) -> Recording:
                 started = file.header.start_time
                 _collect(file, signals)
         except Exception as error:  # the package raises many classes for damaged files
-            problem = str(error).splitlines()[0] if str(error) else type(error).__name__
+            problem = reason_of(error)
         if problem:
             gc.collect()
     finally:
         sys.unraisablehook = said
     if problem:
-        raise InputError(f"{path}: a damaged MDF file ({problem}); export it again")
+        raise InputError(f"{path}: not a readable MDF file ({problem}); export it again")
     return Recording(path, "MDF", signals, started, (f"MDF: {len(signals)} channels",))
 
 

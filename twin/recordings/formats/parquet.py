@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.recordings.signals import ReadOptions, Recording, share_time, split_heading, starts_with
@@ -19,16 +20,15 @@ def read(path: Path, options: ReadOptions) -> Recording:
 
     if not starts_with(path, b"PAR1"):
         raise InputError(f"{path}: not a Parquet file; give it the ending of its true format")
-    try:
+    with reading(path, "Parquet file"):
         file = pyarrow.parquet.ParquetFile(path)
         size = file.metadata.num_rows * file.metadata.num_columns
         refuse_above(size, MOST_VALUES, "values", str(path), "export the recording in parts")
         table = file.read()
-    except (pa.ArrowException, OSError, UnicodeError) as error:
-        raise InputError(f"{path}: a damaged Parquet file ({str(error).splitlines()[0]}); export it again") from None
+        names = table.column_names
     columns: dict[str, tuple[np.ndarray, str]] = {}
-    for name in table.column_names:
-        if table.column_names.count(name) > 1:
+    for name in names:
+        if names.count(name) > 1:
             raise InputError(f"{path}: column '{name}' occurs twice; remove one")
         column = table.column(name)
         if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.documents import reading
 from twin.errors import InputError
 from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit, share_time, starts_with
 
@@ -22,18 +23,11 @@ def read(path: Path, options: ReadOptions) -> Recording:
     if not starts_with(path, b"TDSm"):
         raise InputError(f"{path}: not a TDMS file; give it the ending of its true format")
     log_manager.set_level(logging.CRITICAL)  # its warnings are reported below
-    try:
-        with TdmsFile.open(path) as file:
-            if file.file_status.incomplete_final_segment:
-                raise InputError(f"{path}: the TDMS file is cut off in its last segment; export it again")
-            channels = [c for group in file.groups() for c in group.channels()]
-            raw = [(c, f"{c.group_name}/{c.name}", np.asarray(c[:])) for c in channels if np.issubdtype(c.dtype, np.number)]
-    except InputError:
-        raise
-    except Exception as error:  # the package raises many classes for damaged files
-        raise InputError(
-            f"{path}: a damaged TDMS file ({str(error).splitlines()[0] if str(error) else type(error).__name__}); export it again"
-        ) from None
+    with reading(path, "TDMS file"), TdmsFile.open(path) as file:
+        if file.file_status.incomplete_final_segment:
+            raise InputError(f"{path}: the TDMS file is cut off in its last segment; export it again")
+        channels = [c for group in file.groups() for c in group.channels()]
+        raw = [(c, f"{c.group_name}/{c.name}", np.asarray(c[:])) for c in channels if np.issubdtype(c.dtype, np.number)]
     signals: dict[str, Signal] = {}
     started: datetime | None = None
     clocks: dict[tuple[float, float, int], np.ndarray] = {}
