@@ -37,6 +37,16 @@ def test_an_unbalance_on_the_tilting_axis_changes_the_table_axis(table):
     assert np.abs(fit.response[rows(group, "C")]).max() > 10.0
 
 
+def test_relinearising_leaves_the_tuning_as_it_was(table, mikron: Machine):
+    group, fit = table
+    before = fit.about.jacobian.copy()
+    beside = relinearised_tuning(group, fit, mikron, in_turn)
+    np.testing.assert_array_equal(fit.about.jacobian, before)
+    assert np.abs(beside.jacobian - before).max() > 0.1
+    with pytest.raises(ValueError, match="read-only"):
+        fit.about.jacobian[0, 0] = 1.0
+
+
 @pytest.mark.parametrize("quantity", ["torque_constant", "coulomb_friction"])
 def test_a_motor_parameter_changes_its_own_axis_only(table, mikron: Machine, quantity: str):
     """Regression: the column of one axis contained minus the effect on the other, so that re-tuning could cancel the effect."""

@@ -307,7 +307,7 @@ def relinearised_tuning(group: Group, fit: Fit, machine: Machine, mapper: Mapper
         steps[i] = step
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
         variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + step), fit.settings, axes))
-    columns = np.asfortranarray(tuning.jacobian[:, : len(tuning.nuisances)])
+    columns = np.array(tuning.jacobian[:, : len(tuning.nuisances)], order="F")
     for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations, mapper=mapper))):
         columns[:, i] = (changed - fit.response) * (tuning.spread / step)
     return replace(tuning.of(tuning.nuisances, columns), base=tuning.base)

@@ -44,6 +44,11 @@ class Tuning:
     narrower: Tuning | None = field(default=None, repr=False)  # the tuning that this one extends by further columns
     _products: list[np.ndarray] = field(default_factory=list, repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        # tunings share columns: a change in place would change another state
+        for array in (self.jacobian, self.normal, self.inverse):
+            array.flags.writeable = False
+
     def products(self, runs: Sequence[Sequence[slice]]) -> np.ndarray:
         """J'J over the rows of each run (run, column, column); cached. `runs` are the row slices of each run."""
         if not self._products:
