@@ -268,7 +268,7 @@ def test_place_that_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     (tmp_path / "exam").write_text("", encoding="utf-8")
     assert main(["exam", "--cases", "1", "--out", str(tmp_path / "exam")]) == 2
     error = capsys.readouterr().err
-    assert "give another --out" in error
+    assert "choose another --out" in error
     assert error.count("\n") == 1
 
 
