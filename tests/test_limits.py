@@ -137,7 +137,7 @@ def test_rays_are_estimated_before_a_run_is_simulated(
 
 def test_a_record_between_two_ticks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     set_points = [str(EXAMPLES.parent / "x_200mm.csv"), "--out", str(tmp_path / "out")]
-    assert "the control has a tick of 0.125 ms" in refused(capsys, "run", *set_points, "--sample-period-ms", "1e-9")
+    assert "the control ticks every 0.125 ms" in refused(capsys, "run", *set_points, "--sample-period-ms", "1e-9")
     assert not (tmp_path / "out").exists()
     assert main(["run", *set_points, "--sample-period-ms", "0.3", "--no-recording"]) == 0
     assert "note: --sample-period-ms 0.3: recorded every 0.25 ms" in capsys.readouterr().err

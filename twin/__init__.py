@@ -4,24 +4,24 @@
                                                   ^                              |
                           machine (+ effects) ----+---- identify <- campaign ----+-> gap -> diagnose -> corrected machine
 
-The public names; each is imported when it is first used:
+The public names, each imported on first use:
 
     load_machine(file=None), write_machine(machine, file)      a machine file; the Mikron UCP 710 without one
     add_effects(machine, "backlash:X:clearance=15e-6")         a machine with one more imperfection
-    read_trace(file), write_trace(trace, file)                 recorded or simulated signals
+    read_trace(file), write_trace(trace, file)                 recorded or simulated signals of the axes
     interpolate(program_file, machine)                         set points of a part program
     simulate(machine, trace_or_setpoints)                      a Run: trace, errors, limits
     compare(a, b, machine)                                     two runs, aligned on their set points
     read_campaign(folder, machine)                             measured runs
     gap(campaign, machine)                                     measured minus simulated, signal by signal
     identify(campaign, machine)                                friction, inertia, gains, delays with intervals
-    diagnose(campaign, machine)                                where, which effect, how large, how sure
+    diagnose(campaign, machine)                                the effects behind a gap, with size and probability
     study(spec)                                                a design study
     cut(run_or_trace, part, machine)                           the cut surface of a part
     effects                                                    the package of effects; effects.EFFECTS lists them
 
-SI inside (m, rad, s, N, kg, A); arrays are (sample, axis) in the order of the machine's axes. What a user can mend is raised as
-`InputError`, a simulation that diverges as `SimulationError`; both are `TwinError`. docs/python.md has an example of each function.
+All quantities are SI (m, rad, s, N, kg, A); arrays are (sample, axis) in the order of the machine's axes. Bad input raises `InputError`,
+a diverging simulation `SimulationError`; both are `TwinError`. docs/python.md has an example of each function.
 """
 
 from __future__ import annotations
@@ -92,17 +92,17 @@ _CALLED_PACKAGES = {
     "identify": "identify.identify",
     "study": "study.study",
 }
-"""Packages that are called like the function of the same name: twin.diagnose(campaign, machine)."""
+"""Packages with a function of the same name, which makes them callable: twin.diagnose(campaign, machine)."""
 
 __all__ = ["__version__", "effects", *_PLACES, *_CALLED_PACKAGES]
 
 
 class _CalledPackage(ModuleType):
-    """A package that can be called: `twin.diagnose(...)` and `twin.diagnose.report` both work."""
+    """A callable package: `twin.diagnose(...)` and `twin.diagnose.report` both work."""
 
     @property
     def __wrapped__(self) -> Any:
-        """The function behind the package; `help` and `inspect.signature` show its arguments."""
+        """The function of the package; `help` and `inspect.signature` show its arguments."""
         name = self.__name__.rpartition(".")[2]
         return getattr(importlib.import_module(f"twin.{_CALLED_PACKAGES[name]}"), name)
 
@@ -111,7 +111,7 @@ class _CalledPackage(ModuleType):
 
 
 class _Front(ModuleType):
-    """This package; Python binds an imported subpackage to it, which then becomes callable where it has a function of its name."""
+    """This package. It makes the packages of _CALLED_PACKAGES callable when Python binds them here after their import."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in _CALLED_PACKAGES and isinstance(value, ModuleType):

@@ -212,9 +212,9 @@ EMPTY = {
 
 @pytest.mark.parametrize("case", EMPTY)
 def test_nothing_is_given(case: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """An empty argument would go on with a default: another machine, no picture."""
+    """An empty argument would silently become a default: another machine, no picture."""
     arguments, said = EMPTY[case]
-    assert f"twin: {said}: nothing is given" in refused(capsys, *arguments)
+    assert f"twin: {said}: this argument is empty" in refused(capsys, *arguments)
 
 
 @pytest.mark.parametrize("arguments", [[], ["walk"], ["run"], ["run", "a.csv", "--sped", "3"], ["run", "a.csv", "--noise-seed", "x"]])

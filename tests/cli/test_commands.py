@@ -48,7 +48,7 @@ def test_what_if_beside_what_is(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "Made by twin" in page
     assert "backlash X (clearance 15.0 um)" in page
     assert main(["run", "examples/x_200mm.csv", "--beside", "--out", str(tmp_path)]) == 2
-    assert "--beside compares with and without --effect" in capsys.readouterr().err
+    assert "--beside needs an --effect" in capsys.readouterr().err
 
 
 def test_feedforward_and_sample_period(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,7 +89,7 @@ def test_disk_that_is_full(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
 
     monkeypatch.setattr("twin.cli.effects.carry_out", full)
     assert main(["effects"]) == 2
-    assert capsys.readouterr().err == "twin: out/trace.parquet: No space left on device; give another place or free this one\n"
+    assert capsys.readouterr().err == "twin: out/trace.parquet: No space left on device; choose another place or free space there\n"
 
 
 def test_interpolate_writes_set_points_and_feed(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def test_other_motion_is_refused(mikron: Machine) -> None:
         compare(stroke(), stroke(length=0.06), mikron)
     other = stroke()
     other = Trace(T, {("Y", s): values for (_, s), values in other.signals.items()}, {"Y": "linear"})
-    with pytest.raises(InputError, match="no axis with set points in common"):
+    with pytest.raises(InputError, match="no axis has set points in both"):
         compare(stroke(), other, mikron)
 
 

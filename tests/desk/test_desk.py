@@ -84,10 +84,10 @@ def test_what_lies_in_a_folder(folder: Path) -> None:
     assert {path: entry.kind for path, entry in found.items()} == {
         "first": "run", "worn & old": "run", "diagnosis": "diagnosis", "broken": "study", "gap.html": "report",
     }  # fmt: skip
-    assert found["first"].says == "<b>x.csv on Mikron, no effects: error of X 2 um"
-    assert found["diagnosis"].says == "effect: backlash on X"
-    assert found["gap.html"].says == "Gap of a & b"
-    assert found["broken"].says.startswith("cannot be read:")
+    assert found["first"].summary == "<b>x.csv on Mikron, no effects: error of X 2 um"
+    assert found["diagnosis"].summary == "effect: backlash on X"
+    assert found["gap.html"].summary == "Gap of a & b"
+    assert found["broken"].summary.startswith("cannot be read:")
     assert (found["first"].picture, found["diagnosis"].report) == ("first/run.png", "diagnosis/report.html")
     assert found["first"].compared
     assert not found["diagnosis"].compared

@@ -93,7 +93,7 @@ def test_a_map_that_is_edited_is_not_written_over(tmp_path: Path, capsys: pytest
     path = tmp_path / "out" / "map.toml"
     path.write_text(path.read_text(encoding="utf-8").replace('axis = "1"', 'axis = "X"'), encoding="utf-8")
     assert main(["import", str(file), "--out", str(tmp_path / "out")]) == 2
-    assert "already holds another map" in capsys.readouterr().err
+    assert "differs from the map proposed now" in capsys.readouterr().err
     assert main(["import", str(file), "--map", str(path), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
     assert read_campaign(tmp_path / "out").runs[0].trace.axes == ("X",)
 

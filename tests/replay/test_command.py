@@ -176,7 +176,7 @@ def test_bad_paths_have_a_line_each(run: Path, tmp_path: Path, capsys: pytest.Ca
         "nothing.rrd": "the recording is empty",
         "half.rrd": "truncated or damaged",
         "last.rrd": "truncated or damaged",
-        "notes.pdf": "nothing that can be replayed",
+        "notes.pdf": "'.pdf' cannot be replayed",
         "one.csv": "only one sample",
         "none.csv": "the trace is empty",
         "other.csv": "unknown axis U",
@@ -191,7 +191,7 @@ def test_bad_options_have_a_line_each(run: Path, tmp_path: Path, capsys: pytest.
     assert "--size 10x10" in refused(capsys, run, "--size", "10x10")
     assert "3 paths given" in refused(capsys, run, run, run)
     assert "this ending" in refused(capsys, run, "--out", tmp_path / "a.zip")
-    assert "written as .png" in refused(capsys, run, "--screenshot", tmp_path / "a.jpg")
+    assert "ends in .png" in refused(capsys, run, "--screenshot", tmp_path / "a.jpg")
     assert "cannot be written" in refused(capsys, run / "trace.parquet", "--out", run / "trace.parquet" / "a.rrd")
     shutil.copy(run / "run.rrd", tmp_path / "alone.rrd")
     assert "without its trace" in refused(capsys, run, tmp_path / "alone.rrd", "--out", tmp_path / "x.rrd")

@@ -119,5 +119,5 @@ def test_an_empty_view_would_be_noticed() -> None:
 def test_a_time_outside_the_run_is_refused(pictures: dict[float, np.ndarray], tmp_path: Path) -> None:
     machine = load_machine()
     write_recording(tmp_path / "run.rrd", machine, {"still": simulate(machine, Setpoints(np.zeros((50, 5)), 1e-3)).trace})
-    with pytest.raises(InputError, match=r"goes from 0 to 0\.049 s"):
+    with pytest.raises(InputError, match=r"give a time from 0 to 0\.049 s"):
         screenshot(tmp_path / "run.rrd", tmp_path / "x.png", 7.0)

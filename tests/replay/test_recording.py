@@ -245,7 +245,7 @@ def test_two_runs_are_overlaid_with_their_difference(machine: Machine, run: Trac
     assert held["/axes/X/position/after"]["SeriesLines:names"].values == [["X position, after [mm]"]]
     assert "/machine/cradle/table/workpiece/part_frame/path_x1/followed/after" in held
     assert check_layout(tmp_path / "two.rrd") > 35
-    assert "has the same set points" in held["/summary"]["TextDocument:text"].values[0][0]
+    assert "both runs have the same set points" in held["/summary"]["TextDocument:text"].values[0][0]
 
 
 def test_other_set_points_are_said_to_differ(machine: Machine, run: Trace, tmp_path: Path) -> None:
@@ -280,7 +280,7 @@ def test_one_axis_measured_by_one_encoder_is_shown(machine: Machine, tmp_path: P
     assert check_layout(tmp_path / "x.rrd") > 5
     assert "/axes/X/position/measured" in held
     assert "/axes/X/following_error/measured" not in held
-    assert "Not recorded, so not shown: X: set point" in held["/summary"]["TextDocument:text"].values[0][0]
+    assert "Not recorded: X: set point" in held["/summary"]["TextDocument:text"].values[0][0]
 
 
 def minute(noise: float = 1.0) -> Trace:

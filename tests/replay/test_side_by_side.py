@@ -85,5 +85,5 @@ def test_what_differs_most_is_in_front(designs: dict[str, tuple[Machine, Trace]]
 
 
 def test_only_two_designs_with_the_same_axes(designs: dict[str, tuple[Machine, Trace]], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="1 designs given; two stand side by side"):
+    with pytest.raises(InputError, match="1 designs given; give two"):
         write_side_by_side(tmp_path / "one.rrd", dict(list(designs.items())[:1]))

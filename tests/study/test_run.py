@@ -320,7 +320,7 @@ def test_workers_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_no_variant_at_all_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spec = write_spec(tmp_path, listed("[[100.0], [200.0]]"))
     message = refused(capsys, "study", str(spec), "--out", str(tmp_path / "out"))
-    assert "no variant could be run; the first one" in message
+    assert "no variant could be simulated; the first one" in message
     assert "does not exceed the 350 kg" in message
 
 

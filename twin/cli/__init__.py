@@ -1,4 +1,4 @@
-"""The command line: `parser` reads it, one file a command carries it out."""
+"""The command line: `parser` reads the arguments, one module per command carries it out."""
 
 from twin.cli.parser import main
 

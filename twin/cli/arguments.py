@@ -1,4 +1,4 @@
-"""Arguments that several commands share, and what they stand for."""
+"""Arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def seed(text: str) -> int:
 
 
 def add_machine(parser: argparse.ArgumentParser, default: str = "the Mikron UCP 710 that ships with twin") -> None:
-    """`--machine FILE`; without it the environment variable TWIN_MACHINE counts."""
+    """`--machine FILE`; without it the environment variable TWIN_MACHINE applies."""
     parser.add_argument("--machine", metavar="FILE", help=f"machine file (default: $TWIN_MACHINE, else {default})")
 
 
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """`CAMPAIGN`, a folder of measured runs."""
-    parser.add_argument("campaign", metavar="CAMPAIGN", type=shipped_example, help="folder with campaign.toml and its traces")
+    parser.add_argument("campaign", metavar="CAMPAIGN", type=shipped_example, help="folder with campaign.toml and traces")
 
 
 def add_open(parser: argparse.ArgumentParser, does: str = "open the report in the browser") -> None:
@@ -53,7 +53,7 @@ def add_open(parser: argparse.ArgumentParser, does: str = "open the report in th
 
 
 def open_report(args: argparse.Namespace, page: Path) -> None:
-    """Open a written report where `--open` was given."""
+    """Open a report if `--open` was given."""
     if getattr(args, "open", False):
         import webbrowser
 
@@ -61,7 +61,7 @@ def open_report(args: argparse.Namespace, page: Path) -> None:
 
 
 def machine_of(args: argparse.Namespace) -> Machine:
-    """The machine of `--machine`, with the effects of `--effect` added to those of its file where the command has that argument."""
+    """The machine of `--machine`, with the effects of its file and of `--effect`."""
     from twin.machine import load_machine
 
     machine = load_machine(args.machine or os.environ.get("TWIN_MACHINE"))
@@ -74,8 +74,8 @@ def machine_of(args: argparse.Namespace) -> Machine:
 
 
 def add_place(parser: argparse.ArgumentParser) -> None:
-    """`--place`: where the part of a program lies."""
-    parser.add_argument("--place", choices=("as-is", "auto"), default="as-is", help="auto: shift a part that lies outside the travel")
+    """`--place`: position of the part of a program."""
+    parser.add_argument("--place", choices=("as-is", "auto"), default="as-is", help="auto: shift a part outside the travel into it")
 
 
 def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> tuple[Program | None, Trace]:
@@ -95,7 +95,7 @@ def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> 
 
 
 def program_of_input(source: Path, machine: Machine, place: str) -> Program:
-    """A program, read; what it says that has no effect is noted."""
+    """Read a program; print a note for each word without effect."""
     from twin.program import read_program
     from twin.program.place import OutsideTravel, placed
 
@@ -111,7 +111,7 @@ def program_of_input(source: Path, machine: Machine, place: str) -> Program:
 
 
 def picture_file(text: str) -> Path:
-    """A file that a picture can be written to; an InputError names the endings."""
+    """The path of a picture; InputError for an unknown ending."""
     path = Path(text)
     if path.suffix.lower() not in PICTURE_ENDINGS:
         raise InputError(f"{path}: a picture ends in {', '.join(PICTURE_ENDINGS)}")

@@ -1,4 +1,4 @@
-"""`twin check`: check whether a program, or each program of a folder, is understood, fits the machine and keeps its limits."""
+"""`twin check`: whether programs are understood, fit the machine and keep its limits."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from twin.files import shipped_example, write_json
 from twin.progress import Progress
 
 SHOWN = 12
-"""Reasons that are listed on the terminal; the JSON file has all."""
+"""Most reasons printed; the JSON file has all."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("programs", metavar="FOLDER_OR_PROGRAM", type=shipped_example, help="a part program, or a folder with them")
+    parser.add_argument("programs", metavar="FOLDER_OR_PROGRAM", type=shipped_example, help="part program, or folder of part programs")
     add_machine(parser)
     add_place(parser)
-    parser.add_argument("--read-only", action="store_true", help="only read the programs: no times, no check of limits")
+    parser.add_argument("--read-only", action="store_true", help="only read the programs; no times, no check of limits")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Check every program; print one line for each, then the commonest reasons."""
+    """Check every program; print a line for each, then the most frequent reasons."""
     from twin.program.check import check_programs, document, programs_in, reasons
     from twin.simulation.summary import table
 
@@ -37,7 +37,7 @@ def carry_out(args: argparse.Namespace) -> int:
         name = str(one.path.relative_to(folder)) if folder.is_dir() else one.path.name
         time = f"{one.duration_s:.1f} s" if one.duration_s is not None else "-"
         rows.append([name, one.verdict, str(one.moves) if one.understood else "-", time, (one.reason or "; ".join(one.limits))[:100]])
-    print(table(["program", "verdict", "moves", "time", "in its way"], rows, left=2))
+    print(table(["program", "verdict", "moves", "time", "problem"], rows, left=2))
     count = sum(one.understood for one in found)
     fits = sum(one.fits for one in found)
     print(

@@ -1,4 +1,4 @@
-"""`twin compare A B`: two runs, campaigns or machines beside each other."""
+"""`twin compare A B`: compare two runs, campaigns or machines."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ RUN, CAMPAIGN, MACHINE = "run", "campaign", "machine"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("first", metavar="A", type=shipped_example, help="folder of a run, trace, campaign folder, or machine file")
-    parser.add_argument("second", metavar="B", type=shipped_example, help="the same kind of thing")
+    parser.add_argument("first", metavar="A", type=shipped_example, help="run folder, trace, campaign folder or machine file")
+    parser.add_argument("second", metavar="B", type=shipped_example, help="another one of the same kind")
     parser.add_argument("--out", metavar="DIR", help="folder for compare.json and report.html (default: out/compare)")
-    parser.add_argument("--input", metavar="FILE", help="with two machines: program or trace that both simulate")
+    parser.add_argument("--input", metavar="FILE", help="for two machine files: program or trace that both simulate")
     add_machine(parser)
     add_open(parser)
 
@@ -37,7 +37,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if kinds[0] != kinds[1]:
         raise InputError(f"{first} is a {kinds[0]}, {second} is a {kinds[1]}; give two of the same kind")
     if args.input and kinds[0] != MACHINE:
-        raise InputError("--input belongs to two machine files; leave it out")
+        raise InputError("--input is for two machine files; leave it out")
     out = output_folder(args.out or "out/compare")
     document = {RUN: _runs, CAMPAIGN: _campaigns, MACHINE: _machines}[kinds[0]](args, first, second, out)
     write_json({"kind": f"{kinds[0]}s", **document}, out / "compare.json", "compare")
@@ -67,14 +67,14 @@ def _compared(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out:
 
 
 def _record_designs(a: tuple[Machine, Trace], b: tuple[Machine, Trace], names: tuple[str, str], out: Path) -> None:
-    """Write compare.rrd, the two machines side by side."""
+    """Write compare.rrd: both machines side by side."""
     from twin.replay import write_side_by_side
 
     write_side_by_side(out / "compare.rrd", {names[0]: a, names[1]: b})
 
 
 def _record(a: Trace, b: Trace, machine: Machine, names: tuple[str, str], out: Path) -> None:
-    """Write compare.rrd, both runs over each other for `twin replay`."""
+    """Write compare.rrd: both runs overlaid."""
     from twin.replay import write_recording
     from twin.replay.clock import on_clock_of
 
@@ -91,7 +91,7 @@ def _campaigns(args: argparse.Namespace, first: Path, second: Path, out: Path) -
     a, b = ({run.name: run.trace for run in read_campaign(path, machine).runs} for path in (first, second))
     common = [name for name in a if name in b]
     if not common:
-        raise InputError(f"{first} and {second} have no run of the same name; compare two traces instead")
+        raise InputError(f"{first} and {second} have no run name in common; compare two traces instead")
     found = {name: compare(a[name], b[name], machine, names=names) for name in common}
     for name, comparison in found.items():
         print(f"{name}: {comparison.verdict}")
@@ -116,7 +116,7 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     machines = [load_machine(path) for path in (first, second)]
     names = _names(first, second)
     numbers = differing_numbers(*machines)
-    verdict = f"{len(numbers)} numbers differ." if numbers else "The two machine files hold the same numbers."
+    verdict = f"{len(numbers)} numbers differ." if numbers else "The two machine files have the same numbers."
     print(verdict)
     if numbers:
         print(table(["number", *names], number_rows(numbers)))
@@ -160,7 +160,7 @@ def _trace(path: Path, machine: Machine) -> Trace:
 
 
 def _names(first: Path, second: Path) -> tuple[str, str]:
-    """Short names of both: those of the files, or of their folders where the files are named alike."""
+    """Short names: those of the files, with their folders if the files have the same name."""
     a, b = (path.resolve() for path in (first, second))
     names = (a.stem, b.stem) if a.stem != b.stem else (f"{a.parent.name}/{a.stem}", f"{b.parent.name}/{b.stem}")
     return names if names[0] != names[1] else (str(first), f"{second} (2)")

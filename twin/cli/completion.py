@@ -1,4 +1,4 @@
-"""`twin completion bash|zsh|tcsh`: the words of the command line for a shell."""
+"""`twin completion bash|zsh|tcsh`: print a completion script."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SHELLS = ("bash", "zsh", "tcsh")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("shell", choices=SHELLS, help="e.g. twin completion bash > ~/.local/share/bash-completion/completions/twin")
+    parser.add_argument("shell", choices=SHELLS, help="shell, e.g. twin completion bash > ~/.local/share/bash-completion/completions/twin")
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -25,6 +25,6 @@ def carry_out(args: argparse.Namespace) -> int:
     parser = build_parser()
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            action.help = "command"  # the help lists commands by group, and shtab leaves out what the help suppresses
+            action.help = "command"  # shtab skips arguments whose help is suppressed
     print(shtab.complete(parser, shell=args.shell))
     return 0

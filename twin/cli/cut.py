@@ -1,4 +1,4 @@
-"""`twin cut INPUT --part PART.toml --out DIR`: removes material along a tool path and writes the cut surface."""
+"""`twin cut INPUT --part PART.toml --out DIR`: remove material along a tool path and write the cut surface."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from twin.surface.shapes import MeshFile
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin cut`."""
-    parser.add_argument("input", metavar="INPUT", type=shipped_example, help="part program, run directory (trace.parquet), or trace")
+    parser.add_argument("input", metavar="INPUT", type=shipped_example, help="part program, run folder or trace")
     parser.add_argument(
         "--part",
         required=True,
         type=shipped_example,
         metavar="PART.toml",
-        help="part file: tool, stock, nominal surfaces, zones (see examples/parts)",
+        help="part file with tool, stock, nominal surfaces, zones (see examples/parts)",
     )
     parser.add_argument(
         "--out", metavar="DIR", help="folder for pictures, meshes, height maps and cut.json (default: out/cut_<name of the input>)"
@@ -39,21 +39,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="L",
-        help="programmed | commanded | followed; may be given several times (default: all that exist)",
+        help="tool path to cut: programmed | commanded | followed; repeatable (default: all available)",
     )
     parser.add_argument(
         "--feedforward",
         action="append",
         default=[],
         metavar="F",
-        help="velocity+torque | velocity | off, of the simulated run of a program; may be given several times (default: velocity+torque and off)",
+        help="feedforward of the simulated program: velocity+torque | velocity | off; repeatable (default: velocity+torque and off)",
     )
-    parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the rays in the zones (default: that of the part file)")
+    parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the height rays in the zones (default: from the part file)")
     parser.add_argument(
-        "--measured", metavar="MAP", help="measured height map (.npz .csv .sur .x3p) of the zone: registered and compared with every cut"
+        "--measured", metavar="MAP", help="measured height map of the zone (.npz .csv .sur .x3p), registered and compared with every cut"
     )
-    parser.add_argument("--threads", type=int, metavar="N", help="threads of the cut (default: one per core)")
-    parser.add_argument("--no-files", action="store_true", help="write only cut.json and pictures, no meshes, height maps or recording")
+    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (default: one per core)")
+    parser.add_argument("--no-files", action="store_true", help="write only cut.json and pictures")
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -102,7 +102,7 @@ def carry_out(args: argparse.Namespace) -> int:
             left=2,
         )
     )
-    print("too deep, left, slow, fast: against the programmed cut; slow and fast by the feed during the cut")
+    print("too deep, left: relative to the programmed cut; slow, fast: the same where the feed was slow or fast")
     for one in paths:
         if one.errors:
             print(f"{one.label}: " + ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in one.errors.items()))
@@ -112,7 +112,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def _compare(machining: Machining, reports: list[dict[str, Any]], measured: HeightMap, out: Path) -> None:
-    """Add the difference of the measured map to each report, print it, and draw both maps."""
+    """Compare the measured map with each cut: extend its report, print the difference, draw both maps."""
     from twin.surface.picture import draw_measured
 
     for one, report in zip(machining.cuts, reports):
@@ -136,7 +136,7 @@ def _compare(machining: Machining, reports: list[dict[str, Any]], measured: Heig
 
 
 def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], words: list[str], *, progress: Any = None) -> list[Level]:
-    """The paths to cut, from a program, a run directory or a trace."""
+    """The tool paths to cut, from a program, a run folder or a trace."""
     from twin.recordings.trace import read_trace
 
     if source.suffix.lower() in PROGRAM_ENDINGS:
@@ -149,7 +149,7 @@ def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], word
 
 
 def write_files(machining: Machining, machine: Machine, out: Path, *, files: bool = True) -> list[Path]:
-    """Write pictures of every cut and of all levels together; with `files` also meshes, height maps and a recording."""
+    """Write pictures of each cut and of all levels; with `files` also meshes, height maps and a recording."""
     from twin.surface.export import write_height_map, write_mesh
     from twin.surface.picture import colour_end, draw_cut, draw_levels
 
@@ -207,5 +207,5 @@ def _checked(words: list[str], known: tuple[str, ...], what: str) -> list[str]:
 
 
 def _name(text: str) -> str:
-    """A file or entity name without blanks and special characters."""
+    """A name without blanks and special characters."""
     return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")

@@ -1,6 +1,6 @@
 """The paper's test: X 200 mm out and back at 15 m/min with a jerk of 5 m/s3, with feedforward off and on.
 
-Writes traces, a recording and a plot like the paper's Fig. 4, and prints what it found (`scripts/demo`).
+Writes traces, a recording and a plot like the paper's Fig. 4, and prints the errors. `scripts/demo` runs it.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ TITLE = f"X {DISTANCE * 1e3:.0f} mm out and back at {SPEED * 60:.0f} m/min, jerk
 
 @dataclass(frozen=True)
 class Finding:
-    """What one run of the test shows, SI: following error largest and at constant speed, the largest deviation from the
-    set point one delay earlier (what is left when the delay is taken out), overshoot at the stops, current."""
+    """Results of one run, SI: largest following error, following error at constant speed, largest error without the delay,
+    overshoot at the stops, largest current."""
 
     error_max: float
     error_at_speed: float
@@ -58,13 +58,13 @@ def paper_test(machine: Machine) -> Trace:
 
 
 def run_test(machine: Machine, setpoints: Trace) -> dict[str, Trace]:
-    """The followed trace for each feedforward."""
+    """The simulated trace for each feedforward."""
     points = setpoints_of(setpoints, machine)
     return {word: simulate(machine.with_feedforward(word), points).trace for word in FEEDFORWARD}
 
 
 def finding_of(machine: Machine, trace: Trace) -> Finding:
-    """Numbers of one run."""
+    """Results of one run."""
     axis = machine.axis(AXIS)
     setpoint, position = trace.get(AXIS, "setpoint"), trace.get(AXIS, "position")
     error = setpoint - position
@@ -80,8 +80,8 @@ def finding_of(machine: Machine, trace: Trace) -> Finding:
 
 
 def findings_table(findings: Mapping[str, Finding]) -> str:
-    """The findings as a table in um and A."""
-    heading = ["feedforward", "following error max", "at constant speed", "max without the delay", "overshoot", "current max"]
+    """The results as a table in um and A."""
+    heading = ["feedforward", "following error max", "at constant speed", "without the delay", "overshoot", "current max"]
     rows = [
         [
             word,
@@ -97,7 +97,7 @@ def findings_table(findings: Mapping[str, Finding]) -> str:
 
 
 def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
-    """Position, following error, what is left of it without the delay, speed and current; feedforward off left, on right."""
+    """Plot position, following error, error without the delay, speed and current; feedforward off left, on right."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -121,7 +121,7 @@ def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
                 error.plot(time, (setpoint - followed) * 1e6, **line)
                 deviation.plot(time, error_without_delay(trace, machine.axis(AXIS)) * 1e6, **line)
                 speed.plot(time, trace.get(AXIS, "velocity") * 60.0, **line)
-                # the speed set point is a staircase of position cycles, so the current ripples: drawn faint, its mean strong
+                # the speed set point changes once per position cycle, so the current ripples: drawn faint, its moving mean strong
                 ripple = max(1, round(machine.position_cycle / trace.period))
                 current.plot(time, trace.get(AXIS, "current"), color=grey, linewidth=0.5, alpha=0.7)
                 current.plot(time, np.convolve(trace.get(AXIS, "current"), np.full(ripple, 1.0 / ripple), "same"), **line)
@@ -132,7 +132,7 @@ def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
             current.margins(x=0.0)
         axes[0, 0].legend(labels=("set point", "position"), loc="lower center", frameon=False)
         axes[2, 1].legend(loc="lower left", frameon=False)
-        labels = ("position\nmm", "following error\nµm", "the same without\nthe delay, µm", "speed\nm/min", "motor current\nA")
+        labels = ("position\nmm", "following error\nµm", "error without\nthe delay, µm", "speed\nm/min", "motor current\nA")
         for row, label in enumerate(labels):
             axes[row, 0].set_ylabel(label)
             if row not in (1, 2):
@@ -145,7 +145,7 @@ def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
 
 
 def _mark_largest(axes: Axes, colour: str) -> None:
-    """Write the largest value of the last line beside it, and leave room for it."""
+    """Label the largest value of the last line."""
     time, values = (np.asarray(d) for d in axes.lines[-1].get_data())
     largest = int(np.argmax(np.abs(values)))
     axes.margins(y=0.2)
@@ -157,13 +157,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for traces, recording and plot")
     add_machine(parser)
-    parser.add_argument(
-        "--setpoints", type=Path, metavar="FILE", help="only write the set points of the test to this file (.csv, .parquet)"
-    )
+    parser.add_argument("--setpoints", type=Path, metavar="FILE", help="only write the set points of the test to this file (.csv .parquet)")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Run the test, write traces, recording and plot, print what was found."""
+    """Run the test; write traces, recording and plot; print the results."""
     machine = machine_of(args)
     setpoints = paper_test(machine)
     if args.setpoints:
@@ -195,14 +193,14 @@ def _report(machine: Machine, traces: Mapping[str, Trace], out: Path) -> None:
     print(f"{machine.name}: {TITLE}\n")
     print(text)
     print(
-        f"\nWithout feedforward the axis lags by v (1/Kv + delay) = {lag * 1e6:.0f} um at constant speed; with it the delay of the "
-        f"set point ({loops.set_point_delay_s * 1e3:g} ms, {SPEED * loops.set_point_delay_s * 1e6:.0f} um) is left."
+        f"\nWithout feedforward the axis lags by v (1/Kv + delay) = {lag * 1e6:.0f} um at constant speed. "
+        f"With feedforward only the set-point delay remains: {loops.set_point_delay_s * 1e3:g} ms, {SPEED * loops.set_point_delay_s * 1e6:.0f} um."
     )
     print("\nwritten: " + "\n         ".join(map(str, written)))
 
 
 def _times_at_speed(machine: Machine, time: np.ndarray) -> np.ndarray:
-    """(sample,) True in the second half of both stretches of constant speed, when the loops have settled."""
+    """True (sample,) in the second half of both phases of constant speed, when the loops have settled."""
     t_j, t_a, t_v = phases_of_move(DISTANCE, SPEED, machine.axis(AXIS).max_acceleration, JERK)
     ramp = 2.0 * t_j + t_a
     begin = DWELL + ramp

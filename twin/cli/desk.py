@@ -1,4 +1,4 @@
-"""`twin desk FOLDER`: a local page of what lies in a folder."""
+"""`twin desk FOLDER`: a local web page of the results in a folder."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from twin.errors import InputError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("folder", metavar="FOLDER", nargs="?", default="out", help="folder that commands wrote to (default: out)")
-    parser.add_argument("--port", type=int, default=0, metavar="N", help="port on this computer (default: a free one)")
+    parser.add_argument("folder", metavar="FOLDER", nargs="?", default="out", help="folder with results (default: out)")
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="port (default: a free one)")
     add_open(parser, "open the desk in the browser")
 
 
@@ -22,7 +22,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
     folder = Path(args.folder)
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; give one that commands wrote to with --out")
+        raise InputError(f"{folder}: no such folder; give a folder with results, such as the --out folder of a command")
     if not 0 <= args.port < 65536:
         raise InputError(f"--port {args.port}: give a number from 1 to 65535")
     with Desk(folder, args.port) as desk:

@@ -1,4 +1,4 @@
-"""`twin diagnose`: where a measured campaign differs from the twin, which effect causes it, and how far a correction reduces the gap."""
+"""`twin diagnose`: find where a measured campaign differs from the twin, which effects cause it, and how far they close the gap."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="quick look in less than half the time: fewer candidates, and axes at noise level are not searched",
+        help="less than half the time: fewer candidates, no search on axes at noise level",
     )
-    parser.add_argument(
-        "--program", metavar="INPUT", help="part program or trace with set points, for which the gap budget is also computed"
-    )
+    parser.add_argument("--program", metavar="INPUT", help="also compute the gap budget for this part program or trace")
     add_place(parser)
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the simulated noise (default 0)")
     add_open(parser)

@@ -11,13 +11,15 @@ from twin.machine.machine import Machine
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("name", nargs="?", metavar="NAME", help="show one effect: its law, parameters, bounds and usual sizes")
-    parser.add_argument("--picture", metavar="FILE.png", help="draw the response to a short move with and without the effect NAME")
+    parser.add_argument(
+        "name", nargs="?", metavar="NAME", help="effect to show: law, parameters, bounds, usual sizes (default: list all effects)"
+    )
+    parser.add_argument("--picture", metavar="FILE.png", help="plot a short move with and without the effect NAME")
     add_machine(parser)
 
 
 def _law_page(machine: Machine, picture: str | None) -> int:
-    """Print variables, outputs and formulas of laws, and the laws of the machine."""
+    """Print the variables, outputs and formulas of laws, and the laws of the machine."""
     from twin.effects.law import OUTPUTS, VARIABLES
     from twin.effects.law_shapes import SHAPES
     from twin.simulation.law_picture import draw_laws, laws_in

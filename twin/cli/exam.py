@@ -1,4 +1,4 @@
-"""`twin exam`: diagnoses sealed campaigns, opens the seals and scores; with --plan, lists what a campaign can show."""
+"""`twin exam`: diagnose sealed campaigns, open the seals and score; with --plan, list the effects that a campaign can show."""
 
 from __future__ import annotations
 
@@ -16,35 +16,33 @@ from twin.files import output_folder, stamped, write_whole
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of the drawn machines (default 0); use a fresh one for a published score"
+        "--seed", type=int, default=0, metavar="N", help="seed of the drawn machines (default: 0); use a fresh one for a published score"
     )
-    parser.add_argument("--cases", type=int, default=150, metavar="N", help="how many campaigns (default 150)")
+    parser.add_argument("--cases", type=int, default=150, metavar="N", help="number of campaigns (default: 150)")
     parser.add_argument(
         "--out",
         required=True,
         metavar="DIR",
-        help="folder for campaigns, answers, exam.json and report.html; an interrupted examination continues there",
+        help="folder for campaigns, answers, exam.json and report.html; continues an interrupted examination",
     )
     parser.add_argument("--machine", metavar="FILE", help="machine file with the Mikron's five axes (default: the Mikron)")
     parser.add_argument(
         "--richness",
         choices=("off", "small", "full"),
         default="small",
-        help="small imperfections that no effect describes, in every machine (default small)",
+        help="imperfections of every machine that no effect describes (default: small)",
     )
     parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
-    parser.add_argument("--only", metavar="KIND", help="only one kind of case, e.g. healthy, 'a fifth', outside")
-    parser.add_argument("--short", action="store_true", help="campaigns of four runs instead of ten")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes of this machine (default: one for each core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="run on a Dask cluster that shares this file system, e.g. tcp://host:8786")
-    parser.add_argument("--open", action="store_true", help="end the examination: open the seals and score the answers so far")
-    parser.add_argument(
-        "--plan", metavar="CAMPAIGN", help="instead of an examination, list the effects that the runs and signals of this campaign can show"
-    )
+    parser.add_argument("--only", metavar="KIND", help="only this kind of case, e.g. healthy, 'a fifth', outside")
+    parser.add_argument("--short", action="store_true", help="four runs per campaign instead of ten")
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask cluster that shares this file system, e.g. tcp://host:8786")
+    parser.add_argument("--open", action="store_true", help="open the seals now and score the answers so far")
+    parser.add_argument("--plan", metavar="CAMPAIGN", help="no examination: list the effects that this campaign can show")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Draw, seal, diagnose, open, mark and score; 1 if a target is missed by more than chance."""
+    """Draw, seal, diagnose, open, mark and score. Returns 1 if a target is missed by more than chance."""
     if args.plan:
         from twin.exam.detectability import detectability_command
 
@@ -71,10 +69,10 @@ def carry_out(args: argparse.Namespace) -> int:
         text = truths_text(cases)
         digest = seal(text, out)
         print(f"{len(cases)} cases sealed, SHA-256 of the truths {digest}", flush=True)
-        opened = args.open or (out / TRUTHS).exists()  # no diagnosis after the seals were opened
+        opened = args.open or (out / TRUTHS).exists()  # no diagnosis once the seals are open
         asked = [q for q in questions if q.name in cases and (not opened or is_answered(folders[q.name]))]
         if not asked:
-            raise InputError(f"{out}: no case has been diagnosed yet; call it without --open first")
+            raise InputError(f"{out}: no case has been diagnosed yet; run it without --open first")
         with Progress("diagnosing", total=len(asked)) as bar:
             seconds = each(pool, sit, {q.name: (q, cases[q.name], folders[q.name], machine_file, args.quick) for q in asked}, bar)
         unseal(text, out)
@@ -111,11 +109,11 @@ def _check(args: argparse.Namespace) -> None:
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers {args.workers}: give 1 or more")
     if args.only not in (None, *(s.name for s in STRATA)):
-        raise InputError(f"--only {args.only}: no such kind of case; {nearest(args.only, [s.name for s in STRATA])}")
+        raise InputError(f"--only {args.only}: unknown kind of case; {nearest(args.only, [s.name for s in STRATA])}")
 
 
 def _machine_of(args: argparse.Namespace) -> tuple[str, str, str]:
-    """(file, name, digest) of a machine that the second plant can be built from."""
+    """(file, name, digest) of the machine; InputError if the second plant cannot be built from it."""
     from twin.exam.draw import what_lacks
     from twin.machine.machine import default_machine_path, load_machine
 

@@ -10,7 +10,7 @@ from twin.files import write_json
 from twin.progress import Progress
 
 SHOWN = 12
-"""Outliers listed on the terminal; the HTML page lists all."""
+"""Most outliers printed; the HTML page has all."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,13 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_campaign(parser)
     add_machine(parser)
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
-    parser.add_argument("--html", metavar="FILE", help="write a report with a figure")
+    parser.add_argument("--html", metavar="FILE", help="write a report")
     parser.add_argument("--all", action="store_true", help="print every run, axis and signal")
     add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
     """Simulate and compare; print the verdict, the gap of each axis and the outliers."""
+    from twin.compare.pages import GAP_HEADING, gap_cells, write_gap_page
     from twin.effects import settings_of
     from twin.recordings.campaign import read_campaign
     from twin.simulation.campaign_gap import AS_EXPECTED, gap
@@ -36,35 +37,21 @@ def carry_out(args: argparse.Namespace) -> int:
     with Progress("comparing", total=len(campaign.runs)) as bar:
         found = gap(campaign, machine, progress=lambda _run: bar(None))
     print(found.verdict)
-    print("\nlargest gap of each axis (RMS of measured minus simulated), multiple of noise alone, and run")
+    print("\nLargest gap of each axis: RMS of measured minus simulated, multiple of noise alone, run")
     print(found.summary_table())
     outliers = found.outliers
     if outliers:
-        rows = [
-            [
-                o.run,
-                o.axis,
-                o.signal.replace("_", " "),
-                f"{o.gap.rms:.3g} {o.gap.unit}",
-                f"{o.gap.max:.3g}",
-                f"{o.gap.noise:.3g}",
-                f"{o.times_noise:.1f}",
-            ]
-            for o in outliers[:SHOWN]
-        ]
         print(
             f"\n{len(outliers)} signals above {AS_EXPECTED:g} times noise" + (f", the largest {SHOWN}:" if len(outliers) > SHOWN else ":")
         )
-        print(table(["run", "axis", "signal", "RMS", "max", "noise alone", "x noise"], rows, left=3))
+        print(table(GAP_HEADING, gap_cells(outliers[:SHOWN]), left=3))
     if args.all:
-        print("\nper signal: RMS, maximum, RMS of noise alone")
+        print("\nEvery signal: RMS, maximum, RMS of noise alone")
         print(found.full_table())
     if args.json:
         write_json(found.document(), Path(args.json), "gap")
     page = args.html or ("out/gap.html" if args.open else None)
     if page:
-        from twin.compare.pages import write_gap_page
-
         write_gap_page(found, Path(page))
         print(f"written: {page}")
         open_report(args, Path(page))

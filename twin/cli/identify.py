@@ -1,4 +1,4 @@
-"""`twin identify`: the parameters of a machine, with intervals, from its own traces."""
+"""`twin identify`: identify a machine's parameters, with confidence intervals, from its traces."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.files import output_file, write_json
 from twin.progress import Steps
 
 STEPS = 14
-"""About so many steps are reported by an identification with refinement."""
+"""Approximate number of steps of an identification with refinement, for the progress bar."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_campaign(parser)
     parser.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; its MJCF is copied beside it")
     add_machine(parser)
-    parser.add_argument("--report", metavar="FILE.html", help="report with pictures (default: beside the machine file)")
+    parser.add_argument("--report", metavar="FILE.html", help="report (default: beside the machine file)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
     add_open(parser)
     parser.add_argument("--no-refine", action="store_true", help="regression only, without re-simulation")
@@ -28,12 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--torque-constant-within",
         type=float,
         metavar="FRACTION",
-        help="torque constants are known within this fraction, e.g. 0.001 (default: parameter_tolerance)",
+        help="relative uncertainty of the torque constants, e.g. 0.001 (default: parameter_tolerance)",
     )
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Identify, write machine file, report and JSON, print the table."""
+    """Identify; write machine file, report and JSON; print the table."""
     from twin.identify.campaign_fit import identify_campaign
     from twin.identify.report import write_report
     from twin.identify.write import as_json, write_identified
@@ -48,7 +48,7 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(f"--torque-constant-within {within:g}: a fraction between 0 and 1, e.g. 0.001 for 0.1 %")
     machine = machine_of(args)
     campaign = read_campaign(args.campaign, machine)
-    output_file(out)  # an impossible place is said before the work
+    output_file(out)  # fails before the long computation
     with Steps("identifying", STEPS) as step:
         result = identify_campaign(machine, campaign, refine=not args.no_refine, torque_constant_tolerance=within, progress=step)
     try:
@@ -58,7 +58,7 @@ def carry_out(args: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"{error.filename or out}: cannot be written ({error.strerror}); give another place") from None
     for finding in result.findings:
-        print(f"found: {finding}", file=sys.stderr)
+        print(f"finding: {finding}", file=sys.stderr)
     for note in result.notes:
         print(note)
     rows = []
@@ -69,8 +69,8 @@ def carry_out(args: argparse.Namespace) -> int:
         rows.append([p.axis, p.name, f"{p.before:.6g}", f"{r.value:.6g}", f"+- {r.half:.2g}", p.unit, product, "yes" if taken else "no"])
     print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt", "in the file"], rows, left=2))
     if not all(result.tolerance_holds.values()):
-        print("The products contradict parameter_tolerance; the file's torque constants were kept.")
-    print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}")
+        print("The identified products contradict parameter_tolerance; the torque constants of the machine file were kept.")
+    print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; held out: {', '.join(result.left_out) or 'none'}")
     if args.json:
         write_json(as_json(result), Path(args.json), "identification")
     if result.refused:

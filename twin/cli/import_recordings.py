@@ -1,4 +1,4 @@
-"""`twin import`: turns recorded files and a map into a campaign."""
+"""`twin import`: convert recordings to a campaign."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.recordings.mapping import Map, RunMap, read_map, runs_of
 from twin.recordings.signals import Clock, ReadOptions, Recording
 
 MOST_PICTURES = 6
-"""Most pictures per recording, which may have a hundred strokes."""
+"""Most pictures per recording; one with many strokes becomes many traces."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,15 +25,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--map",
         metavar="MAP",
-        help="map (.toml) of columns to axes and signals; default: proposed from column names and written to CAMPAIGN/map.toml",
+        help="map (.toml) from columns to axes and signals (default: proposed from the column names, written to CAMPAIGN/map.toml)",
     )
-    parser.add_argument("--out", metavar="CAMPAIGN", help="folder for the campaign; without --out and --map the files are listed")
-    parser.add_argument("--machine", metavar="FILE", help="machine file to check against (default: the one that the map names)")
-    parser.add_argument("--no-picture", action="store_true", help="do not draw the runs")
+    parser.add_argument("--out", metavar="CAMPAIGN", help="folder for the campaign (without --out and --map: only list the files)")
+    parser.add_argument("--machine", metavar="FILE", help="machine file to check against (default: from the map)")
+    parser.add_argument("--no-picture", action="store_true", help="do not plot the runs")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Import the files and report what was found."""
+    """Import the files and print a report."""
     files = [Path(f) for f in args.files]
     if args.map is None and args.out is None:
         return _list(files)
@@ -63,7 +63,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
     done, begun = [], _beginnings()
     with Progress("importing", total=len(runs)) as bar:
         for run, paths in runs:
-            # data that do not fit into memory go beside the result, because /tmp may be in memory
+            # data that do not fit into memory are stored beside the result; /tmp may itself be in memory
             with tempfile.TemporaryDirectory(prefix=".import_", dir=out) as scratch:
                 recordings = _read(mapping, paths, Path(scratch))
                 known = understand(mapping, run, recordings)
@@ -139,13 +139,13 @@ def _proposed(files: Sequence[Path], out: Path) -> Path:
         proposal = propose(_read_all(files, scratch))
     text = map_text(proposal, [f.name for f in files])
     if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
-        raise InputError(f"{path}: already holds another map than the one proposed now; use it with --map {path}, or remove it")
+        raise InputError(f"{path}: differs from the map proposed now; use it with --map {path}, or remove it")
     output_folder(out)
     write_whole(path, text)
     if not proposal.axes:
         reason = proposal.left_out[0] if proposal.left_out else "no column name is known"
         raise InputError(
-            f"{path}: no axis can be proposed ({reason}); enter there which column is the set point of which axis, and use it with --map"
+            f"{path}: no axis can be proposed ({reason}); enter the set-point column of each axis there, then use it with --map"
         )
     print(f"map proposed from the column names: {path}")
     for line in [*(f"doubtful, not used: {c.name} ({c.doubt})" for c in proposal.columns if c.doubt), *proposal.left_out]:

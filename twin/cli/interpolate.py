@@ -1,4 +1,4 @@
-"""`twin interpolate`: a program to set points, no more."""
+"""`twin interpolate`: convert a program to set points."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from twin.progress import Progress
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     parser.add_argument("program", metavar="PROGRAM", help="part program (.mpf .ngc .apt ...)")
-    parser.add_argument("--out", required=True, metavar="FILE", help="trace with the set points (.parquet or .csv)")
+    parser.add_argument("--out", required=True, metavar="FILE", help="trace to write (.parquet .csv)")
     parser.add_argument("--plot", metavar="PNG", help="plot programmed and reached feed over path length")
     add_machine(parser)
     add_place(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Program to set points only, written as they are made; for the picture they are held."""
+    """Write the set points block by block; with --plot, hold them all in memory."""
     from twin.program import interpolate, plot_feed, set_point_blocks
     from twin.recordings.trace import written
 

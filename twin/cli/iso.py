@@ -1,4 +1,4 @@
-"""`twin iso 230-2|230-4 INPUT`: numbers and plots of the standards for positioning and circles."""
+"""`twin iso 230-2|230-4 INPUT`: positioning and circles by ISO 230."""
 
 from __future__ import annotations
 
@@ -25,33 +25,32 @@ STANDARDS = ("230-2", "230-4")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin iso`."""
     parser.add_argument("standard", choices=STANDARDS, metavar="230-2|230-4", help="230-2: positioning of an axis; 230-4: circles")
-    parser.add_argument(
-        "input", metavar="INPUT", type=shipped_example, help="table of readings (.csv), trace, folder of a run, or campaign"
-    )
-    parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON, and the plot beside it")
-    parser.add_argument("--plot", metavar="FILE", help="file of the plot (default: beside --json, or out/iso_STANDARD.png)")
+    parser.add_argument("input", metavar="INPUT", type=shipped_example, help="table of readings (.csv), trace, run folder or campaign")
+    parser.add_argument("--json", metavar="FILE", help="write the results as JSON, with the plot beside it")
+    parser.add_argument("--plot", metavar="FILE", help="plot file (default: beside --json, else out/iso_STANDARD.png)")
     parser.add_argument("--axis", metavar="AXIS", help="230-2: only this axis of a trace")
-    parser.add_argument("--no-predict", action="store_true", help="230-4: do not simulate the twin's prediction of the same circle")
-    parser.add_argument("--radius-mm", type=positive, metavar="MM", help="230-4: radius of a ballbar's table")
-    parser.add_argument("--feed-mm-per-min", type=positive, metavar="F", help="230-4: feed of a ballbar's program")
+    parser.add_argument("--no-predict", action="store_true", help="230-4: do not simulate the circle")
+    parser.add_argument("--radius-mm", type=positive, metavar="MM", help="230-4: radius of a ballbar test")
+    parser.add_argument("--feed-mm-per-min", type=positive, metavar="F", help="230-4: feed of a ballbar test")
     parser.add_argument(
-        "--feedforward", metavar="F", help="230-4: off | velocity | velocity+torque in a ballbar test (default: from the machine file)"
+        "--feedforward",
+        metavar="F",
+        help="230-4: feedforward of a ballbar test: off | velocity | velocity+torque (default: from the machine file)",
     )
-    parser.add_argument("--plane", default="XY", metavar="XY", help="230-4: plane of a ballbar's table (default: XY)")
+    parser.add_argument("--plane", default="XY", metavar="XY", help="230-4: plane of a ballbar test (default: XY)")
     parser.add_argument(
         "--diagnosis",
         metavar="DIR",
-        help="230-4: output folder of `twin diagnose`; adds the corrected twin and the contribution of each effect",
+        help="230-4: output folder of 'twin diagnose'; adds the corrected twin and the contribution of each effect",
     )
-    parser.add_argument("--campaign", metavar="DIR", help="230-4: also write a ballbar table as a campaign for `twin diagnose`")
+    parser.add_argument("--campaign", metavar="DIR", help="230-4: also write the ballbar test as a campaign for 'twin diagnose'")
     add_machine(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Evaluate, print, and write numbers and plot."""
-
+    """Evaluate; print and write results and plot."""
     if not Path(args.input).exists():
-        raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run or a campaign")
+        raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run folder or a campaign")
     machine = machine_of(args)
     plot = Path(args.plot) if args.plot else Path(args.json or f"out/iso_{args.standard}.json").with_suffix(".png")
     document = _positioning(args, machine, plot) if args.standard == "230-2" else _circles(args, machine, plot)
@@ -124,7 +123,7 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
     recorded: list[tuple[Trace, str | None, Ballbar | None]] = []
     if source.is_file() and is_table(source):
         if args.radius_mm is None or len(args.plane) != 2:
-            raise InputError(f"{source}: a ballbar's table needs the radius and the plane of its program; give --radius-mm and --plane XY")
+            raise InputError(f"{source}: a ballbar table needs its radius and plane; give --radius-mm and --plane XY")
         plane = (args.plane[0], args.plane[1])
         for axis in plane:
             machine.axis(axis)
@@ -190,7 +189,7 @@ _SHOWN = ("G_cw", "G_ccw", "G_b", "F_max", "F_min", "H", "D")
 
 
 def _numbers(test: CircleTest) -> dict[str, Any]:
-    """The numbers of a circle [um], spikes by direction and quadrant."""
+    """Results of a circle [um]; reversal spikes by direction and quadrant."""
     from twin.iso230.circles import circle_numbers, reversal_spikes
 
     numbers: dict[str, Any] = {k: v * 1e6 for k, v in circle_numbers(test).items() if not k.startswith("radius")}
@@ -202,7 +201,7 @@ _ADDED = ("G_b", "G_ccw", "G_cw", "F_max", "F_min")
 
 
 def _budget(folder: Path, recorded: tuple[Trace, str | None, Ballbar | None], by_name: dict[str, CircleTest]) -> list[EffectOnCircle]:
-    """The budget of one circle from a diagnosis folder; adds the corrected circle to `by_name`."""
+    """Contribution of each effect to a circle, from a diagnosis folder; adds the corrected circle to `by_name`."""
     from twin.documents import read_json_table
     from twin.iso230.circle_budget import circle_budget
     from twin.machine import load_machine
@@ -233,7 +232,7 @@ def _budget_row(row: EffectOnCircle) -> dict[str, Any]:
 
 
 def _predicted(trace: Trace, machine: Machine, measured: CircleTest, ballbar: Ballbar | None) -> CircleTest:
-    """The same circle simulated by the twin, evaluated like the measurement."""
+    """The circle simulated by the twin, evaluated like the measurement."""
     from twin.iso230.circle_of_trace import circles_of_trace
     from twin.simulation.gap import as_recorded, simulated_period
     from twin.simulation.run import simulate
@@ -244,7 +243,7 @@ def _predicted(trace: Trace, machine: Machine, measured: CircleTest, ballbar: Ba
 
 
 def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | None, Ballbar | None]]:
-    """Name, trace, feedforward and ballbar of every run in a campaign, in the folder of a run, or in a trace."""
+    """Name, trace, feedforward and ballbar of every run of a campaign, run folder or trace."""
     from twin.recordings import read_campaign, read_trace
 
     if (source / "campaign.toml").is_file():
@@ -253,12 +252,12 @@ def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | 
         return
     file = source / "trace.parquet" if source.is_dir() else source
     if not file.is_file():
-        raise InputError(f"{source}: neither campaign.toml nor trace.parquet; give a campaign, the folder of a run, a trace or a table")
+        raise InputError(f"{source}: neither campaign.toml nor trace.parquet; give a campaign, a run folder, a trace or a table")
     yield source.stem, read_trace(file, axes=machine.kinds, need=("setpoint",)), None, None
 
 
 def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Path, feedforward: str | None) -> None:
-    """Write a ballbar circle as a campaign, and print the deviations that a radius cannot separate."""
+    """Write a ballbar circle as a campaign; print the deviations removed because a radius cannot separate them."""
     from twin.files import write_whole
     from twin.iso230.ballbar_campaign import ballbar_campaign
     from twin.recordings.trace import write_trace
@@ -268,7 +267,7 @@ def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Pa
     name = f"circle_{test.name.lower()}.parquet"
     write_trace(found.trace, folder / name)
     lines = [
-        f"# {source.name}: ballbar measurement. Removed from it and from the twin, because a radius cannot separate it from the machine:",
+        f"# {source.name}: ballbar measurement. Removed here and from the twin, because a radius cannot separate them from the machine:",
         f"# {slopes}, relative to the nominal twin",
         f'machine = "{machine.model_path.stem}"',
         "",
@@ -281,5 +280,5 @@ def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Pa
         "",
     ]
     write_whole(folder / "campaign.toml", "\n".join(lines))
-    print(f"relative to the nominal twin, removed: {slopes} (one radius cannot separate a scale error from the gain of its axis)")
+    print(f"removed, relative to the nominal twin: {slopes} (one radius cannot separate a scale error from the position gain of its axis)")
     print(f"written: {folder}, a campaign for twin diagnose")

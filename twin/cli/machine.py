@@ -1,4 +1,4 @@
-"""The command `twin machine`: new, check, show."""
+"""`twin machine new|check|show`: create a machine file, check it, print its data sheet."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from twin.progress import Progress
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin machine`."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=type(parser))
-    new = actions.add_parser("new", help="write a commented machine file from an MJCF or a URDF, or from a recording alone")
-    new.add_argument("model", metavar="MODEL", nargs="?", help="MJCF (.xml) or URDF (.urdf): a tree of slides and hinges with masses")
+    new = actions.add_parser("new", help="create a commented machine file from an MJCF, a URDF or a recording")
+    new.add_argument("model", metavar="MODEL", nargs="?", help="MJCF (.xml) or URDF (.urdf) with slides, hinges and masses")
     new.add_argument(
         "--from-recording",
         metavar="CAMPAIGN",
-        help="instead of MODEL: an imported campaign, which lumped parameters of drive and load then reproduce",
+        help="imported campaign instead of MODEL; drive and load become lumped parameters",
     )
     new.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; its MJCF is written beside it")
-    new.add_argument("--structure", metavar="S", help=f"control structure of all axes: {', '.join(STRUCTURES)} (default {STRUCTURES[0]})")
-    new.add_argument("--sinumerik", metavar="FILE", help="use SINUMERIK machine data from this TOML or archive")
+    new.add_argument("--structure", metavar="S", help=f"control structure of all axes: {', '.join(STRUCTURES)} (default: {STRUCTURES[0]})")
+    new.add_argument("--sinumerik", metavar="FILE", help="TOML or archive with SINUMERIK machine data to use")
     new.set_defaults(action=_new)
-    check = actions.add_parser("check", help="list missing, impossible and unusual values, with the margins of each loop")
+    check = actions.add_parser("check", help="list missing, impossible and unusual values, and the margins of each loop")
     check.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
-    check.add_argument("--out", metavar="DIR", help="folder for check.json and a picture of the loops of each axis")
+    check.add_argument("--out", metavar="DIR", help="folder for check.json and a plot of the loops of each axis")
     check.set_defaults(action=_check)
     show = actions.add_parser("show", help="print the data sheet")
     show.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
-    show.add_argument("--sinumerik", action="store_true", help="as machine data of a SINUMERIK 840D with 611D drives")
+    show.add_argument("--sinumerik", action="store_true", help="print it as machine data of a SINUMERIK 840D with 611D drives")
     show.set_defaults(action=_show)
 
 
@@ -54,8 +54,8 @@ def _new(args: argparse.Namespace) -> int:
     axes, left = new_machine(Path(args.model), out, args.structure or STRUCTURES[0], Path(args.sinumerik) if args.sinumerik else None)
     print(f"written: {out} with {len(axes)} {'axis' if len(axes) == 1 else 'axes'}: {', '.join(axes)}")
     if left:
-        print(f"machine data that this machine file has no place for, ignored: {', '.join(left)}")
-    print(f"assumed numbers are marked; list them with: twin machine check {out}")
+        print(f"machine data without a key in the machine file, ignored: {', '.join(left)}")
+    print(f"assumed values are marked; list them with: twin machine check {out}")
     return 0
 
 
@@ -73,7 +73,9 @@ def _from_recording(args: argparse.Namespace, out: Path) -> int:
         print(f"  {reproduction_text(one, made.followed[one.name])}")
         for note in one.notes:
             print(f"    - {note}")
-    print("drive and load are lumped parameters at the axis, in units of the recorded command; comments in the file state each origin")
+    print(
+        "drive and load are lumped parameters at the axis, in units of the recorded command; comments in the file state the source of each"
+    )
     return 0
 
 
@@ -108,7 +110,7 @@ def _show(args: argparse.Namespace) -> int:
 
 
 def _document(checks: Any, findings: Any) -> dict[str, Any]:
-    """Content of `check.json`; a missing margin or mode is null."""
+    """Content of `check.json`; missing margins and modes are null."""
     axes = {}
     for c in checks:
         loops = {loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)}

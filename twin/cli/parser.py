@@ -1,6 +1,6 @@
-"""Reads the command line and carries the command out. One module of this package a command; `COMMANDS` lists them.
+"""Read the command line and run the command. Each command has a module in this package; `COMMANDS` lists them.
 
-A module of a command has `add_arguments(parser)` and `carry_out(args) -> int | None`, and is imported only when its command is given.
+A command's module has `add_arguments(parser)` and `carry_out(args) -> int | None`. It is imported only when the command is used.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ DESCRIPTION = """Digital twin of a machine tool's feed drives on MuJoCo.
 
     program -> interpolator -> set points -> cascade + plant -> trace -> tool path -> cut surface
 
-It predicts where the axes and the tool really go, and says why a measured machine differs.
+It predicts where the axes and the tool really go, and finds why a measured machine differs.
 Start with:  twin run examples/x_200mm.csv --out out/first
 """
 
 
 class Command(NamedTuple):
-    """One command: its name, the module of this package that carries it out, and what it does in a line."""
+    """A command: name, module in this package, and a one-line description."""
 
     name: str
     module: str
@@ -42,59 +42,57 @@ class Command(NamedTuple):
 
 COMMANDS: dict[str, tuple[Command, ...]] = {
     "simulate": (
-        Command("demo", "demo", "the paper's test: X 200 mm out and back at 15 m/min, feedforward off and on"),
-        Command("run", "run", "simulate a program (.mpf .ngc .apt) or the set points of a trace (.parquet .csv)"),
-        Command("interpolate", "interpolate", "convert a program to set points without simulating it"),
-        Command("check", "check", "check part programs: unknown words, travel, axis limits, time"),
-        Command("cut", "cut", "cut a part along the followed tool path; report the place and depth of marks"),
+        Command("demo", "demo", "simulate the paper's test: X 200 mm out and back at 15 m/min, feedforward off and on"),
+        Command("run", "run", "simulate a part program (.mpf .ngc .apt) or the set points of a trace (.parquet .csv)"),
+        Command("interpolate", "interpolate", "convert a part program to set points without simulating it"),
+        Command("check", "check", "check part programs for unknown words, travel and axis limits; compute the machining time"),
+        Command("cut", "cut", "cut a part along the followed tool path; report position and depth of marks"),
     ),
     "look": (
-        Command("replay", "replay", "open the viewer on a run, a recording, a trace or any MJCF or URDF"),
-        Command("desk", "desk", "list what lies in a folder on a local page: reports, viewer, comparisons"),
+        Command("replay", "replay", "show a run, recording, trace, MJCF or URDF in the viewer"),
+        Command("desk", "desk", "list all results in a folder on a local web page; open and compare them"),
         Command("compare", "compare", "compare two runs, campaigns or machines, aligned on their set points"),
         Command("effects", "effects", "list the effects that a machine can have beyond the nominal model"),
-        Command("machine", "machine", "make a machine file from a model, check it, show its data sheet"),
+        Command("machine", "machine", "create a machine file from a model, check it, or print its data sheet"),
     ),
     "measure": (
-        Command("import", "import_recordings", "turn recorded files (CSV, Sinumerik XML, TDMS, MDF4, .mat) into a campaign"),
-        Command("plan", "plan", "propose a measuring campaign that identifies each parameter to a wanted precision"),
-        Command("identify", "identify", "identify a machine's parameters, with intervals, from its own traces"),
+        Command("import", "import_recordings", "convert recordings (CSV, SINUMERIK XML, TDMS, MDF4, .mat) to a campaign"),
+        Command("plan", "plan", "plan a measuring campaign that identifies each parameter to a given precision"),
+        Command("identify", "identify", "identify a machine's parameters, with confidence intervals, from its traces"),
     ),
     "judge": (
         Command(
             "iso",
             "iso",
-            "evaluate positioning by ISO 230-2 or circles by ISO 230-4 from a table, trace, run or campaign, with the usual plot",
+            "evaluate positioning by ISO 230-2 or circles by ISO 230-4, with the standard plot",
         ),
     ),
     "diagnose": (
-        Command("gap", "gap", "simulate every run of a measured campaign and compare signal by signal"),
+        Command("gap", "gap", "simulate every run of a measured campaign and compare it signal by signal"),
         Command(
             "diagnose",
             "diagnose",
-            "find where a measured campaign differs from the twin, which effect causes it, and how far it closes the gap",
+            "find where a measured campaign differs from the twin, which effects cause it, and how far they close the gap",
         ),
-        Command("exam", "exam", "diagnose campaigns of a second plant whose faults are sealed, then open the seals and score"),
+        Command("exam", "exam", "diagnose sealed campaigns of a second plant, then open the seals and score the answers"),
     ),
-    "design": (
-        Command(
-            "study", "study", "vary numbers of the machine file by a design, simulate every variant, show the influence of each number"
-        ),
+    "design": (Command("study", "study", "vary numbers of the machine file, simulate every variant, show the influence of each number"),),
+    "guard": (
+        Command("regress", "regress", "run a suite of cases and compare it with golden results; report what changed, and where first"),
     ),
-    "guard": (Command("regress", "regress", "run a suite of cases and compare with golden results; report what changed, and where first"),),
-    "shell": (Command("completion", "completion", "print the completion of commands and options for bash, zsh or tcsh"),),
+    "shell": (Command("completion", "completion", "print a completion script for bash, zsh or tcsh"),),
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit code: 0 done, 1 a verdict that fails, 2 bad input or usage (one line on standard error)."""
+    """Run a command line. Exit code: 0 done, 1 failed verdict, 2 bad input or usage (one line on standard error)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if (unread := next((a for a in arguments if not _is_text(a)), None)) is not None:
         print(f"twin: {_NO_TEXT.format(one_line(ascii(unread)))}", file=sys.stderr)
         return 2
     if (empty := _empty_in(arguments)) is not None:
         print(
-            f"twin: {one_line(empty)}: nothing is given; give a value or leave it out (a variable of the shell that is not set?)",
+            f"twin: {one_line(empty)}: this argument is empty; give a value or leave it out (is a shell variable unset?)",
             file=sys.stderr,
         )
         return 2
@@ -113,8 +111,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except BrokenPipeError:
         return 0
-    except OSError as error:  # a place that cannot be written, a disk that is full
-        print(f"twin: {error.filename or 'a file'}: {error.strerror or error}; give another place or free this one", file=sys.stderr)
+    except OSError as error:  # no permission, disk full
+        print(f"twin: {error.filename or 'a file'}: {error.strerror or error}; choose another place or free space there", file=sys.stderr)
         return 2
     except KeyboardInterrupt as stop:
         say(getattr(stop, "number", signal.SIGINT))
@@ -123,11 +121,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         release_folders()
 
 
-_NO_TEXT = "{}: a name with bytes that are no text in UTF-8; rename the file or its folder"
+_NO_TEXT = "{}: this name is not valid UTF-8; rename the file or its folder"
 
 
 def _is_text(name: str) -> bool:
-    """Is this a text? Bytes of a name that are none stand in it as lone surrogates, which no library behind this one takes."""
+    """Whether a name is valid text. Python keeps invalid bytes as lone surrogates, which the libraries refuse."""
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -136,7 +134,7 @@ def _is_text(name: str) -> bool:
 
 
 def _empty_in(arguments: Sequence[str]) -> str | None:
-    """What stands before the first argument that is empty, if any is: no command takes one, and read as "not given" it would go on with a default."""
+    """The first empty argument with the word before it; None without one. No command accepts one: it would silently become a default."""
     for before, argument in zip(("twin", *arguments), arguments, strict=False):
         if not argument:
             return f"{before} ''"
@@ -146,7 +144,7 @@ def _empty_in(arguments: Sequence[str]) -> str | None:
 
 
 def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:
-    """The library with the effects of the files of `--effects`, while the command is carried out."""
+    """Context in which the library also has the effects of the `--effects` files."""
     if not getattr(args, "effects", None):
         return contextlib.nullcontext()
     from twin.effects.user_files import effects_of
@@ -155,7 +153,7 @@ def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[N
 
 
 def _carried_out(args: argparse.Namespace) -> int:
-    """The command's exit code; silent with --quiet, with versions and time on standard error with --verbose."""
+    """Run the command and return its exit code. --quiet prints nothing; --verbose adds versions and run time on standard error."""
     began = time.perf_counter()
     if args.limits is not None:
         os.environ[RAISED_BY] = repr(args.limits)
@@ -170,14 +168,14 @@ def _carried_out(args: argparse.Namespace) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Usage errors in one line, with exit code 2; commands by groups in the help."""
+    """Reports usage errors in one line, with exit code 2."""
 
     def error(self, message: str) -> Any:
         self.exit(2, f"twin: {one_line(message)}; try '{self.prog} --help'\n")
 
 
 def build_parser(only: str | None = None) -> argparse.ArgumentParser:
-    """The parser of the command line: with the arguments of one command, or those of all."""
+    """The parser, with the arguments of one command (`only`) or of all."""
     parser = _Parser(prog="twin", description=DESCRIPTION + _overview(), formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--version", action="version", version=f"twin {twin.__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", dest="command", required=True, parser_class=_Parser, help=argparse.SUPPRESS)
@@ -186,14 +184,14 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
         if only is None or only == command.name:
             _module(command.name).add_arguments(sub)
             _add_effect_files(sub)
-            sub.add_argument("--limits", type=_factor, metavar="FACTOR", help="raise all limits on sizes by this factor (default: 1)")
-            sub.add_argument("--quiet", action="store_true", help="print errors only; the results are in the files")
+            sub.add_argument("--limits", type=_factor, metavar="FACTOR", help="multiply all size limits by this factor (default: 1)")
+            sub.add_argument("--quiet", action="store_true", help="print errors only")
             sub.add_argument("--verbose", action="store_true", help="also print versions and run time")
     return parser
 
 
 def show_and_run(*arguments: object) -> None:
-    """A command of twin as an example carries it out: shown first; the example ends where the command fails."""
+    """Print a command and run it, for the example scripts; a failing command ends the script."""
     words = [str(a) for a in arguments]
     print(f"\n$ twin {' '.join(words)}", flush=True)
     if code := main(words):
@@ -201,7 +199,7 @@ def show_and_run(*arguments: object) -> None:
 
 
 def _factor(text: str) -> float:
-    """A factor on the limits, for argparse."""
+    """A factor for `--limits`, for argparse."""
     with contextlib.suppress(ValueError):
         if 1.0 <= (value := float(text)) <= 1e6:
             return value
@@ -209,7 +207,7 @@ def _factor(text: str) -> float:
 
 
 def _add_effect_files(parser: argparse.ArgumentParser) -> None:
-    """`--effects FILE` for a command that takes a machine, and for the actions of one that has any."""
+    """Add `--effects FILE` to a command that takes a machine, and to its actions."""
     for action in list(parser._actions):
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
@@ -219,7 +217,7 @@ def _add_effect_files(parser: argparse.ArgumentParser) -> None:
             "--effects",
             action="append",
             metavar="FILE.py",
-            help="Python file with effects of your own, used like those of the library; may be given several times",
+            help="Python file with your own effects (repeatable)",
         )
 
 
@@ -232,7 +230,7 @@ def _module(command: str) -> ModuleType:
 
 
 def _command_in(arguments: Sequence[str]) -> str | None:
-    """The command that is given, if it is one: a word that is none gets one line with the nearest."""
+    """The given command, or '' without one. An unknown command exits with a line that names the nearest."""
     word = next((a for a in arguments if not a.startswith("-")), None)
     if word is not None and word not in _commands() and arguments and arguments[0] == word:
         sys.stderr.write(f"twin: no command '{one_line(word)}'; {nearest(word, _commands())}; try 'twin --help'\n")
@@ -241,7 +239,7 @@ def _command_in(arguments: Sequence[str]) -> str | None:
 
 
 def _overview() -> str:
-    """The commands by what one wants to do."""
+    """The commands, grouped by task."""
     lines = []
     for group, commands in COMMANDS.items():
         lines.append(f"\n{group}")

@@ -1,4 +1,4 @@
-"""`twin plan`: a measuring campaign that identifies each parameter to a wanted precision."""
+"""`twin plan`: plan a measuring campaign that identifies each parameter to a given precision."""
 
 from __future__ import annotations
 
@@ -22,13 +22,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", default="out/plan", metavar="DIR", help="folder for part programs, set points and plan.json (default: out/plan)"
     )
     parser.add_argument(
-        "--precision", type=float, default=0.01, metavar="FRACTION", help="wanted half interval of each parameter (default: 0.01)"
+        "--precision",
+        type=float,
+        default=0.01,
+        metavar="FRACTION",
+        help="relative half width of the 95 %% interval of each parameter (default: 0.01)",
     )
-    parser.add_argument("--minutes", type=float, default=15.0, metavar="MIN", help="longest campaign allowed (default: 15)")
+    parser.add_argument("--minutes", type=float, default=15.0, metavar="MIN", help="longest duration of the campaign (default: 15)")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Plan a campaign, write it, print what each parameter will be known to."""
+    """Plan a campaign, write it, print the predicted interval of each parameter."""
     from twin.identify.plan import plan_campaign, write_plan
     from twin.simulation.summary import table
 
@@ -37,7 +41,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if not 0.0 < args.minutes < 24.0 * 60.0:
         raise InputError(f"--minutes {args.minutes:g}: give minutes above 0, e.g. 15")
     machine = machine_of(args)
-    output_folder(args.out)  # an impossible place is said before the work
+    output_folder(args.out)  # fails before the long computation
     with Steps("planning", 3 * len(machine.axes)) as step:
         plan = plan_campaign(machine, args.precision, args.minutes * 60.0, step)
     try:
@@ -52,7 +56,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def _missed(p: Predicted, precision: float) -> str:
-    """What stands behind a parameter that does not reach the wanted precision."""
+    """What a parameter lacks to reach the precision; '' if it does."""
     if p.half <= precision:
         return ""
     return "more rounds do not help" if p.law >= 0.95 * precision else "needs more --minutes"

@@ -1,4 +1,4 @@
-"""`twin regress [SUITE] [--update]`: runs a suite and compares it with golden results."""
+"""`twin regress [SUITE] [--update]`: run a suite and compare it with golden results."""
 
 from __future__ import annotations
 
@@ -17,29 +17,27 @@ if TYPE_CHECKING:
 
 DEFAULT_SUITE = "examples/regression"
 ROUNDING = 1e-6
-"""Difference over tolerance below which only the rounding of files differs and no new golden result is written."""
+"""Difference over tolerance below which only file rounding differs; no new golden result is written."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twin regress`."""
     parser.add_argument(
-        "suite", nargs="?", default=DEFAULT_SUITE, metavar="SUITE", help=f"folder of suite files, or one of them (default: {DEFAULT_SUITE})"
+        "suite", nargs="?", default=DEFAULT_SUITE, metavar="SUITE", help=f"suite file, or folder of suite files (default: {DEFAULT_SUITE})"
     )
-    parser.add_argument(
-        "--only", action="append", default=[], metavar="NAME", help="only cases of this name (* and ? match; several times)"
-    )
-    parser.add_argument("--jobs", type=int, metavar="N", help="cases at the same time (default: one per core)")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="only cases with this name (* and ? match; repeatable)")
+    parser.add_argument("--jobs", type=int, metavar="N", help="cases run in parallel (default: one per core)")
     parser.add_argument("--out", default="out/regress", metavar="DIR", help="folder for results and evidence (default: out/regress)")
-    parser.add_argument("--junit", metavar="FILE", help="JUnit XML (default: junit.xml in --out)")
-    parser.add_argument("--json", metavar="FILE", help="the same as JSON (default: regress.json in --out)")
-    parser.add_argument("--no-evidence", action="store_true", help="verdicts only: no folder for each failed case")
-    parser.add_argument("--list", action="store_true", help="list the cases and their purpose without running them")
-    parser.add_argument("--update", action="store_true", help="store the present results as golden results; needs --reason")
-    parser.add_argument("--reason", metavar="TEXT", help="why the golden results change; kept with them")
+    parser.add_argument("--junit", metavar="FILE", help="JUnit XML to write (default: junit.xml in --out)")
+    parser.add_argument("--json", metavar="FILE", help="JSON to write (default: regress.json in --out)")
+    parser.add_argument("--no-evidence", action="store_true", help="do not write a folder for each failed case")
+    parser.add_argument("--list", action="store_true", help="list the cases and what they guard; run nothing")
+    parser.add_argument("--update", action="store_true", help="store the current results as golden results; needs --reason")
+    parser.add_argument("--reason", metavar="TEXT", help="why the golden results change; stored with them")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """0: all differences within tolerance; 1: a case failed or could not run."""
+    """Run and compare. Returns 0 if all differences are within tolerance, 1 if a case failed or could not run."""
     from twin.progress import Progress
     from twin.regress.run_suite import BROKEN, FAILED, run_suite
     from twin.regress.suite import chosen, read_suite
@@ -49,7 +47,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if args.jobs is not None and args.jobs < 1:
         raise InputError(f"--jobs {args.jobs}: give 1 or more")
     if args.reason is not None and not args.update:
-        raise InputError("--reason belongs to --update; give both or none")
+        raise InputError("--reason needs --update; give both or neither")
     args.suite = str(shipped_example(args.suite))
     cases = chosen(read_suite(args.suite), args.only, args.suite)
     if args.list:
@@ -81,7 +79,7 @@ def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
         verdicts = run_suite(cases, jobs=args.jobs, update=True, done=lambda: bar(None))
     broken = [v for v in verdicts if v.status == BROKEN or v.stopped]
     if broken:
-        raise InputError(f"{broken[0].case.where}: {broken[0].text}; golden results need a complete run, correct the case first")
+        raise InputError(f"{broken[0].case.where}: {broken[0].text}; golden results need a complete run; correct the case first")
     for v in verdicts:
         if v.status == SKIPPED:
             print(f"skipped, golden result unchanged: {v.case.name}: {v.text}")
@@ -103,7 +101,7 @@ def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
         if differing or v.note or v.golden.case != v.new.case:
             changed.append(v)
     if not changed:
-        print("nothing differs from the golden results; nothing was written")
+        print("no difference from the golden results; nothing written")
         return 0
     print(table(["case", "quantity", "old", "new", "difference", "of tolerance"], rows, left=2))
     if others := {v.note for v in changed if v.note}:
@@ -128,6 +126,6 @@ def _asked(count: int) -> str:
     if not sys.stdin.isatty():
         return ""
     try:
-        return input(f"why do these {count} golden results change? ")
+        return input(f"Why do these {count} golden results change? ")
     except EOFError:
         return ""

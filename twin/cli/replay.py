@@ -1,4 +1,4 @@
-"""`twin replay`: find out what was given, make a recording where there is none yet, and show it."""
+"""`twin replay`: find the recording of a path, or write one from its trace, and show it."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "paths",
         metavar="PATH",
         nargs="+",
-        help="folder of any command, recording (.rrd), trace, or model (.xml, .urdf) with an optional trace; two runs are overlaid",
+        help="output folder, recording (.rrd), trace, or model (.xml .urdf) with an optional trace; two runs are overlaid",
     )
     parser.add_argument(
-        "--machine", metavar="FILE", help="machine file that a trace belongs to (default: the Mikron UCP 710 that ships with twin)"
+        "--machine", metavar="FILE", help="machine file of a trace (default: $TWIN_MACHINE, else the Mikron UCP 710 that ships with twin)"
     )
-    parser.add_argument("--screenshot", metavar="FILE.png", help="render the view to a picture, without a display")
+    parser.add_argument("--screenshot", metavar="FILE.png", help="write a picture of the view; needs no display")
     parser.add_argument("--at", type=float, metavar="SECONDS", help="time of the picture (default: the end)")
     parser.add_argument("--size", metavar="WIDTHxHEIGHT", default="1920x1080", help="size of the picture in pixels (default: 1920x1080)")
-    parser.add_argument("--serve", action="store_true", help="serve the view to browsers on this computer (127.0.0.1) until Ctrl-C")
+    parser.add_argument("--serve", action="store_true", help="serve the view to browsers on this computer (127.0.0.1), until Ctrl-C")
     parser.add_argument("--port", type=int, metavar="N", default=9090, help="port of --serve (default: 9090)")
     parser.add_argument(
         "--out",
         metavar="FILE.rrd",
-        help="write the recording of a trace or a model to this file; opens no viewer",
+        help="write the recording of a trace or a model to this file; do not open the viewer",
     )
     parser.add_argument(
-        "--full", action="store_true", help="keep every sample (about 80 MB a minute) instead of the smallest and largest of each stretch"
+        "--full", action="store_true", help="keep every sample (about 80 MB a minute), not only the extremes of each stretch"
     )
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Run `twin replay`; every fault is an InputError in one line."""
+    """Show the paths; InputError for input that cannot be shown."""
     from twin.replay import viewer
 
     if args.at is not None and not args.screenshot:
         raise InputError("--at needs --screenshot FILE.png")
     size = _size(args.size)
     if len(args.paths) > 2:
-        raise InputError(f"{len(args.paths)} paths given; replay shows one run, or two over each other")
+        raise InputError(f"{len(args.paths)} paths given; replay shows one run, or overlays two")
     with tempfile.TemporaryDirectory(prefix="twin-replay-", ignore_cleanup_errors=True) as folder:
         keep = Path(args.out) if args.out else None
         if keep is not None and keep.suffix != ".rrd":
@@ -61,13 +61,13 @@ def carry_out(args: argparse.Namespace) -> int:
         elif keep is not None:
             print(f"written: {', '.join(map(str, shown))}")
         else:
-            # the window reads the file after this command has ended, so it must not lie in a folder that ends with it
+            # the viewer reads the file after this command ends, so it must leave the temporary folder
             viewer.open_viewer([_kept(path, Path(folder)) for path in shown])
     return 0
 
 
 def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
-    """The recordings to show; what is made on the way goes to `out`."""
+    """The recordings to show; a new one is written to `out`."""
     from twin.replay.clock import on_clock_of
     from twin.replay.recording import write_motion, write_recording
 
@@ -78,7 +78,7 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
         from twin.replay.scene import scene_of
 
         if args.machine:
-            raise InputError(f"{first}: a model is replayed as it is; leave out --machine, or give the trace alone with it")
+            raise InputError(f"{first}: a model needs no machine file; leave out --machine, or give --machine with the trace alone")
         scene = scene_of(load_machine(first)) if first.suffix == ".toml" else motion.read_scene(first)
         time, joints = motion.motion_from_trace(scene, Path(args.paths[1])) if len(args.paths) > 1 else motion.sweep(scene)
         text = "" if len(args.paths) > 1 else "No trace was given: each joint sweeps through its range in turn."
@@ -96,16 +96,16 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
     if lacking is not None:
         if args.out or args.full or args.machine or len(recordings) < len(sources):
             raise InputError(
-                f"{lacking.path}: a recording cannot be made again or overlaid without its trace; give the folder or the trace of the run"
+                f"{lacking.path}: a recording cannot be made again or overlaid without its trace; give the run folder or the trace"
             )
-        print("note: no trace beside the recordings: they are shown one by one, not overlaid", file=sys.stderr)
+        print("note: the recordings have no trace; they are shown separately, not overlaid", file=sys.stderr)
         return recordings
     machine = machine_of(args)
     runs: dict[str, Trace] = {}
     notes: list[str] = []
     for source in sources:
         label = source.label if source.label not in runs else f"{source.label} (2)"
-        assert source.trace is not None  # seen to above
+        assert source.trace is not None  # checked above
         trace, shift = read_trace(source.trace, axes=machine.kinds), 0.0
         if runs:
             trace, shift = on_clock_of(next(iter(runs.values())), trace)
@@ -119,7 +119,7 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _kept(path: Path, folder: Path) -> Path:
-    """A recording that outlives this command."""
+    """The recording at a place that outlives this command."""
     if path.parent != folder:
         return path
     return path.rename(Path(tempfile.mkdtemp(prefix="twin-replay-")) / path.name)

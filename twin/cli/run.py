@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    parser.add_argument("input", metavar="INPUT", help="part program, or trace with <axis>.setpoint columns")
+    parser.add_argument("input", metavar="INPUT", help="part program, or trace with set points")
     add_machine(parser)
     add_place(parser)
     parser.add_argument(
@@ -29,28 +29,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME:AXIS:PARAMETER=VALUE",
-        help="add an effect, e.g. backlash:X:clearance=15e-6 (SI; may be given several times; see 'twin effects')",
+        help="add an effect, e.g. backlash:X:clearance=15e-6 (SI; repeatable; see 'twin effects')",
     )
-    parser.add_argument("--beside", action="store_true", help="also simulate without the effects of --effect, and compare both")
+    parser.add_argument("--beside", action="store_true", help="also simulate without --effect, and compare both")
     parser.add_argument(
-        "--feedforward", metavar="F", help="off | velocity | velocity+torque (default: as the machine file or the program says)"
+        "--feedforward", metavar="F", help="off | velocity | velocity+torque (default: from the program, else the machine file)"
     )
     parser.add_argument(
         "--out", metavar="DIR", help="folder for trace.parquet, run.rrd, run.png and summary.json (default: out/<name of the input>)"
     )
     parser.add_argument(
-        "--strict", action="store_true", help="set points above an axis' speed, acceleration or jerk are an error, not a warning"
+        "--strict", action="store_true", help="refuse set points beyond an axis' speed, acceleration or jerk instead of warning"
     )
     parser.add_argument(
-        "--sample-period-ms", type=positive, metavar="MS", help="period of the written trace (default: 1, as the machine file says)"
+        "--sample-period-ms", type=positive, metavar="MS", help="sample period of the trace (default: from the machine file)"
     )
-    parser.add_argument("--noise-seed", type=seed, metavar="N", help="add the machine's measuring noise, drawn with this seed")
+    parser.add_argument("--noise-seed", type=seed, metavar="N", help="add measuring noise with this seed")
     parser.add_argument("--no-recording", action="store_true", help="do not write run.rrd")
     add_open(parser, "open the picture of the run, or the report of --beside")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Simulate, then write trace, recording and summary; for a program also what the interpolator and what the drives make."""
+    """Simulate; write trace, recording and summary; for a program also the error budget of interpolator and drives."""
     from twin.compare.contour import contour_numbers
     from twin.report.figure import save_png
     from twin.simulation.command_columns import with_command_columns
@@ -60,7 +60,7 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.simulation.summary import effects_line, feedforward_line, summary_of, summary_table
 
     if args.beside and not args.effect:
-        raise InputError("--beside compares with and without --effect; give an --effect")
+        raise InputError("--beside needs an --effect to compare with")
     machine = machine_of(args)
     source = Path(args.input)
     program, trace = setpoints_of_input(source, machine, args.place)
@@ -81,7 +81,7 @@ def carry_out(args: argparse.Namespace) -> int:
         except SimulationError as error:
             if isinstance(error.trace, Trace):
                 write_trace(error.trace, out / "trace.parquet")
-                raise SimulationError(f"{error}; what was recorded up to there is in {out / 'trace.parquet'}") from None
+                raise SimulationError(f"{error}; the trace up to there is in {out / 'trace.parquet'}") from None
             raise
     followed = with_program_columns(with_command_columns(run.trace, machine, setpoints), trace)
     write_trace(followed, out / "trace.parquet")
@@ -124,13 +124,13 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def _sample_period(args: argparse.Namespace, machine: Machine) -> float | None:
-    """The period [s] of `--sample-period-ms`, in whole ticks of the control; None where the machine file's counts."""
+    """`--sample-period-ms` [s], rounded to whole ticks of the control; None for that of the machine file."""
     asked = args.sample_period_ms
     if asked is None:
         return None
     tick_ms = machine.base_tick * 1e3
     if asked < tick_ms * (1.0 - 1e-6):
-        raise InputError(f"--sample-period-ms {asked:g}: the control has a tick of {tick_ms:g} ms; give that or more")
+        raise InputError(f"--sample-period-ms {asked:g}: the control ticks every {tick_ms:g} ms; give that or more")
     whole = round(asked / tick_ms) * tick_ms
     if abs(whole - asked) > 1e-6 * asked:
         print(f"note: --sample-period-ms {asked:g}: recorded every {whole:g} ms, in whole ticks of {tick_ms:g} ms", file=sys.stderr)
@@ -138,7 +138,7 @@ def _sample_period(args: argparse.Namespace, machine: Machine) -> float | None:
 
 
 def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, followed: Trace, out: Path) -> list[str]:
-    """The same motion without the effects of `--effect`, compared; returns the names of the files written."""
+    """Simulate the same motion without `--effect` and compare. Returns the names of the files written."""
     from twin.compare.compare import compare
     from twin.compare.pages import write_comparison_page
     from twin.effects import settings_of, with_effects

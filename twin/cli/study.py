@@ -1,4 +1,4 @@
-"""`twin study`: runs a design study and evaluates it."""
+"""`twin study`: run a design study and evaluate it."""
 
 from __future__ import annotations
 
@@ -14,26 +14,24 @@ from twin.progress import Progress
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("spec", metavar="SPEC", type=shipped_example, help="study file (.toml): factors, design, runs")
-    parser.add_argument("--machine", metavar="FILE", help="machine file (default: the study's, else the Mikron UCP 710)")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results; --resume continues a stopped study there")
-    parser.add_argument("--resume", action="store_true", help="simulate only the variants that are missing in the folder")
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="run on a Dask cluster, e.g. tcp://host:8786 (default: threads of this machine)"
-    )
-    parser.add_argument("--threads", type=int, metavar="N", help="threads of this machine (default: one for each core)")
+    parser.add_argument("--machine", metavar="FILE", help="machine file (default: from the study file, else the Mikron UCP 710)")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument("--resume", action="store_true", help="continue a stopped study: simulate only the missing variants")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786 (default: threads on this computer)")
+    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (default: one per core)")
     parser.add_argument(
         "--compare",
         type=int,
         nargs=2,
         metavar=("A", "B"),
-        help="two variants side by side: a recording of their runs and their motors' torque",
+        help="also record two variants side by side and compare their motor torques",
     )
     parser.add_argument("--no-replay", action="store_true", help="do not record the best variant beside the nominal machine")
     add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Run the study, evaluate it, print the findings."""
+    """Run the study, evaluate it, print the results."""
     from twin.simulation.summary import table
     from twin.study.design import variants_of
     from twin.study.execution import carry_out, dask_cluster, fingerprint, threads_here
@@ -64,7 +62,7 @@ def carry_out(args: argparse.Namespace) -> int:
                 carry_out(study, variants, store, workers, bar)
         rows = rows_of(study, store)
         if not any(responses for _, _, responses, _ in rows):
-            raise InputError(f"{args.spec}: no variant could be run; the first one: {rows[0][3]}")
+            raise InputError(f"{args.spec}: no variant could be simulated; the first one: {rows[0][3]}")
         answers = answers_of(study, rows)
         with Progress("report") as bar:
             bar.say("report")
@@ -79,7 +77,7 @@ def carry_out(args: argparse.Namespace) -> int:
     for r in answers.responses:
         if r.swings:
             print(f"\n{titled(r.name)} ({r.name})")
-            print(table(["factor", "moves it by", "least at", "largest at"], swing_rows(answers, r)))
+            print(table(["factor", "changes it by", "least at", "largest at"], swing_rows(answers, r)))
         if r.sobol:
             lines = zip(answers.factors, r.sobol["S1"], r.sobol["S1_conf"], r.sobol["ST"], r.sobol["ST_conf"])
             print(table(["factor", "first order", "total"], [[n, f"{a:.3f} +- {b:.3f}", f"{c:.3f} +- {d:.3f}"] for n, a, b, c, d in lines]))

@@ -1,6 +1,8 @@
-"""Two runs, campaigns or machines beside each other, aligned on their set points.
+"""Compare two runs, campaigns or machines, aligned on their set points.
 
-align      rows of two traces that belong together, by time where the set points agree, else by the way along the path
-compare    two traces -> Comparison: what differs, by axis and signal, and where most
+align      two traces -> the same on common rows, matched by time or by path length
+compare    two traces -> Comparison: differences by axis and signal
+contour    contour error of a run
 machines   two machine files -> the numbers and effects that differ
+pages      HTML pages of a gap and of a comparison
 """

@@ -1,4 +1,4 @@
-"""Two runs beside each other: by axis and signal what differs, how much, and where most."""
+"""Compare two runs: differences by axis and signal, and the largest of them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from twin.machine.axis import Axis
 
 LEAST = 1e-3
-"""Differences below this (um, arcsec, mm/s, deg/s, A) are none: the rounding of a file."""
+"""Smaller differences are file rounding and count as none [um, arcsec, mm/s, deg/s, A]."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Second minus first of one signal: RMS and largest in `unit`, and when the largest is met [s]."""
+    """Second minus first of one signal: RMS and largest size in `unit`, and the time of the largest [s]."""
 
     axis: str
     signal: str
@@ -41,7 +41,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Errors:
-    """Largest error without the delay, and after reversals (None without one), of the first and of the second, in `unit`."""
+    """Largest error without the delay and largest reversal peak (None without a reversal) of both runs, in `unit`."""
 
     axis: str
     unit: str
@@ -53,7 +53,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs between two runs; `first` and `second` are the traces on common rows, `by` says how they were aligned."""
+    """Comparison of two runs: `first` and `second` are the traces on common rows, `by` is the method of alignment."""
 
     names: tuple[str, str]
     machine: Machine
@@ -65,7 +65,7 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """One sentence: the axis whose position differs most, or that nothing differs."""
+        """One sentence: the axes that differ, and the largest difference."""
         found = [d for d in self.differences if d.max > LEAST]
         if not found:
             return f"{self.names[0]} and {self.names[1]} move alike."
@@ -83,14 +83,14 @@ class Comparison:
         return tuple(dict.fromkeys(d.axis for d in self.differences if d.max > LEAST))
 
     def table(self) -> str:
-        """The errors of both, then the differences by signal, of the axes that differ."""
+        """Errors of both runs and differences by signal, for the axes that differ."""
         if not self.differing:
             return ""
         errors = table(["axis", "error without delay", *self.names], self.error_rows(), left=2)
         return f"{errors}\n\n{table(['axis', 'difference', 'RMS', 'largest', 'at'], self.difference_rows(), left=2)}"
 
     def error_rows(self) -> list[list[str]]:
-        """Axis, 'largest' or 'after reversals', and that error of the first and of the second, with units."""
+        """Axis, 'largest' or 'after reversals', and that error in both runs, with units."""
         rows = []
         for e in (e for e in self.errors if e.axis in self.differing):
             kinds = (("largest", e.first, e.second), ("after reversals", e.first_reversal, e.second_reversal))
@@ -106,7 +106,7 @@ class Comparison:
         ]
 
     def document(self) -> dict[str, Any]:
-        """What `twin compare` writes as compare.json."""
+        """Content of compare.json."""
         return {
             "first": self.names[0],
             "second": self.names[1],
@@ -117,7 +117,7 @@ class Comparison:
         }
 
     def plot(self) -> Figure:
-        """Error without the delay of both, and the difference of position, of the axes that differ; returns a matplotlib figure."""
+        """A matplotlib figure: error without the delay of both runs, for the axes that differ."""
         from twin.report.curves import Curve, Panel, curves_figure
 
         panels = []
@@ -145,10 +145,10 @@ class Comparison:
 
 
 def compare(a: Run | Trace, b: Run | Trace, machine: Machine | None = None, *, names: tuple[str, str] = ("first", "second")) -> Comparison:
-    """What differs between two runs or traces of the same motion, aligned on their set points and not on time.
+    """Compare two runs or traces of the same motion, aligned on their set points.
 
-    `machine` gives kinds and delays of the axes (default: that of a run, else the Mikron). Differences are second minus first in um,
-    arcsec, mm/s, deg/s, A. Raises InputError where the set points are not the same motion.
+    `machine` gives the kind and delay of each axis (default: that of a run, else the Mikron). Differences are second minus first in um,
+    arcsec, mm/s, deg/s, A. Raises InputError if the set points are not of the same motion.
     """
     machine = machine or next((run.machine for run in (a, b) if isinstance(run, Run)), None) or load_machine()
     first, second, by = aligned(*(run.trace if isinstance(run, Run) else run for run in (a, b)))

@@ -1,4 +1,4 @@
-"""Contour error of a run: how far the followed tool path lies from that of the set points."""
+"""Contour error of a run: distance of the followed tool path from that of the set points."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from twin.simulation.result import Run
 
 
 def contour_numbers(run: Run) -> dict[str, float] | None:
-    """Largest and RMS distance of the tool tip from the commanded path [um]; None on a machine without a tool in a part frame."""
+    """Largest and RMS contour error of the tool tip [um]; None for a machine without tool or part frame."""
     try:
         followed, commanded = (tool_path_of(run.trace, signal, run.machine) for signal in ("position", "setpoint"))
     except TwinError:

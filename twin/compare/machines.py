@@ -10,7 +10,7 @@ from twin.machine.machine import Machine
 
 
 class Number(NamedTuple):
-    """A number of the machine file that differs: its path, and its value in the first and second (None where it is missing)."""
+    """A number that differs: its path in the machine file, and its value in both files (None if missing)."""
 
     path: str
     first: Any
@@ -18,7 +18,7 @@ class Number(NamedTuple):
 
 
 def differing_numbers(a: Machine, b: Machine) -> list[Number]:
-    """Paths whose values differ, in the order of the first file; effects are listed as `effect.NAME.AXIS.PARAMETER`."""
+    """Numbers that differ, in the order of the first file; paths of effects are `effect.NAME.AXIS.PARAMETER`."""
     first, second = _flat(_plain(a)), _flat(_plain(b))
     return [
         Number(path, first.get(path), second.get(path)) for path in dict.fromkeys([*first, *second]) if first.get(path) != second.get(path)
@@ -26,7 +26,7 @@ def differing_numbers(a: Machine, b: Machine) -> list[Number]:
 
 
 def _plain(machine: Machine) -> dict[str, Any]:
-    """The document with effects by name and axis, without what names files."""
+    """The document with effects by name and axis, without names of machine and model."""
     document = {key: value for key, value in machine.document.items() if key not in ("effect", "model", "name")}
     tables = [setting.table() for setting in settings_of(machine)]
     effects = {f"{e['name']}.{e['axis']}": {k: v for k, v in e.items() if k not in ("name", "axis")} for e in tables}

@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING
 
 from twin.report import Figure, Section, Table, figure_svg, write_page
 from twin.report.stamp import made_line
-from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap
+from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap, Outlier
 
 if TYPE_CHECKING:
     from twin.compare.compare import Comparison
     from twin.compare.machines import Number
 
 
-def write_gap_page(gap: CampaignGap, path: Path) -> None:
-    """Verdict, picture, outliers, then every signal."""
-    rows = gap.rows()
-    heading = ["run", "axis", "signal", "RMS", "largest", "noise alone", "times noise"]
-    cells = [
+GAP_HEADING = ("run", "axis", "signal", "RMS", "largest", "noise alone", "times noise")
+
+
+def gap_cells(rows: Sequence[Outlier]) -> list[list[str]]:
+    """Cells of GAP_HEADING for each signal."""
+    return [
         [
             r.run,
             r.axis,
@@ -31,10 +32,16 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
         ]
         for r in rows
     ]
+
+
+def write_gap_page(gap: CampaignGap, path: Path) -> None:
+    """Write the page of a gap: verdict, picture, outliers, every signal."""
+    rows = gap.rows()
+    cells = gap_cells(rows)
     marked = frozenset(i for i, row in enumerate(rows) if row.times_noise > AS_EXPECTED)
-    picture = Figure(figure_svg(gap.plot()), "Gap as a multiple of what measuring noise alone makes; grey: as it should be.")
-    outliers = [Table(heading, cells[: len(marked)], left=3, marked=marked)] if marked else []
-    every = Table(heading, cells, left=3, marked=marked, folded=f"{len(cells)} signals, largest first")
+    picture = Figure(figure_svg(gap.plot()), "Gap as a multiple of noise alone. Grey: as it should be.")
+    outliers = [Table(GAP_HEADING, cells[: len(marked)], left=3, marked=marked)] if marked else []
+    every = Table(GAP_HEADING, cells, left=3, marked=marked, folded=f"{len(cells)} signals, largest first")
     sections = [
         Section("Where the twin and the machine differ", figures=[picture]),
         Section("Outliers", tables=outliers)
@@ -46,7 +53,7 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
 
 
 def write_comparison_page(comparison: Comparison, path: Path, inputs: str, numbers: Sequence[Number] = ()) -> None:
-    """Verdict, picture, errors of both, differences; of two machines also the numbers that differ."""
+    """Write the page of a comparison: verdict, picture, errors, differences; for two machines also the numbers that differ."""
     a, b = comparison.names
     picture = Figure(figure_svg(comparison.plot()), f"Error without the delay of the control. Grey: {a}; colour: {b}.")
     sections = [Section("In one picture", figures=[picture])]
@@ -63,12 +70,12 @@ def write_comparison_page(comparison: Comparison, path: Path, inputs: str, numbe
 
 
 def write_machines_page(names: tuple[str, str], numbers: Sequence[Number], verdict: str, path: Path, inputs: str) -> None:
-    """The numbers in which two machine files differ."""
+    """Write the page of two machine files: the numbers that differ."""
     write_page(path, _title(*names), verdict, [_numbers_section(numbers, names)] if numbers else [], made_line(inputs=inputs))
 
 
 def number_rows(numbers: Sequence[Number]) -> list[list[str]]:
-    """Path, first and second value of each number that differs, '-' where a file has none."""
+    """Path and both values of each number; '-' where a file has none."""
     return [[n.path, *("-" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v) for v in (n.first, n.second))] for n in numbers]
 
 
@@ -77,5 +84,5 @@ def _numbers_section(numbers: Sequence[Number], names: tuple[str, str]) -> Secti
 
 
 def _title(a: str, b: str) -> str:
-    """'A and B', with a capital where A is a word."""
+    """'A and B', with a capital first letter."""
     return f"{a[:1].upper()}{a[1:]} and {b}"

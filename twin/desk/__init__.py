@@ -1,6 +1,6 @@
-"""The desk: a local page that lists what commands wrote to a folder, opens reports and the viewer, and compares two.
+"""The desk: a local web page that lists the results in a folder, opens reports and the viewer, and compares two results.
 
-entries   what lies in a folder: runs, campaigns, diagnoses, comparisons, studies and so on, each read from its own document
-desk      the page
-server    answers a browser on this computer
+entries     results in a folder: runs, campaigns, diagnoses, comparisons, studies, ...
+desk.html   template of the page
+server      serves the page on this computer
 """

@@ -1,4 +1,4 @@
-"""What lies in a folder: runs, campaigns, diagnoses, studies and the rest, each known by the document that its command wrote."""
+"""Results in a folder: runs, campaigns, diagnoses, studies, ..., each recognised by the document that its command writes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from twin.documents import read_json_table
 from twin.errors import InputError
 
 DEEPEST = 5
-"""Folders below the given one that are looked into."""
+"""Levels of folders that are searched."""
 MOST = 500
-"""Entries that are listed; a folder with more is better opened further down."""
+"""Most entries listed."""
 
 RUN, CAMPAIGN = "run", "campaign"
 _BY_DOCUMENT = {
@@ -30,31 +30,31 @@ _BY_DOCUMENT = {
     "regress.json": "regression",
     "campaign.toml": CAMPAIGN,
 }
-"""Documents by which a folder is known; of several the last counts for what it is, a run keeps its comparison as a report."""
+"""Document -> kind of result. If a folder has several, the first of this order counts: a run with a comparison is a run."""
 REPORT = "report.html"
 _TITLE = re.compile(r"<title>(.*?)</title>", re.S)
 COMPARED = (RUN, CAMPAIGN)
-"""Kinds of which two can be compared."""
+"""Kinds that can be compared."""
 PICTURES = ("run.png", "x_200mm.png", "plots/*.png", "pictures/*.png", "*.png")
-"""Where a thumbnail is looked for, in turn."""
+"""Patterns of the thumbnail, the first match counts."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A folder that a command wrote: `path` relative to the desk's folder, what it is, what it says in a line, when it was written."""
+    """A result: `path` relative to the desk's folder, kind, one-line summary, time of writing."""
 
     path: str
     kind: str
-    says: str
+    summary: str
     written: datetime
-    report: str | None  # relative to the desk's folder, as is the picture
+    report: str | None  # relative to the desk's folder, like `picture`
     picture: str | None
-    replayed: bool  # can the viewer show it?
+    replayed: bool  # the viewer can show it
     machine_file: str | None = None
 
     @property
     def compared(self) -> bool:
-        """Can it be compared with another of its kind?"""
+        """Whether it can be compared with another of its kind."""
         return self.kind in COMPARED
 
 
@@ -71,7 +71,7 @@ def entries_in(folder: Path) -> list[Entry]:
 
 
 def _folders(folder: Path) -> Iterator[tuple[Path, set[str]]]:
-    """The folder and those below it, with the names of their files; hidden ones and links are left out."""
+    """The folder and those below it with their file names, without hidden folders and links."""
     for place, below, files in os.walk(folder, followlinks=False):
         here = Path(place)
         if len(here.relative_to(folder).parts) >= DEEPEST:
@@ -102,7 +102,7 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
     return Entry(
         path=place.relative_to(folder).as_posix(),
         kind=kind,
-        says=_says(kind, document),
+        summary=_summary(kind, document),
         written=datetime.fromtimestamp((place / name).stat().st_mtime),
         report=relative(report),
         picture=relative(picture),
@@ -112,7 +112,7 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
 
 
 def _page(folder: Path, file: Path) -> Entry:
-    """A report that lies by itself, such as that of `twin gap --html`."""
+    """A single report, such as that of `twin gap --html`."""
     with file.open(encoding="utf-8", errors="replace") as page:
         title = _TITLE.search(page.read(2000))
     name = file.relative_to(folder).as_posix()
@@ -120,8 +120,8 @@ def _page(folder: Path, file: Path) -> Entry:
     return Entry(name, "report", html.unescape(title[1]).strip() if title else "", written, name, None, False)
 
 
-def _says(kind: str, document: Mapping[str, Any]) -> str:
-    """One line of what a document says; what it lacks is left out, it may be of another version."""
+def _summary(kind: str, document: Mapping[str, Any]) -> str:
+    """One-line summary of a document; '' if it lacks the keys (it may be from another version)."""
     try:
         if kind == RUN and "axes" in document:
             errors = {axis: (float(a["error_without_delay_max"]), a["following_error_unit"]) for axis, a in document["axes"].items()}

@@ -1,8 +1,8 @@
-"""Answers a browser on this computer: the desk, files below its folder, and two actions, compare and replay.
+"""Serves the desk to a browser on this computer: the page, files below its folder, and two actions, compare and replay.
 
-It listens on 127.0.0.1 only. A request must name this computer as its host, so that no page of elsewhere can reach it through a name of its own;
-an action must carry the token of the page, so that none can send a form. Only files below the folder are served, never through a link
-that leads out of it, and only kinds that reports are made of.
+It listens on 127.0.0.1 only. A request must name this computer as its host, which prevents DNS rebinding. An action must carry the
+token of the page, which prevents forged forms from other sites. Only files of the types in TYPES below the folder are served; links
+that lead out of the folder are refused.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from twin.errors import InputError
 
 HOST = "127.0.0.1"
 LONGEST_FORM = 100_000
-"""Bytes of a form that are read."""
+"""Largest accepted form [bytes]."""
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".json": "application/json",
@@ -35,20 +35,20 @@ TYPES = {
     ".toml": "text/plain; charset=utf-8",
     ".xml": "text/plain; charset=utf-8",
 }
-"""Files that are served, by their ending."""
+"""Served file types: ending -> content type."""
 
 Started = Callable[[Sequence[str]], "subprocess.Popen[str]"]
 
 
 def twin_command(words: Sequence[str]) -> subprocess.Popen[str]:
-    """Start a command of twin in a process of its own."""
+    """Start a twin command as a separate process."""
     return subprocess.Popen(
         [sys.executable, "-m", "twin", *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
 
 
 class Desk(ThreadingHTTPServer):
-    """The server of one folder; `start` starts a command of twin."""
+    """The server of one folder; `start` starts a twin command."""
 
     daemon_threads = True
 
@@ -60,13 +60,13 @@ class Desk(ThreadingHTTPServer):
             raise InputError(f"port {port}: cannot be used ({error.strerror}); give another --port") from None
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes away before it has its answer is no fault."""
+        """Ignore a browser that closes the connection early."""
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
     @property
     def address(self) -> str:
-        """Where a browser finds it."""
+        """URL of the desk."""
         return f"http://{HOST}:{self.server_address[1]}/"
 
 
@@ -74,7 +74,7 @@ class _Answer(BaseHTTPRequestHandler):
     server: Desk
 
     def do_GET(self) -> None:
-        """The desk itself, or a file below its folder."""
+        """Serve the desk or a file below its folder."""
         if not self._from_here():
             return
         path = unquote(urlsplit(self.path).path)
@@ -91,11 +91,11 @@ class _Answer(BaseHTTPRequestHandler):
             return
         length = self.headers.get("Content-Length", "")
         if not length.isdigit() or int(length) > LONGEST_FORM:
-            self._refuse(HTTPStatus.BAD_REQUEST, "no form that is sent from the desk")
+            self._refuse(HTTPStatus.BAD_REQUEST, "this is not a form of the desk")
             return
         form = parse_qs(self.rfile.read(int(length)).decode("utf-8", "replace"))
         if not secrets.compare_digest(form.get("token", [""])[0].encode(), self.server.token.encode()):
-            self._refuse(HTTPStatus.FORBIDDEN, "this form is not of the desk that runs now; reload it")
+            self._refuse(HTTPStatus.FORBIDDEN, "this form is out of date; reload the desk")
             return
         known = {entry.path: entry for entry in entries_in(self.server.folder)}
         if self.path == "/compare":
@@ -127,7 +127,7 @@ class _Answer(BaseHTTPRequestHandler):
         self._to("/")
 
     def _from_here(self) -> bool:
-        """Is the request for this computer? A name of elsewhere may lead here, its pages must not."""
+        """Whether the request names this computer as its host; refuses it otherwise."""
         host = self.headers.get("Host", "").rsplit(":", 1)[0]
         if host in (HOST, "localhost"):
             return True
@@ -165,7 +165,7 @@ class _Answer(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(content)))
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
-        # what a report holds cannot run scripts or load from elsewhere
+        # reports cannot run scripts or load anything from other hosts
         self.send_header(
             "Content-Security-Policy", "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; form-action 'self'"
         )
@@ -182,4 +182,4 @@ class _Answer(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: the terminal is for the user."""
+        """Do not log requests on the terminal."""

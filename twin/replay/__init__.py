@@ -1,4 +1,4 @@
-"""Interactive replay: write a run as a recording, open it in the viewer, render it without a display.
+"""Interactive replay: write a run as a recording, open it in the viewer, or render it without a display.
 
 trace + machine -> scene, poses, tool paths, curves, events -> recording (.rrd) -> window, browser or picture
 """
@@ -23,12 +23,12 @@ _HOMES = {
 }
 
 
-# the library says on its own what it cannot write, in lines of its own; the closing table of a recording is looked for instead (`recording_to`)
+# the library logs write errors itself; `recording_to` checks each recording instead
 os.environ.setdefault("RUST_LOG", "error,re_log_encoding=off,re_sdk=off")
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used: commands that show nothing need not wait for the viewer's library."""
+    """Load a public name on first use; importing the viewer's library takes time."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,4 +1,4 @@
-"""The first look: the machine, the tool at the part with its path, the deviation magnified, the axes in tabs, summary and events at hand.
+"""Layout of the viewer: machine, tool path, magnified deviation, a tab of plots per axis, summary and events.
 
     +--------------------------+-----------------------+---------------+
     | machine                  | at the part           | summary,      |
@@ -9,7 +9,7 @@
     |                  | key of the lines                              |
     +------------------+-----------------------------------------------+
 
-It refers only to what the recording holds; `layout` is given exactly that.
+`layout` gets a description of the recording's content and refers only to that.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, a
 LIGHT_GROUND = (226, 230, 235)
 GRID_COLOUR = (150, 156, 165, 90)
 VIEW_FROM = np.array([0.42, -0.80, 0.42])
-"""From where the machine is seen: front right, above."""
+"""Direction from the machine to the eye: front right, above."""
 PATH_FROM = np.array([0.35, -0.75, 0.75])
-"""From where a path is seen: steeper, most paths are flat."""
+"""Direction from a path to the eye: steeper, because most paths are flat."""
 NEAR = 1.3
-"""The view at the part shows this many times the size of the path."""
+"""Size of the view at the part, relative to the path."""
 LEAST_CONTOUR_UM = 0.1
-"""The plot of the contour error reaches at least so far [um]: below that it would show rounding."""
+"""Least range of the contour error plot [um]; a smaller one would show rounding."""
 GROUP_TITLES = {
     "error_without_delay": "error less delay",
     "following_error": "following error",
@@ -50,14 +50,14 @@ GROUP_TITLES = {
     "difference_speed": "Δ speed",
     "difference_current": "Δ current",
 }
-"""Titles of the plots of an axis; longer ones are cut off beside the viewer's buttons."""
+"""Titles of the plots of an axis; the viewer truncates longer ones."""
 _COLUMNS = (("error_without_delay", "following_error", "position"), ("speed",), ("current",), ("torque",))
-"""Plots of one axis from left to right; those of one column are tabs. Differences get a column of their own in front."""
+"""Plots of an axis by column, from left to right; plots of one column are tabs. Differences come in a column before these."""
 
 
 @dataclass(frozen=True)
 class PathView:
-    """One tool path view: its title, where its entities lie, which of them grow with time, and the box (2, 3) they fill [m]."""
+    """A tool path view: title, root of its entities, those that grow with time, their bounding box (2, 3) [m], other entities shown."""
 
     title: str
     root: str
@@ -68,7 +68,7 @@ class PathView:
 
 @dataclass(frozen=True)
 class Content:
-    """What a recording holds, as far as the layout needs it."""
+    """Content of a recording, as far as the layout needs it."""
 
     scene_root: str
     part_frame: str
@@ -83,7 +83,7 @@ class Content:
     has_events: bool = False
     states: Sequence[str] = field(default=())
     steps: Sequence[Curve] = ()
-    stretch: tuple[float, float] | None = None  # from and to [s]: what is played first, again and again
+    stretch: tuple[float, float] | None = None  # start and end [s] of a part to play in a loop
 
 
 def layout(content: Content) -> rrb.Blueprint:
@@ -125,7 +125,7 @@ def layout(content: Content) -> rrb.Blueprint:
 
 
 def _time_panel(stretch: tuple[float, float] | None) -> rrb.TimePanel:
-    """The run plays in a loop, or a stretch of it does."""
+    """Time panel that plays the run, or a stretch of it, in a loop."""
     if stretch is None:
         return rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all")
     selection = AbsoluteTimeRange(*(TimeInt(seconds=at) for at in stretch))
@@ -141,7 +141,7 @@ def _machine_view(content: Content) -> rrb.View:
 
 
 def path_view(path: PathView, paths: Sequence[PathView], root: str, part_frame: str, title: str = "") -> rrb.View:
-    """The view of one of `paths`: the first true to scale among the bodies that carry the part, the others alone."""
+    """The view of one of `paths`: the first with the bodies that carry the part, the magnified ones alone."""
     title = title or path.title
     if path is paths[0]:
         hidden = [f"- {other.root}/**" for other in paths[1:]]
@@ -154,9 +154,9 @@ def path_view(path: PathView, paths: Sequence[PathView], root: str, part_frame: 
 
 
 def around_the_part(scene_root: str, part_frame: str, tool: Sequence[str]) -> list[str]:
-    """Contents of a view at the part: the bodies that carry it, and the tool. All else would stand between the eye and the path."""
+    """Contents of a view at the part: the bodies that carry it, and the tool. Other bodies would hide the path."""
     carrier = "/".join(part_frame.split("/")[:3])
-    if carrier in (scene_root, part_frame):  # nothing carries the part: it lies in the world
+    if carrier in (scene_root, part_frame):  # no body carries the part
         return [f"+ {scene_root}/**", f"- {part_frame}/axes"]
     return [f"+ {carrier}/**", *(f"+ {entity}" for entity in tool), f"- {part_frame}/axes"]
 
@@ -172,9 +172,9 @@ def scene_view(
     seen_from: np.ndarray = VIEW_FROM,
     floor: bool = False,
 ) -> rrb.View:
-    """A view in three dimensions that shows a whole box (2, 3) [m] of its origin's frame, from so many diagonals of it.
+    """A 3D view of a box (2, 3) [m] in the frame of `origin`, from a distance in diagonals of the box.
 
-    `growing` are entities that are drawn up to the time of the cursor; `floor` draws a grid at the bottom of the box.
+    Entities in `growing` are drawn up to the current time; `floor` draws a grid at the bottom of the box.
     """
     overrides: dict[Any, Any] = {entity: _until_now() for entity in growing}
     grid = rrb.LineGrid3D(visible=True, spacing=0.1, plane=Plane3D((0, 0, 1), float(bounds[0, 2])), color=GRID_COLOUR)
@@ -194,7 +194,7 @@ def _until_now() -> rrb.VisibleTimeRanges:
 
 
 def _eye(bounds: np.ndarray, distance: float, view_from: np.ndarray = VIEW_FROM) -> rrb.EyeControls3D:
-    """An eye that sees a whole box; `distance` in diagonals of it."""
+    """Eye controls that show a whole box (2, 3) [m]; `distance` in diagonals of it."""
     centre = bounds.mean(axis=0)
     away = max(distance * float(np.linalg.norm(bounds[1] - bounds[0])), 1e-3)
     return rrb.EyeControls3D(
@@ -203,7 +203,7 @@ def _eye(bounds: np.ndarray, distance: float, view_from: np.ndarray = VIEW_FROM)
 
 
 def contour_view(curves: Sequence[Curve], states: Sequence[str], keys: Mapping[str, str]) -> rrb.View | rrb.Container | None:
-    """The contour error of all runs, and beside it when an axis was at a limit or stuck; None where there is neither."""
+    """Tabs with the contour error of all runs and with the limits and sticking of the axes; None without either."""
     views: list[rrb.View | rrb.Container] = []
     errors = [float(curve.values.max()) for curve in curves if curve.path.startswith(CONTOUR_ERROR)]
     if errors:
@@ -217,7 +217,7 @@ def contour_view(curves: Sequence[Curve], states: Sequence[str], keys: Mapping[s
 def axis_tabs(
     curves: Sequence[Curve], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str, steps: Sequence[Curve] = ()
 ) -> rrb.Container | None:
-    """A tab of plots for each axis, that of `first_axis` in front, and one of `steps`; None where no axis has a curve."""
+    """A tab of plots for each axis, `first_axis` in front, and one of `steps`; None without curves."""
     tabs = []
     for axis in axes:
         groups = {group: name for group in GROUP_TITLES if (name := _unit_title(curves, axis, group))}
@@ -238,19 +238,19 @@ def axis_tabs(
 
 
 def _steps_view(steps: Sequence[Curve]) -> rrb.View:
-    """Steps over each other: the first and the last are seen, a click in the legend shows or hides one."""
+    """Overlaid steps; the first and last are visible, the legend toggles the others."""
     hidden: dict[Any, Any] = {curve.path: rr.SeriesLines.from_fields(visible_series=[False]) for curve in steps[1:-1]}
     legend = rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop)
     return rrb.TimeSeriesView(origin=STEPS, name="Effect by effect", overrides=hidden, plot_legend=legend)
 
 
 def _plot(origin: str, name: str, axis_y: rrb.ScalarAxis | None = None) -> rrb.View:
-    """A plot without a legend, which would cover its curves."""
+    """A plot without legend (it would cover curves)."""
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False), axis_y=axis_y)
 
 
 def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str | None = None) -> rrb.View | rrb.Container:
-    """Plots with the key of their lines below them."""
+    """Plots with the key of their lines below."""
     if key is None:
         return above if name is None else rrb.Vertical(above, name=name)
     strip = rrb.Spatial2DView(origin=key, name="Key", titlebar=False, background=KEY_GROUND)
@@ -258,7 +258,7 @@ def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str | None
 
 
 def _unit_title(curves: Sequence[Curve], axis: str, group: str) -> str:
-    """Title of a plot with the unit of its curves; '' where there is none."""
+    """Title of a plot with the unit of its curves; '' without curves."""
     root = axis_entity(axis, group) + "/"
     name = next((curve.name for curve in curves if curve.path.startswith(root)), "")
     return f"{GROUP_TITLES[group]} {name[name.rindex('[') :]}" if name else ""

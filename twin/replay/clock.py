@@ -1,4 +1,4 @@
-"""Two runs on one clock: the second is shifted in time until its set points lie on those of the first."""
+"""Put two runs on one clock: shift the second in time until its set points match those of the first."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from twin.compare.align import start_of_motion
 from twin.recordings.trace import Trace
 
-MOVES = 1e-7
-"""A set point that changes by less from sample to sample stands still [m, rad]."""
 BETTER = 0.2
-"""The shift counts where it leaves at most this share of the difference of the set points."""
+"""A shift is used if it leaves at most this share of the difference of the set points."""
 
 
 def on_clock_of(first: Trace, second: Trace) -> tuple[Trace, float]:
-    """The second run with its times shifted onto the first one's set points, and by how much [s]; unshifted where that does not help.
+    """The second run, shifted onto the set points of the first, and the shift [s]; shift 0 if none matches or no set points are shared.
 
-    Lengths and angles are taken alike [m, rad]; runs without common set points stay as they are.
+    Differences in m and rad have equal weight.
     """
     axes = [axis for axis in first.axes if first.has(axis, "setpoint") and second.has(axis, "setpoint")]
     if not axes or not all(_moves(trace, axes) for trace in (first, second)):
@@ -33,7 +32,7 @@ def on_clock_of(first: Trace, second: Trace) -> tuple[Trace, float]:
         read = np.column_stack([np.interp(at[inside], second.time, column) for column in other.T])
         return float(np.sqrt(np.mean((read - asked[inside]) ** 2)))
 
-    near = _start(first, asked) - _start(second, other)
+    near = start_of_motion(first.time, asked) - start_of_motion(second.time, other)
     reach = 2.0 * max(first.period, second.period)
     coarse = min((0.0, near), key=apart)
     shift = float(minimize_scalar(apart, bounds=(coarse - reach, coarse + reach), method="bounded", options={"xatol": 1e-9}).x)
@@ -45,8 +44,3 @@ def on_clock_of(first: Trace, second: Trace) -> tuple[Trace, float]:
 
 def _moves(trace: Trace, axes: list[str]) -> bool:
     return any(trace.moves(axis) for axis in axes)
-
-
-def _start(trace: Trace, setpoints: np.ndarray) -> float:
-    """Time [s] of the last sample before the first motion."""
-    return float(trace.time[np.flatnonzero(np.abs(np.diff(setpoints, axis=0)).max(axis=1) > MOVES)[0]])

@@ -1,4 +1,4 @@
-"""Colour bars in the viewer: bands or a gradient as a picture, and the numbers below it, with their unit."""
+"""Colour bars in the viewer: bands or a gradient, with numbers and unit below."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import rerun.blueprint as rrb
 from twin.replay.names import entity
 
 BAND_PIXELS = (40, 16)
-"""Width and height of a band of the bar."""
+"""Width and height of a band [pixels]."""
 
 
 def log_colour_bar(
     recording: rr.RecordingStream, path: str, bands: np.ndarray, numbers: Sequence[float], unit: str, quantity: str, *, ends: str = ">"
 ) -> None:
-    """Log a bar of bands (band, 3) [RGB] with one number under each of so many even places, the last with its unit.
+    """Log a bar of bands (band, 3) [RGB] with evenly spaced numbers below, the last with its unit.
 
-    `ends` stands before the last number: the last colour holds for more, too.
+    `ends` precedes the last number: its colour also stands for larger values.
     """
     count = 8
     picture = np.repeat(bands.astype(np.uint8)[None], BAND_PIXELS[1], axis=0)
@@ -45,6 +45,6 @@ def log_colour_bar(
 
 
 def colour_bar_view(path: str, title: str) -> rrb.View:
-    """The view of a colour bar, with room for the numbers below it."""
+    """The view of a colour bar and its numbers."""
     bounds = rrb.VisualBounds2D(x_range=[-25, 345], y_range=[-3, 34])
     return rrb.Spatial2DView(origin=path, name=title, background=(255, 255, 255), visual_bounds=bounds)

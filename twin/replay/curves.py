@@ -1,10 +1,10 @@
-"""Time series of the axes: what was asked for, what happened, how the torque splits; a second run beside the first.
+"""Time series of the axes: set points, signals, parts of the torque, differences between runs.
 
-Following error = set point - position; the error without delay is the same with the set point as late as the control uses it. The torque at the motor splits into
+    following error = set point - position
+    error without the delay = delayed set point - position
+    torque = inertia + friction + gravity          inertia is the remainder: it accelerates the axis and its neighbours
 
-    torque = inertia + friction + gravity        inertia: what is left, it accelerates the axis and its neighbours
-
-and feedforward is the part of it that the control asked for in advance. Every curve has a name with its unit.
+Torque feedforward is the part that the control adds from the set points. Every curve has a name with unit.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from twin.units import AXIS_UNITS
 CONTOUR_COLOUR = AXIS_COLOURS["A"]
 SET_POINT = "set point"
 NEAR_LIMIT = 0.5
-"""Limits are drawn where a run reaches this share of them."""
+"""A limit is drawn if a run reaches this share of it."""
 _TORQUE_PARTS = ("friction", "gravity", "feedforward")
 _DRAWN = {"setpoint": "set point", "position": "position", "velocity": "speed", "velocity_setpoint": "speed set point"}
-"""Signals that every axis has a curve of, in people's words; its current and the parts of its torque come on top."""
+"""Signals plotted for every axis, besides current and torque: name in a trace -> name in plots."""
 SAME_TIME = 1e-9
-"""Samples of two runs that lie closer are at the same time [s]."""
+"""Samples of two runs that are closer count as simultaneous [s]."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot: where it lies among the entities, its name with unit, and its samples in that unit.
+    """One line of a plot: entity path, name with unit, and samples in that unit.
 
-    `key` is its word in the key below the plots; `run` is the number of its run: the first is drawn solid, later ones dashed.
+    `key` is its entry in the key below the plots. `run` is the index of its run: the first is drawn solid, later ones dashed.
     """
 
     path: str
@@ -50,7 +50,7 @@ class Curve:
 
 
 def axis_curves(machine: Machine, runs: Mapping[str, Trace]) -> list[Curve]:
-    """All curves of all axes and runs; the first run is the main one, differences are later runs less the first."""
+    """Curves of all axes and runs; differences are later runs minus the first."""
     curves: list[Curve] = []
     labels = list(runs)
     for order, axis in enumerate(machine.axes):
@@ -70,7 +70,7 @@ def contour_curve(label: str, time: np.ndarray, error: np.ndarray, order: int, a
 
 
 def step_curves(axis: Axis, time: np.ndarray, steps: Mapping[str, np.ndarray]) -> list[Curve]:
-    """A quantity of an axis (sample,) [m or rad] as it changes step by step, one curve for each (name -> values)."""
+    """Curves of a quantity of an axis after each step: name -> values (sample,) [m or rad]."""
     unit, factor = AXIS_UNITS[axis.kind].error
     return [
         Curve(entity(STEPS, f"{i:02d} {name}"), f"{name} [{unit}]", _between(i, len(steps)), time, factor * values)
@@ -79,7 +79,7 @@ def step_curves(axis: Axis, time: np.ndarray, steps: Mapping[str, np.ndarray]) -
 
 
 def _between(i: int, count: int) -> Colour:
-    """The colour of step `i` of `count`: from that of the second run, the nominal one, to that of the third, the corrected one."""
+    """Colour of step `i` of `count`, from that of the second run (nominal) to that of the third (corrected)."""
     first, last = RUN_COLOURS
     share = i / max(count - 1, 1)
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, last))
@@ -87,16 +87,16 @@ def _between(i: int, count: int) -> Colour:
 
 
 def following_error(trace: Trace, axis: str) -> np.ndarray | None:
-    """Set point less position (sample,) [m or rad]; None where one of them is not recorded."""
+    """Set point minus position (sample,) [m or rad]; None if one is not recorded."""
     if not (trace.has(axis, "setpoint") and trace.has(axis, "position")):
         return None
     return trace.get(axis, "setpoint") - trace.get(axis, "position")
 
 
 def torque_parts(trace: Trace, axis: Axis) -> dict[str, np.ndarray]:
-    """Motor torque (sample,) [Nm] under "motor", and its parts as far as they are recorded.
+    """Motor torque (sample,) [Nm] as "motor", and its recorded parts.
 
-    A trace without torque has it from its current and the machine's torque constant.
+    Without a recorded torque it is computed from the current and the torque constant.
     """
     parts: dict[str, np.ndarray] = {}
     if trace.has(axis.name, "torque"):
@@ -112,7 +112,7 @@ def torque_parts(trace: Trace, axis: Axis) -> dict[str, np.ndarray]:
 
 
 def not_recorded(trace: Trace, machine: Machine) -> list[str]:
-    """What of the curves a trace has no data for, a line for all axes that lack the same: 'X, Y: speed set point, torque of friction'."""
+    """Curves without data, one line for all axes that lack the same: 'X, Y: speed set point, torque of friction'."""
     axes_that_lack: dict[str, list[str]] = {}
     for axis in machine.axes:
         if axis.name in trace.axes:
@@ -136,7 +136,7 @@ def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alon
         if trace.has(axis.name, signal):
             yield curve(group, what, unit[0], trace.get(axis.name, signal) * unit[1], colour, **words)
 
-    # set points lie behind what followed; of a second run only what differs is drawn again
+    # set points lie behind the positions and are drawn for the first run only
     if first:
         yield from recorded("position", "setpoint", "set point", units.position, SETPOINT_COLOUR, leaf="set_point", key=SET_POINT)
     yield from recorded("position", "position", "position", units.position, mine)
@@ -152,7 +152,7 @@ def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alon
     yield from recorded("current", "current", "current", ("A", 1.0), mine)
     unit = axis.motor_unit
     for part, values in torque_parts(trace, axis).items():
-        # of several runs the torques are drawn whole: their parts would have to share the colours
+        # with several runs only the whole torques are drawn: their parts would have the same colours
         if part == "motor":
             yield curve("torque", "motor torque", unit, values, mine, f"motor_{label}")
         elif alone:
@@ -160,7 +160,7 @@ def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alon
 
 
 def _limits(axis: Axis, runs: Sequence[Trace]) -> Iterator[Curve]:
-    """Current limits as two straight lines, where a run comes near them: else they would squeeze the current to a line."""
+    """Current limits as two straight lines, if a run comes near them; otherwise they would compress the current."""
     limit = axis.motor.peak_current_a
     reached = max((float(np.abs(t.get(axis.name, "current")).max()) for t in runs if t.has(axis.name, "current")), default=0.0)
     if axis.effort != "current" or reached < NEAR_LIMIT * limit:
@@ -172,7 +172,7 @@ def _limits(axis: Axis, runs: Sequence[Trace]) -> Iterator[Curve]:
 
 
 def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str, run: int) -> Iterator[Curve]:
-    """The second run less the first, on the first one's samples where both have data."""
+    """Second run minus first, on the samples of the first."""
     units = AXIS_UNITS[axis.kind]
     inside = (first.time >= second.time[0] - 1e-9) & (first.time <= second.time[-1] + 1e-9)
     time = first.time[inside]
@@ -187,7 +187,7 @@ def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str,
 
 
 def sampled(trace: Trace, axis: str, signal: str, time: np.ndarray) -> np.ndarray:
-    """A signal of a run at the times of another; positions by a cubic spline: lines between samples would be micrometres off."""
+    """A signal at other times; positions by a cubic spline, because linear interpolation is micrometres off."""
     values = trace.get(axis, signal)
     if len(time) == len(trace.time) and np.allclose(time, trace.time, rtol=0.0, atol=SAME_TIME):
         return values
@@ -197,7 +197,7 @@ def sampled(trace: Trace, axis: str, signal: str, time: np.ndarray) -> np.ndarra
 
 
 def setpoint_difference(machine: Machine, first: Trace, second: Trace) -> tuple[float, str, float]:
-    """How far the set points of two runs lie apart at most: amount [m or rad], axis, time [s]; (0, "", 0) if equal."""
+    """Largest difference between the set points of two runs: amount [m or rad], axis, time [s]; (0, "", 0) if equal."""
     worst = (0.0, "", 0.0)
     inside = (first.time >= second.time[0]) & (first.time <= second.time[-1])
     for axis in machine.axes:

@@ -1,4 +1,4 @@
-"""A cut in the viewer: the whole machine, the tool at the part with path and surface, and each level's surface magnified.
+"""A cut in the viewer: the machine, the tool at the part with path and surface, and the magnified surface of each level.
 
     +-----------+-------------------------------------------------+
     | machine   | programmed | commanded | followed ...    (tabs) |
@@ -8,7 +8,7 @@
     |           | colours of the deviation [um]                   |
     +-----------+-------------------------------------------------+
 
-All levels have one scale and one magnification, so that switching between them shows which of them made the mark.
+All levels have the same scale and magnification, so that switching between them shows which level made a mark.
 """
 
 from __future__ import annotations
@@ -39,22 +39,20 @@ from twin.surface.machining import CutSurface, Machining
 from twin.surface.picture import colour_end
 
 MESH_VERTICES = 60_000
-"""Vertices of a surface in the viewer; every n-th ray is left out above."""
+"""Most vertices of a surface in the viewer; denser ones are thinned."""
 RELIEF_SHARE = 0.08
-"""The end of the scale of colours stands out of the relief by about this share of the surface's size."""
+"""Height of the end of the colour scale in the relief, relative to the surface's size."""
 MOST_POSES = 3000
 PATH_WIDTH = 0.6
-"""Thin, so that the passes leave the surface between them visible [points of the screen]."""
+"""Line width [points]; thin, so that the surface between passes stays visible."""
 NEAR = 1.8
-"""The view at the part shows this many times the size of the surface."""
-
-
+"""Size of the view at the part, relative to the surface."""
 LEAST_SIZE = 0.1
-"""A smaller surface is enlarged to this in its own view [m]: the viewer draws nothing nearer than 10 mm to the eye."""
+"""Smaller surfaces are enlarged to this size in their view [m]; the viewer draws nothing within 10 mm of the eye."""
 LEAN = np.array([0.25, -0.6, 0.0])
-"""How far the look along the normals of a level surface leans to the front and the right."""
+"""Offset of the eye from the normal of a level surface: to the front and the right."""
 LEAN_UP = np.array([0.0, 0.0, 0.5])
-"""The same for upright walls, which are seen from a little above."""
+"""Offset of the eye from the normal of an upright wall: upwards."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +66,9 @@ class _Shown:
 
 
 def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
-    """Write the recording of a cut: the machine moves along the last path that its axes made."""
+    """Write the recording of a cut; the machine moves along its last followed path."""
     part = machining.part
-    # the tool of the part file stands in the spindle
+    # the spindle holds the tool of the part file
     length = part.tool.length
     if "tool_length_m" in machine.document.get("geometry", {}):
         machine = machine.with_values({"geometry.tool_length_m": length})
@@ -105,7 +103,7 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
 
 
 def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, end: float, factor: float) -> _Shown:
-    """Log the surface of a cut as it is and magnified, and the path that made it."""
+    """Log the surface of a cut, true to scale and magnified, and its path."""
     name, label = one.surface.name, one.level.label
     shown = _Shown(
         f"{name}: {label}",
@@ -124,7 +122,7 @@ def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, en
 
 
 def _log_surface(recording: rr.RecordingStream, path: str, rays: HeightRays, end: float, factor: float) -> None:
-    """Log a surface as a mesh coloured by its deviation, which is magnified by `factor` along the rays."""
+    """Log a surface as a mesh coloured by its deviation, magnified by `factor` along the rays."""
     rays = thinned(rays, MESH_VERTICES)
     vertices, faces = rays.point + factor * rays.height[:, None] * rays.direction, triangles(rays)
     normals = smooth_normals(vertices, faces)
@@ -138,13 +136,13 @@ def _log_surface(recording: rr.RecordingStream, path: str, rays: HeightRays, end
 
 
 def _enlarged(rays: HeightRays) -> tuple[np.ndarray, float]:
-    """Middle (3,) [m] of a surface, and the scale about it that brings it to LEAST_SIZE where it is smaller."""
+    """Centre (3,) [m] of a surface, and the scale that enlarges it to LEAST_SIZE (at least 1)."""
     low, high = rays.point.min(axis=0), rays.point.max(axis=0)
     return 0.5 * (low + high), max(1.0, LEAST_SIZE / float(np.linalg.norm(high - low)))
 
 
 def _magnification(rays: HeightRays, end: float) -> float:
-    """A round factor (1, 2 or 5 times a power of ten) that lets the end of the scale stand out by RELIEF_SHARE of the surface."""
+    """A round magnification (1, 2 or 5 times a power of ten) for RELIEF_SHARE."""
     wanted = RELIEF_SHARE * float(np.linalg.norm(np.ptp(rays.point, axis=0))) / end
     power = 10.0 ** np.floor(np.log10(max(wanted, 1.0)))
     return float(max(f * power for f in (1.0, 2.0, 5.0) if f * power <= max(wanted, 1.0)))
@@ -163,7 +161,7 @@ def _layout(
     hidden = [f"- {entity(part_frame, word)}/**" for word in ("surface", "relief", "cut_path")]
 
     def here(one: _Shown) -> list[str]:
-        """Entities of a view that shows the machine with one cut: what comes later in the list wins."""
+        """Contents of a view of the machine with one cut; later entries take precedence."""
         return [*hidden, f"+ {one.surface}", f"+ {one.path}"]
 
     tabs = []

@@ -1,4 +1,4 @@
-"""Dashed lines: the viewer has none, so later runs get thick pieces with gaps over their thin line, which holds all of their data."""
+"""Dashed lines. The viewer has none, so later runs get thick dashes over a thin line with all their data."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from twin.replay.names import entity
 
 DASHES = ((40, 0.6), (80, 0.25))
-"""Number of dashes over a run, and the share of a dash and its gap that is drawn: of the second run, of the third."""
+"""(number of dashes over a run, share of the period that is drawn) for the second and the third run."""
 GAP = 1e-9
-"""The gap begins this long after a dash [s]: the resolution of the viewer."""
+"""Time between the end of a dash and its gap [s]: the resolution of the viewer."""
 
 
 def dash_entity(path: str) -> str:
-    """Where the dashes of a curve lie: beside it."""
+    """Entity of the dashes of a curve, beside it."""
     parent, name = path.rsplit("/", 1)
     return entity(parent, f"{name}_dashes")
 

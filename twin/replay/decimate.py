@@ -1,8 +1,8 @@
-"""Fewer points, the same picture: curves by the smallest and largest value of each bin, less what lies on a straight line.
+"""Thin curves out without a visible change.
 
-A bin keeps the samples of its minimum and maximum at their own times, so no peak is lost and none moves. Both samples of a jump are kept, so
-that a step stays one. Of the others, points on a line between their neighbours go too, within SAME_LINE of the curve's range. Where all curves together are still above
-their budget, the fullest ones get longer bins.
+Each bin keeps the samples of its minimum and maximum at their own times, so no peak is lost or moved. Both samples of a jump are kept,
+so a step stays a step. Of the others, points on a line between their neighbours are dropped (within SAME_LINE of the curve's range). If all
+curves together still exceed the budget, those with the most points get longer bins.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 from twin.compiled_functions import compiled
 
 FINEST_BIN = 4
-"""Samples of the shortest bin."""
+"""Length of the shortest bin [samples]."""
 JUMP = 0.02
-"""A change from one sample to the next by more than this share of a curve's range is a jump, where these are few."""
+"""A larger change between two samples, as a share of the curve's range, is a jump (unless there are many: then it is noise)."""
 SAME_LINE = 5e-4
-"""Share of a curve's range within which a point counts as on the line."""
+"""Largest distance of a dropped point from the line, as a share of the curve's range."""
 
 
 def decimate(curves: Sequence[tuple[np.ndarray, np.ndarray]], budget: int) -> list[np.ndarray]:
-    """Indices to keep of each curve (time, values), so that all together keep at most about `budget` points.
+    """Indices to keep of each curve (time, values), at most about `budget` points in total.
 
-    No curve is cut below its two ends and its smallest and largest value.
+    Each curve keeps its two ends and its smallest and largest value.
     """
     bins = [FINEST_BIN] * len(curves)
     kept = [thinned(time, values, FINEST_BIN) for time, values in curves]
@@ -46,7 +46,7 @@ def decimate(curves: Sequence[tuple[np.ndarray, np.ndarray]], budget: int) -> li
 
 
 def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarray:
-    """Indices of one curve's points: extremes of each bin, without those on a straight line."""
+    """Indices to keep of one curve: extremes of each bin, without those on a straight line."""
     if len(values) < 3:
         return np.arange(len(values))
     extremes = bin_extremes(values, bin_samples)
@@ -56,14 +56,14 @@ def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarra
     sides = np.concatenate([jumps, jumps + 1])
     extremes = np.union1d(extremes, sides)
     keep = np.isin(extremes, sides)
-    # the smallest and largest value of all stay, whatever the tolerance
+    # the ends, the smallest and the largest value always stay
     keep[[0, -1, int(np.argmin(values[extremes])), int(np.argmax(values[extremes]))]] = True
     mark_corners(time[extremes], values[extremes], SAME_LINE * float(np.ptp(values)), keep)
     return extremes[keep]
 
 
 def bin_extremes(values: np.ndarray, bin_samples: int) -> np.ndarray:
-    """Sorted indices of the smallest and largest value of each bin of so many samples, and of the first and last sample."""
+    """Sorted indices of the smallest and largest value of each bin, and of the first and last sample."""
     whole = len(values) // bin_samples * bin_samples
     table = values[:whole].reshape(-1, bin_samples)
     start = np.arange(len(table)) * bin_samples
@@ -79,9 +79,9 @@ def bin_extremes(values: np.ndarray, bin_samples: int) -> np.ndarray:
 
 @compiled(allocates=True)
 def mark_corners(time, values, tolerance, keep):  # type: ignore[no-untyped-def]
-    """Mark in `keep` (n,) the points whose polyline stays within a tolerance of all others, in one pass.
+    """Mark in `keep` (n,) points whose polyline stays within a tolerance of all others, in one pass.
 
-    From the last kept point a cone of slopes is narrowed by each point; where it closes, the point before is kept.
+    Each point narrows a cone of slopes from the last kept point; when the cone closes, the previous point is kept.
     """
     last = 0
     low, high = -np.inf, np.inf

@@ -1,13 +1,13 @@
-"""Events of a run: where an axis met a limit, reversed, stuck, and where the program went to its next block.
+"""Events of a run: limits, reversals, sticking, and block changes of the program.
 
-    current limit   |current| reaches the peak current (voltage, torque limit where that is what the control commands)
+    current limit   |current| reaches the peak current (or the voltage or torque limit, if that is the command)
     speed limit     |speed| reaches the axis' highest speed
     reversal        the set point's speed changes sign, after it moved by more than REVERSAL_MOVE both ways
-    sticking        the set point moves, the axis stands
+    sticking        the set point moves while the axis stands
     block           the block number of the program changes
-    telling stretch where a diagnosis says to look (given, not found)
+    telling stretch the stretch that shows a diagnosed fault best (given by the caller)
 
-An event has a start and an end; a row of the list names it, a click on its time goes there.
+In the list of events, a click on a time goes there.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ TELLING = "telling stretch"
 """An event that a diagnosis adds."""
 KINDS = (*(f"{effort} limit" for effort in EFFORTS), "speed limit", "reversal", "sticking", "block", TELLING)
 MOST_EVENTS = 5000
-"""Marks beyond this number would only make the viewer slow; the summary says how many there are."""
+"""Most events logged; more make the viewer slow. The summary gives the count."""
 WORST = "largest contour error"
-"""An event of every run with a tool path, so that the worst place is one click away."""
+"""An event of every run with a tool path."""
 AT_LIMIT = 0.998
-"""A value counts as at its limit from this share on."""
+"""Share of a limit from which a value counts as at the limit."""
 REVERSAL_MOVE = {"linear": 1e-6, "rotary": ARCSEC}
-"""Way before and after a reversal: less is rounding of the set point [m, rad]."""
+"""Least motion before and after a reversal; less is rounding of the set point [m, rad]."""
 STANDING = {"linear": 5e-5, "rotary": rad_from_deg(0.02)}
-"""An axis slower than this stands [m/s, rad/s]: measured speeds scatter by half of it."""
+"""An axis slower than this stands [m/s, rad/s]; measured speeds scatter by half of it."""
 SETPOINT_MOVES = 3.0
-"""The set point moves when it is this many times faster than a standing axis may be."""
+"""The set point moves if it is faster than this multiple of STANDING."""
 SHORTEST = 0.002
-"""Shorter limits and sticking are noise [s]."""
+"""Shorter limits and sticking count as noise [s]."""
 SPEED_SPAN = 0.002
-"""Speeds of the set point and the axis are taken over this time [s]."""
+"""Time over which speeds are differenced [s]."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """One event: its kind, axis ('' for the program), start and end [s], and what the list says of it."""
+    """One event: kind, axis ('' for the program), start and end [s], text in the list."""
 
     kind: str
     axis: str
@@ -55,7 +55,7 @@ class Event:
 
 
 def find_events(machine: Machine, trace: Trace, contour_error: np.ndarray | None = None) -> list[Event]:
-    """All events of a run in the order of time; with its contour error (sample,) [m] also where that is largest."""
+    """All events of a run by time; with a contour error (sample,) [m] also its largest value."""
     events: list[Event] = []
     for axis in machine.axes:
         events += _limits(axis, trace)
@@ -95,8 +95,8 @@ def _reversals(axis: Axis, trace: Trace) -> Iterator[Event]:
 
 
 def turning_points(position: np.ndarray, least_move: float) -> list[tuple[int, int]]:
-    """Where a signal turns between moves of more than `least_move`: index (of a rest the last sample), direction before."""
-    # ends of the runs of one direction; then extremes, a turn where the signal has left one by more than the least move
+    """Reversals between moves of more than `least_move`: (index, direction before); for a rest the index of its last sample."""
+    # ends of monotonic parts, then extremes: a turn once the signal has left an extreme by more than the least move
     steps = np.diff(position)
     moving = np.flatnonzero(steps)
     if not len(moving):

@@ -1,4 +1,4 @@
-"""The key of the plots: a strip below them that says which colour and dash is what, so that no legend covers a curve."""
+"""The key of the plots: a strip below them with colour and dash of each line, so that no legend covers a curve."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.replay.names import CONTOUR_ERROR, KEY, entity
 from twin.report.colours import Colour
 
 GROUND = (13, 16, 17)
-"""The viewer's own ground."""
+"""The viewer's background."""
 INK = (205, 210, 215)
 HEIGHT, SAMPLE, SPACE, FONT_SIZE = 30, 46, 26, 17
 """Pixels: height of the strip, length of a sample of a line, space between entries, size of the letters."""
@@ -22,7 +22,7 @@ LEAST_WIDTH = 1200
 
 
 def log_keys(recording: rr.RecordingStream, curves: Sequence[Curve]) -> dict[str, str]:
-    """Log a key for every axis (and '' for the contour error of several runs). Returns their entities."""
+    """Log a key for every axis, and '' for the contour error of several runs. Returns their entities."""
     found: dict[str, str] = {}
     for axis in dict.fromkeys(_axis_of(curve) for curve in curves):
         entries = {(c.key, c.colour, c.run): None for c in curves if _axis_of(c) == axis and c.key}
@@ -33,7 +33,7 @@ def log_keys(recording: rr.RecordingStream, curves: Sequence[Curve]) -> dict[str
 
 
 def key_picture(entries: Sequence[tuple[str, Colour, int]], least_width: int = LEAST_WIDTH) -> np.ndarray:
-    """A strip (row, column, RGB) with a piece of line and a word for each entry (word, colour, number of the run)."""
+    """A strip (row, column, RGB) with a piece of line and a word for each entry (word, colour, index of the run)."""
     font = ImageFont.load_default(FONT_SIZE)
     widths = [SAMPLE + 8 + int(font.getlength(word)) + SPACE for word, _, _ in entries]
     picture = Image.new("RGB", (max(sum(widths) + SPACE, least_width), HEIGHT), GROUND)

@@ -1,4 +1,4 @@
-"""Events in the viewer: a list to click on, marks on the following error, and a lane per axis that shows limits and sticking."""
+"""Events in the viewer: a clickable list, marks on the errors, and a lane per axis with limits and sticking."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twin.simulation.errors_of_run import error_without_delay
 from twin.units import AXIS_UNITS
 
 MOST_MARKS = 60
-"""More marks of one kind would hide their curve; the list of events has them all."""
+"""Most marks of one kind on a curve; the list has all."""
 _MARKS: dict[str, Any] = {
     **{f"{effort} limit": "cross" for effort in EFFORTS},
     "speed limit": "plus",
@@ -41,9 +41,9 @@ _STATES = {
 def log_events(
     recording: rr.RecordingStream, machine: Machine, trace: Trace, contour_error: np.ndarray | None, events: Sequence[Event]
 ) -> tuple[str, ...]:
-    """Log the list of events, their marks in the plots, and a lane of states per axis. Returns the lanes.
+    """Log the list of events, their marks in the plots, and a lane of states per axis. Returns the entities of the lanes.
 
-    Events of an axis are marked on its errors with and without the delay, those of the program on the contour error (sample,) [m].
+    Events of an axis are marked on its errors with and without the delay, events of the program on the contour error (sample,) [m].
     """
     colour_of = {axis.name: axis_colour(axis.name, i) for i, axis in enumerate(machine.axes)}
     colours = [LIMIT_COLOUR if "limit" in e.kind else colour_of.get(e.axis, SETPOINT_COLOUR) for e in events]
@@ -76,7 +76,7 @@ def log_events(
 def _log_marks(
     recording: rr.RecordingStream, root: str, whose: str, events: Sequence[Event], time: np.ndarray, values: np.ndarray, colour: Colour
 ) -> None:
-    """Log one series of marks for each kind of event, on a curve (sample,)."""
+    """Log a series of marks on a curve (sample,) for each kind of event."""
     for kind in dict.fromkeys(e.kind for e in events):
         if sum(e.kind == kind for e in events) > MOST_MARKS:
             continue
@@ -89,7 +89,7 @@ def _log_marks(
 
 
 def _log_lane(recording: rr.RecordingStream, axis: str, trace: Trace, events: Sequence[Event]) -> str:
-    """One lane of states: what the axis is at, between start and end of its events."""
+    """Log the states of an axis between start and end of its events; returns the entity."""
     path = entity(STATES, axis)
     changes = {float(trace.time[0]): "follows"}
     for event in events:

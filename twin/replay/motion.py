@@ -1,4 +1,4 @@
-"""A motion for any model: from the columns of a trace that are named like its joints, or a slow sweep through their ranges."""
+"""Motion of any model: from a trace with columns named like its joints, or a sweep through their ranges."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from twin.recordings.trace import read_trace
 from twin.replay.scene import Scene, scene_bounds, scene_from_mjcf, scene_from_urdf
 
 SWEEP_SECONDS = 4.0
-"""Time that a sweep gives each joint."""
+"""Duration of the sweep of each joint [s]."""
 SWEEP_RATE = 50.0
 FREE_SLIDE = 0.1
-"""A slide without limits moves by this share of the model's size each way."""
+"""Sweep of a slide without limits each way, relative to the model's size."""
 
 
 def read_scene(path: Path) -> Scene:
-    """The scene of a model file by its ending: .urdf, else MJCF."""
+    """The scene of a model file: URDF if it ends in .urdf, else MJCF."""
     if not path.is_file():
         raise InputError(f"{path}: no such model; give an MJCF (.xml) or URDF file")
     if path.suffix.lower() == ".urdf":
@@ -45,12 +45,12 @@ def motion_from_trace(scene: Scene, path: Path) -> tuple[np.ndarray, dict[str, n
 
 
 def sweep(scene: Scene) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Each joint in turn from its reference to its lower end, its upper end and back, at rest at each of them."""
+    """Move each joint in turn from its reference to its lower end, its upper end and back, with a stop at each."""
     free = [name for name in scene.joints if name not in scene.mimics]
     if not free:
         raise InputError(f"{scene.name}: the model has no slide or hinge to move; give a model with joints")
     if "" in free:
-        raise InputError(f"{scene.name}: a joint has no name; give each joint its own")
+        raise InputError(f"{scene.name}: a joint has no name; give every joint a name")
     time = np.arange(round(len(free) * SWEEP_SECONDS * SWEEP_RATE) + 1) / SWEEP_RATE
     size = float(np.linalg.norm(np.subtract(*scene_bounds(scene))))
     joints = {}
@@ -66,7 +66,7 @@ def sweep(scene: Scene) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 
 def with_mimics(scene: Scene, joints: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The joints and those that follow them: value = factor * other + offset."""
+    """Add joints that follow others: value = factor * other + offset."""
     followed = dict(joints)
     for name, (other, factor, offset) in scene.mimics.items():
         if name not in joints and other in joints:

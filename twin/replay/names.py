@@ -1,11 +1,11 @@
-"""Where things lie in a recording: one timeline, and the entity paths that blueprint, tests and users rely on."""
+"""Names in a recording: the timeline, and the entity paths that blueprint, tests and users rely on."""
 
 from __future__ import annotations
 
 import rerun as rr
 
 TIMELINE = "time"
-"""The one timeline: seconds since the start of the run."""
+"""The timeline: seconds since the start of the run."""
 APPLICATION = "twin_replay"
 SUMMARY = "/summary"
 EVENTS = "/events"
@@ -17,7 +17,7 @@ STEPS = "/steps"
 
 
 def entity(parent: str, *parts: str) -> str:
-    """Path of an entity below another; characters that the viewer reserves are escaped."""
+    """Path of an entity below another; reserved characters are escaped."""
     return "/".join([parent.rstrip("/"), *(rr.escape_entity_path_part(part) for part in parts)])
 
 

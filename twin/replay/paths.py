@@ -1,7 +1,7 @@
 """Tool paths in the part frame: programmed, commanded and followed, the followed one coloured by contour error.
 
-The followed path is logged in short pieces along the timeline, so that the tool draws it; pieces have one colour each. With
-the deviation magnified it is a path of its own. Paths keep only the points that hold their shape.
+The followed path is logged in short pieces along the timeline, each with one colour, so that the tool draws it. Each magnification
+of the deviation is a separate path. Paths keep only the points that define their shape.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from twin.report.colours import ERROR_BANDS, Colour
 
 MAGNIFICATIONS = (10, 100, 1000)
 LEAST_SHOWN = 5e-8
-"""A smaller deviation is not magnified: it would be a picture of rounding [m]."""
+"""A smaller deviation is not magnified: it would show rounding [m]."""
 VISIBLE = (0.01, 0.5)
-"""Magnified, a deviation takes at least and at most this share of the path's extent."""
+"""Least and largest magnified deviation, as shares of the path's extent."""
 PATH_TOLERANCE = 2e-6
-"""Points of a drawn path may be left out where it stays this close [m]; times the magnification, up to 0.1 mm."""
+"""Largest distance of a dropped point from the drawn path [m]; times the magnification, up to COARSEST_TOLERANCE."""
 COARSEST_TOLERANCE = 1e-4
 DRAW_STEP = 0.05
-"""The followed path grows in steps of this length [s], in a long run in a fixed number of them."""
+"""Step in which the followed path grows [s]; longer in runs with more than DRAW_STEPS steps."""
 DRAW_STEPS = 3000
 POINTS_PER_MINUTE = 6000
-"""Points that each path may keep; a busier one is drawn with a coarser tolerance."""
+"""Most points of a path per minute; beyond it the tolerance grows."""
 LEAST_POINTS = 2000
 LEAST_SCALE = 8e-7
-"""Least end of the scale [m]: finer bands would colour the rounding of a path without error."""
+"""Smallest end of the scale [m]; finer bands would show rounding."""
 
 
 @dataclass(frozen=True)
 class ErrorScale:
-    """Colour bands of the contour error: equal steps from 0 to `end` [m]; above the end the last colour holds."""
+    """Colour bands of the contour error: equal steps from 0 to `end` [m]; larger errors have the last colour."""
 
     end: float
 
@@ -64,23 +64,23 @@ def tool_point(scene: Scene, joints: Mapping[str, np.ndarray]) -> tuple[np.ndarr
 
 
 def tip_in_world(scene: Scene, joints: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Tool tip (sample or 1, 3) in the frame of the world [m]."""
+    """Tool tip (sample or 1, 3) in the world frame [m]."""
     bodies = body_poses(scene.model, joints)
     tip = site_pose(scene.model, bodies, scene.tool) if scene.tool >= 0 else bodies[scene.tip_body]
     return np.atleast_2d(tip.position)
 
 
 def magnifications(largest: float, extent: float) -> tuple[int, ...]:
-    """1, and those of MAGNIFICATIONS that show a deviation of up to `largest` [m] on a path of that extent [m].
+    """1, and those of MAGNIFICATIONS that suit a deviation of up to `largest` [m] on a path of that extent [m].
 
-    It must be more than LEAST_SHOWN, and magnified a visible share of the path but no more than a detail of it.
+    The deviation must exceed LEAST_SHOWN and, magnified, lie within VISIBLE.
     """
     low, high = (share * extent for share in VISIBLE)
     return (1, *(f for f in MAGNIFICATIONS if largest >= LEAST_SHOWN and low <= f * largest <= high))
 
 
 def error_scale(error: np.ndarray) -> ErrorScale:
-    """A scale with round bands (1, 2 or 5 times a power of ten) that holds all but the highest per mille of the errors (sample,) [m]."""
+    """A scale with round bands (1, 2 or 5 times a power of ten) that covers 99.9 % of the errors (sample,) [m]."""
     largest = float(np.quantile(error, 0.999))
     step = max(largest, LEAST_SCALE) / len(ERROR_BANDS)
     power = 10.0 ** np.floor(np.log10(step))
@@ -92,7 +92,7 @@ def error_scale(error: np.ndarray) -> ErrorScale:
 def log_whole_path(
     recording: rr.RecordingStream, path: str, points: np.ndarray, colour: Colour, width: float, duration: float, full: bool
 ) -> None:
-    """Log a path (sample, 3) at once: it is known before the run."""
+    """Log a path (sample, 3) as a whole, for all times."""
     kept = points[kept_points(points, PATH_TOLERANCE, np.array([], int), duration, full)]
     recording.log(path, rr.LineStrips3D([kept], colors=[colour], radii=rr.Radius.ui_points(width)), static=True)
 
@@ -117,7 +117,7 @@ def log_growing_path(
     kept = kept_points(points, min(COARSEST_TOLERANCE, PATH_TOLERANCE * factor), edges, duration, full)
     if len(kept) < 2:
         return
-    # a segment has the worst colour that occurs in it; equal neighbours within a step are one piece
+    # a segment has its worst colour; neighbours of equal colour within a step form one piece
     segment = np.maximum.reduceat(bands, kept[:-1] + 1)
     starts_piece = np.r_[True, (segment[1:] != segment[:-1]) | np.isin(kept[1:-1], edges)]
     first = np.flatnonzero(starts_piece)
@@ -133,7 +133,7 @@ def log_growing_path(
 
 
 def kept_points(points: np.ndarray, tolerance: float, fixed: np.ndarray, duration: float, full: bool) -> np.ndarray:
-    """Indices of the points that hold the shape of a path within a tolerance, and of the `fixed` ones.
+    """Indices of the points that define the shape of a path within a tolerance, and of the `fixed` ones.
 
     The tolerance doubles until the path has no more points than POINTS_PER_MINUTE allows; `full` keeps all points.
     """
@@ -150,5 +150,5 @@ def kept_points(points: np.ndarray, tolerance: float, fixed: np.ndarray, duratio
 
 
 def log_legend(recording: rr.RecordingStream, path: str, scale: ErrorScale, of: str) -> None:
-    """Log the colour bar of the contour error: the bands, and their limits below them."""
+    """Log the colour bar of the contour error."""
     log_colour_bar(recording, path, np.array(ERROR_BANDS), scale.edges_um().tolist(), "um", f"contour error of {of}")

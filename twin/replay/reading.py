@@ -1,4 +1,4 @@
-"""Read a recording back: what each entity holds, at which times. For tests, and for anyone who wants the numbers of a picture."""
+"""Read a recording back: the values of each entity and their times. For tests and for evaluation."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from twin.replay.viewer import check_recording
 
 @dataclass(frozen=True)
 class Rows:
-    """One component of an entity: times (row,) [s] (empty where it holds for all times) and its values row by row."""
+    """One component of an entity: times (row,) [s], empty if it is static, and the values of each row."""
 
     time: np.ndarray
     values: list[list]
 
     @property
     def array(self) -> np.ndarray:
-        """The first value of each row as (row,) or (row, size)."""
+        """The first value of each row, (row,) or (row, size)."""
         return np.array([row[0] for row in self.values])
 
 
 def read_recording(path: str | Path) -> dict[str, dict[str, Rows]]:
-    """Entity path -> component ('Scalars:scalars', 'Transform3D:translation', ...) -> rows, in the order of time."""
+    """Entity path -> component ('Scalars:scalars', 'Transform3D:translation', ...) -> rows by time."""
     return _read(path, blueprint=False)
 
 
 def read_layout(path: str | Path) -> dict[str, dict[str, Rows]]:
-    """The same of the layout that the recording brings along."""
+    """The same for the layout stored in the recording."""
     return _read(path, blueprint=True)
 
 

@@ -1,4 +1,4 @@
-"""Write a recording: the machine, its motion, tool paths, curves and events of one run, or of several over each other."""
+"""Write a recording: machine, motion, tool paths, curves and events of one run or of several overlaid runs."""
 
 from __future__ import annotations
 
@@ -33,21 +33,19 @@ from twin.simulation.errors_of_run import error_without_delay
 from twin.stopping import leave_behind
 
 SOLID_WIDTH, THIN_WIDTH, DASH_WIDTH = 1.75, 0.4, 1.25
-"""Widths of lines [points of the screen]: the first run, the later ones, and the dashes over these."""
+"""Line widths [points]: the first run, later runs, and the dashes over these."""
 POSES_PER_SECOND = 50.0
-"""Poses of the bodies; the viewer shows the latest one."""
+"""Rate at which poses of the bodies are logged [1/s]."""
 CURVE_POINTS_PER_MINUTE = 100_000
-"""Points of all curves together: at 25 bytes each half of the 5 MB that a minute may take."""
+"""Points of all curves together; at 25 bytes each, half of the 5 MB allowed per minute."""
 LEAST_CURVE_POINTS = 15_000
-
-
 STALLED_S = 5.0
-"""A writer whose file has not grown for so long writes no more [s]."""
+"""A writer whose file does not grow for this time has stopped [s]."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """What `write_recording` wrote: bytes, largest contour error [m] and its time [s] of the main run, number of events."""
+    """Result of `write_recording`: bytes, largest contour error of the first run [m] and its time [s], number of events."""
 
     size: int
     contour_error: float
@@ -69,11 +67,10 @@ def write_recording(
 ) -> Written:
     """Write the runs (label -> trace) of one machine as a recording for the viewer.
 
-    The first run moves the machine; later ones are drawn over it, with their difference. `programmed` is the ideal path as
-    set points on the clock of the first run (default: its set points); `summary` is a table of plain text for the text panel.
-    `full` keeps every sample, else a minute takes at most 5 MB; `also` are events of the caller's own: the viewer opens on the
-    axis and the stretch of the first. `steps` are curves that are shown or hidden one by one. Raises InputError for runs that
-    cannot be shown.
+    The first run moves the machine; later ones are overlaid, with their difference from it. `programmed` is the ideal path as
+    set points on the clock of the first run (default: its set points). `summary` is plain text for the text panel. `full` keeps
+    every sample; otherwise a minute takes at most 5 MB. `also` are further events; the viewer opens on the axis and the stretch
+    of the first of them. `steps` are curves that the user shows or hides. Raises InputError for runs that cannot be shown.
     """
     check_runs(machine, runs)
     main, trace = next(iter(runs.items()))
@@ -143,7 +140,7 @@ def write_motion(
 
 @contextmanager
 def recording_to(path: str | Path, name: str) -> Iterator[rr.RecordingStream]:
-    """A recording that goes to a file, complete when the block ends; an unwritable place is an InputError."""
+    """A recording to a file, complete when the block ends. Raises InputError if it cannot be written."""
     with beside(path) as partial:
         recording = rr.RecordingStream(APPLICATION)
         recording.set_log_time_enabled(False)
@@ -151,7 +148,7 @@ def recording_to(path: str | Path, name: str) -> Iterator[rr.RecordingStream]:
             recording.save(partial)
         except RuntimeError:
             _abandon(recording)
-            raise InputError(f"{path}: cannot be written (is the disk full?); free the disk or give another place") from None
+            raise InputError(f"{path}: cannot be written (is the disk full?); free disk space or choose another place") from None
         recording.send_recording_name(name)
         try:
             yield recording
@@ -164,24 +161,24 @@ def recording_to(path: str | Path, name: str) -> Iterator[rr.RecordingStream]:
 
 
 _STALLED: list[rr.RecordingStream] = []
-"""Recordings whose writer is gone: to disconnect or to delete one would wait for it for ever."""
+"""Recordings whose writer has stopped; disconnecting or deleting one would wait forever."""
 
 
 def _abandon(recording: rr.RecordingStream) -> None:
-    """Keep a recording whose writer is gone, and end without waiting for it."""
+    """Keep a recording whose writer has stopped, and exit without waiting for it."""
     _STALLED.append(recording)
     atexit.unregister(rr.rerun_shutdown)
     leave_behind()
 
 
 def _flushed(recording: rr.RecordingStream, partial: Path) -> bool:
-    """Wait for the writer as long as the file grows: on a full disk it may be gone without a word. True where all is written."""
+    """Wait for the writer while the file grows; on a full disk the writer stops silently. True if all is written."""
     before = -1
     while True:
         try:
             recording.flush(timeout_sec=STALLED_S)
             return True
-        except (RuntimeError, ValueError, TimeoutError, OSError):  # what is missing is said by `_check_whole`
+        except (RuntimeError, ValueError, TimeoutError, OSError):  # `_check_whole` reports what is missing
             size = partial.stat().st_size if partial.exists() else 0
             if size == before:
                 return False
@@ -189,17 +186,17 @@ def _flushed(recording: rr.RecordingStream, partial: Path) -> bool:
 
 
 def _check_whole(written: Path, path: Path) -> None:
-    """The writer of the viewer says nothing where the disk is full: the table that closes a whole file is looked for."""
+    """Raise InputError for an incomplete file: the viewer's writer does not report a full disk."""
     from twin.replay.viewer import check_recording
 
     try:
         check_recording(written)
     except InputError:
-        raise InputError(f"{path}: cannot be written whole (is the disk full?); free the disk or give another place") from None
+        raise InputError(f"{path}: is incomplete (is the disk full?); free disk space or choose another place") from None
 
 
 def pose_steps(time: np.ndarray, full: bool) -> np.ndarray:
-    """Indices of the samples whose poses are logged: all, or so many a second, and the last."""
+    """Indices of the samples whose poses are logged: all, or POSES_PER_SECOND and the last."""
     if full:
         return np.arange(len(time))
     duration = float(time[-1] - time[0])
@@ -208,15 +205,15 @@ def pose_steps(time: np.ndarray, full: bool) -> np.ndarray:
 
 
 def log_curves(recording: rr.RecordingStream, curves: Sequence[Curve], full: bool) -> None:
-    """Log curves as columns, all together within the budget unless `full`, with their names and colours."""
+    """Log curves with names and colours; thinned to the common budget unless `full`."""
     if not curves:
         return
     duration = max(float(curve.time[-1] - curve.time[0]) for curve in curves)
     budget = max(LEAST_CURVE_POINTS, int(CURVE_POINTS_PER_MINUTE * duration / 60.0))
-    # dashes of the later runs lie over their thin lines and need points of their own
+    # the dashes of later runs need points, too
     budget = round(budget / (1.0 + sum(curve.run > 0 for curve in curves) / len(curves)))
     kept = [np.arange(len(c.time)) for c in curves] if full else decimate([(c.time, c.values) for c in curves], budget)
-    # the viewer may join samples that lie evenly in time; joined, thinned points would make ramps that are not in the data
+    # the viewer may aggregate evenly spaced samples; for thinned points that would draw ramps that are not in the data
     policy = rr.components.AggregationPolicy.MinMax if full else rr.components.AggregationPolicy.Off
     for curve, steps in zip(curves, kept):
         drawn = [(curve.path, curve.time[steps], curve.values[steps], SOLID_WIDTH if curve.run == 0 else THIN_WIDTH)]
@@ -229,7 +226,7 @@ def log_curves(recording: rr.RecordingStream, curves: Sequence[Curve], full: boo
 
 
 def bounds_with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) -> np.ndarray:
-    """The box (2, 3) [m] around the machine in its reference pose and all that its tool reaches in the runs."""
+    """Bounding box (2, 3) [m] of the machine in its reference pose and of the tool tip in all runs."""
     low, high = scene_bounds(scene)
     for joints in runs.values():
         tip = tip_in_world(scene, joints)
@@ -238,7 +235,7 @@ def bounds_with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) 
 
 
 def busiest_axis(machine: Machine, trace: Trace) -> str:
-    """The axis whose error without the delay is largest against its highest speed: the one to look at first."""
+    """The axis with the largest error without the delay, relative to its highest speed."""
     shares = {
         axis.name: float(np.abs(error_without_delay(trace, axis)).max()) / axis.max_velocity
         for axis in machine.axes

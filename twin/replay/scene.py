@@ -1,7 +1,7 @@
-"""What is seen: the bodies of a model as a tree of named places, and the shapes that each of them carries.
+"""The scene of a model: its bodies as a tree of entities, and the shapes of each.
 
-A machine's looks come from its MJCF, its frames from the machine file (offsets, table height, tool length win there), so
-that pictures and simulation agree. Shapes stand in their body's frame; positions in m, quaternions (w, x, y, z).
+Shapes of a machine come from its MJCF. Frames come from the machine file, as in the simulation: its offsets, table height and tool
+length take precedence. Shapes are in the frame of their body; positions in m, quaternions (w, x, y, z).
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from twin.simulation.plant_spec import frames_of_model, load_spec
 
 ROOT = "machine"
 LAST_SEEN_GROUP = 2
-"""Geoms of groups above are for collision or marks; MuJoCo's own viewer hides them too."""
+"""Geoms of higher groups are for collision or marks and are not shown, as in MuJoCo's viewer."""
 _UNSET_COLOUR = np.array([0.5, 0.5, 0.5, 1.0])
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Bodies (`model` holds their tree and joints), where each lies among the entities, and the shapes.
+    """Bodies (tree and joints in `model`), their entity paths, and the shapes.
 
-    `tool` and `part` are sites of the model, -1 where it has none: then the tip is the end of the longest chain of joints
-    and the path is drawn in the world.
+    `tool` and `part` are sites of the model, or -1. Without a tool site the tip is the end of the longest chain of joints; without a
+    part site the path is drawn in the world.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Scene:
 
     @property
     def tip_body(self) -> int:
-        """The body that carries the tool, or else the body with the most joints above it."""
+        """The body of the tool, else the body with the most joints above it."""
         if self.tool >= 0:
             return int(self.model.site_bodyid[self.tool])
         depth = np.zeros(self.model.nbody, int)
@@ -62,19 +62,19 @@ class Scene:
 
     @property
     def part_path(self) -> str:
-        """Entity of the part frame, below which tool paths are drawn."""
+        """Entity of the part frame, the parent of the tool paths."""
         if self.part < 0:
             return entity(self.body_paths[0], "part_frame")
         return entity(self.body_paths[self.model.site_bodyid[self.part]], "part_frame")
 
 
 def scene_of(machine: Machine) -> Scene:
-    """The scene of a machine file: frames as they are simulated; a body that an effect adds has no looks."""
+    """The scene of a machine file, with the simulated frames; bodies added by effects have no shapes."""
     return _scene(frames_of_model(machine), machine.name)
 
 
 def placed_at(scene: Scene, root: str) -> Scene:
-    """The scene below another root entity, so that several stand in one recording."""
+    """The scene below another root entity, for several scenes in one recording."""
     return replace(scene, body_paths=tuple(root + path.removeprefix(f"/{ROOT}") for path in scene.body_paths))
 
 
@@ -104,7 +104,7 @@ def body_paths(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def shape_path(scene: Scene, shape: Shape) -> str:
-    """Entity path of a shape below its body; a body of the same name has the right of way."""
+    """Entity path of a shape below its body; renamed if a body has the same name."""
     path = entity(scene.body_paths[shape.body], shape.name)
     return path if path not in scene.body_paths else entity(scene.body_paths[shape.body], f"{shape.name}_shape")
 
@@ -130,7 +130,7 @@ def _box_corners(shape: Shape) -> np.ndarray:
 
 
 def _geom_shape(model: mujoco.MjModel, geom: int) -> Shape | None:
-    """One geom; None for what is not drawn (hidden groups, transparent, the endless floor)."""
+    """The shape of a geom; None if it is not drawn (hidden group, transparent, infinite plane)."""
     kinds = mujoco.mjtGeom
     kind, size = kinds(model.geom_type[geom]), model.geom_size[geom].copy()
     rgba = model.geom_rgba[geom]

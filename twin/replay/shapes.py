@@ -1,6 +1,6 @@
-"""Shapes as viewer entities, and the motion of their bodies as columns of transforms.
+"""Shapes as viewer entities, and the motion of their bodies as transforms.
 
-Everything is drawn as a lit mesh or a solid of the viewer; a body's transform is parent_from_body, logged only where it moves.
+Shapes are meshes or solids of the viewer. The transform of a body is parent_from_body, logged only while it moves.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from twin.replay.names import TIMELINE, entity
 from twin.replay.scene import Scene, scene_bounds, shape_path
 
 CREASE = np.cos(np.radians(35.0))
-"""Faces that meet at a flatter angle share a normal and look round."""
+"""Cosine of the angle between face normals below which an edge is smoothed."""
 SAME_POSE = 1e-9
-"""Poses that differ by less [m, 1] are one: a body that rests is logged where it comes to rest and where it leaves."""
+"""Poses that differ by less count as equal [m, 1]; a body at rest is logged at the start and end of its rest."""
 SMOOTH_FACES = 30_000
-"""Meshes with more faces are drawn with one normal per vertex: creases would multiply their size."""
+"""Meshes with more faces get one normal per vertex; creases would multiply their size."""
 
 
 def log_scene(recording: rr.RecordingStream, scene: Scene) -> list[str]:
-    """Log what does not change: shapes, part frame, offsets of fixed bodies. Returns the entity paths of the shapes."""
+    """Log the static content: shapes and part frame. Returns the entity paths of the shapes."""
     recording.log(scene.body_paths[0], rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     paths = []
     for shape in scene.shapes:
@@ -56,7 +56,7 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> list[str]:
 
 
 def log_motion(recording: rr.RecordingStream, scene: Scene, time: np.ndarray, local: list[Pose]) -> None:
-    """Log parent_from_body at times (sample,) [s]: columns where it moves, once for what does not."""
+    """Log parent_from_body at times (sample,) [s]; once for a body that does not move."""
     for path, moving in zip(scene.body_paths[1:], local[1:]):
         steps = moving_steps(moving)
         pose = moving.at(steps)
@@ -75,7 +75,7 @@ def log_motion(recording: rr.RecordingStream, scene: Scene, time: np.ndarray, lo
 
 
 def moving_steps(pose: Pose) -> np.ndarray:
-    """Indices of the samples to log of a pose: those that differ from a neighbour; one if nothing ever moves."""
+    """Indices of the samples of a pose to log: those that differ from a neighbour; one if it never moves."""
     count = max(len(pose.position), len(pose.quaternion))
     if count == 1:
         return np.zeros(1, int)
@@ -98,7 +98,7 @@ def drawable(shape: Shape) -> rr.AsComponents:
     if shape.kind == "cylinder":
         return rr.Cylinders3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], centers=[shape.position], **place)
     if shape.kind == "capsule":
-        # the viewer's capsule stands on its lower centre
+        # the origin of the viewer's capsule is its lower centre
         return rr.Capsules3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], translations=[_lower_end(shape)], **place)
     assert shape.vertices is not None
     assert shape.faces is not None
@@ -111,16 +111,16 @@ def drawable(shape: Shape) -> rr.AsComponents:
 
 
 def with_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, normals and faces of a mesh that is smooth over flat angles and sharp over creases.
+    """Vertices (n, 3), normals (n, 3) and faces (f, 3) of a mesh with smooth flat edges and sharp creases.
 
-    vertices (n, 3), faces (f, 3). Corners of a crease get a vertex of their own; large meshes keep their vertices.
+    Corners of a crease get separate vertices; meshes above SMOOTH_FACES keep theirs and are smooth all over.
     """
     if len(faces) > SMOOTH_FACES:
         return vertices, smooth_normals(vertices, faces), faces
     corners = vertices[faces]
     area = _face_areas(vertices, faces)
     flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-300)
-    # vertices at one place count as one, then each corner takes the mean of the faces there that are nearly its own
+    # merge vertices at one place; the normal of a corner is the mean over the faces there with nearly its own normal
     _, place = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
     at = place.ravel()[faces].ravel()
     face_of = np.repeat(np.arange(len(faces)), 3)
@@ -131,13 +131,13 @@ def with_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
         mine, own = flat[face_of[group]], area[face_of[group]]
         normals[group] = (mine @ mine.T > CREASE).astype(float) @ own
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    # corners that agree in place and normal are one vertex
+    # merge corners of equal position and normal
     unique, index = np.unique(np.hstack([corners.reshape(-1, 3), np.round(normals, 6)]), axis=0, return_inverse=True)
     return unique[:, :3], unique[:, 3:], index.reshape(-1, 3)
 
 
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (vertex, 3) of a mesh that is smooth all over: the mean of the faces at each vertex, by area."""
+    """Unit normals (vertex, 3): the mean over the faces at each vertex, weighted by area."""
     area, normals = _face_areas(vertices, faces), np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(normals, faces[:, corner], area)
@@ -145,7 +145,7 @@ def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Normals of the faces (face, 3), twice as long as their area [m2]."""
+    """Normals of the faces (face, 3), of length twice their area [m2]."""
     corners = vertices[faces]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 

@@ -1,4 +1,4 @@
-"""Two designs side by side: a pane for each with its machine and its tool path, on one clock, one scale and one magnification.
+"""Two designs side by side: a pane for each, with its machine and tool path; clock, colour scale and magnification are shared.
 
     +--------------------------+--------------------------+
     | variant 3: machine       | variant 17: machine      |
@@ -10,7 +10,7 @@
     | contour errors  | X | Y | Z : both runs  | summary  |
     +-----------------+------------------------+----------+
 
-The same colour is the same error, the same bulge the same deviation: otherwise the eye compares two scales.
+Equal colours mean equal errors in both panes.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ROOTS = ("/design_1", "/design_2")
 
 @dataclass(frozen=True)
 class _Pane:
-    """One design as far as the layout needs it: its name, scene, the box around it (2, 3) [m], and the views of its paths."""
+    """One design for the layout: label, scene, bounding box (2, 3) [m], views of its paths."""
 
     label: str
     scene: Scene
@@ -54,8 +54,8 @@ class _Pane:
 def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Trace]], *, summary: str = "", full: bool = False) -> int:
     """Write two designs (label -> machine and its run) as one recording with a pane for each. Returns the bytes written.
 
-    Both have the same axes; set points may differ, each run is held against its own. `summary` is a table of plain text. Raises
-    InputError for designs that cannot be shown beside each other.
+    Both need the same axes. Set points may differ; each run is compared with its own. `summary` is plain text for the text panel.
+    Raises InputError for designs that cannot be shown side by side.
     """
     _check(designs)
     machine = next(iter(designs.values()))[0]
@@ -83,13 +83,13 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
 
 
 def _paths_of(designs: Mapping[str, tuple[Machine, Trace]], scenes: Sequence[Scene]) -> tuple[ToolPaths, ToolPaths] | None:
-    """The tool paths of both, alike in scale and magnification; None where a tool does not move."""
+    """The tool paths of both, with common scale and magnifications; None if a tool does not move."""
     first, second = (tool_paths_of(scene, one, {label: trace}, None) for (label, (one, trace)), scene in zip(designs.items(), scenes))
     return alike(first, second) if first is not None and second is not None else None
 
 
 def most_different_axis(machine: Machine, first: Trace, second: Trace) -> str:
-    """The axis whose following errors lie furthest apart against its highest speed: the one to look at first."""
+    """The axis whose following errors differ most, relative to its highest speed."""
     apart = {}
     for axis in machine.axes:
         errors = [following_error(trace, axis.name) for trace in (first, second) if axis.name in trace.axes]
@@ -102,7 +102,7 @@ def most_different_axis(machine: Machine, first: Trace, second: Trace) -> str:
 
 def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -> rrb.Blueprint:
     columns = []
-    # both are seen from the same place, from as far away as suits the larger one
+    # both panes have the same eye, at the distance that suits the larger scene
     whole_box = _around([pane.bounds for pane in panes])
     boxes = [_around([view.bounds for view in views]) for views in zip(*(pane.views for pane in panes))]
     for pane in panes:
@@ -115,7 +115,7 @@ def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -
             path_view(view, views, root, pane.scene.part_path, title=f"{pane.label}: {view.title[0].lower()}{view.title[1:]}")
             for view in views
         ]
-        # the largest magnification that suits the path, as in the recording of one run
+        # open on the largest magnification, as for a single run
         column: list[rrb.View | rrb.Container] = [whole]
         if near:
             column.append(rrb.Tabs(*near, active_tab=len(near) - 1, name=f"{pane.label}: path"))
@@ -139,13 +139,13 @@ def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -
 
 
 def _around(boxes: Sequence[np.ndarray]) -> np.ndarray:
-    """The box (2, 3) around boxes."""
+    """Bounding box (2, 3) of boxes."""
     return np.array([np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)])
 
 
 def _check(designs: Mapping[str, tuple[Machine, Trace]]) -> None:
     if len(designs) != 2:
-        raise InputError(f"recording: {len(designs)} designs given; two stand side by side")
+        raise InputError(f"recording: {len(designs)} designs given; give two")
     for label, (machine, trace) in designs.items():
         check_runs(machine, {label: trace})
     (first, _), (second, _) = designs.values()

@@ -1,4 +1,4 @@
-"""What a path stands for in the viewer: the recording or the trace of the folder of any command, of a campaign, of a machine."""
+"""Find the recording or trace that `twin replay` shows for a path: a file, an output folder, a campaign or a machine."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from twin.errors import InputError, nearest
 
 TRACE_ENDINGS = (".parquet", ".csv")
 MODEL_ENDINGS = (".xml", ".mjcf", ".urdf")
-_WHAT = "give the folder of a run, a recording (.rrd), a trace (.parquet, .csv) or a model (.xml, .urdf)"
+_WHAT = "give a run folder, a recording (.rrd), a trace (.parquet, .csv) or a model (.xml, .urdf)"
 _NAMES = ("run.rrd", "diagnosis.rrd", "cut.rrd", "compare.rrd")
-"""Recordings that commands write; others are taken in the order of their names."""
+"""Recordings that commands write; they come before others, which are sorted by name."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A recording, a trace, or both (the folder of a run); a label for plots, and a note where one of several was chosen."""
+    """A recording, a trace, or both; the label in plots; a note if one of several was chosen."""
 
     path: Path
     label: str
@@ -27,7 +27,7 @@ class Source:
 
 
 def source_of(path: Path) -> Source:
-    """What lies at a path, checked."""
+    """The source at a path; InputError if nothing there can be replayed."""
     from twin.replay.viewer import check_recording
 
     if path.is_dir():
@@ -40,14 +40,12 @@ def source_of(path: Path) -> Source:
     if ending in TRACE_ENDINGS:
         return Source(path, _label(path), None, path)
     if ending in MODEL_ENDINGS:
-        raise InputError(f"{path}: a model stands first; give the trace that moves it behind it")
-    raise InputError(
-        f"{path}: '{ending or path.name}' is nothing that can be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}"
-    )
+        raise InputError(f"{path}: a model comes first; give its trace after it")
+    raise InputError(f"{path}: '{ending or path.name}' cannot be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}")
 
 
 def machine_file_in(path: Path) -> Path | None:
-    """The machine file of a folder that holds one and no run, such as that of `twin machine new`."""
+    """The machine file of a folder with one machine file and no run, such as that of `twin machine new`."""
     if not path.is_dir() or _recordings_in(path) or _trace_in(path) or (path / "campaign.toml").is_file():
         return None
     files = [file for file in sorted(path.glob("*.toml")) if "axis" in _tables_of(file)]
@@ -67,21 +65,21 @@ def _of_folder(path: Path) -> Source:
             others = ", ".join(file.name for file in files[1:])
             note = f"{files[0].name} of {len(files)} runs of the campaign is shown; others: {others}" if others else ""
             return Source(path, files[0].stem, None, files[0], note)
-    # cases of a regression or an examination have a folder each
+    # each case of a regression or an examination has a folder
     below = sorted(path.rglob("*.rrd"))
     if below:
         note = f"{below[0].relative_to(path)} of {len(below)} recordings in this folder is shown"
         return Source(path, below[0].parent.name, check_recording(below[0]), None, note)
     programs, pages = sorted(path.glob("*.mpf")), sorted(path.glob("*.html"))
     if programs:
-        raise InputError(f"{path}: part programs, and no run yet; simulate one: twin run {programs[0]}")
+        raise InputError(f"{path}: this folder has part programs but no run; simulate one: twin run {programs[0]}")
     if pages:
-        raise InputError(f"{path}: numbers and a report, and no motion to replay; open {pages[0]} in a browser")
-    raise InputError(f"{path}: no run: neither a recording (.rrd) nor trace.parquet lies in this folder; {_WHAT}")
+        raise InputError(f"{path}: this folder has a report but no motion; open {pages[0]} in a browser")
+    raise InputError(f"{path}: this folder has neither a recording (.rrd) nor trace.parquet; {_WHAT}")
 
 
 def _recordings_in(folder: Path) -> list[Path]:
-    """Recordings that lie in a folder, that of the command first."""
+    """Recordings in a folder, those of commands first."""
     named = [folder / name for name in _NAMES if (folder / name).is_file()]
     return named + [file for file in sorted(folder.glob("*.rrd")) if file not in named]
 
@@ -98,5 +96,5 @@ def _tables_of(file: Path) -> dict:
 
 
 def _label(path: Path) -> str:
-    """The file's name, or its folder's for the files of a run."""
+    """Name of the file, or of its folder for files of a run."""
     return path.resolve().parent.name if path.stem in ("trace", "run") else path.stem

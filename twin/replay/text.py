@@ -1,4 +1,4 @@
-"""The text panel of a recording: what was run, how well it was followed, where the worst places are, what is missing."""
+"""The text panel of a recording: runs, errors, events, missing signals."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from twin.replay.toolpaths import ToolPaths
 
 SETPOINTS_EQUAL = {"linear": 1e-6, "rotary": 1e-6}
-"""Set points of two runs that differ by less count as equal: rounding of a recording [m, rad]."""
+"""Set points of two runs that differ by less count as equal [m, rad]; covers rounding of a recording."""
 
 
 def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths | None, events: Sequence[Event], summary: str) -> str:
-    """The panel as markdown; `summary` is a table of plain text that the caller wants to see there."""
+    """The panel as markdown; `summary` is plain text of the caller."""
     parts = [f"# {machine.name}"]
     for order, (label, trace) in enumerate(runs.items()):
         lines = [f"## {label}", f"{trace.time[-1] - trace.time[0]:.3f} s, sampled every {trace.period * 1e3:g} ms"]
@@ -34,7 +34,7 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
             lines.append(table)
         missing = not_recorded(trace, machine)
         if missing:
-            lines.append("Not recorded, so not shown: " + "; ".join(missing))
+            lines.append("Not recorded: " + "; ".join(missing))
         parts.append("\n\n".join(lines))
     labels = list(runs)
     for label in labels[1:]:
@@ -43,15 +43,15 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
         counts = ", ".join(f"{kind} {count}x" for kind in KINDS if (count := sum(e.kind == kind for e in events)))
         if len(events) > MOST_EVENTS:
             counts += f" (the first {MOST_EVENTS} are marked)"
-        parts.append(f"**Events** {counts or 'none'}. Click on a time in the list *Events* to go there.")
+        parts.append(f"**Events** {counts or 'none'}. Click a time in the list *Events* to go there.")
     if paths:
         reference = "the programmed path" if paths.programmed is not None else "the path of the set points"
         parts.append(
-            f"The contour error is the distance of the tool point from {reference}, in the frame of the part. "
+            f"The contour error is the distance of the tool point from {reference}, in the part frame. "
             + (
-                "The view *deviation* magnifies it; the reference path is drawn true to scale."
+                "The view *deviation* magnifies it; the reference path stays true to scale."
                 if len(paths.magnifications) > 1
-                else "It is too small to be magnified."
+                else "It is too small to magnify."
             )
         )
     if summary:
@@ -73,7 +73,7 @@ def design_text(designs: Mapping[str, tuple[Machine, Trace]], paths: Sequence[To
         parts.append("\n\n".join(lines))
     if paths:
         parts.append(
-            "Each contour error is the distance of the tool point from the path of its own set points; colours and magnification are the same in both panes."
+            "Each contour error is the distance of the tool point from the path of its own set points. Both panes have the same colours and magnification."
         )
     return "\n\n".join(parts) + "\n"
 
@@ -99,18 +99,18 @@ def _axis_table(machine: Machine, trace: Trace) -> str:
     if not rows:
         return ""
     heads = "| axis | with | without | RMS | | peak |"
-    return "Largest following error with and without the delay of the control, RMS without it, peak of current or torque:\n\n" + "\n".join(
+    return "Largest following error with and without the delay, RMS without the delay, peak of current or torque:\n\n" + "\n".join(
         [heads, "|---|---:|---:|---:|---|---:|", *rows]
     )
 
 
 def _overlay_text(machine: Machine, first: Trace, second: Trace, label: str, other: str) -> str:
-    """What the difference of two runs means."""
+    """A sentence on the difference of two runs."""
     amount, axis, at = setpoint_difference(machine, first, second)
     if not axis or amount <= SETPOINTS_EQUAL[machine.axis(axis).kind]:
-        return f"**{other} - {label}** has the same set points; curves of *{other}* are dashed."
+        return f"**{other} - {label}** both runs have the same set points; curves of *{other}* are dashed."
     unit, factor = AXIS_UNITS[machine.axis(axis).kind].error
     return (
         f"**{other} - {label}**: the set points differ by up to {amount * factor:.3g} {unit} ({axis} at {at:.3f} s), "
-        "and the difference of the runs holds that too."
+        "which is part of the difference."
     )

@@ -1,4 +1,4 @@
-"""The tool paths of a set of runs, and their views: true to scale and with the deviation magnified."""
+"""The tool paths of runs and their views, true to scale and with magnified deviation."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from twin.units import AXIS_UNITS
 SECOND_RUN_COLOUR = (190, 70, 190)
 MARKS_PER_SECOND = 25.0
 SHORTEST_PATH = 1e-4
-"""A tool that moves less draws no path [m]."""
+"""A shorter tool path is not drawn [m]."""
 SAME_SETPOINT = 1e-6
-"""Set points that differ by less, by the rounding of a recording, are the same [m, rad]."""
+"""Set points that differ by less count as equal [m, rad]; covers rounding of a recording."""
 
 
 @dataclass(frozen=True)
 class ToolPaths:
-    """Tool points in the part frame (sample, 3) [m]: programmed, commanded (None where unknown), followed by run."""
+    """Tool points in the part frame (sample, 3) [m]: programmed (None if unknown), commanded, and followed by each run."""
 
     reference_time: np.ndarray
     programmed: np.ndarray | None
@@ -40,11 +40,11 @@ class ToolPaths:
     contours: Mapping[str, Contour]
     scale: ErrorScale
     magnifications: tuple[int, ...] = (1,)
-    """1 and the factors at which the deviation of these paths can be seen."""
+    """1 and the factors at which the deviation is visible."""
 
 
 def followed_joints(trace: Trace, steps: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
-    """Where each axis was (sample,): its measured position, or what comes nearest to it in the trace."""
+    """Position of each axis (sample,): position, else motor position, else set point."""
     joints = {}
     for axis in trace.axes:
         signal = next((s for s in ("position", "motor_position", "setpoint") if trace.has(axis, s)), None)
@@ -54,14 +54,15 @@ def followed_joints(trace: Trace, steps: np.ndarray | slice = slice(None)) -> di
 
 
 def commanded_joints(trace: Trace) -> dict[str, np.ndarray]:
-    """Set points (sample,) of each axis; an axis without them is taken where it was."""
+    """Set point of each axis (sample,), else its position."""
     return {axis: trace.get(axis, "setpoint") if trace.has(axis, "setpoint") else values for axis, values in followed_joints(trace).items()}
 
 
 def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace], programmed: Trace | None) -> ToolPaths | None:
-    """Tool paths and contour errors of the runs; None where the tool does not move.
+    """Tool paths and contour errors of the runs; None if the tool does not move.
 
-    The tool is the site `tool` of the model, else the end of its longest chain of joints; without a site `workpiece` paths lie in the world.
+    The tool is the site `tool` of the model, else the end of its longest chain of joints. Without a site `workpiece` the paths are drawn
+    in the world.
     """
     main = next(iter(runs.values()))
     if not any(main.has(axis, s) for axis in main.axes for s in POSITIONS):
@@ -75,7 +76,7 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace], pro
     followed = {label: tool_point(scene, followed_joints(trace))[0] for label, trace in runs.items()}
     contours = {}
     for label, points in followed.items():
-        # a run with set points of its own is held against these: another variant's path says nothing about its following
+        # a run with other set points is compared with its own
         own = programmed is None and not _same_setpoints(runs[label], main)
         asked = tool_point(scene, commanded_joints(runs[label]))[0] if own else reference
         contours[label] = contour_of(runs[label].time, points, runs[label].time if own else reference_time, asked, window)
@@ -85,7 +86,7 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace], pro
 
 
 def alike(first: ToolPaths, second: ToolPaths) -> tuple[ToolPaths, ToolPaths]:
-    """Both with the scale of the one that errs more and the magnifications that suit both: what looks equal is equal."""
+    """Both with the scale of the larger error and common magnifications."""
     worse = max((first, second), key=lambda paths: paths.scale.end)
     factors = magnifications(max(map(largest_error, (first, second))), max(map(path_extent, (first, second))))
     return replace(first, scale=worse.scale, magnifications=factors), replace(second, scale=worse.scale, magnifications=factors)
@@ -97,7 +98,7 @@ def largest_error(paths: ToolPaths) -> float:
 
 
 def _same_setpoints(trace: Trace, other: Trace) -> bool:
-    """Whether both were asked for the same motion, as far as the first has set points."""
+    """Whether both have the same set points, on the axes where the first has any."""
     return all(
         other.has(axis, "setpoint")
         and len(other.time) == len(trace.time)
@@ -108,14 +109,14 @@ def _same_setpoints(trace: Trace, other: Trace) -> bool:
 
 
 def path_extent(paths: ToolPaths) -> float:
-    """Diagonal of the box around the reference path [m]."""
+    """Diagonal of the bounding box of the commanded path [m]."""
     return float(np.linalg.norm(np.ptp(paths.commanded, axis=0)))
 
 
 def log_tool_paths(
     recording: rr.RecordingStream, scene: Scene, paths: ToolPaths, shapes: Sequence[str], full: bool
 ) -> tuple[PathView, ...]:
-    """Log all paths below the part frame, one folder per magnification, and the colour bar. Returns their views."""
+    """Log all paths below the part frame, one branch per magnification, and the colour bar. Returns their views."""
     reference = paths.commanded if paths.programmed is None else paths.programmed
     views = []
     for factor in paths.magnifications:
@@ -147,7 +148,7 @@ def log_tool_paths(
 
 
 def log_commanded(recording: rr.RecordingStream, path: str, paths: ToolPaths, factor: int, full: bool) -> None:
-    """Log the commanded path beside a programmed one, its deviation from that magnified too."""
+    """Log the commanded path; its deviation from the programmed one is magnified, too."""
     main = next(iter(paths.times.values()))
     points = paths.commanded
     if factor > 1 and paths.programmed is not None:
@@ -158,7 +159,7 @@ def log_commanded(recording: rr.RecordingStream, path: str, paths: ToolPaths, fa
 def log_tip_path(
     recording: rr.RecordingStream, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], shapes: Sequence[str], full: bool
 ) -> tuple[PathView, ...]:
-    """Log the way of the tip of any scene as one growing path in the part frame or the world. Returns its view."""
+    """Log the path of the tip of any scene in the part frame or the world. Returns its view."""
     points, _ = tool_point(scene, joints)
     root = entity(scene.part_path, "path_x1")
     path = entity(root, "followed", "motion")
@@ -185,12 +186,12 @@ def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarra
 
 
 def shapes_of_tool(scene: Scene, shapes: Sequence[str]) -> list[str]:
-    """Entities of the tool itself: the shapes of its body that are named after it."""
+    """Entities of the tool: shapes of its body with names that start with 'tool'."""
     return [path for shape, path in zip(scene.shapes, shapes) if shape.body == scene.tip_body and shape.name.startswith("tool")]
 
 
 def log_tool_point(recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray) -> None:
-    """Log the tool point as a dot that moves."""
+    """Log the tool point as a moving dot."""
     stride = max(1, round((len(time) - 1) / max(1.0, (time[-1] - time[0]) * MARKS_PER_SECOND)))
     steps = np.unique(np.r_[np.arange(0, len(time), stride), len(time) - 1])
     recording.log(path, rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0), colors=[lighter((0, 0, 0), 0.1)]), static=True)

@@ -1,4 +1,4 @@
-"""The viewer: a window, a page in the browser, or a picture without a display. Nothing listens beyond this computer."""
+"""The viewer: a window, a page in the browser, or a picture without a display. It listens on this computer only."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from twin.replay.names import TIMELINE
 LOCAL = "127.0.0.1"
 WEB_PORT = 9090
 START_SECONDS = 30.0
-"""A viewer that does not answer for so long will not come."""
+"""Longest start of the viewer [s]."""
 COMPLETE_SECONDS = 60.0
-"""A picture that is not complete after so long is an error."""
+"""Longest wait for a complete picture [s]."""
 NO_TIMELINE_SECONDS = 5.0
-"""A recording that shows no time after so long has none."""
+"""Wait for the timeline of a recording, which may have none [s]."""
 SETTLE_SECONDS = 0.4
-"""Between two pictures that must be equal to count as complete."""
+"""Time between two pictures [s]; two equal ones are complete."""
 TOP_BAR = 37
-"""Height of the viewer's own menu in a picture [pixels]; it is cut off."""
-_NO_DRIVER = "the viewer cannot draw here: no Vulkan driver was found; on Debian and Ubuntu: apt-get install mesa-vulkan-drivers"
+"""Height of the viewer's menu [pixels], cropped from pictures."""
+_NO_DRIVER = "no Vulkan driver was found, so the viewer cannot draw; on Debian and Ubuntu: apt-get install mesa-vulkan-drivers"
 
 
 def check_recording(path: str | Path) -> Path:
-    """The path of a complete recording, or an InputError that says what the file is instead."""
+    """The path of a complete recording; InputError for any other file."""
     from rerun.chunk import RrdReader
 
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path}: no such recording; give an .rrd file or the folder of a run")
+        raise InputError(f"{path}: no such recording; give an .rrd file or a run folder")
     try:
         head = path.open("rb").read(4)
     except OSError as error:
@@ -53,17 +53,17 @@ def check_recording(path: str | Path) -> Path:
         raise InputError(f"{path}: not a recording; give an .rrd file written by twin, or a trace (.parquet, .csv)")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # an .rrd without its closing table was cut off: the reader only warns
+            warnings.simplefilter("error")  # for a truncated file the reader only warns
             recordings = RrdReader(path).recordings()
     except (RuntimeError, ValueError, Warning):
         raise InputError(f"{path}: the recording is truncated or damaged; write it again with twin run") from None
     if not recordings:
-        raise InputError(f"{path}: the file holds a layout but no recording; give the recording of a run")
+        raise InputError(f"{path}: the file has a layout but no recording; give the recording of a run")
     return path
 
 
 def open_viewer(paths: str | Path | Sequence[str | Path]) -> None:
-    """Open recordings in a window of the viewer; returns at once."""
+    """Open recordings in a viewer window; returns at once."""
     files = _checked(paths)
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("no display to open the viewer on; use --serve for the browser or --screenshot FILE for a picture")
@@ -72,7 +72,7 @@ def open_viewer(paths: str | Path | Sequence[str | Path]) -> None:
 
 
 def serve(paths: str | Path | Sequence[str | Path], port: int = WEB_PORT) -> None:
-    """Offer recordings to browsers of this computer until the user stops it."""
+    """Serve recordings to browsers on this computer until Ctrl-C."""
     files = _checked(paths)
     _check_port(port)
     data = free_port()
@@ -84,12 +84,12 @@ def serve(paths: str | Path | Sequence[str | Path], port: int = WEB_PORT) -> Non
             code = process.wait()
         except KeyboardInterrupt:
             return
-    raise InputError(f"the web viewer ended by itself with code {code}; try another --port")
+    raise InputError(f"the web viewer stopped with code {code}; try another --port")
 
 
 @contextmanager
 def _ended_by_signal() -> Iterator[None]:
-    """A request to end is taken like Ctrl-C, so that the viewer process ends too."""
+    """Treat SIGTERM like Ctrl-C, so that the viewer process ends, too."""
 
     def stop(_number: int, _frame: object) -> None:
         raise KeyboardInterrupt
@@ -109,14 +109,14 @@ def screenshot(
 ) -> Path:
     """Render the view of recordings at a time (default: their end) to a PNG, without a display.
 
-    The first pictures of a viewer are incomplete; it is asked until two are equal.
+    The first pictures of a viewer are incomplete; they are repeated until two are equal.
     """
     from PIL import Image
     from rerun.experimental import ViewerClient
 
     files, out = _checked(paths), Path(out)
     if out.suffix.lower() != ".png":
-        raise InputError(f"{out}: a screenshot is written as .png; give the file this ending")
+        raise InputError(f"{out}: a screenshot ends in .png; rename it")
     width, height = size
     port = free_port()
     with _viewer(
@@ -128,7 +128,7 @@ def screenshot(
             client.open([str(file.resolve()) for file in files])
             picture = _complete_picture(client, at_s)
         except (OSError, RuntimeError) as error:
-            # a viewer without a driver listens for a moment before it gives up
+            # a viewer without a driver answers for a moment before it exits
             if _ended(process):
                 raise InputError(_NO_DRIVER) from None
             raise InputError(f"the viewer failed: {' '.join(str(error).split())[:200]}; try again, or --serve") from None
@@ -143,7 +143,7 @@ def screenshot(
 
 
 def free_port() -> int:
-    """A port on this computer that nobody uses now."""
+    """A free port on this computer."""
     with socket.socket() as probe:
         probe.bind((LOCAL, 0))
         return int(probe.getsockname()[1])
@@ -155,11 +155,11 @@ def _complete_picture(client: Any, at_s: float | None) -> bytes:
     while state.loading or (not any(recording.timelines for recording in state.recordings) and time.monotonic() < without_time):
         _wait(deadline)
         state = client.get_state()
-    # a recording without a time in seconds is drawn as it opens
+    # a recording without this timeline is drawn as it opens
     timeline = next((t for recording in state.recordings for t in recording.timelines if t.name == TIMELINE), None)
     start, end = (timeline.start * 1e-9, timeline.end * 1e-9) if timeline is not None else (0.0, 0.0)
     if at_s is not None and not start <= at_s <= end:
-        raise InputError(f"--at {at_s:g} lies outside the recording, which goes from {start:g} to {end:.6g} s")
+        raise InputError(f"--at {at_s:g} is outside the recording; give a time from {start:g} to {end:.6g} s")
     last = b""
     while True:
         if timeline is not None:
@@ -178,7 +178,7 @@ def _wait(deadline: float) -> None:
 
 
 def _connected(client: Any, port: int, process: subprocess.Popen[bytes]) -> Any:
-    """A client of a viewer that is just starting."""
+    """A client of a starting viewer; InputError if it does not start."""
     deadline = time.monotonic() + START_SECONDS
     while time.monotonic() < deadline and process.poll() is None:
         try:
@@ -191,7 +191,7 @@ def _connected(client: Any, port: int, process: subprocess.Popen[bytes]) -> Any:
 
 
 def _ended(process: subprocess.Popen[bytes]) -> bool:
-    """Has the viewer ended by itself, now or within a moment?"""
+    """Whether the viewer has exited or exits within 2 s."""
     try:
         process.wait(2.0)
     except subprocess.TimeoutExpired:
@@ -202,7 +202,7 @@ def _ended(process: subprocess.Popen[bytes]) -> bool:
 @contextmanager
 def _viewer(arguments: list[str], quiet: bool = False) -> Iterator[subprocess.Popen[bytes]]:
     """A viewer process that ends with the block."""
-    # CI=1: a viewer nobody sits at sends no usage statistics
+    # CI=1: send no usage statistics
     environment = {**os.environ, "CI": "1", "XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR", tempfile.gettempdir())}
     output = subprocess.DEVNULL if quiet else None
     process = subprocess.Popen(
@@ -220,7 +220,7 @@ def _viewer(arguments: list[str], quiet: bool = False) -> Iterator[subprocess.Po
 
 
 def _executable() -> list[str]:
-    """The viewer that came with the installed package, not another one on the path."""
+    """The viewer of the installed package, not another one on the path."""
     import rerun_cli
 
     binary = Path(rerun_cli.__file__).parent / ("rerun.exe" if os.name == "nt" else "rerun")

@@ -1,9 +1,12 @@
-"""Shared pieces of the HTML reports: one page template, tables, and figures that stand inside the page.
+"""Building blocks of the HTML reports: page template, tables, embedded figures.
 
-page        a whole page from a title, a lead and sections
-Section     heading, text, tables and figures of one part
-Table       heading row, rows, classes of cells
-figure_svg  a matplotlib figure as inline SVG, and save_png for a file
+page        a whole page from title, lead and sections
+Section     heading, text, figures and tables
+Table       heading and rows
+Figure      inline SVG with caption
+new_figure  a matplotlib figure in the style of the reports
+figure_svg  a matplotlib figure as inline SVG
+save_png    a matplotlib figure as a file
 """
 
 from twin.report.figure import figure_svg, new_figure, save_png

@@ -1,7 +1,7 @@
-"""Colours: one per axis, part of the torque and kind of path, the same in the viewer, the plots and the reports.
+"""Colours of axes, parts of the torque and paths, the same in viewer, plots and reports. RGB, 0 to 255.
 
-Each is readable on a white page and on the viewer's dark ground, and can be separated by colour-blind eyes:
-`python -m devtools.colour_distances` prints how far they lie apart. RGB, 0 to 255.
+They are readable on white and on the viewer's dark background, and distinguishable with colour blindness:
+`python -m devtools.colour_distances` prints their distances.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ TORQUE_COLOURS: dict[str, Colour] = {
     "gravity": (204, 255, 187),
     "feedforward": (170, 187, 170),
 }
-"""Parts of a motor torque, for the viewer's dark ground; the whole has the colour of its axis."""
+"""Parts of the motor torque, for the viewer's dark background; the whole torque has the colour of its axis."""
 
 RUN_COLOURS: tuple[Colour, ...] = ((255, 221, 0), (187, 255, 255))
-"""Second and third of several runs over each other in the viewer; the first has the colour of its axis. They are dashed, too."""
+"""Second and third of overlaid runs in the viewer, also dashed; the first run has the colour of its axis."""
 
 SETPOINT_COLOUR: Colour = (166, 170, 178)
-"""Set points, of any axis: what was asked for is grey, what happened has colour."""
+"""Set points of any axis."""
 LIMIT_COLOUR: Colour = (255, 40, 120)
 PROGRAM_COLOUR: Colour = (20, 20, 24)
 """The programmed path."""
@@ -45,24 +45,24 @@ ERROR_BANDS: tuple[Colour, ...] = (
     (116, 2, 44),
     (79, 1, 44),
 )
-"""Contour error from nothing (yellow) to the end of the scale (dark red), in equal bands; each is darker than the one before."""
+"""Contour error from zero (yellow) to the end of the scale (dark red), in equal bands of rising darkness."""
 
 
 def axis_colour(axis: str, order: int = 0) -> Colour:
-    """The colour of an axis; an axis of another name gets one by its place in the machine."""
+    """Colour of an axis; for other names by `order`, its index in the machine."""
     return AXIS_COLOURS.get(axis, _OTHER_AXES[order % len(_OTHER_AXES)])
 
 
 def lighter(colour: Colour, part: float = 0.5) -> Colour:
-    """The colour mixed with white: the second of two runs."""
+    """The colour mixed with this share of white."""
     return tuple(round(c + (255 - c) * part) for c in colour)  # type: ignore[return-value]
 
 
 def run_colour(order: int, first: Colour) -> Colour:
-    """The colour of one of several runs over each other: the first has its own, the others one of RUN_COLOURS."""
+    """Colour of one of several overlaid runs: `first` for the first, else one of RUN_COLOURS."""
     return first if order == 0 else RUN_COLOURS[(order - 1) % len(RUN_COLOURS)]
 
 
 def hexadecimal(colour: Colour) -> str:
-    """'#rrggbb', as plots want it."""
+    """The colour as '#rrggbb'."""
     return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -1,4 +1,4 @@
-"""Curves over time in panels under each other: the plot of a trace, of a run, of a comparison."""
+"""Curves over time in stacked panels: the plot of a trace, a run or a comparison."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 SETPOINT = "setpoint"
 WIDE = 2.6
 THIN = 1.2
-"""Line widths in points: what was asked for lies wide below what happened."""
+"""Line widths [points]: wide for set points, thin for signals, which lie above."""
 
 LABEL_WIDTH, LABEL_HEIGHT = 0.1, 0.12
-"""Of a panel: peaks nearer to each other would have their labels on each other."""
+"""Share of a panel that a peak label takes; labels of closer peaks are moved apart."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line: legend entry ('' without one), values (sample,), the axis whose colour it has or 'setpoint', and its dashes."""
+    """One line: legend entry ('' for none), values (sample,), colour (name of an axis, or 'setpoint') and dash style."""
 
     label: str
     values: np.ndarray
@@ -35,7 +35,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Lines on one scale; `label` names quantity and unit. With `peaks`, a unit, each curve's largest size is written beside it."""
+    """Curves on one scale; `label` names quantity and unit. With a unit in `peaks`, the peak of each curve is labelled."""
 
     label: str
     curves: Sequence[Curve]
@@ -43,10 +43,10 @@ class Panel:
 
 
 def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figure:
-    """A figure with one panel below the other over time (sample,) [s]; legends stand beside the panels, never on curves."""
+    """A figure of stacked panels over time (sample,) [s]; legends stand beside the panels."""
     figure, grid = new_figure(len(panels), 1, height=1.7 if len(panels) > 1 else 2.6, sharex=True)
     for axes, panel in zip(grid[:, 0], panels):
-        labelled: list[tuple[float, float]] = []  # of the panel's width and height
+        labelled: list[tuple[float, float]] = []  # in shares of the panel's width and height
         reach = 2.0 * max((float(np.max(np.abs(curve.values), initial=0.0)) for curve in panel.curves), default=0.0) or 1.0
         for curve in panel.curves:
             asked = curve.colour == SETPOINT
@@ -62,7 +62,7 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figu
                 axes.annotate(
                     f"{abs(value):.3g} {panel.peaks}",
                     (at, value),
-                    (-8 if right else 8, beside * (11 if value < 0 else -11)),  # below one that is there
+                    (-8 if right else 8, beside * (11 if value < 0 else -11)),  # moved away from labels already there
                     textcoords="offset points",
                     ha="right" if right else "left",
                     va="bottom" if value < 0 else "top",

@@ -1,4 +1,4 @@
-"""Figures of the reports: one style, drawn without a display, embedded as SVG or saved as PNG."""
+"""Figures of the reports: one style, no display needed, embedded as SVG or saved as PNG."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ INK, SOFT, BLUE, RED, GREEN, AMBER = "#1c2430", "#8a94a3", "#0b5394", "#c0392b",
 
 
 def new_figure(rows: int, columns: int, width: float = 11.0, height: float = 3.0, **options: Any) -> tuple[MplFigure, Any]:
-    """A figure of rows x columns panels in the style of the reports, `height` inches a row; returns (figure, axes (rows, columns))."""
+    """A figure in the style of the reports, `height` inches per row; returns (figure, axes (rows, columns))."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -46,15 +46,15 @@ def new_figure(rows: int, columns: int, width: float = 11.0, height: float = 3.0
 
 
 def plain_text(figure: MplFigure) -> MplFigure:
-    """The figure with all its words taken as they are: `$` in the name of a run, an axis or a surface begins no formula.
+    """Turn off formulas in all texts of the figure, so that names may contain `$`.
 
-    Tick labels that an axis makes itself (powers of ten) stay formulas.
+    Tick labels made by matplotlib (powers of ten) stay formulas.
     """
     from matplotlib.text import Text
     from matplotlib.ticker import FuncFormatter, LogFormatter, NullFormatter, ScalarFormatter
 
     done = getattr(figure, "_plain_text", False)
-    figure._plain_text = True  # type: ignore[attr-defined]  # a second call would mark what is marked
+    figure._plain_text = True  # type: ignore[attr-defined]  # a second call must not escape twice
 
     ticks: set[int] = set()
     for axes in figure.axes:
@@ -70,7 +70,7 @@ def plain_text(figure: MplFigure) -> MplFigure:
 
 
 def house_style(figure: MplFigure) -> MplFigure:
-    """The figure with titles on the left and legends without frames, however it was drawn; polar panels keep their titles."""
+    """Move titles to the left and remove legend frames; polar panels keep their titles."""
     for axes in figure.axes:
         title = axes.get_title()
         if title and not axes.get_title(loc="left") and axes.name != "polar":
@@ -82,7 +82,7 @@ def house_style(figure: MplFigure) -> MplFigure:
 
 
 def figure_svg(figure: MplFigure) -> str:
-    """Inline SVG without the XML head; equal figures give equal text."""
+    """Inline SVG without XML header; equal figures give equal text."""
     from matplotlib import rc_context
 
     out = io.StringIO()
@@ -93,10 +93,10 @@ def figure_svg(figure: MplFigure) -> str:
 
 
 def save_png(figure: MplFigure, path: str | Path, dots_per_inch: int = 130) -> None:
-    """The same figure as a file."""
+    """Save the figure as a file."""
     from matplotlib import rc_context
 
     path = Path(path)
-    # a name may leave no room for the panels: drawn all the same
+    # matplotlib warns if a long name leaves no room for the panels
     with rc_context(STYLE), beside(path) as partial, warnings.catch_warnings(action="ignore", category=UserWarning):
         plain_text(house_style(figure)).savefig(partial, dpi=dots_per_inch)

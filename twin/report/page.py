@@ -1,4 +1,4 @@
-"""One HTML page that needs nothing but itself: styles and figures are inside."""
+"""A self-contained HTML page: styles and figures are embedded."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from twin.report.stamp import made_line
 
 @dataclass(frozen=True)
 class Table:
-    """Heading and rows of text; the first `left` columns read from the left; `marked` rows (index) stand out.
+    """Heading and rows of text. The first `left` columns are left-aligned; `marked` rows (indices) are highlighted.
 
-    A table with `folded` text is closed until that text is clicked.
+    A table with `folded` text opens when that text is clicked.
     """
 
     heading: Sequence[str]
@@ -42,7 +42,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """One part of a page; paragraphs first, then figures and tables."""
+    """A section of a page: paragraphs first, then figures and tables."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -52,7 +52,7 @@ class Section:
 
 
 def page(title: str, lead: str, sections: Sequence[Section], made: str = "") -> str:
-    """The page as text; `made` says how it was made (`twin.report.stamp.made_line`; without it version and date)."""
+    """The page as HTML; `made` is the line on its origin (default: `twin.report.stamp.made_line()`)."""
     environment = Environment(
         loader=PackageLoader("twin.report", "."), autoescape=select_autoescape(["html"], default=True), undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -61,5 +61,5 @@ def page(title: str, lead: str, sections: Sequence[Section], made: str = "") -> 
 
 
 def write_page(path: str | Path, title: str, lead: str, sections: Sequence[Section], made: str = "") -> None:
-    """Write the page; makes its folder."""
+    """Write the page; creates its folder."""
     write_whole(Path(path), page(title, lead, sections, made))

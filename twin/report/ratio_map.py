@@ -1,4 +1,4 @@
-"""Gap over noise of runs and axes as coloured fields, one panel a signal."""
+"""Gap over noise by run and axis as a heat map, one panel per signal."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LARGEST = 100.0
-"""End of the colour scale: larger ratios have its last colour, their number says how large they are."""
+"""End of the colour scale; larger ratios have the last colour."""
 
 SMALLEST = 1e-3
-"""Smaller ratios have the colour of this one."""
+"""Smaller ratios are drawn like this one."""
 PALE = 3.0
-"""Fields above this many times `expected` are dark, and their numbers white."""
+"""Fields above this multiple of `expected` are dark and get white numbers."""
 
 
 def ratio_figure(
     signals: Sequence[str], runs: Sequence[str], axes: Sequence[str], ratios: Mapping[tuple[str, str, str], float], expected: float
 ) -> Figure:
-    """Fields by (signal, run, axis); fields up to `expected` stay grey. Colour-blind readers can tell the colours apart (cividis)."""
+    """A heat map of ratios by (signal, run, axis); ratios up to `expected` are grey. The colours (cividis) suit colour-blind readers."""
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
@@ -34,7 +34,7 @@ def ratio_figure(
     image = None
     for panel, signal in zip(grid[0], signals):
         values = np.array([[ratios.get((signal, run, axis), np.nan) for axis in axes] for run in runs])
-        # the scale is logarithmic: a gap of nothing is drawn as a small one
+        # the scale is logarithmic, so a zero gap is drawn as SMALLEST
         image = panel.imshow(np.maximum(values, SMALLEST), aspect="auto", cmap=colours, norm=LogNorm(expected, LARGEST))
         panel.set_title(signal.replace("_", " "))
         panel.set_xticks(range(len(axes)), axes)

@@ -1,4 +1,4 @@
-"""The line that says how a report was made."""
+"""The line on the origin of a report."""
 
 from __future__ import annotations
 
