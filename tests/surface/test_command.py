@@ -97,7 +97,7 @@ def test_a_trace_without_positions_has_no_followed_path(tmp_path: Path) -> None:
         ("diameter_mm = 10", "diameter_mm = 1000\ncutting_length_mm = 600", "larger than the part.*check the units"),
         ("across_mm = [-1, 1]", "", "'?across_mm'? is missing"),
         ("zone_um = 50", "zone_um = 50\nzone_along_mm = [3, 1]", "must be less than the second"),
-        ("allowance_mm = 0.05", "allowance_mm = 'thick'", "no number above 0"),
+        ("allowance_mm = 0.05", "allowance_mm = 'thick'", "is not a number above 0"),
         ("[tool]", "[tool", "not a valid TOML"),
     ],
 )

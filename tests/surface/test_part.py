@@ -52,7 +52,7 @@ FAULTS = {
     "flat centre": (TOOL + SPHERE, "centre_mm = [0, 0, 0]", "centre_mm = [0, 0]", "give a list of 3 numbers"),
     "sphere inside out": (TOOL + SPHERE, "radius_mm = 10", "radius_mm = -10", "radius_mm = -10 is not a number above 0"),
     "polar reversed": (TOOL + SPHERE, "[10, 60]", "[60, 10]", "polar_deg = .* the first number must be less than the second"),
-    "polar over the pole": (TOOL + SPHERE, "[10, 60]", "[-60, 60]", "polar_deg = .* give angles between 0"),
+    "polar over the pole": (TOOL + SPHERE, "[10, 60]", "[-60, 60]", "polar_deg = .* give angles from 0"),
     "polar of text": (TOOL + SPHERE, "[10, 60]", '"ab"', "polar_deg = 'ab'; give a list of 2 numbers"),
     "no file": (TOOL + MESH, 'file = "part.stl"', "", "file is missing; add it"),
     "file is a number": (TOOL + MESH, '"part.stl"', "5", "file = 5 is not text; write it in quotes"),
