@@ -37,7 +37,7 @@ def test_what_if_beside_what_is(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["run", "examples/x_200mm.csv", *effect, "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "effects: backlash X (clearance 15.0 um); feedforward: velocity+torque" in out
-    assert "without and with backlash X differ on X: position by up to" in out
+    assert "nominal and with backlash X differ on X: position by up to" in out
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["feedforward"] == "velocity+torque"
     (x,) = (e for e in json.loads((tmp_path / "compare.json").read_text())["errors"] if e["axis"] == "X")
@@ -183,3 +183,18 @@ def test_an_example_is_found_outside_the_checkout(
     assert main(["interpolate", "examples/two_planes.mpf", "--out", str(tmp_path / "s.csv")]) == 0
     assert main(["interpolate", "examples/none.mpf", "--out", str(tmp_path / "s.csv")]) == 2
     assert "examples/none.mpf" in capsys.readouterr().err
+
+
+def test_two_machine_files_are_a_page_of_their_own(tmp_path: Path) -> None:
+    """No page of an earlier comparison is left in the folder as if it were this one's."""
+    (tmp_path / "report.html").write_text("of an earlier comparison")
+    assert main(["compare", "examples/gantry/gantry.toml", "examples/lab_axis/axis.toml", "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "report.html").read_text()
+    assert "axis.X.moving_mass_kg" in page
+    assert "Gantry and axis" in page
+
+
+@pytest.mark.parametrize("words", [["machine", "show", "--quiet"], ["machine", "--quiet", "show"]])
+def test_an_action_takes_the_options_of_every_command(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 0
+    assert capsys.readouterr().out == ""

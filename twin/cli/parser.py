@@ -185,10 +185,8 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
         sub = commands.add_parser(command.name, help=command.does, description=command.does[0].upper() + command.does[1:] + ".")
         if only is None or only == command.name:
             _module(command.name).add_arguments(sub)
-            _add_effect_files(sub)
-            sub.add_argument("--limits", type=_factor, metavar="FACTOR", help="raise all limits on sizes by this factor (default: 1)")
-            sub.add_argument("--quiet", action="store_true", help="print errors only; the results are in the files")
-            sub.add_argument("--verbose", action="store_true", help="also print versions and run time")
+            sub.set_defaults(limits=None, quiet=False, verbose=False)
+            _add_common(sub)
     return parser
 
 
@@ -208,19 +206,26 @@ def _factor(text: str) -> float:
     raise argparse.ArgumentTypeError(f"'{text[:40]}': give a factor from 1 to 1e6")
 
 
-def _add_effect_files(parser: argparse.ArgumentParser) -> None:
-    """`--effects FILE` for a command that takes a machine, and for the actions of one that has any."""
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    """The options of every command, for a command and for its actions; `--effects FILE` where it takes a machine."""
     for action in list(parser._actions):
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
-                _add_effect_files(sub)
-    if any(action.dest == "machine" for action in parser._actions):
-        parser.add_argument(
+                _add_common(sub)
+    has_machine = any(action.dest == "machine" for action in parser._actions)
+    # the defaults of an action must not undo what stands before it: twin machine --quiet check
+    common = parser.add_argument_group("options of every command", argument_default=argparse.SUPPRESS)
+    if has_machine:
+        common.add_argument(
             "--effects",
             action="append",
+            default=None,
             metavar="FILE.py",
             help="Python file with effects of your own, used like those of the library; may be given several times",
         )
+    common.add_argument("--limits", type=_factor, metavar="FACTOR", help="raise all limits on sizes by this factor (default: 1)")
+    common.add_argument("--quiet", action="store_true", help="print errors only; the results are in the files")
+    common.add_argument("--verbose", action="store_true", help="also print versions and run time")
 
 
 def _commands() -> dict[str, Command]:
