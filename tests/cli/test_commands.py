@@ -191,3 +191,18 @@ def test_a_command_uses_one_blas_thread() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     threads = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True, env=environment).stdout
     assert threads.strip() == "{1}"
+
+
+def test_two_machine_files_are_a_page_of_their_own(tmp_path: Path) -> None:
+    """No page of an earlier comparison is left in the folder as if it were this one's."""
+    (tmp_path / "report.html").write_text("of an earlier comparison")
+    assert main(["compare", "examples/gantry/gantry.toml", "examples/lab_axis/axis.toml", "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "report.html").read_text()
+    assert "axis.X.moving_mass_kg" in page
+    assert "Gantry and axis" in page
+
+
+@pytest.mark.parametrize("words", [["machine", "show", "--quiet"], ["machine", "--quiet", "show"]])
+def test_an_action_takes_the_options_of_every_command(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 0
+    assert capsys.readouterr().out == ""

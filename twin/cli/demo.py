@@ -10,16 +10,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.cli.arguments import add_machine, machine_of
-from twin.files import beside
 from twin.geometry.scurve import moves_in_turn, phases_of_move
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, write_trace
 from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal, lighter
+from twin.report.figure import new_figure, save_png
 from twin.simulation.errors_of_run import error_without_delay
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
@@ -35,7 +35,7 @@ JERK = 5.0
 DWELL = 0.2
 PERIOD = 1e-3
 START = -DISTANCE / 2.0
-TITLE = f"X {DISTANCE * 1e3:.0f} mm out and back at {SPEED * 60:.0f} m/min, jerk {JERK:g} m/s³"
+TITLE = f"X {DISTANCE * 1e3:.0f} mm out and back at {SPEED * 60:.0f} m/min, jerk {JERK:g} m/s3"
 
 
 @dataclass(frozen=True)
@@ -97,51 +97,42 @@ def findings_table(findings: Mapping[str, Finding]) -> str:
 
 
 def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
-    """Plot position, following error, error without the delay, speed and current; feedforward off left, on right."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
+    """Position, following error, error without the delay, speed and current; feedforward off left, on right."""
     strong, light, grey = (hexadecimal(c) for c in (axis_colour(AXIS), lighter(axis_colour(AXIS), 0.5), SETPOINT_COLOUR))
     columns = {"feedforward off": [("off", strong)], "feedforward on": [("velocity", light), ("velocity+torque", strong)]}
-    style: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e6ea"}
-    with plt.rc_context(style):
-        figure, axes = plt.subplots(5, 2, figsize=(12.0, 11.4), sharex=True, layout="constrained")
-        for column, (title, words) in enumerate(columns.items()):
-            position, error, deviation, speed, current = axes[:, column]
-            for word, colour in words:
-                trace = traces[word]
-                time, setpoint, followed = trace.time, trace.get(AXIS, "setpoint"), trace.get(AXIS, "position")
-                if word == words[0][0]:
-                    position.plot(time, setpoint * 1e3, color=grey, linewidth=3.0, label="set point")
-                    speed.plot(time, np.gradient(setpoint, trace.period) * 60.0, color=grey, linewidth=3.0)
-                line = {"color": colour, "linewidth": 1.3, "label": "feedforward " + word.replace("+", " and ")}
-                position.plot(time, followed * 1e3, **{**line, "label": "position"})
-                error.plot(time, (setpoint - followed) * 1e6, **line)
-                deviation.plot(time, error_without_delay(trace, machine.axis(AXIS)) * 1e6, **line)
-                speed.plot(time, trace.get(AXIS, "velocity") * 60.0, **line)
-                # the speed set point changes once per position cycle, so the current ripples: drawn faint, its moving mean strong
-                ripple = max(1, round(machine.position_cycle / trace.period))
-                current.plot(time, trace.get(AXIS, "current"), color=grey, linewidth=0.5, alpha=0.7)
-                current.plot(time, np.convolve(trace.get(AXIS, "current"), np.full(ripple, 1.0 / ripple), "same"), **line)
-            position.set_title(title, loc="left", weight="bold")
-            _mark_largest(error, strong)
-            _mark_largest(deviation, strong)
-            current.set_xlabel("time in s")
-            current.margins(x=0.0)
-        axes[0, 0].legend(labels=("set point", "position"), loc="lower center", frameon=False)
-        axes[2, 1].legend(loc="lower left", frameon=False)
-        labels = ("position\nmm", "following error\nµm", "error without\nthe delay, µm", "speed\nm/min", "motor current\nA")
-        for row, label in enumerate(labels):
-            axes[row, 0].set_ylabel(label)
-            if row not in (1, 2):
-                axes[row, 1].sharey(axes[row, 0])
-        figure.align_ylabels(axes[:, 0])
-        figure.suptitle(f"{machine.name}: {TITLE}", x=0.01, ha="left", size=14)
-        with beside(path) as partial:
-            figure.savefig(partial, dpi=140)
-        plt.close(figure)
+    figure, axes = new_figure(5, 2, width=12.0, height=2.3, sharex=True)
+    for column, (title, words) in enumerate(columns.items()):
+        position, error, deviation, speed, current = axes[:, column]
+        for word, colour in words:
+            trace = traces[word]
+            time, setpoint, followed = trace.time, trace.get(AXIS, "setpoint"), trace.get(AXIS, "position")
+            if word == words[0][0]:
+                position.plot(time, setpoint * 1e3, color=grey, linewidth=3.0, label="set point")
+                speed.plot(time, np.gradient(setpoint, trace.period) * 60.0, color=grey, linewidth=3.0)
+            line = {"color": colour, "linewidth": 1.3, "label": "feedforward " + word.replace("+", " and ")}
+            position.plot(time, followed * 1e3, **{**line, "label": "position"})
+            error.plot(time, (setpoint - followed) * 1e6, **line)
+            deviation.plot(time, error_without_delay(trace, machine.axis(AXIS)) * 1e6, **line)
+            speed.plot(time, trace.get(AXIS, "velocity") * 60.0, **line)
+            # the speed set point changes once per position cycle, so the current ripples: drawn faint, its moving mean strong
+            ripple = max(1, round(machine.position_cycle / trace.period))
+            current.plot(time, trace.get(AXIS, "current"), color=grey, linewidth=0.5, alpha=0.7)
+            current.plot(time, np.convolve(trace.get(AXIS, "current"), np.full(ripple, 1.0 / ripple), "same"), **line)
+        position.set_title(title)
+        _mark_largest(error, strong)
+        _mark_largest(deviation, strong)
+        current.set_xlabel("time in s")
+        current.margins(x=0.0)
+    axes[0, 0].legend(labels=("set point", "position"), loc="lower center")
+    axes[2, 1].legend(loc="lower left")
+    labels = ("position\nmm", "following error\num", "error without\nthe delay, um", "speed\nm/min", "motor current\nA")
+    for row, label in enumerate(labels):
+        axes[row, 0].set_ylabel(label)
+        if row not in (1, 2):
+            axes[row, 1].sharey(axes[row, 0])
+    figure.align_ylabels(axes[:, 0])
+    figure.suptitle(f"{machine.name}: {TITLE}", x=0.01, ha="left", size=13)
+    save_png(figure, path)
 
 
 def _mark_largest(axes: Axes, colour: str) -> None:
@@ -149,7 +140,8 @@ def _mark_largest(axes: Axes, colour: str) -> None:
     time, values = (np.asarray(d) for d in axes.lines[-1].get_data())
     largest = int(np.argmax(np.abs(values)))
     axes.margins(y=0.2)
-    text, place = f"{abs(values[largest]):.0f} µm", (time[largest], values[largest])
+    size = abs(float(values[largest]))
+    text, place = f"{size:.0f} um" if size >= 100.0 else f"{size:.1f} um", (time[largest], values[largest])
     axes.annotate(text, place, xytext=(6, 4), textcoords="offset points", color=colour, weight="bold")
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from twin.cli.arguments import add_machine, machine_of, picture_file
 from twin.errors import InputError
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
+
+if TYPE_CHECKING:
+    from twin.effects.effect import Parameter
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +47,17 @@ def _law_page(machine: Machine, picture: str | None) -> int:
     return 0
 
 
+def _usual_size(parameter: Parameter, axis: Axis, machine: Machine) -> str:
+    """'6 to 25 um': the usual size in the units that people read."""
+    from twin.effects.readable import readable_unit
+
+    if parameter.shape:
+        return "-"
+    low, high = parameter.usual_range(machine, axis)
+    unit, factor, offset = readable_unit(parameter.unit(axis), high, parameter)
+    return f"{factor * (low - offset):.3g} to {factor * (high - offset):.3g} {unit}".strip()
+
+
 def carry_out(args: argparse.Namespace) -> int:
     """List all effects, or show one of them."""
     from twin.effects import BLOCKS, EFFECTS, find_effect
@@ -65,11 +80,8 @@ def carry_out(args: argparse.Namespace) -> int:
     rows = []
     for axis in effect.axes(machine):
         for p in effect.parameters:
-            low, high = p.usual_range(machine, axis)
             default = f"{p.default:g}" if p.default is not None else "computed" if p.shape else "must be given"
-            rows.append(
-                [axis.name, p.name, p.unit(axis), f"{p.low:g} .. {p.high:g}", "-" if p.shape else f"{low:.3g} .. {high:.3g}", default]
-            )
+            rows.append([axis.name, p.name, p.unit(axis), f"{p.low:g} .. {p.high:g}", _usual_size(p, axis, machine), default])
     print(table(["axis", "parameter", "unit", "bounds", "usual size", "default"], rows, left=3))
     if args.picture:
         from twin.simulation.effect_picture import draw_effect

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from twin.cli.arguments import add_machine, machine_of, positive
 from twin.errors import InputError
 from twin.files import shipped_example, write_json
+from twin.units import AXIS_UNITS
 
 if TYPE_CHECKING:
     from twin.iso230.circle_budget import EffectOnCircle
@@ -85,10 +86,14 @@ def _positioning(args: argparse.Namespace, machine: Machine, plot: Path) -> dict
     results = {axis: positioning(one) for axis, one in readings.items()}
     draw_positioning(results, kinds, plot)
     scale = {axis: (1e3, "mm") if kind == "linear" else (180.0 / math.pi, "deg") for axis, kind in kinds.items()}
-    names = list(next(iter(results.values())).numbers)
-    rows = [[axis or "-", *(f"{r.numbers[n] * scale[axis][0]:.4g}" for n in names), scale[axis][1]] for axis, r in results.items()]
     print(f"ISO 230-2, k = 2, {len(next(iter(readings.values())).target)} positions")
-    print(table(["axis", *names, "unit"], rows, left=1))
+    for axis, result in results.items():
+        unit, factor = AXIS_UNITS[kinds[axis]].error
+        found = {name: f"{value * factor:.2f}" for name, value in result.numbers.items()}
+        rows = [[name, found[name], *(found.get(f"{name}_{way}", "-") for way in ("forward", "backward"))] for name in "AREMB"]
+        rows.append(["mean B", found["B_mean"], "-", "-"])
+        print(table([f"{f'axis {axis}, ' if axis else ''}{unit}", "both directions", "forward", "backward"], rows, left=1))
+    print(_MEANING)
     axes = {
         axis: {
             "unit": scale[axis][1],
@@ -110,6 +115,9 @@ def _positioning(args: argparse.Namespace, machine: Machine, plot: Path) -> dict
     }
     alone = next(iter(axes.values())) if len(axes) == 1 else {}
     return {"standard": "ISO 230-2", "k": 2, **alone, "axes": axes}
+
+
+_MEANING = "A accuracy, R repeatability, E systematic deviation, M mean systematic deviation, B reversal value"
 
 
 def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str, Any]:
@@ -164,7 +172,8 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
     for entry in circles:
         for direction, spikes in entry["reversal_spikes"].items():
             print(
-                f"{entry['run']} {entry['plane']} {direction}: reversal spikes " + ", ".join(f"{q} deg {v:.2f}" for q, v in spikes.items())
+                f"{entry['run']} {entry['plane']} {direction}: reversal spikes [um] at "
+                + ", ".join(f"{q} deg {v:.2f}" for q, v in spikes.items())
             )
     for entry in circles:
         if "budget" in entry:

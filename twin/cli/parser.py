@@ -183,10 +183,8 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
         sub = commands.add_parser(command.name, help=command.does, description=command.does[0].upper() + command.does[1:] + ".")
         if only is None or only == command.name:
             _module(command.name).add_arguments(sub)
-            _add_effect_files(sub)
-            sub.add_argument("--limits", type=_factor, metavar="FACTOR", help="multiply all size limits by this factor (default: 1)")
-            sub.add_argument("--quiet", action="store_true", help="print errors only")
-            sub.add_argument("--verbose", action="store_true", help="also print versions and run time")
+            sub.set_defaults(limits=None, quiet=False, verbose=False)
+            _add_common(sub)
     return parser
 
 
@@ -206,19 +204,26 @@ def _factor(text: str) -> float:
     raise argparse.ArgumentTypeError(f"'{text[:40]}': give a factor from 1 to 1e6")
 
 
-def _add_effect_files(parser: argparse.ArgumentParser) -> None:
-    """Add `--effects FILE` to a command that takes a machine, and to its actions."""
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    """Add the options of every command to a command and its actions; `--effects FILE` if it takes a machine."""
     for action in list(parser._actions):
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
-                _add_effect_files(sub)
-    if any(action.dest == "machine" for action in parser._actions):
-        parser.add_argument(
+                _add_common(sub)
+    has_machine = any(action.dest == "machine" for action in parser._actions)
+    # the defaults of an action must not undo what stands before it: twin machine --quiet check
+    common = parser.add_argument_group("options of every command", argument_default=argparse.SUPPRESS)
+    if has_machine:
+        common.add_argument(
             "--effects",
             action="append",
+            default=None,
             metavar="FILE.py",
             help="Python file with your own effects (repeatable)",
         )
+    common.add_argument("--limits", type=_factor, metavar="FACTOR", help="multiply all size limits by this factor (default: 1)")
+    common.add_argument("--quiet", action="store_true", help="print errors only")
+    common.add_argument("--verbose", action="store_true", help="also print versions and run time")
 
 
 def _commands() -> dict[str, Command]:

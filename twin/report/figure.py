@@ -72,9 +72,9 @@ def plain_text(figure: MplFigure) -> MplFigure:
 def house_style(figure: MplFigure) -> MplFigure:
     """Move titles to the left and remove legend frames; polar panels keep their titles."""
     for axes in figure.axes:
-        title = axes.get_title()
+        title = axes.get_title(loc="center")
         if title and not axes.get_title(loc="left") and axes.name != "polar":
-            axes.set_title("")
+            axes.set_title("", loc="center")
             axes.set_title(title, loc="left", fontsize=min(axes.title.get_fontsize(), STYLE["axes.titlesize"]), weight="bold")
         if legend := axes.get_legend():
             legend.set_frame_on(False)
