@@ -66,7 +66,7 @@ class Tally:
             say(self.faults[-1])
 
 
-def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("found: ", "note: ", "warning: ")) -> tuple[int, str]:
+def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("finding: ", "note: ", "warning: ")) -> tuple[int, str]:
     """Run a command in this process: (exit code, fault). It must succeed, or print one line that starts with `twin:`."""
     import twin
     from twin.cli import main

@@ -315,7 +315,7 @@ def chain(seed: int, folder: Path, recordings: list[Recording], no_refine: bool 
     )
     reached = "nothing"
     for step in steps:
-        code, fault = called(step, allowed=("found: ",))
+        code, fault = called(step, allowed=("finding: ",))
         if fault:
             return reached, f"{what}: twin {step[0]}: {fault}"
         if code == 2 and step[0] in ("import", "machine"):

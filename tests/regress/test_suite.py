@@ -324,7 +324,7 @@ def test_junit_is_what_servers_read(suite: Path, tmp_path: Path) -> None:
 
 def test_update_shows_old_and_new_and_keeps_the_reason(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert regress(suite, tmp_path, "--update", "--reason", "no change") == 0
-    assert "nothing differs" in capsys.readouterr().out
+    assert "no difference from the golden results" in capsys.readouterr().out
     edit(suite.parent / "small.toml", "position_gain_per_s = 30.0", "position_gain_per_s = 33.0")
     before = (suite / "golden" / "u_move.json").read_text()
     assert regress(suite, tmp_path, "--update") == 2  # no terminal to ask at
@@ -446,7 +446,7 @@ def test_usage(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     for arguments, word in (
         (["--jobs", "0"], "--jobs 0"),
         (["--only", "nothing"], "no such case"),
-        (["--reason", "because"], "--reason belongs to --update"),
+        (["--reason", "because"], "--reason needs --update"),
     ):
         capsys.readouterr()
         assert main(["regress", str(suite), *arguments]) == 2
