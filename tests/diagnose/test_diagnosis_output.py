@@ -15,7 +15,7 @@ import pytest
 from examples.diagnose import record, short_runs
 from tests.conftest import ROOT
 from twin.cli import main
-from twin.diagnose import diagnose
+from twin.diagnose import diagnose, report
 from twin.diagnose.check import notes_of
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.output import write_proposal
@@ -321,3 +321,7 @@ def test_machine_that_already_has_effects(capsys: pytest.CaptureFixture[str], ca
 def test_place_that_cannot_be_written(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     assert "--out" in refused(capsys, campaign, "--out", tmp_path / "file" / "out")
+
+
+def test_a_deviation_that_rounds_to_nothing_has_no_sign() -> None:
+    assert [report._signed_percent(x) for x in (-1e-6, 0.0, 0.012345, -0.2, None)] == ["0.00 %", "0.00 %", "+1.23 %", "-20.00 %", ""]

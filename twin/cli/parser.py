@@ -59,13 +59,7 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
         Command("import", "import_recordings", "convert recordings (CSV, SINUMERIK XML, TDMS, MDF4, .mat) to a campaign"),
         Command("plan", "plan", "plan a measuring campaign that identifies each parameter to a given precision"),
         Command("identify", "identify", "identify a machine's parameters, with confidence intervals, from its traces"),
-    ),
-    "judge": (
-        Command(
-            "iso",
-            "iso",
-            "evaluate positioning by ISO 230-2 or circles by ISO 230-4, with the standard plot",
-        ),
+        Command("iso", "iso", "evaluate positioning by ISO 230-2 or circles by ISO 230-4, with the standard plot"),
     ),
     "diagnose": (
         Command("gap", "gap", "simulate every run of a measured campaign and compare it signal by signal"),

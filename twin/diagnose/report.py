@@ -94,9 +94,17 @@ def _stiffness(diagnosis: Diagnosis, table: dict[str, Any]) -> str:
 
 
 def _retuned_table(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Deviations by owner (row) and quantity (column)."""
+    """Deviations by owner (row) and quantity (column), as text; empty where a parameter is not re-tuned."""
     values = retuned_values(diagnosis)
     quantities = list(dict.fromkeys(quantity for _, quantity, _ in values))
     owners = list(dict.fromkeys(owner for owner, _, _ in values))
     cells = {(owner, quantity): deviation for owner, quantity, deviation in values}
-    return {"quantities": quantities, "rows": [(owner, [cells.get((owner, q)) for q in quantities]) for owner in owners]}
+    return {"quantities": quantities, "rows": [(owner, [_signed_percent(cells.get((owner, q))) for q in quantities]) for owner in owners]}
+
+
+def _signed_percent(fraction: float | None) -> str:
+    """A deviation in percent with its sign; 0 has none."""
+    if fraction is None:
+        return ""
+    rounded = round(100.0 * fraction, 2)
+    return f"{rounded:+.2f} %" if rounded else "0.00 %"
