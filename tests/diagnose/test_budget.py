@@ -108,7 +108,8 @@ def _from_turning_axis(tool):
 def test_noise_of_the_budget_is_that_of_the_gaps():
     machine = load_machine().with_axes(["X"])
     gaps = {
-        run: {"X": {"position": SignalGap(1.0, 2.0, noise, "um"), "current": SignalGap(1.0, 2.0, 0.04, "A")}} for run, noise in RUNS.items()
+        run: {"X": {"position": SignalGap(1.0, 2.0, noise, "um", 1.0 / noise), "current": SignalGap(1.0, 2.0, 0.04, "A", 25.0)}}
+        for run, noise in RUNS.items()
     }
     noise = noise_of(gaps, machine)
     assert noise == {("X", "position"): pytest.approx(5e-6), ("X", "current"): pytest.approx(0.04)}

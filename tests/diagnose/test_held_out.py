@@ -63,7 +63,7 @@ def test_a_diverging_corrected_machine_raises(machines):
 def test_a_correction_that_increases_the_gap_is_detected(monkeypatch, after, worse):
     level = {"before": 1.1, "after": after}
     monkeypatch.setattr(
-        corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(level[which], level[which], 1.0, "um")}}
+        corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(level[which], level[which], 1.0, "um", level[which])}}
     )
     held_out = corrected.HeldOut({which: {run.name: which for run in RUNS} for which in level}, [])
     levels = [held_out.levels("nominal", RUNS, which) for which in level]
@@ -93,7 +93,7 @@ LEVELS = {
 @pytest.mark.parametrize(("law", "accepted"), [("good law", True), ("law that opens another gap", False)])
 def test_a_law_that_makes_one_signal_worse_is_refused(monkeypatch, law, accepted):
     def gaps(machine, run, predicted):
-        return {"X": {signal: SignalGap(level, level, 1.0, "um") for signal, level in LEVELS[predicted].items()}}
+        return {"X": {signal: SignalGap(level, level, 1.0, "um", level) for signal, level in LEVELS[predicted].items()}}
 
     monkeypatch.setattr(corrected, "gap_of", gaps)
     proposal = SimpleNamespace(laws=[SimpleNamespace(axis="X")], corrected="machine with the law")
@@ -106,3 +106,12 @@ def test_a_law_that_makes_one_signal_worse_is_refused(monkeypatch, law, accepted
     found = validation.with_laws(setup, records, without)
     assert (found.laws is proposal) is accepted
     assert found.corrected == ("machine with the law" if accepted else "machine without")
+
+
+def test_a_law_is_judged_by_relative_changes_of_its_axes_only():
+    """One random stiction that grows from 2.2 to 3.0 x noise does not outweigh a current explained down to noise; other axes do not count."""
+    without = {("Z", "motor_position"): 2.2, ("Z", "current"): 2.2, ("A", "position"): 40.0}
+    with_law = {("Z", "motor_position"): 3.0, ("Z", "current"): 0.9, ("A", "position"): 40.0}
+    assert corrected.log_gap(with_law, {"Z"}) < 0.75 * corrected.log_gap(without, {"Z"})
+    assert corrected.log_gap({("Z", "position"): 0.5}, {"Z"}) == 0.0
+    assert corrected.loudest(without) == {"Z": 2.2, "A": 40.0}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 import itertools
 import math
@@ -22,7 +22,7 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import Motion
-from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_each
+from twin.simulation.gap import REALISATIONS, Job, Prediction, SignalGap, gap_of, predict_each
 
 FEWER_REALISATIONS = 2
 """Realisations of noise in a quick look, which uses the decoupled plant only."""
@@ -86,37 +86,25 @@ class HeldOut:
         """Predicted trace of each run after correction."""
         return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
-    def mean_square(self, machine: Machine, runs: Sequence[MeasuredRun]) -> float:
-        """Mean square of gap over noise after correction, over runs, axes and signals."""
-        squares = list(itertools.chain(*self._squares(machine, runs).values()))
-        return float(np.mean(squares)) if squares else 0.0
-
     def levels(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, float]:
         """RMS of gap over noise of each axis before or after correction, over runs and signals."""
         of_axis: dict[str, list[float]] = {}
-        for (axis, _), squares in self._squares(machine, runs, which).items():
-            of_axis.setdefault(axis, []).extend(squares)
+        for (axis, _), gaps in self._gaps(machine, runs, which).items():
+            of_axis.setdefault(axis, []).extend((g.rms / g.noise) ** 2 for g in gaps)
         return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in of_axis.items()}
 
     def signal_levels(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[tuple[str, str], float]:
-        """RMS of gap over noise after correction, over runs, by axis and signal."""
-        return {key: float(np.sqrt(np.mean(squares))) for key, squares in self._squares(machine, runs).items()}
+        """RMS of gap over noise in motion after correction, over runs, by axis and signal."""
+        return {key: float(np.sqrt(np.mean([g.times_noise_moving**2 for g in gaps]))) for key, gaps in self._gaps(machine, runs).items()}
 
-    def loudest(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
-        """RMS of gap over noise of each axis after correction, over runs, in its worst signal."""
-        of_axis: dict[str, float] = {}
-        for (axis, _), level in self.signal_levels(machine, runs).items():
-            of_axis[axis] = max(of_axis.get(axis, 0.0), level)
-        return of_axis
-
-    def _squares(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[tuple[str, str], list[float]]:
-        """Squares of gap over noise before or after correction, by axis and signal, one per run."""
-        found: dict[tuple[str, str], list[float]] = {}
+    def _gaps(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[tuple[str, str], list[SignalGap]]:
+        """Gaps with known noise before or after correction, by axis and signal, one per run."""
+        found: dict[tuple[str, str], list[SignalGap]] = {}
         for run in runs:
             for axis, signals in gap_of(machine, run, self.predictions[which][run.name]).items():
                 for signal, g in signals.items():
                     if g.noise > 0.0:
-                        found.setdefault((axis, signal), []).append((g.rms / g.noise) ** 2)
+                        found.setdefault((axis, signal), []).append(g)
         return found
 
 
@@ -124,6 +112,20 @@ def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[st
     """Does the correction increase the gap of these axes by more than chance? `before` and `after`: gap over noise by axis."""
     was, now = (float(np.hypot.reduce([level for axis, level in of.items() if axis in axes] or [0.0])) for of in (before, after))
     return now > was + thresholds.worse_by_chance
+
+
+def loudest(levels: Mapping[tuple[str, str], float]) -> dict[str, float]:
+    """Largest gap over noise of each axis; `levels` by axis and signal."""
+    return {axis: max(level for (of, _), level in levels.items() if of == axis) for axis, _ in levels}
+
+
+def log_gap(levels: Mapping[tuple[str, str], float], axes: Collection[str]) -> float:
+    """Sum of ln(gap over noise) over the signals of these axes, 0 where a gap is within noise; `levels` by axis and signal.
+
+    The logarithm compares relative changes. In a sum of squares, the random duration of one stiction could outweigh a signal that a law
+    explains completely.
+    """
+    return sum(math.log(max(1.0, level)) for (axis, _), level in levels.items() if axis in axes)
 
 
 def worse_signals(

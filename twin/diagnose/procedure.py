@@ -125,21 +125,31 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
         },
         held_out=held_out.runs,
         proposal=propose(machine, states, verdict),
-        notes=_notes(setup, campaign, held_out.runs, zeros),
+        notes=_notes(setup, campaign, correction, zeros),
         thresholds=setup.thresholds,
         predictions=held_out.predictions,
         laws=correction.laws.laws if correction.laws else (),
     )
 
 
-def _notes(setup: Setup, campaign: Campaign, held_out: Sequence[str], zeros: dict[str, float]) -> list[str]:
-    """Limits of this diagnosis: missing signals, encoder zeros, a quick look, folds without a stable machine."""
+def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[str, float]) -> list[str]:
+    """Limits of this diagnosis: missing signals, encoder zeros, a quick look, laws that one run shows, folds without a stable machine."""
     notes = [*notes_of(campaign, setup.machine), *notes_of_zeros(zeros, setup.machine)]
     if setup.quick:
         notes.append(
             "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked"
         )
-    if unstable := [run.name for run in campaign.runs if len(setup.folds) > 1 and run.name not in held_out]:
+    names = [run.name for run in campaign.runs]
+    fitted = set()
+    for law in correction.laws.laws if correction.laws else ():
+        if law.only_fold is not None:
+            shows = [names[i] for i in setup.folds[law.only_fold]]
+            fitted |= set(shows)
+            notes.append(
+                f"axis {law.axis}: only {' and '.join(shows)} shows the law of the {law.block}; each half was predicted from the rest, the gap there is"
+                " that of the fit to all runs; a second run with the same motion would confirm the law"
+            )
+    if unstable := [name for name in names if len(setup.folds) > 1 and name not in correction.held_out.runs and name not in fitted]:
         notes.append(f"the machine fitted without {', '.join(unstable)} is unstable; the gap there is that of the fit to all runs")
     return notes
 

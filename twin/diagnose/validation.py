@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+import math
 
-from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, is_worse, uncorrected, worse_signals
+from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, is_worse, log_gap, loudest, uncorrected, worse_signals
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
 from twin.diagnose.law.laws import LEAST_CLOSED, Laws
 from twin.diagnose.law.step import ALL_BUT, explained_by_many, laws_beside, predictions_with
@@ -76,21 +77,21 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
     if setup.quick:
         return validated
     machine, nominal, held_out = setup.machine, setup.nominal, validated.held_out
-    best = without_laws = held_out.mean_square(machine, validated.runs)
-    loudest = held_out.loudest(machine, validated.runs)
+    levels = held_out.signal_levels(machine, validated.runs)
     accepted = validated
     with ThreadPoolExecutor(setup.threads) as workers:
         proposals = laws_beside(
             validated.states,
             validated.before,
             validated.after,
-            loudest,
+            loudest(levels),
             nominal,
             validated.corrected,
             setup.folds,
             on_threads(workers),
             setup.progress,
         )
+        best = math.inf
         for laws in proposals:
             if laws.laws:
                 predicted = predictions_with(
@@ -99,15 +100,14 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
                 if predicted is None:
                     continue
                 axes = {law.axis for law in laws.laws}
+                # the encoder zeros are as free without the laws as with them
                 runs, runs_without = records.aligned(nominal, predicted, axes), records.aligned(nominal, held_out, axes)
-                if worse_signals(held_out.signal_levels(machine, runs_without), predicted.signal_levels(machine, runs), setup.thresholds):
+                with_them, without = predicted.signal_levels(machine, runs), held_out.signal_levels(machine, runs_without)
+                share = log_gap(with_them, axes) / max(log_gap(without, axes), 1e-300)
+                if worse_signals(without, with_them, setup.thresholds) or share > min(1.0 - LEAST_CLOSED, best):
                     continue
-                # the gap without the laws, with encoder zeros as free as they are with the laws
-                reference = min(best, held_out.mean_square(machine, runs_without))
-                mean_square = predicted.mean_square(machine, runs)
-                if mean_square - 1.0 < (1.0 - LEAST_CLOSED) * (reference - 1.0):
-                    best = mean_square
-                    accepted = replace(validated, runs=runs, held_out=predicted, corrected=laws.corrected, laws=laws)
-            if best - 1.0 < ALL_BUT * (without_laws - 1.0):
+                best = share
+                accepted = replace(validated, runs=runs, held_out=predicted, corrected=laws.corrected, laws=laws)
+            if best < ALL_BUT:
                 break
     return accepted

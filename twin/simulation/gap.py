@@ -52,12 +52,17 @@ LEAST_COMMAND = 1e-4
 
 @dataclass(frozen=True)
 class SignalGap:
-    """Gap of one signal of one axis in one run, in `unit`: RMS, maximum, and RMS of noise alone."""
+    """Gap of one signal of one axis in one run, in `unit`: RMS, maximum, and RMS of noise alone.
+
+    `times_noise_moving` is the gap over noise while the set point moves, or of the whole run for an axis that rests. Where an axis sticks after a
+    motion depends on its history.
+    """
 
     rms: float
     max: float
     noise: float
     unit: str
+    times_noise_moving: float
 
 
 @dataclass(frozen=True)
@@ -150,16 +155,25 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
                 continue
             difference = run.trace.get(axis.name, signal) - prediction.trace.get(axis.name, signal)
             scatter = prediction.scatter[axis.name, signal]
+            moving = is_moving(run.trace, axis)
             if signal in EFFORTS:
-                moving = is_moving(run.trace, axis)
-                difference, scatter = difference[moving], scatter[moving]
+                difference, scatter, moving = difference[moving], scatter[moving], moving[moving]
+            if not moving.any():
+                moving = ~moving
             unit, factor = gap_unit(axis, signal)
             sensor = max(sensor_noise(machine, axis, signal), LEAST_NOISE.get(signal, 0.0))
             if signal == "position" and run.ballbar is not None and axis.name in run.ballbar.axes:
                 sensor = math.sqrt(_mean_square(run.ballbar.noise_of(axis.name)))
             noise = np.sqrt(_mean_square(scatter) + sensor**2)
             largest = float(np.abs(difference).max()) if difference.size else 0.0
-            signals[signal] = SignalGap(float(np.sqrt(_mean_square(difference)) * factor), largest * factor, float(noise * factor), unit)
+            noise_moving = np.sqrt(_mean_square(scatter[moving]) + sensor**2)
+            signals[signal] = SignalGap(
+                float(np.sqrt(_mean_square(difference)) * factor),
+                largest * factor,
+                float(noise * factor),
+                unit,
+                float(np.sqrt(_mean_square(difference[moving])) / noise_moving) if noise_moving > 0.0 else 0.0,
+            )
         table[axis.name] = signals
     return table
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from twin.diagnose.cross_validation import folds_of
-from twin.diagnose.law.closed_loop import ClosedLoop, state_of
-from twin.diagnose.law.laws import _from, _has_size, _named_instead, laws_of
+from twin.diagnose.law.closed_loop import ClosedLoop, state_of, unknowns_of
+from twin.diagnose.law.laws import MOST_PROBABLE_IN_ONE_RUN, _from, _has_size, _named_instead, laws_of
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import in_turn
@@ -33,19 +33,19 @@ STROKES = ((0.010, 0.015), (0.020, 0.03), (0.040, 0.06))
 """Distance [m] and speed [m/s] of the runs."""
 
 
-def runs_of(effects: list[dict]) -> list[MeasuredRun]:
-    """Three short runs of X, with measuring noise, of a machine that has these effects."""
+def runs_of(effects: list[dict], strokes=STROKES) -> list[MeasuredRun]:
+    """Short runs of X, with measuring noise, of a machine that has these effects."""
     runs = []
-    for seed, (distance, speed) in enumerate(STROKES):
+    for seed, (distance, speed) in enumerate(strokes):
         position = moves_in_turn(0.0, [distance, -distance], speed, 0.3, 5.0, 0.1, 1e-3)[1]
         run = simulate(with_effects(X, effects), Setpoints(position[:, None], 1e-3), sample_period=1e-3, noise_seed=seed)
         runs.append(MeasuredRun(f"run{seed}", run.trace, "velocity+torque", 0.0))
     return runs
 
 
-def found(effects: list[dict], thresholds: Thresholds = DEFAULT):
+def found(effects: list[dict], thresholds: Thresholds = DEFAULT, strokes=STROKES):
     """Laws of X on these runs."""
-    views = [view_of(X, run) for run in runs_of(effects)]
+    views = [view_of(X, run) for run in runs_of(effects, strokes)]
     folds = folds_of(len(views))
     return laws_of([observe(views, ("X",), thresholds=thresholds)], X, X, ["X"], folds, [X] * len(folds), in_turn)
 
@@ -88,6 +88,67 @@ def test_an_effect_that_is_there_stays_beside_the_law():
     assert [s.effect.name for s in settings_of(laws.corrected)] == ["viscous_friction", "law"]
 
 
+def test_a_law_that_only_one_run_shows_is_confirmed_within_that_run():
+    """A limit that only the fastest of four runs reaches."""
+    limit = {
+        "name": "law", "axis": "X", "block": "position controller", "output": "speed", "variables": ["speed_setpoint"],
+        "formula": "clip above", "limit": 0.05,
+    }  # fmt: skip
+    laws = found([limit], strokes=[*STROKES, (0.030, 0.02)])
+    (law,) = laws.laws
+    assert law.setting.parameters["limit"] == pytest.approx(0.05, rel=1e-3)
+    assert law.only_fold == 2
+    assert law.probability <= MOST_PROBABLE_IN_ONE_RUN
+    assert laws.without_fold[2].effects == laws.corrected.effects  # fitted to all runs
+
+
+def test_a_disturbance_of_one_stretch_of_one_run_is_no_law():
+    """A force that pulls for a tenth of a second in one of four runs is predicted by no other stretch."""
+    runs = runs_of([], [*STROKES, (0.030, 0.02)])
+    pushed = {
+        "name": "law", "axis": "X", "block": "mechanics", "output": "force", "variables": ["time"], "formula": "gaussian",
+        "height": 400.0, "at": 0.5, "width": 0.03,
+    }  # fmt: skip
+    runs[2] = runs_of([pushed], [*STROKES, (0.030, 0.02)])[2]
+    folds = folds_of(len(runs))
+    laws = laws_of([observe([view_of(X, run) for run in runs], ("X",))], X, X, ["X"], folds, [X] * len(folds), in_turn)
+    assert laws.laws == ()
+
+
+PLAY = {
+    "name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line",
+    "height": -6e-6, "length": 6e-6,
+}  # fmt: skip
+
+
+def test_a_play_has_one_number():
+    """Height and length of a play are both half its width, and stay equal."""
+    state = state_of(X, with_effects(X, [PLAY]), ("X",), DEFAULT)
+    unknowns = [u for u in unknowns_of(state, ("X",), 0.0) if u.setting is not None]
+    assert [u.name for u in unknowns] == ["length"]
+    (play,) = state.moved(unknowns, np.array([10.0])).settings
+    assert play.parameters["length"] > 7e-6
+    assert play.parameters["height"] == -play.parameters["length"]
+
+
+def test_a_play_of_the_scale_replaces_effects_that_the_search_put_in_its_place():
+    """The search bent the drive train and changed its friction and motor; the law starts from the machine file, too."""
+    wrong = with_effects(
+        X,
+        [
+            {"name": "transmission_compliance", "axis": "X", "stiffness": 5e7},
+            {"name": "coulomb_friction", "axis": "X", "factor": 1.2},
+            {"name": "torque_constant", "axis": "X", "factor": 1.1},
+        ],
+    ).with_values({"axis.X.moving_mass_kg": 1.1 * X.document["axis"]["X"]["moving_mass_kg"]})
+    views = [view_of(X, run) for run in runs_of([PLAY])]
+    folds = folds_of(len(views))
+    laws = laws_of([observe(views, ("X",))], X, wrong, ["X"], folds, [wrong] * len(folds), in_turn)
+    (setting,) = settings_of(laws.corrected)
+    assert setting.effect.name == "law"
+    assert setting.parameters["length"] == pytest.approx(6e-6, rel=0.05)
+
+
 def test_a_machine_without_a_law_gets_none():
     laws = found([])
     assert laws.laws == ()
@@ -125,7 +186,7 @@ def test_a_single_run_is_predicted_half_by_half():
     group = observe_once(runs_of([])[:1])
     loop = ClosedLoop(group, ("X",), folds_of(1), in_turn)
     state = state_of(X, X, ("X",), group.thresholds)
-    first, second = loop.fold_rows
+    (_, first), (_, second) = loop.parts
     assert np.array_equal(first, ~second)
     assert abs(int(first.sum()) - int(second.sum())) <= len(group.channels)
     rng = np.random.default_rng(0)

@@ -10,7 +10,7 @@ import pytest
 from twin.diagnose.law.known_physics import looks_like
 from twin.diagnose.law.laws import LEAST_PREDICTS
 from twin.diagnose.law.measure import excess, measured_laws
-from twin.diagnose.law.residual import Samples, with_memory
+from twin.diagnose.law.residual import Samples, position_in_play, remembered_direction
 from twin.diagnose.law.shapes import described
 from twin.machine.machine import load_machine
 
@@ -36,6 +36,7 @@ def motion(seed: int = 1) -> dict[str, np.ndarray]:
             "turn": q / X.ratio,
             "time": 30.0 * run + t,
             "travel": np.cumsum(np.abs(v)) * PERIOD,
+            "before_play": q,
             "current": 40.0 * np.gradient(v, PERIOD) + rng.normal(0, 1.0, COUNT),
         }
         for name, values in of.items():
@@ -64,7 +65,7 @@ PLANTED = {
     "friction that warms away": ("friction", "time", "approach", {"height": -150.0, "scale": 60.0},
         150.0 * (1 - np.exp(-M["time"] / 60.0)) * np.sign(V)),
     "a cable chain": ("force", "direction", "line", {"height": -120.0, "length": 4e-3},
-        -120.0 * with_memory(V, M["travel"], FIRST, 4e-3, False)),
+        -120.0 * remembered_direction(samples_of(V, M), 4e-3)),
     "cogging": ("force", "turn", "sine", {"amplitude": 60.0, "period": 2 * math.pi / 4}, 60.0 * np.sin(4 * M["turn"] + 0.4)),
     "a wave over the travel": ("force", "position", "sine", {"amplitude": 60.0, "period": 0.0173}, 60.0 * np.sin(2 * math.pi * Q / 0.0173)),
 }  # fmt: skip
@@ -97,13 +98,24 @@ def test_a_law_in_a_single_run_predicts_nothing():
 
 def test_a_play_of_the_scale_is_a_slack():
     half = 5e-6
-    y = half * with_memory(V, M["travel"], FIRST, half, True)  # motor minus scale
+    y = half * position_in_play(samples_of(V, M), half)  # motor minus scale
     samples = samples_of(y, M, "transmission", 5e-8)
     curve = measured_laws(samples, X)[0]
     best = described(samples, curve, X)
     assert (best.candidate.block, best.candidate.variable) == ("measurement", "slack")
     assert best.numbers["length"] == pytest.approx(half, rel=0.1)
     assert best.numbers["height"] == pytest.approx(-half, rel=0.1)
+
+
+def test_noise_at_rest_does_not_move_the_load_through_a_play():
+    """The load moves by 1 mm, then rests for a long time with 0.2 um of noise; the play is 10 um wide."""
+    half, rest = 5e-6, 100 * COUNT
+    position = np.concatenate([np.linspace(0.0, 1e-3, COUNT), np.full(rest, 1e-3)])
+    position += np.random.default_rng(3).normal(0.0, 0.2e-6, len(position))
+    zero = np.zeros(len(position), int)
+    z = position_in_play(Samples("X", "transmission", position, SIGMA, zero, zero, zero, {"before_play": position}), half)
+    assert z[0] == 0.0
+    assert np.all(z[COUNT:] > 0.6)
 
 
 def test_a_curve_that_no_formula_describes_stays_a_table():

@@ -47,9 +47,9 @@ def test_many_effects_that_leave_only_noise_are_a_result():
     assert not step.explained_by_many(many, {"X": 1.0}, {"X": 1.0})
 
 
-def test_play_is_also_started_with_its_height_as_length(mikron):
+def test_the_length_of_a_play_is_its_height(mikron):
     law = {"name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line"}
     law |= {"height": -8e-6, "reach": 1.0, "length": 2e-6}
     proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))
     starts = [s.parameters["length"] for _, _, s in _settings([(proposal, None)], "X", mikron)]
-    assert starts == [2e-6, 8e-6]
+    assert starts == [8e-6]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, with_memory
+from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, position_in_play, remembered_direction
 from twin.machine.machine import Axis
 
 LENGTHS = tuple(np.geomspace(2e-5, 6e-2, 12))
@@ -78,8 +78,10 @@ def variable_of(samples: Samples, candidate: Candidate) -> np.ndarray:
         return np.abs(motion["velocity"])
     if candidate.variable == "acceleration_size":
         return np.abs(motion["acceleration"])
-    if candidate.variable in ("direction", "slack"):
-        return with_memory(motion["velocity"], motion["travel"], samples.first, candidate.length, candidate.variable == "slack")
+    if candidate.variable == "direction":
+        return remembered_direction(samples, candidate.length)
+    if candidate.variable == "slack":
+        return position_in_play(samples, candidate.length)
     return motion[candidate.variable]
 
 

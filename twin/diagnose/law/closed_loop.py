@@ -8,6 +8,7 @@ on each fold of runs after the fit to the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+import copy
 from dataclasses import dataclass, field, replace
 import math
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.channel import Channel
+from twin.diagnose.law.residual import ONE_RUN
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
@@ -99,7 +101,10 @@ class State:
             new = value * math.exp(u.step * float(m)) if u.logarithmic else value + u.step * float(m)
             if parameter.periodic:
                 new = math.remainder(new, 2.0 * math.pi)
-            settings[u.setting] = replace(setting, parameters={**setting.parameters, u.name: min(max(new, parameter.low), parameter.high)})
+            changed = {u.name: min(max(new, parameter.low), parameter.high)}
+            if _is_play(setting):
+                changed["height"] = math.copysign(changed["length"], setting.parameters["height"])
+            settings[u.setting] = replace(setting, parameters={**setting.parameters, **changed})
         return replace(self, settings=tuple(settings), deviations=tuple(deviations))
 
 
@@ -141,6 +146,8 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
                 continue
             if value == 0.0 and not p.periodic:  # unused by the shape
                 continue
+            if _is_play(setting) and p.name != "length":  # both are half the width of the play
+                continue
             positive = value > 0.0 and (p.logarithmic or p.low >= 0.0)
             step = ANGLE_STEP if p.periodic else RELATIVE_STEP * (1.0 if positive else abs(value))
             found.append(Unknown(i, p.name, step, positive and not p.periodic))
@@ -170,6 +177,11 @@ def _is_between_encoders(law: Setting) -> bool:
     return law.effect.definition.get("output") == "displacement" or law.effect.definition.get("variables") == ["windup"]
 
 
+def _is_play(law: Setting) -> bool:
+    """Whether a law is a play: a displacement that follows the load up to `height` within a travel of `length`, which are equal."""
+    return law.effect.definition.get("variables") == ["slack"] and "height" in law.parameters
+
+
 @dataclass(frozen=True)
 class Fitted:
     """A state fitted to axes of a group, with its cross-validated loss and the fit without each fold."""
@@ -179,8 +191,8 @@ class Fitted:
     left: np.ndarray  # (row,) weighted
     columns: np.ndarray = field(repr=False)  # (row, unknown)
     loss: float
-    held_out: float  # half the sum of squares on runs left out, for a single run on the half left out
-    moves: tuple[np.ndarray, ...]  # of the fit without each fold, in steps; zero for a single run
+    held_out: float  # half the sum of squares on runs left out; of a halved fold, on the half left out
+    moves: tuple[np.ndarray, ...]  # of the fit without each fold, in steps; zero for a halved fold
     deviations: np.ndarray  # (unknown,) standard deviations in steps
 
     @property
@@ -201,14 +213,41 @@ class ClosedLoop:
         self.rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in self._channels()])
         self.root = np.sqrt(group.credit[self.rows])
         self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
-        self.only_run = len(folds) == 1
-        if self.only_run:  # each half is predicted from the other half
-            first = np.concatenate([np.arange(len(c.residual)) < len(c.residual) // 2 for c in self._channels()])
-            self.fold_rows = [first, ~first]
-        else:
-            self.fold_rows = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
+        of_fold = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
+        self.parts = list(enumerate(of_fold))  # folds and their rows (row,) that are predicted from all other rows
+        self.halved: int | None = None
+        self.has_more_folds = len(folds) > 1
+        if not self.has_more_folds:
+            self._halve(0, np.ones(len(self.rows)))
         zeros = zeros_of(group)[self.rows] * self.root[:, None]
         self.zeros = np.linalg.qr(zeros[:, np.any(zeros != 0.0, axis=0)])[0]  # orthonormal
+
+    def halving_its_only_loud_fold(self, left: np.ndarray) -> ClosedLoop:
+        """A closed loop that halves the fold with almost all of the loss above noise; this one if there is none. `left` (row,): residual.
+
+        The other runs do not show a law that acts in one run only. There, each half of that run is predicted from everything else.
+        """
+        noise = self.group.expected[self.rows] * self.group.credit[self.rows]
+        above = [float(np.sum(left[rows] ** 2 - noise[rows])) for _, rows in self.parts]
+        loudest = int(np.argmax(above))
+        if self.halved is not None or above[loudest] < ONE_RUN * sum(max(a, 0.0) for a in above):
+            return self
+        halving = copy.copy(self)
+        halving._halve(loudest, left)
+        return halving
+
+    def _halve(self, fold: int, left: np.ndarray) -> None:
+        """Divide a fold in time so that the halves of each channel share the loss of a residual `left` (row,)."""
+        rows = self.parts[fold][1]
+        first = np.zeros(len(self.rows), bool)
+        at = 0
+        for channel in self._channels():
+            own = slice(at, at + len(channel.residual))
+            at = own.stop
+            loss = np.cumsum(np.where(rows[own], left[own] ** 2, 0.0))
+            first[own] = loss <= 0.5 * loss[-1]
+        self.parts = [*self.parts[:fold], (fold, rows & first), (fold, rows & ~first), *self.parts[fold + 1 :]]
+        self.halved = fold
 
     def _channels(self) -> list[Channel]:
         return [c for c in self.group.channels if c.axis in self.axes]
@@ -309,15 +348,15 @@ class ClosedLoop:
     def _judged(self, state, unknowns, left, columns, loss, prior, offset) -> Fitted:  # type: ignore[no-untyped-def]
         normal = columns.T @ columns + np.diag(prior)
         slope = columns.T @ left - prior * offset
-        moves, held_out = [], 0.0
-        for rows in self.fold_rows:
+        moves, held_out = {}, 0.0
+        for fold, rows in self.parts:
             own = columns[rows]
             move = np.linalg.solve(normal - own.T @ own + 1e-9 * np.eye(len(normal)), slope - own.T @ left[rows])
-            moves.append(np.zeros(len(normal)) if self.only_run else move)
+            moves[fold] = np.zeros(len(normal)) if fold == self.halved else move
             held_out += 0.5 * float(np.sum((left[rows] - own @ move) ** 2))
         inflation = max(1.0, loss / max(self.expected, 1e-300))
         deviations = np.sqrt(np.diag(np.linalg.pinv(normal)) * inflation)
-        return Fitted(state, list(unknowns), left, columns, loss, held_out, tuple(moves), deviations)
+        return Fitted(state, list(unknowns), left, columns, loss, held_out, tuple(moves.values()), deviations)
 
 
 def with_law(state: State, setting: Setting) -> State:

@@ -61,6 +61,9 @@ MOST_EFFECTS = 5
 MOST_PROBABLE = 0.98
 """Upper limit of the probability of a law; unknown alternatives cannot be excluded."""
 
+MOST_PROBABLE_IN_ONE_RUN = 0.9
+"""The same for a law that acts in one run only, and that no other run can confirm."""
+
 
 @dataclass(frozen=True)
 class Law:
@@ -72,6 +75,7 @@ class Law:
     explained: float
     probability: float
     deviations: dict[str, float]
+    only_fold: int | None = None  # fold with the only run that shows the law; there, each half was predicted from the other
 
     @property
     def axis(self) -> str:
@@ -162,13 +166,14 @@ def _of_axis(
     """
     loop = ClosedLoop(group, (axis,), folds, mapper)
     state = state_of(machine, corrected, (axis,), group.thresholds)
+    loop = loop.halving_its_only_loud_fold(loop.left(state))
     own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
     if not own or len(own) > MOST_EFFECTS:
         return _from(loop, state, axis, machine, say)
     beside = _from(loop, state, axis, machine, say, idle=own)
     say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own)}")
     bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
-    starts = [bare]
+    starts = [as_in_the_file(state, axis), bare]
     if any(s.effect.block == "transmission" for s in own):
         starts += [with_law(with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     best = beside
@@ -179,6 +184,15 @@ def _of_axis(
             if best.left < LITTLE_LEFT:
                 break
     return best
+
+
+def as_in_the_file(state: State, axis: str) -> State:
+    """The state with one axis as in the machine file: nominal values, no effects.
+
+    The search may have re-tuned an axis, or bent its drive train, only to imitate a law.
+    """
+    values = {path: value for path, value in state.values.items() if not path.startswith(f"axis.{axis}.")}
+    return replace(state, values=values, settings=tuple(s for s in state.settings if s.axis != axis))
 
 
 def _clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
@@ -198,6 +212,7 @@ def _from(
     first = loop.fit(state, tolerance, steps=2)
     if first is None:
         return _OfAxis([], None, 1.0)
+    only = loop.halved if loop.has_more_folds else None
     fitted = first
     laws: list[Law] = []
     while len(laws) < MOST_LAWS and _above(loop, fitted) > LITTLE_LEFT * _above(loop, first):
@@ -221,8 +236,9 @@ def _from(
                 description,
                 samples,
                 float(min(max(share, 0.0), 1.0)),
-                float(min(certain, MOST_PROBABLE)),
+                float(min(certain, MOST_PROBABLE if only is None else MOST_PROBABLE_IN_ONE_RUN)),
                 _deviations(new, len(new.state.settings) - 1),
+                only,
             )
         )
         fitted = new
@@ -365,12 +381,12 @@ def _proposals(group: Group, state: State, axis: str, mapper: Mapper) -> list[tu
 
 
 def _settings(proposals: Sequence[tuple[Described, Samples]], axis: str, machine: Machine) -> list[tuple[Described, Samples, Setting]]:
-    """Proposals as settings. A play is also started with its height as length, because the height is measured better than the length."""
+    """Proposals as settings. The length of a play is its height, which is measured better."""
     out = []
     for d, s in proposals:
         table = d.table(axis)
-        play = [{**table, "length": abs(table["height"])}] if d.candidate.variable == "slack" and "height" in table else []
-        for start in (table, *play):
-            with contextlib.suppress(InputError):  # a parameter out of the bounds of its shape
-                out.append((d, s, check_setting(start, machine, "a measured law")))
+        if d.candidate.variable == "slack" and "height" in table:
+            table = {**table, "length": abs(table["height"])}
+        with contextlib.suppress(InputError):  # a parameter out of the bounds of its shape
+            out.append((d, s, check_setting(table, machine, "a measured law")))
     return out

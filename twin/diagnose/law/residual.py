@@ -46,8 +46,14 @@ MOST_SAMPLES = 800
 MOST_IN_A_ROW = 8000
 """Largest number of samples of an axis in a run for a block that needs consecutive samples."""
 
+MOST_STRETCHES = 6
+"""Largest number of stretches of a run for cross-validation."""
+
 LEAST_SAMPLES = 50
 """Smallest number of samples of an axis in a usable run."""
+
+ONE_RUN = 0.95
+"""Fraction of the gap above noise in one run above which a law can be confirmed only within that run."""
 
 NOISE_SEED = 977
 """Noise seed of the simulation that gives the noise level of a block."""
@@ -126,12 +132,20 @@ class _Piece:
 
 
 def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
-    """The pieces of all runs joined; up to three runs are divided into stretches for cross-validation."""
+    """The pieces of all runs joined. Up to three runs are divided into stretches for cross-validation, and so is a run with almost all of the
+    residual: a law that acts in one run only is predicted from the other stretches of that run."""
+    power = np.array([float(np.sum(np.square(p.y - np.median(p.y)))) for p in pieces])
+    alone = power > ONE_RUN * power.sum() if len(pieces) > 3 else np.zeros(len(pieces), bool)
     stretches = 1 if len(pieces) > 3 else 4 if len(pieces) > 1 else 6
     part, run, first, at = [], [], [], 0
     for i, p in enumerate(pieces):
         n = len(p.y)
-        part.append(i * stretches + np.minimum(np.arange(n) * stretches // n, stretches - 1))
+        place = np.arange(n) / n
+        if alone[i]:  # stretches with equal shares of the residual
+            loss = np.cumsum(np.square(p.y - np.median(p.y)))
+            place = (loss - loss[0]) / loss[-1]
+        count = MOST_STRETCHES if alone[i] else stretches
+        part.append(i * MOST_STRETCHES + np.minimum((place * count).astype(int), count - 1))
         run.append(np.full(n, p.run))
         first.append(np.full(n, at))
         at += n
@@ -357,7 +371,7 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     if axis is None:
         return found
     motor = trace.get(name, "motor_position") if trace.has(name, "motor_position") else position
-    found |= {"turn": motor / own.ratio, "time": view.started_at + trace.time - trace.time[0]}
+    found |= {"turn": motor / own.ratio, "before_play": motor, "time": view.started_at + trace.time - trace.time[0]}
     found["travel"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
     if (deflection := deflection_of(view, own, trace)) is not None:
         found["windup"] = deflection
@@ -370,16 +384,24 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     return found
 
 
-def with_memory(samples_velocity: np.ndarray, travel: np.ndarray, first: np.ndarray, length: float, clipped: bool) -> np.ndarray:
-    """Direction of motion with memory over `length` of travel (sample,): with exponential decay, or clipped as the position in a play."""
-    z = np.zeros(len(travel))
-    state = 0.0
-    for i in range(len(travel)):
-        if first[i] == i:
-            state = 0.0
-        else:
-            moved = travel[i] - travel[i - 1]
-            side = 1.0 if samples_velocity[i] > 0.0 else -1.0
-            state = min(max(state + side * moved / length, -1.0), 1.0) if clipped else side + (state - side) * math.exp(-moved / length)
-        z[i] = state
+def remembered_direction(samples: Samples, length: float) -> np.ndarray:
+    """Direction of motion (sample,) with exponential memory over `length` of travel, zero at the start of a run: dz/dx = (+-1 - z) / length."""
+    z = np.zeros(len(samples))
+    for i in np.flatnonzero(np.arange(len(samples)) != samples.first):
+        moved = samples.motion["travel"][i] - samples.motion["travel"][i - 1]
+        side = 1.0 if samples.motion["velocity"][i] > 0.0 else -1.0
+        z[i] = side + (z[i - 1] - side) * math.exp(-moved / length)
+    return z
+
+
+def position_in_play(samples: Samples, length: float) -> np.ndarray:
+    """Position of the load within a play of +-`length`, as a fraction of it (sample,); zero at the start of a run.
+
+    The motor encoder shows the load's motion while the scale rests in the play. Signed displacements are summed, so that noise at rest does
+    not accumulate.
+    """
+    z = np.zeros(len(samples))
+    moved = np.diff(samples.motion["before_play"], prepend=0.0) / length
+    for i in np.flatnonzero(np.arange(len(samples)) != samples.first):
+        z[i] = min(max(z[i - 1] + moved[i], -1.0), 1.0)
     return z

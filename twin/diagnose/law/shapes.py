@@ -7,7 +7,7 @@ sine and a cosine column. The shape with the best prediction wins; if the measur
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import itertools
 import math
 from typing import Any
@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from twin.diagnose.law.candidates import Candidate, in_residual, variable_of
 from twin.diagnose.law.measure import Curve, Loss, huber, left_out_loss, nuisances_in, scale_of
-from twin.diagnose.law.residual import Samples, with_memory
+from twin.diagnose.law.residual import Samples
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
 from twin.machine.axis import Axis
@@ -127,9 +127,8 @@ class _Problem:
         """Columns (sample, n) of unit height; sine and cosine for a sine."""
         numbers = {**self.given, **dict(zip(self.free, values))}
         x = self.x
-        if self.has_memory and "length" in numbers:
-            s = self.samples
-            x = with_memory(s.motion["velocity"], s.motion["travel"], s.first, numbers["length"], self.candidate.variable == "slack")
+        if "length" in numbers and self.has_memory:
+            x = variable_of(self.samples, replace(self.candidate, length=numbers["length"]))
         if self.shape.name == "sine":
             angle = 2.0 * math.pi * x / numbers["period"]
             own = np.column_stack([np.sin(angle), np.cos(angle)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
-from dataclasses import replace
 
 from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
 from twin.diagnose.law.closed_loop import Say
@@ -116,7 +115,10 @@ def predictions_with(
     engine: bool,
     threads: int,
 ) -> HeldOut | None:
-    """Predictions after correction with the laws, of each run by the machine fitted without it; None if a simulation fails."""
+    """Predictions after correction with the laws, of each run by the machine fitted without it; None if a simulation fails.
+
+    The only run that shows a law is predicted by the machine fitted to all runs; it is then not among the held-out runs.
+    """
     realisations = REALISATIONS if engine else FEWER_REALISATIONS
     jobs = [
         Job(laws.without_fold[k], runs[i], realisations, motion=motions[i], engine=engine) for k, fold in enumerate(folds) for i in fold
@@ -125,4 +127,6 @@ def predictions_with(
         predictions = {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=threads))}
     except TwinError:
         return None
-    return replace(held_out, predictions={**held_out.predictions, "after": predictions})
+    fitted = {runs[i].name for law in laws.laws if law.only_fold is not None for i in folds[law.only_fold]}
+    left_out = [name for name in held_out.runs if name not in fitted]
+    return HeldOut({**held_out.predictions, "after": predictions}, left_out)
