@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,15 @@ def test_constants_after_correction_are_zeros_but_a_trend_is_not(elastic: Machin
     cleared, _ = without_zeros(runs, YZ, left)
     means = [float(np.mean(motor_minus_scale(r.trace, "Z") - motor_minus_scale(run.trace, "Z"))) for r in cleared]
     np.testing.assert_allclose(means, drift.mean() - drift, atol=1e-9)
+
+
+def test_an_axis_that_sticks_elsewhere_for_a_while_has_the_same_zeros(elastic: Machine) -> None:
+    """For a quarter of the run the load rests 30 um away from its prediction, through a play for example."""
+    run = recorded(elastic, "Z", "run")
+    stuck = np.where(np.arange(len(run.trace.time)) > 0.75 * len(run.trace.time), 30e-6, 0.0)
+    key = ("Z", "motor_position")
+    measured = replace(run, trace=replace(run.trace, signals={**run.trace.signals, key: run.trace.signals[key] + stuck}))
+    assert abs(zeros_left([measured], YZ, {"run": run.trace}, {"Z"})["Z", 0]) < 1e-9
 
 
 def test_an_axis_at_rest_that_is_pushed_is_observed() -> None:

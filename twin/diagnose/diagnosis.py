@@ -108,10 +108,10 @@ class Diagnosis:
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
         return sorted(rows, key=lambda row: -row["times_noise"])
 
-    def axis_level(self, which: str, axis: str) -> float:
-        """RMS over runs and signals of gap over noise of one axis."""
+    def axis_level(self, which: str, axis: str, *, in_motion: bool = False) -> float:
+        """RMS over runs and signals of gap over noise of one axis, of whole runs or in motion only."""
         values = [
-            (g.rms / g.noise) ** 2
+            (g.times_noise_moving if in_motion else g.rms / g.noise) ** 2
             for run, axes in self.gaps[which].items()
             for name, signals in axes.items()
             if name == axis
@@ -120,9 +120,11 @@ class Diagnosis:
         ]
         return float(np.sqrt(np.mean(values))) if values else 1.0
 
-    def explained(self, axes: Collection[str]) -> float:
+    def explained(self, axes: Collection[str], *, in_motion: bool = False) -> float:
         """1 - (after^2 - floor^2) / (before^2 - floor^2) summed over axes, on held-out runs; clipped to 0 to 1."""
-        before, after = (sum(max(self.axis_level(which, axis) ** 2 - 1.0, 0.0) for axis in axes) for which in ("before", "after"))
+        before, after = (
+            sum(max(self.axis_level(which, axis, in_motion=in_motion) ** 2 - 1.0, 0.0) for axis in axes) for which in ("before", "after")
+        )
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
     def keeps_its_gap(self, axis: str) -> bool:

@@ -59,7 +59,7 @@ def zeros_left(
     zeros: dict[tuple[str, int], float] = {}
     for name in sorted(axes):
         runs_of_axis = [k for k, run in enumerate(runs) if has_both(run.trace, name)]
-        means = np.array([_difference(runs[k].trace, name)[0] - _difference(predicted[runs[k].name], name)[0] for k in runs_of_axis])
+        means = np.array([_offset_left(runs[k].trace, predicted[runs[k].name], name) for k in runs_of_axis])
         started_at = np.array([runs[k].started_at for k in runs_of_axis])
         started_at = started_at - started_at.mean() if runs_of_axis else started_at
         if machine.axis(name).kind == "linear" and started_at.any():
@@ -76,9 +76,7 @@ def at_rest_without_zeros(
     def aligned(run: MeasuredRun) -> MeasuredRun:
         for name in axes:
             if not run.trace.moves(name) and has_both(run.trace, name):
-                of_twin = predicted[run.name]
-                offset = _difference(run.trace, name)[0] - _difference(of_twin, name)[0]
-                run = _shifted(run, machine.axis(name), offset)
+                run = _shifted(run, machine.axis(name), _offset_left(run.trace, predicted[run.name], name))
         return run
 
     return tuple(aligned(run) for run in runs)
@@ -94,6 +92,11 @@ def notes_of_zeros(found: dict[str, float], machine: Machine) -> list[str]:
             f"axis {name}: the zeros of its two encoders differ by up to {offset * factor:.4g} {unit}; this is fitted in each run and is no fault"
         )
     return lines
+
+
+def _offset_left(measured: Trace, predicted: Trace, name: str) -> float:
+    """Constant that a prediction leaves between the two encoders [m or rad]: the median, since an axis may stick elsewhere after a motion."""
+    return float(np.median(motor_minus_scale(measured, name) - motor_minus_scale(predicted, name)))
 
 
 def _difference(trace: Trace, name: str) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.encoder_zeros import notes_of_zeros, with_common_zeros, without_zeros
-from twin.diagnose.law.step import ALL_BUT
+from twin.diagnose.law.step import ALL_BUT, LOUD
 from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
@@ -170,9 +170,22 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
         decided = not (setup.quick and verdict == "none")
         proposal = propose(setup.machine, states, "unknown") if states else diagnosis.proposal
         diagnosis = replace(diagnosis, decided=decided, verdict="unknown", proposal=proposal)
-    if diagnosis.laws and diagnosis.explained(diagnosis.axes) >= 1.0 - ALL_BUT:
+    if diagnosis.laws and diagnosis.explained(diagnosis.axes, in_motion=True) >= 1.0 - ALL_BUT:
         diagnosis = replace(diagnosis, verdict="law")
-    return diagnosis
+    return replace(diagnosis, notes=[*diagnosis.notes, *_notes_at_rest(diagnosis)])
+
+
+def _notes_at_rest(diagnosis: Diagnosis) -> list[str]:
+    """Axes whose remaining gap lies at rest."""
+    notes = []
+    for axis in diagnosis.axes:
+        whole, moving = (diagnosis.axis_level("after", axis, in_motion=only) for only in (False, True))
+        if whole > LOUD and moving < 0.5 * whole:
+            notes.append(
+                f"axis {axis}: {moving:.1f} x noise remains in motion and {whole:.1f} x noise over whole runs; where an axis sticks after a motion"
+                " depends on its history"
+            )
+    return notes
 
 
 def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], program: MeasuredRun | None) -> Diagnosis:
