@@ -34,7 +34,8 @@ from twin.errors import InputError
     DEAD_BAND,
     TABLE,
     STAGE,
-) = range(16)
+    JITTER,
+) = range(17)
 LAG, NOTCH, DEAD_TIME = 100, 101, 102
 """Filters: shapes with memory."""
 
@@ -153,6 +154,13 @@ SHAPES = {
         ),
         Shape("dead band", DEAD_BAND, "-gain * clip(x, -band, band)", (Number("band", "variable", 0.0, neutral=0.0),), "a dead band"),
         Shape(
+            "jitter",
+            JITTER,
+            "deviation_s * x * white noise",
+            (Number("deviation_s", "time", 0.0, 1.0, neutral=0.0, fixed=True),),
+            "random errors in proportion",
+        ),
+        Shape(
             "lag",
             LAG,
             "first-order lag",
@@ -214,7 +222,7 @@ def row_of(
 
 @compiled
 def value_of(code, x, p):  # type: ignore[no-untyped-def]
-    """y(x) of the shape with this code and compiled row."""
+    """y(x) of the shape with this code and compiled row; of a jitter, its standard deviation."""
     if code == TABLE:
         return p[0] * curve_value(x, p)
     if code == STEP:
@@ -237,6 +245,8 @@ def value_of(code, x, p):  # type: ignore[no-untyped-def]
         return p[0] * math.tanh(x / p[1])
     if code == STAGE:
         return p[0] * min(max(x / p[1], -1.0), 1.0)
+    if code == JITTER:
+        return p[0] * x
     gain = p[NUMBERS - 1]
     if code == BENDING:
         return gain * (x / math.sqrt(1.0 + (x / p[0]) ** 2) - x)
@@ -249,6 +259,17 @@ def value_of(code, x, p):  # type: ignore[no-untyped-def]
     if code == DEAD_BAND:
         return -gain * min(max(x, -p[0]), p[0])
     return 0.0
+
+
+@compiled
+def gaussian_of(x):  # type: ignore[no-untyped-def]
+    """A standard normal number from the last digits of x, by the Box-Muller transform."""
+    digits = math.frexp(abs(x))[0]
+    first = digits * 67108864.0  # 2^26
+    second = digits * 8191.0
+    first -= math.floor(first)
+    second -= math.floor(second)
+    return math.sqrt(-2.0 * math.log(max(first, 1e-12))) * math.cos(2.0 * math.pi * second)
 
 
 @compiled

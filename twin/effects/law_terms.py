@@ -9,7 +9,7 @@ import math
 
 from twin.compiled_functions import compiled
 from twin.effects.law_filters import FIRST_FREE, filtered
-from twin.effects.law_shapes import LAG, value_of
+from twin.effects.law_shapes import JITTER, LAG, gaussian_of, value_of
 from twin.simulation.loop_terms import (
     X_CURRENT,
     X_CURRENT_SETPOINT,
@@ -23,6 +23,7 @@ from twin.simulation.loop_terms import (
     X_MOTOR_POSITION,
     X_MOTOR_SPEED,
     X_MOTOR_TORQUE,
+    X_NOISE,
     X_RECORDED_CURRENT,
     X_ROTOR_FORCE,
     X_ROTOR_MIDDLE,
@@ -103,6 +104,8 @@ def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
         u -= p[P_PERIOD] * math.floor(u / p[P_PERIOD])
     shape = int(p[P_SHAPE])
     y = filtered(shape, u, p[HEAD:], s[FIRST_FREE:], s[S_STARTED] == 0.0) - u if shape >= LAG else value_of(shape, u, p[HEAD:])
+    if shape == JITTER:
+        y *= gaussian_of(row[X_NOISE])
     if p[P_MEMORY] > 0.0:
         if s[S_STARTED] == 0.0:
             s[S_LAGGED] = y

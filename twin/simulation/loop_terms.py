@@ -58,8 +58,9 @@ STAGES = 8
     X_TRANSMISSION_ERROR_SPEED,
     X_RECORDED_CURRENT,  # A
     X_VOLTAGE,  # voltage at the winding, V
-) = range(26)
-SIGNAL_COUNT = 26
+    X_NOISE,  # noise of the position, m or rad: random digits for random effects; without noise a fixed sequence
+) = range(27)
+SIGNAL_COUNT = 27
 PARAMETER_COUNT = 88
 STATE_COUNT = 70
 """Size of a term's state; a dead time stores its last cycles there."""

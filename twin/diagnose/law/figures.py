@@ -11,6 +11,7 @@ from twin.diagnose.law.candidates import variable_of
 from twin.diagnose.law.laws import Law
 from twin.diagnose.law.wording import BAND
 from twin.effects.law import OUTPUTS, VARIABLES, law_in
+from twin.effects.law_shapes import JITTER
 from twin.machine.machine import Machine
 from twin.report.figure import AMBER, BLUE, SOFT, new_figure
 from twin.simulation.law_picture import draw_response, shown_in, small_length
@@ -45,7 +46,11 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
         # level and, over a speed, slope belong to the nominal machine: fit both curves to the same ones
         weight = np.sqrt(_driven(law, curve.x))
         apart = curve.y - np.interp(curve.x, x, formula)
-        y = curve.y - curve.free @ np.linalg.lstsq(curve.free * weight[:, None], apart * weight, rcond=None)[0]
+        y = (
+            curve.y
+            if table.shape.code == JITTER
+            else curve.y - curve.free @ np.linalg.lstsq(curve.free * weight[:, None], apart * weight, rcond=None)[0]
+        )
         place.fill_between(per * curve.x, factor * (y - BAND * curve.band), factor * (y + BAND * curve.band), color=SOFT, alpha=0.35, lw=0)
         place.plot(per * curve.x, factor * y, "o", color=SOFT, markersize=3.5, label="measured, with 95 % band")
         place.plot(per * x, factor * formula, color=BLUE, linewidth=1.8, label=str(table.definition().get("formula", "table")))

@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Say, State, state_of, with_law
 from twin.diagnose.law.filters import filters_of
+from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.measure import Curve, excess, measured_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
@@ -18,7 +19,7 @@ from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_rigid
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.simulations import Mapper
-from twin.effects import Setting, check_setting
+from twin.effects import Setting, check_setting, settings_of, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
 
@@ -119,6 +120,11 @@ def laws_of(
     for group in groups:
         for axis in [a for a in group.axes if a in axes]:
             say(f"{axis}: searching for an unlisted law")
+            if jitter := _jitter(group, machine, corrected, axis, mapper):
+                laws.append(jitter)
+                corrected, *without = (with_effects(m, [*settings_of(m), jitter.setting]) for m in (corrected, *without))
+                left[axis] = 1.0 - jitter.explained
+                continue
             best = _of_axis(group, machine, corrected, axis, folds, mapper, say)
             left[axis] = best.left
             if not best.laws or best.fitted is None:
@@ -128,6 +134,16 @@ def laws_of(
             corrected = fitted.state.corrected()
             without = [_taken_over(m, fitted.without(i), axis) for i, m in enumerate(without)]
     return Laws(tuple(laws), corrected, tuple(without), left)
+
+
+def _jitter(group: Group, machine: Machine, corrected: Machine, axis: str, mapper: Mapper) -> Law | None:
+    """The jitter of an axis' scale. Random errors have no response that could be fitted in closed loop; they are sized from the residual."""
+    state = state_of(machine, corrected, (axis,), group.thresholds)
+    for samples in residuals_of(group.views, state.machine_of, (axis,), mapper):
+        if samples.block == "transmission" and (found := jitter_of(samples)):
+            setting = check_setting(found.table(axis), machine, "a measured law")
+            return Law(setting, found, samples, found.predicts, MOST_PROBABLE, {})
+    return None
 
 
 def _taken_over(machine: Machine, state: State, axis: str) -> Machine:

@@ -89,6 +89,8 @@ def sentence(law: Law, machine: Machine) -> str:
     if described.output == "voltage" and name in ("saturation", "stage"):
         width = _value(law, "scale" if name == "saturation" else "width", axis, source)
         return f"{head} of {_value(law, 'height', axis, source)} {'against' if p['height'] < 0 else 'with'} the current, which reverses within {width}"
+    if name == "jitter":
+        return f"random errors of the scale of {law.axis} in proportion to its speed: the scale is read {_value(law, 'deviation_s', axis, source)} too early or too late (standard deviation)"
     if name == "sine":
         return f"{head} that is a sine of amplitude {_value(law, 'amplitude', axis, source)} with period {_value(law, 'period', axis, source)} of the {over}"
     numbers = ", ".join(f"{n.name} {_value(law, n.name, axis, source, signed=True)}" for n in described.shape.numbers if n.name in p)
