@@ -33,9 +33,9 @@ RUNS, COUNT = 4, 700
 NOISE = 0.06e-6
 
 
-def samples_of(errors_of) -> Samples:
+def samples_of(errors_of, seed: int = 1) -> Samples:
     """Displacements of strokes; `errors_of` gives the errors from speed, position and random numbers."""
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     run = np.repeat(np.arange(RUNS), COUNT)
     t = 4e-3 * np.tile(np.arange(COUNT), RUNS)
     speed = 0.25 / (1 + run) * np.sin(2.0 * t + run)
@@ -65,6 +65,10 @@ def test_a_planted_jitter_is_sized():
 )
 def test_other_errors_are_no_jitter(errors_of):
     assert jitter_of(samples_of(errors_of)) is None
+
+
+def test_noise_is_no_jitter_whatever_its_random_numbers():
+    assert not [seed for seed in range(100) if jitter_of(samples_of(lambda v, q, rng: 0.0 * v, seed))]
 
 
 def points(distance: float = 0.03, speed: float = 0.06) -> Setpoints:
