@@ -86,7 +86,7 @@ def test_a_wrong_feedforward_flag_is_noticed_and_put_right(machine: Machine, run
 def test_a_late_current_is_timed_and_taken_back(machine: Machine, runs: list[MeasuredRun], samples: int) -> None:
     late = [with_signal(r, "X", "current", np.roll(r.trace.get("X", "current"), samples)) for r in runs]
     result = identified(machine, late)
-    item = next(c for c in result.late if c.signal == "current")
+    item = next(c for c in result.skews if c.signal == "current")
     assert item.seconds == pytest.approx(samples * 1e-3, abs=0.25e-3)
     assert "current was recorded" in said(result)
     assert result.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.03)
@@ -95,7 +95,7 @@ def test_a_late_current_is_timed_and_taken_back(machine: Machine, runs: list[Mea
 def test_a_late_motor_encoder_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "motor_position", np.roll(r.trace.get("X", "motor_position"), 1)) for r in runs]
     result = identified(machine, late)
-    item = next(c for c in result.late if c.signal == "motor_position")
+    item = next(c for c in result.skews if c.signal == "motor_position")
     assert item.seconds == pytest.approx(1e-3, abs=2e-5)
     assert said(result).count("taken back") == 1  # the other channels, timed against the motor, are not late
 
@@ -139,7 +139,7 @@ def test_a_saturated_current_is_left_out_and_said(machine: Machine) -> None:
 
 def test_a_late_speed_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "velocity", np.roll(r.trace.get("X", "velocity"), 2)) for r in runs]
-    item = next(c for c in identified(machine, late).late if c.signal == "velocity")
+    item = next(c for c in identified(machine, late).skews if c.signal == "velocity")
     assert item.seconds == pytest.approx(2e-3, abs=5e-5)
 
 
@@ -149,9 +149,9 @@ def test_what_no_run_tells_is_named_with_the_run_that_would(machine: Machine, ru
 
 
 def test_the_only_run_with_a_feedforward_setting_is_learnt_from(machine: Machine, runs: list[MeasuredRun], good: Identification) -> None:
-    assert good.left_out == ()
+    assert good.held_out == ()
     again = [*runs, recorded(machine, "again", SHORT_LADDER, "velocity", 9)]
-    assert identified(machine, again).left_out == ("again",)
+    assert identified(machine, again).held_out == ("again",)
 
 
 def test_one_direction_only_is_said(machine: Machine) -> None:
@@ -187,7 +187,7 @@ def test_a_short_run_is_left_out_and_nothing_else_is_an_error(machine: Machine, 
 
     result = identified(machine, [*runs, cut(replace(runs[0], name="broken off"), 40)])
     assert "run broken off: only 0.039 s long: left out" in said(result)
-    assert "broken off" not in result.training + result.left_out
+    assert "broken off" not in result.training + result.held_out
     with pytest.raises(InputError, match="no run is longer than"):
         identified(machine, [cut(r, 2) for r in runs])
 

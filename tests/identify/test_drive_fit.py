@@ -11,7 +11,7 @@ from twin.geometry.scurve import moves_in_turn
 from twin.identify.direct import direct_route
 from twin.identify.drive_fit import fit_drives
 from twin.identify.parameters import with_drives
-from twin.identify.recording import prepared
+from twin.identify.recording import prepare_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
@@ -88,7 +88,7 @@ def test_where_weights_are_given_along_the_way_no_torque_goes_with_the_angle(tmp
     found = {}
     for gravity in (9.81, 0.0):
         there = machine.with_values({"gravity_m_per_s2": gravity})
-        found[gravity] = direct_route(there, prepared(there, campaign([run])).axis_runs).balance["B"]
+        found[gravity] = direct_route(there, prepare_recording(there, campaign([run])).axis_runs).balance["B"]
     assert {"gravity_cos", "gravity_sin"} <= set(found[9.81].names)
     assert not {"gravity_cos", "gravity_sin"} & set(found[0.0].names)
     assert found[0.0].fit.deviations[0] < found[9.81].fit.deviations[0]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import PERIOD, SHORT_QUICK, campaign
-from twin.identify.campaign_fit import _on_known_loads
+from twin.identify.campaign_fit import known_load_findings
 from twin.identify.direct import direct_route
-from twin.identify.recording import prepared
+from twin.identify.recording import prepare_recording
 from twin.machine.from_recording import machine_from_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -41,7 +41,7 @@ def test_identification_takes_the_load_off(mikron: Machine) -> None:
     axis = machine.axis("X")
 
     def inertia_and_friction(one: MeasuredRun) -> np.ndarray:
-        found = direct_route(machine, prepared(machine, campaign([one])).axis_runs).balance["X"].fit.values[:2]
+        found = direct_route(machine, prepare_recording(machine, campaign([one])).axis_runs).balance["X"].fit.values[:2]
         return found / [axis.commissioned_inertia, axis.coulomb_friction * axis.ratio]
 
     with_load = inertia_and_friction(run)
@@ -58,7 +58,9 @@ def test_a_load_that_the_drive_does_not_answer_is_part_of_its_command(mikron: Ma
     held = run.trace.get("X", "disturbance_force") * axis.ratio / axis.motor.torque_constant_nm_per_a
     signals = {**run.trace.signals, ("X", "current"): run.trace.get("X", "current") + held}
     injected = replace(run, trace=replace(run.trace, signals=signals))
-    said = [_on_known_loads(machine, direct_route(machine, prepared(machine, campaign([r])).axis_runs)) for r in (run, injected)]
+    said = [
+        known_load_findings(machine, direct_route(machine, prepare_recording(machine, campaign([r])).axis_runs)) for r in (run, injected)
+    ]
     assert said[0] == []
     assert [f.axis for f in said[1]] == ["X"]
     assert "injected_command" in said[1][0].text

@@ -172,7 +172,7 @@ def test_a_planned_campaign_keeps_limits_and_tells_what_it_promised(
     assert max(p.half for p in plan.predicted) < 0.02
     runs = [recorded(machine, r.name, r.setpoints.position[:, 0], r.feedforward, 900 + i) for i, r in enumerate(plan.runs)]
     result = identify_campaign(machine, campaign(runs), refine=False, gaps=False)
-    assert result.left_out == ("plan_check",)
+    assert result.held_out == ("plan_check",)
     assert plan.runs[0].repeats == 1  # what was predicted is one round
     for (axis, name), promised in known.items():
         achieved = result.parameter(axis, name).estimate.half / abs(promised.value)

@@ -70,7 +70,7 @@ def carry_out(args: argparse.Namespace) -> int:
     print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt", "in the file"], rows, left=2))
     if not all(result.tolerance_holds.values()):
         print("The identified products contradict parameter_tolerance; the torque constants of the machine file were kept.")
-    print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; held out: {', '.join(result.left_out) or 'none'}")
+    print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}")
     if args.json:
         write_json(as_json(result), Path(args.json), "identification")
     if result.refused:

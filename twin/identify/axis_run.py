@@ -67,7 +67,7 @@ class AxisRun:
     speed_ripple: np.ndarray | None
     torque_feedforward: np.ndarray  # at weight 1 without delay [Nm], 0 where the run has none
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
-    outside: np.ndarray | None  # known outside load, mean of the cycle, as torque at the motor towards +q [Nm]
+    known_load: np.ndarray | None  # known outside load, mean of the cycle, as torque at the motor towards +q [Nm]
     injected: np.ndarray | None  # what a rig adds to the command, mean of the cycle, as torque at the motor [Nm]
     slides_above: float  # speed from which friction is on its line [rad/s]
     limited: np.ndarray  # current at its limit, or a channel clipped
@@ -75,7 +75,7 @@ class AxisRun:
 
     def filtered(self, values: np.ndarray) -> np.ndarray:
         """Zero-phase low-pass of (cycle,) values; at the ends of the run with the end value beyond."""
-        window = _window(self.cycle)
+        window = low_pass_window(self.cycle)
         return np.convolve(np.pad(values, len(window) // 2, "edge"), window, "valid")
 
     def setpoint_at(self, times: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ class AxisRun:
     @property
     def sliding(self) -> np.ndarray:
         """(cycle,) True where the axis slides, unlimited, all through the window of the filter."""
-        reach = len(_window(self.cycle)) // 2
+        reach = len(low_pass_window(self.cycle)) // 2
         # the current between samples remembers a limit as long as it remembers a step
         remembered = np.convolve(self.limited, np.ones(SETTLED_CYCLES + 1))[: len(self.limited)] > 0.5
         slow = (np.abs(self.speed) < self.slides_above) | remembered
@@ -107,7 +107,7 @@ class AxisRun:
 
 
 @functools.lru_cache(maxsize=16)
-def _window(cycle: float) -> np.ndarray:
+def low_pass_window(cycle: float) -> np.ndarray:
     """Low-pass of BAND_HZ as a symmetric window (Hamming) of REACH_S to each side; sum 1. Slower cycles hold no more than the band: 1."""
     if cycle * BAND_HZ >= NYQUIST:
         return np.ones(1)
@@ -214,7 +214,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         deflection=(motor - signal("position"))[window].reshape(cycles, n).mean(axis=1)
         if has["motor_position"] and has["position"]
         else None,
-        outside=pushed,
+        known_load=pushed,
         injected=added,
         slides_above=slides_above(axis),
         limited=limited,
@@ -266,7 +266,7 @@ def _flat(values: np.ndarray, least: int) -> np.ndarray:
     return out
 
 
-GOES_ON = 0.02
+BEYOND_RANGE = 0.02
 """A channel is clipped where the set point goes beyond its largest or smallest value by this share of the set point's range."""
 
 
@@ -277,7 +277,7 @@ def _clipped(values: np.ndarray, reference: np.ndarray) -> np.ndarray:
         return flat
     # an axis may rest at the end of its way, and a motor encoder count from elsewhere: neither goes on
     reference = reference - np.median(reference - values)
-    beyond = np.maximum(reference - values.max(), values.min() - reference) > GOES_ON * np.ptp(reference)
+    beyond = np.maximum(reference - values.max(), values.min() - reference) > BEYOND_RANGE * np.ptp(reference)
     # one sample that contradicts says it of its whole stretch: the axis lags behind the set point
     stretch = np.cumsum(np.diff(flat, prepend=False))
     return flat & np.isin(stretch, stretch[flat & beyond])

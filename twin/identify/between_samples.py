@@ -80,7 +80,7 @@ def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
     )
 
 
-UNSTABLE = 1e100
+DIVERGED = 1e100
 """A unit step makes no such current or speed in a loop that settles."""
 
 
@@ -135,7 +135,7 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     starts = np.zeros((cycles, n, 2))
     for c in range(cycles - 1):
         starts[c + 1] = free[ticks] @ starts[c] + forced[ticks]
-        if not np.abs(starts[c + 1]).max() < UNSTABLE:
+        if not np.abs(starts[c + 1]).max() < DIVERGED:
             raise InputError(
                 f"a speed loop with a gain of {loop.speed_gain:.3g} Nm s/rad on {loop.inertia:.3g} kg m2 is unstable; correct the machine file"
             )

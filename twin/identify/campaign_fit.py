@@ -13,19 +13,27 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
-from twin.identify.choice import chosen, tables_of
+from twin.identify.choice import choose_stages, gap_tables
 from twin.identify.delivered import delivered_effort
 from twin.identify.direct import Direct, Runs, direct_route
-from twin.identify.drive_balance import load_answered
+from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
-from twin.identify.drive_residuals import is_driven_ideally
+from twin.identify.drive_residuals import has_ideal_actuator
 from twin.identify.findings import Finding
-from twin.identify.held_out import LEFT_OUT_SHARE, Division, divided
+from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs
 from twin.identify.noise import measured_noise
-from twin.identify.parameters import LOOP_BOUNDS, doubts_of, impossible, parameters_of, unseen, with_drives, with_refined
+from twin.identify.parameters import (
+    LOOP_BOUNDS,
+    implausible_currents,
+    parameters_of,
+    prior_deviations,
+    unidentified,
+    with_drives,
+    with_refined,
+)
 from twin.identify.position_control import NOT_RECORDED
 from twin.identify.products import split_machine, split_products
-from twin.identify.recording import prepared
+from twin.identify.recording import prepare_recording
 from twin.identify.result import Identification, Parameter
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
@@ -57,8 +65,8 @@ def identify_campaign(
         raise InputError(
             f"{campaign.path}: run {by_bar[0]}: a ballbar saw the radius alone, which identifies nothing; give it to 'twin diagnose'"
         )
-    recording = prepared(machine, campaign)
-    division = divided(machine, recording.runs)
+    recording = prepare_recording(machine, campaign)
+    division = divide_runs(machine, recording.runs)
     if not any(r is not None and (r.current is not None or r.speed_setpoint is not None) for a in recording.axis_runs.values() for r in a):
         raise InputError(
             f"{campaign.path}: no run holds position with current or speed set point; record position, current and velocity_setpoint"
@@ -67,21 +75,21 @@ def identify_campaign(
     simulated = _simulated(machine, division)
     say("regression")
     direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
-    against = impossible(direct)
+    against = implausible_currents(direct)
     if against:
         recording = recording.without_current(against)
         direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
     splits = split_products(machine, direct, torque_constant_tolerance)
     training = [division.runs[i] for i in division.training()]
-    controlled = with_loops(machine, direct)
-    found = with_loops(split_machine(machine, splits), direct)
+    controlled = with_identified_control(machine, direct)
+    found = with_identified_control(split_machine(machine, splits), direct)
     found = _with_noise(found, measured_noise(machine, training))
     say("regression on what was left out")
     checking = division.part(recording.axis_runs, fitted=False)
     other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()
     parameters = parameters_of(machine, direct, other, splits)
-    not_found, notes = _on_position_control(machine, direct)
-    findings = [*recording.findings, *against.values(), *not_found, *_on_known_loads(machine, direct)]
+    not_found, notes = position_control_findings(machine, direct)
+    findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
     for one in (delivered_effort(axis, recording.runs) for axis in machine.axes):
         if one is not None:
             (findings if one.off else notes).append(Finding("", one.axis, one.text()))
@@ -93,7 +101,7 @@ def identify_campaign(
         clock["re-simulation"] = time.perf_counter() - started
         if refined is not None:
             stages["refined"] = refined
-    findings += unseen(machine, parameters)
+    findings += unidentified(machine, parameters)
     best, refused, tables = stages.get("refined", found), "", {}
     route = "refined" if "refined" in stages else "regression"
     stage_of: dict[str, str] | None = None
@@ -101,8 +109,8 @@ def identify_campaign(
         say("gap on what was left out")
         if direct.position:
             stages["control"] = controlled
-        all_tables = tables_of({"before": machine, **stages}, division)
-        choice = chosen(machine, stages, all_tables, division)
+        all_tables = gap_tables({"before": machine, **stages}, division)
+        choice = choose_stages(machine, stages, all_tables, division)
         best, refused, stage_of = choice.machine, choice.refused, dict(choice.stage_of)
         findings += choice.findings
         route = next((name for name, m in stages.items() if m is best), "each axis by itself")
@@ -111,16 +119,16 @@ def identify_campaign(
     else:
         best, route = found, "regression"
     return Identification(
-        machine, best, tuple(parameters), tuple(findings), tuple(recording.late), direct,
-        tuple(r.name for r in training), _left_out(division), str(campaign.path),
+        machine, best, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
+        tuple(r.name for r in training), _held_out_names(division), str(campaign.path),
         {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, tuple(notes),
     )  # fmt: skip
 
 
-def _left_out(division: Division) -> tuple[str, ...]:
+def _held_out_names(division: Division) -> tuple[str, ...]:
     """What no fit has seen, as it is printed."""
-    names = [division.runs[i].name for i in division.left_out()]
-    stretches = [f"the last {100 * LEFT_OUT_SHARE:.0f} % of the motion of {a}" for a in division.by_stretch]
+    names = [division.runs[i].name for i in division.held_out()]
+    stretches = [f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {a}" for a in division.by_stretch]
     return (*names, *stretches)
 
 
@@ -163,16 +171,16 @@ def _resimulated(
     part = division.part(axis_runs, fitted=True)
     measured = {a: [seen[i] for i in training] for a, seen in part.items()}
     machine, said = found, []
-    if any(not is_driven_ideally(a) for a in found.axes):
+    if any(not has_ideal_actuator(a) for a in found.axes):
         say("refinement by re-simulation")
         try:
-            refined = refined_machine(found, runs, measured, direct.current, doubts_of(found, parameters), say)
+            refined = refined_machine(found, runs, measured, direct.current, prior_deviations(found, parameters), say)
             machine = refined.machine
             parameters = with_refined(parameters, machine, refined.deviations)
         except SimulationError as error:
             said.append(Finding("", "", f"not refined by re-simulation: {error}"))
             return None, parameters, said
-    if any(is_driven_ideally(a) for a in found.axes):
+    if any(has_ideal_actuator(a) for a in found.axes):
         say("drives in closed loop")
         rows = {a: [division.fitted[a][i] for i in training] for a in found.axis_names}
         known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop}
@@ -186,16 +194,16 @@ def _resimulated(
     return machine, parameters, said
 
 
-WORSE, WORSE_S = 0.3, 1e-3
+WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
 """Control values known no better than this, relative and in seconds, do not replace the machine file's."""
 
 
-def _on_known_loads(machine: Machine, direct: Direct) -> list[Finding]:
+def known_load_findings(machine: Machine, direct: Direct) -> list[Finding]:
     """Axes whose drive does not answer the outside load that the recording holds."""
     out = []
     for balance in direct.balance.values():
         for name, rows in balance.rows.items():
-            if not load_answered(rows):
+            if not drive_reacts_to_load(rows):
                 effort = machine.axis(name).effort
                 text = (
                     f"the {effort} does not answer the recorded disturbance: it is part of the {effort} already; "
@@ -205,7 +213,7 @@ def _on_known_loads(machine: Machine, direct: Direct) -> list[Finding]:
     return out
 
 
-def _on_position_control(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:
+def position_control_findings(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:
     """Findings: why a position controller was not identified. Notes: what the table of parameters does not say of those that were."""
     findings, notes = [], []
     for axis in machine.axes:
@@ -235,7 +243,7 @@ def _on_position_control(machine: Machine, direct: Direct) -> tuple[list[Finding
     return findings, notes
 
 
-def with_loops(machine: Machine, direct: Direct) -> Machine:
+def with_identified_control(machine: Machine, direct: Direct) -> Machine:
     """Control values and windings into the machine file; those that the signals did not show keep the file's."""
     values: dict[str, object] = {}
     for axis in machine.axes:
@@ -245,7 +253,7 @@ def with_loops(machine: Machine, direct: Direct) -> Machine:
             for name, value in found.values.items():
                 half = found.quantile * found.deviations[name]
                 fixed = name == "feedforward_delay_s" and getattr(found, "from_recorded_feedforward", False)
-                if fixed or half < (WORSE_S if name.endswith("delay_s") else WORSE * abs(value)):
+                if fixed or half < (WIDEST_DELAY_INTERVAL_S if name.endswith("delay_s") else WIDEST_INTERVAL * abs(value)):
                     low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
                     values[f"axis.{axis.name}.loops.{name}"] = float(np.clip(value, low, high))
         loop = direct.drive_loop.get(axis.name)

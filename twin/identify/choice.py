@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, SimulationError
-from twin.identify.drive_residuals import shows_following
+from twin.identify.drive_residuals import position_is_informative
 from twin.identify.findings import Finding
 from twin.identify.held_out import Division, Table, gap_or_reason
 from twin.machine.loops import loops_of
 from twin.machine.machine import Machine
 
-WORSE = 1.02
+GROWN_GAP = 1.02
 """A gap counts as grown from this factor on."""
 
 
@@ -58,11 +58,11 @@ def unstable_loops(machine: Machine) -> dict[str, str]:
     return out
 
 
-def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division) -> Choice:
+def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division) -> Choice:
     """The best stage of each axis; `stages` in the order of preference where they are equal, `tables` their gaps and that of 'before'."""
     start = tables["before"]
-    shaky = {name: unstable_loops(machine) for name, machine in stages.items()}
-    was_shaky = unstable_loops(before)
+    unstable = {name: unstable_loops(machine) for name, machine in stages.items()}
+    unstable_before = unstable_loops(before)
     findings: list[Finding] = []
     best: dict[str, str] = {}
     names = [a.name for a in before.axes]
@@ -71,12 +71,12 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
 
     def judging(signals: Mapping[str, Mapping[str, Any]], axis: str) -> dict[str, Mapping[str, Any]]:
         effort = before.axis(axis).effort
-        return {s: g for s, g in signals.items() if s == effort or shows_following(before.axis(axis), division.runs)}
+        return {s: g for s, g in signals.items() if s == effort or position_is_informative(before.axis(axis), division.runs)}
 
     for group in [*groups, *([pair] if pair else [])]:
         scores = {}
         for name, table in tables.items():
-            if isinstance(table, str) or name == "before" or any(a in shaky[name] and a not in was_shaky for a in group):
+            if isinstance(table, str) or name == "before" or any(a in unstable[name] and a not in unstable_before for a in group):
                 continue
             known = [a for a in group if a in table]
             if not known:
@@ -86,12 +86,12 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
                 if isinstance(start, str)
                 else math.exp(float(np.mean([math.log(ratio(judging(table[a], a), start.get(a, {}))) for a in known])))
             )
-        good = {name: s for name, s in scores.items() if s <= WORSE}
+        good = {name: s for name, s in scores.items() if s <= GROWN_GAP}
         if good:
-            stage = min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / WORSE))
+            stage = min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / GROWN_GAP))
             best.update(dict.fromkeys(group, stage))
         elif moved := [a for a in group if any(not isinstance(t, str) and a in t for t in tables.values())]:
-            findings += [Finding("", a, _why(a, scores, shaky, tables)) for a in moved]
+            findings += [Finding("", a, _why(a, scores, unstable, tables)) for a in moved]
     moving = {a for t in tables.values() if not isinstance(t, str) for a in t}
     if isinstance(start, str):
         findings.append(Finding("", "", f"the machine file before cannot follow the recorded set points ({start})"))
@@ -108,8 +108,8 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
     return Choice(_assembled(before, stages, stage_of), tuple(findings), "", stage_of)
 
 
-def _why(axis: str, scores: Mapping[str, float], shaky: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:
-    loops = sorted({f"the {s[axis]} loop would be unstable" for s in shaky.values() if axis in s})
+def _why(axis: str, scores: Mapping[str, float], unstable: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:
+    loops = sorted({f"the {s[axis]} loop would be unstable" for s in unstable.values() if axis in s})
     grown = [f"the gap on what was left out would be {min(scores.values()):.3g} times as large" for _ in (0,) if scores]
     failed = [t for t in tables.values() if isinstance(t, str)]
     return f"keeps the numbers of the file before: {'; '.join([*loops, *grown] or failed or ['no signal to judge it by'])}"
@@ -134,6 +134,6 @@ def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping
     return Machine(document, before.model_path, before.path)
 
 
-def tables_of(machines: Mapping[str, Machine], division: Division) -> dict[str, Table | str]:
+def gap_tables(machines: Mapping[str, Machine], division: Division) -> dict[str, Table | str]:
     """Gap of each machine on what was left out, or why there is none."""
     return {name: gap_or_reason(machine, division) for name, machine in machines.items()}

@@ -20,7 +20,7 @@ from twin.recordings.least_squares import Fit, regress
 from twin.recordings.trace import OTHER_UNITS, Trace
 
 PAIRS = {"torque": "torque_setpoint", "current": "current_setpoint"}
-"""Delivered effort and what it was commanded to be."""
+"""Delivered effort -> the command it answers."""
 
 LONGEST_S, LONGEST_SAMPLES = 0.05, 40
 """Delays up to the shorter of both are tried."""
@@ -40,7 +40,7 @@ SMALL = 0.01
 
 
 @dataclass(frozen=True)
-class Delivered:
+class DeliveredEffort:
     """One axis: gain, delay [s] and offset [A, Nm] with the deviations of gain and offset; `left`: share of the delivered effort that the law leaves (RMS);
     `limit` [A, Nm] where it stays while more is asked, else None; `most_asked` is the largest command."""
 
@@ -75,7 +75,7 @@ class Delivered:
         return said + ("; look at inverter, torque constant and limits" if self.off else "")
 
 
-def delivered_effort(axis: Axis, runs: Sequence[MeasuredRun]) -> Delivered | None:
+def delivered_effort(axis: Axis, runs: Sequence[MeasuredRun]) -> DeliveredEffort | None:
     """Commanded against delivered effort of one axis; None where not both are recorded, or where they have nothing to do with each other."""
     for effort, command in PAIRS.items():
         traces = [r.trace for r in runs if r.trace.has(axis.name, effort) and r.trace.has(axis.name, command) and len(r.trace.time) > 20]
@@ -85,7 +85,7 @@ def delivered_effort(axis: Axis, runs: Sequence[MeasuredRun]) -> Delivered | Non
     return None
 
 
-def _fitted(axis: str, effort: str, command: str, traces: Sequence[Trace]) -> Delivered | None:
+def _fitted(axis: str, effort: str, command: str, traces: Sequence[Trace]) -> DeliveredEffort | None:
     given = np.concatenate([t.get(axis, effort) for t in traces])
     asked = np.concatenate([t.get(axis, command) for t in traces])
     everywhere = [np.ones(len(t.time), bool) for t in traces]
@@ -102,7 +102,7 @@ def _fitted(axis: str, effort: str, command: str, traces: Sequence[Trace]) -> De
     share = float(np.sqrt(np.mean(fit.residual**2)) / max(float(np.std(given)), 1e-300))
     if not fit.seen[0] or share > FOLLOWS:
         return None
-    return Delivered(
+    return DeliveredEffort(
         axis, effort, float(fit.values[0]), float(fit.deviations[0]), delay, float(fit.values[1]), float(fit.deviations[1]), share, limit,
         float(np.abs(asked).max()), float(np.abs(given).max()),
     )  # fmt: skip

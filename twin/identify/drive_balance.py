@@ -31,12 +31,12 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.least_squares import Fit, regress
 
 NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
-EVERY = 4
+ROW_STRIDE = 4
 """Each so many cycles a row: the filter passes 20 Hz, so rows 8 ms apart (of a 2 ms cycle) hold all."""
 
 ITERATIONS = 4
 
-LAW_DOUBT = 0.004
+LAW_DEVIATION = 0.004
 """How well the law of the saw-tooth (two masses, fixed damping) holds the missing mean, as a standard deviation (docs/identify.md)."""
 
 
@@ -51,13 +51,13 @@ class Rows:
     acceleration: np.ndarray
     position: np.ndarray
     run: np.ndarray
-    outside: np.ndarray  # the share of a known outside load in y
+    known_load: np.ndarray  # the share of a known outside load in y
 
 
 def stacked(parts: Sequence[Rows]) -> Rows:
     """Rows of several runs in one; clusters of different runs stay apart."""
     clusters = [p.clusters + 100_000 * k for k, p in enumerate(parts)]
-    fields = ("columns", "y", "speed", "acceleration", "position", "run", "outside")
+    fields = ("columns", "y", "speed", "acceleration", "position", "run", "known_load")
     joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
     return Rows(clusters=np.concatenate(clusters), **joined)
 
@@ -69,15 +69,15 @@ def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray, heavy: bool 
     turning = [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))] if axis.kind == "rotary" and heavy else []
     columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), f(run.jerk), *turning])
     torque = mean_current * axis.motor.torque_constant_nm_per_a
-    return _kept(run, columns, f(torque if run.outside is None else torque + run.outside))
+    return sliding_rows(run, columns, f(torque if run.known_load is None else torque + run.known_load))
 
 
-def _kept(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
-    index = np.arange(0, len(y), EVERY)
+def sliding_rows(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
+    index = np.arange(0, len(y), ROW_STRIDE)
     index = index[run.sliding[index]]
     f = run.filtered
     names = np.full(len(index), run.run, dtype=object)
-    outside = np.zeros(len(index)) if run.outside is None else f(run.outside)[index]
+    outside = np.zeros(len(index)) if run.known_load is None else f(run.known_load)[index]
     return Rows(
         columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index], names,
         outside,
@@ -117,12 +117,12 @@ def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun 
                 )
                 pressed += [t * u for t in turning for u in (np.cos(there), np.sin(there))]
                 pressed.append(its_acceleration)
-        if any(r.outside is not None for r in runs):
-            pressed.append(np.zeros(n) if run.outside is None else run.outside)
+        if any(r.known_load is not None for r in runs):
+            pressed.append(np.zeros(n) if run.known_load is None else run.known_load)
         acceleration = f(run.acceleration * axis.ratio)
         torque = f(run.current * axis.motor.torque_constant_nm_per_a / axis.ratio)
-        by_motion.append(_kept(run, np.column_stack([acceleration, *(f(x) for x in pressed)]), f(run.deflection)))
-        by_torque.append(_kept(run, np.column_stack([torque, acceleration, np.ones(n)]), f(run.deflection)))
+        by_motion.append(sliding_rows(run, np.column_stack([acceleration, *(f(x) for x in pressed)]), f(run.deflection)))
+        by_torque.append(sliding_rows(run, np.column_stack([torque, acceleration, np.ones(n)]), f(run.deflection)))
     motion, torques = stacked(by_motion), stacked(by_torque)
     if len(motion.y) < 50:
         return DriveTrain()
@@ -191,7 +191,7 @@ class MeanCurrent:
     def inertia_deviation(self) -> float:
         """What the fast loop leaves unknown of the inertia [kg m2]: Kt Tp times that of the missing mean per step."""
         missing = float(missing_mean(self.fit.loop, self.samples_per_cycle)[0].sum())
-        doubt = np.hypot(self.fit.mean_deviation, LAW_DOUBT * missing)
+        doubt = np.hypot(self.fit.mean_deviation, LAW_DEVIATION * missing)
         return self.axis.motor.torque_constant_nm_per_a * self.machine.position_cycle * float(doubt)
 
 
@@ -210,17 +210,17 @@ def _steps(run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:
     return np.diff(speed, prepend=0.0), np.diff(torque_weight * run.torque_feedforward, prepend=0.0)
 
 
-NOT_ANSWERED = 0.5
+LEAST_REACTION = 0.5
 """A drive answers an outside load with as much; where less than this share is seen, the recorded command holds the load already."""
 
 
-def load_answered(rows: Rows) -> bool:
+def drive_reacts_to_load(rows: Rows) -> bool:
     """Does the drive answer the known outside load, as it must? True where there is none, or where these rows cannot tell."""
-    if not np.ptp(rows.outside) > 0.0 or len(rows.y) < 2 * rows.columns.shape[1] + 10:
+    if not np.ptp(rows.known_load) > 0.0 or len(rows.y) < 2 * rows.columns.shape[1] + 10:
         return True
-    fit = regress(np.column_stack([rows.columns, rows.outside]), rows.y, rows.clusters)
+    fit = regress(np.column_stack([rows.columns, rows.known_load]), rows.y, rows.clusters)
     too_much, doubt = float(fit.values[-1]), fit.quantile * float(fit.deviations[-1])
-    return not (fit.seen[-1] and too_much - doubt > 0.0 and too_much > NOT_ANSWERED)
+    return not (fit.seen[-1] and too_much - doubt > 0.0 and too_much > LEAST_REACTION)
 
 
 def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tuple[Fit, Rows] | None:

@@ -24,10 +24,10 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 
 STEPS = 12
-DONE = 1e-4
+CONVERGED = 1e-4
 """The search ends where a step improves the mean log RMS by less."""
 
-CLEARLY = 0.02
+LEAST_IMPROVEMENT = 0.02
 """A speed controller with a reference model, and a torque feedforward of the drive, are taken where they lower the mean log RMS by more."""
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
@@ -70,7 +70,7 @@ def fit_drives(
         except SimulationError:
             other = None
         if other is not None:
-            searches |= {n: other for n in other.x if other.score[n] < searches[n].score[n] - CLEARLY}
+            searches |= {n: other for n in other.x if other.score[n] < searches[n].score[n] - LEAST_IMPROVEMENT}
     fits, values, forces = {}, {}, {}
     for n, search in searches.items():
         fits[n] = search.work.result(n, search.x[n], search.base[n], search.jacobian[n])
@@ -118,7 +118,7 @@ def _searched(work: DriveResiduals, say: Callable[[str], None] | None) -> _Searc
     x = work.start()
     base = work.residuals(x)
     if base is None:
-        x = work.softened(x)
+        x = work.with_softer_gains(x)
         base = work.residuals(x)
         if base is None:
             raise SimulationError("the machine file does not follow the recorded set points: its loops are unstable; correct its gains")
@@ -139,7 +139,7 @@ def _searched(work: DriveResiduals, say: Callable[[str], None] | None) -> _Searc
                 gained = {a: score[a] - _score(there[a]) for a in better}
                 base = {a: there[a] if a in better else base[a] for a in work.names}
                 score.update({a: _score(base[a]) for a in better})
-                open_axes -= {a for a in better if gained[a] < DONE}
+                open_axes -= {a for a in better if gained[a] < CONVERGED}
                 break
         else:
             break

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from scipy.signal import firwin
 
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_control import seen_position
+from twin.identify.position_control import loop_position
 from twin.machine.axis import Axis
 from twin.recordings.least_squares import regress
 
@@ -149,7 +149,7 @@ class _Piece:
 
 
 def _pieces_of(axis: Axis, run: AxisRun) -> list[_Piece]:
-    position = seen_position(run, axis)
+    position = loop_position(run, axis)
     if run.speed_setpoint is None or position is None:
         return []
     cycle = run.cycle

@@ -44,20 +44,20 @@ class DriveFit:
     values: dict[str, float]
     deviations: dict[str, float]
     rms: dict[str, float]
-    unseen: tuple[str, ...] = ()
+    unidentified: tuple[str, ...] = ()
 
 
-def is_driven_ideally(axis: Axis) -> bool:
+def has_ideal_actuator(axis: Axis) -> bool:
     """Does this axis belong here: no current loop of its own, so that its numbers may be lumps?"""
     return not axis.has_current_loop
 
 
-def shows_following(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
+def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
     """Does it say something of the mechanics how far a simulated axis follows? Not with gains of a drive that are tried, never measured.
 
     A drive with an integrating speed controller shows its gains between speed set point and command; that of two P controllers is its law.
     """
-    tried = is_driven_ideally(axis) and axis.has_speed_integral and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
+    tried = has_ideal_actuator(axis) and axis.has_speed_integral and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
     return not (tried and any(r.trace.has(axis.name, axis.effort) for r in runs))
 
 
@@ -73,7 +73,7 @@ class DriveResiduals:
         skipped: Collection[str],
     ) -> None:
         self.machine, self.runs = machine, runs
-        self.names = [a.name for a in machine.axes if is_driven_ideally(a) and a.name not in skipped and self._is_seen(a)]
+        self.names = [a.name for a in machine.axes if has_ideal_actuator(a) and a.name not in skipped and self._is_seen(a)]
         self.fields = {n: self._fields_of(machine.axis(n), known) for n in self.names}
         # the command of an axis that stands still is history: it counts where the set point moves
         self.used = {
@@ -91,7 +91,7 @@ class DriveResiduals:
     def signals(self, name: str) -> list[str]:
         """Recorded signals of an axis that are compared."""
         axis = self.machine.axis(name)
-        wanted = ("position", "motor_position", axis.effort) if shows_following(axis, self.runs) else (axis.effort,)
+        wanted = ("position", "motor_position", axis.effort) if position_is_informative(axis, self.runs) else (axis.effort,)
         return [s for s in wanted if any(r.trace.has(name, s) for r in self.runs)]
 
     def _is_seen(self, axis: Axis) -> bool:
@@ -113,7 +113,7 @@ class DriveResiduals:
     def start(self) -> dict[str, np.ndarray]:
         return {n: np.array([self._coded(n, f, self._value(n, f)) for f in self.fields[n]]) for n in self.names}
 
-    def softened(self, x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def with_softer_gains(self, x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """A start with half the gains and twice the integral time, for a file whose loops are unstable."""
         out = {}
         for n in self.names:
@@ -258,21 +258,21 @@ class DriveResiduals:
     def result(self, n: str, x: np.ndarray, base: Mapping[str, np.ndarray], jacobian: np.ndarray) -> DriveFit:
         """Values of one axis with their deviations."""
         deviation = _deviations(jacobian, whitened(base), self.clusters(n))
-        values, deviations, unseen = {}, {}, []
+        values, deviations, unidentified = {}, {}, []
         for f, code, d in zip(self.fields[n], x, deviation):
             value = self._decoded(n, f, float(code))
             if not math.isfinite(d) or (f not in STEP_OF and d > 1.0):
-                unseen.append(f)
+                unidentified.append(f)
             slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f.endswith("delay_s") else value)
             values[f], deviations[f] = value, float(d * slope)
         if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
             # what such an axis does at its stops parts friction and load a little, and no law of friction at rest is sure enough for that
-            unseen.append("coulomb_friction_nm")
+            unidentified.append("coulomb_friction_nm")
             deviations["constant_force"] = math.hypot(
                 deviations["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio
             )
         rms = {s: rms_of(v) * self.scale[n, s] for s, v in base.items()}
-        return DriveFit(values, deviations, rms, tuple(unseen))
+        return DriveFit(values, deviations, rms, tuple(unidentified))
 
 
 def _deviations(jacobian: np.ndarray, residual: np.ndarray, clusters: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.identify.axis_run import slides_above
 from twin.identify.direct import Balance
-from twin.identify.drive_balance import EVERY, Rows
+from twin.identify.drive_balance import ROW_STRIDE, Rows
 from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.result import Identification
 from twin.machine.machine import Axis, Machine
@@ -191,14 +191,14 @@ def gravity_figure(result: Identification) -> Any | None:
     return figure
 
 
-ROOM = 120
+LABEL_CHARACTERS = 120
 """So many small letters fit above the residuals."""
 
 
 def residual_figure(result: Identification) -> Any:
     """Residual of each balance in order of the rows, and its autocorrelation against the band of white noise."""
     axes = _shown(result)
-    apart_ms = 1e3 * EVERY * result.before.position_cycle
+    apart_ms = 1e3 * ROW_STRIDE * result.before.position_cycle
     figure, panels = new_figure(len(axes), 2, height=1.6, width=11.0, gridspec_kw={"width_ratios": [3, 1.4]})
     for (trace, white), axis in zip(panels, axes):
         balance = balance_of(result, axis.name)
@@ -210,7 +210,7 @@ def residual_figure(result: Identification) -> Any:
         for e in edges:
             trace.axvline(e, color=SOFT, lw=0.5)
         for start, end in itertools.pairwise([0, *edges, len(residual)]):
-            room = int(ROOM * (end - start) / len(residual))
+            room = int(LABEL_CHARACTERS * (end - start) / len(residual))
             name = str(rows.run[start])
             name = name if len(name) <= room else f"{name[: room - 1]}…" if room > 3 else ""
             trace.text(start, 0.98, f" {name}", transform=trace.get_xaxis_transform(), fontsize=6.5, va="top", color=INK)

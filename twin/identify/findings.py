@@ -125,11 +125,11 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     """Torque feedforward of one run: what the machine file's PI law leaves of the current, on the feedforward's own shape."""
     if run.speed_setpoint is None or run.current is None or axis.commissioned_inertia is None:
         return None
-    from twin.identify.speed_control import _columns
+    from twin.identify.speed_control import regressors
 
     loop = fast_loop_of(machine, axis, axis.commissioned_inertia)
     kt = loop.control_torque_constant
-    columns, y = _columns(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
+    columns, y = regressors(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
     kp = axis.loops.speed_gain_nm_s_per_rad
     left = y - columns[:, :2] @ np.array([kp, kp / axis.loops.speed_integral_time_s])
     t = columns[:, 2]
@@ -138,7 +138,7 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
 
 
 @dataclass(frozen=True)
-class Late:
+class ChannelSkew:
     """How much later than the scale (current: than the motion) a channel was recorded [s], with its standard deviation."""
 
     axis: str
@@ -147,11 +147,11 @@ class Late:
     deviation: float
 
 
-LATE_S = {"motor_position": 5e-5, "velocity": 1e-4, "velocity_setpoint": 1e-3, "current": 4e-4}
+LEAST_SKEW_S = {"motor_position": 5e-5, "velocity": 1e-4, "velocity_setpoint": 1e-3, "current": 4e-4}
 """Skew [s] below this is not corrected: an elastic drive train and a current loop off the file make as much (0.1 ms of the current)."""
 
 
-def late_channels(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun | None) -> list[Late]:
+def channel_skews(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun | None) -> list[ChannelSkew]:
     """Skew of motor position, speed, speed set point and current in one run, where the axis moves enough."""
     if seen is None or np.ptp(seen.axis_position) < 1e-3 * (axis.max_velocity / 0.5) or seen.sliding.sum() < 100:
         return []
@@ -160,31 +160,31 @@ def late_channels(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun 
     groups = seen.strokes[rows]
     f = seen.filtered
 
-    def late(signal: str, columns: list[np.ndarray], y: np.ndarray, per: float | None = None) -> None:
+    def add_skew(signal: str, columns: list[np.ndarray], y: np.ndarray, per: float | None = None) -> None:
         fit = regress(np.column_stack(columns), y, groups)
         if fit.seen[0] and (per is None or (fit.seen[1] and fit.values[1] > 0.0)):
             scale = -1.0 if per is None else -1.0 / fit.values[1]
-            out.append(Late(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
+            out.append(ChannelSkew(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
 
     speed, acceleration = f(seen.speed)[rows], f(seen.acceleration)[rows]
     ones, sign = np.ones(len(speed)), np.sign(speed)
     if seen.deflection is not None:
-        late("motor_position", [speed * axis.ratio, acceleration, sign, ones], f(seen.deflection)[rows])
+        add_skew("motor_position", [speed * axis.ratio, acceleration, sign, ones], f(seen.deflection)[rows])
     if seen.motor_speed is not None:
         # the mean of a cycle's samples lies before its middle by half a sample
         ahead = 0.5 * seen.cycle / seen.samples_per_cycle
-        late("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
+        add_skew("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
     if seen.current is not None:
         # the mean current of a cycle, with the machine file's saw-tooth, goes with the acceleration in its middle
         mean_current = MeanCurrent.start(machine, axis, [seen], axis.commissioned_inertia or axis.rotor_inertia_kg_m2).of(seen)
         assert mean_current is not None
         jerk = np.gradient(f(seen.acceleration), seen.cycle)[rows]
         turning = [f(np.cos(seen.axis_position))[rows], f(np.sin(seen.axis_position))[rows]] if axis.kind == "rotary" else []
-        late("current", [jerk, acceleration, sign, speed, ones, *turning], f(mean_current)[rows], per=1.0)
+        add_skew("current", [jerk, acceleration, sign, speed, ones, *turning], f(mean_current)[rows], per=1.0)
     return out
 
 
-def shifted_setpoint(axis: Axis, seen: AxisRun, period: float) -> float:
+def setpoint_shift(axis: Axis, seen: AxisRun, period: float) -> float:
     """Whole samples [s] by which the speed set point lies late against set point and scale (0: where it belongs).
 
     The position controller's law leaves least where the channels belong together.
@@ -200,10 +200,10 @@ def shifted_setpoint(axis: Axis, seen: AxisRun, period: float) -> float:
         _, residual = linearised(moved, axis, x, on)
         rms[cycles] = float(np.sqrt(np.mean(residual[8:-8] ** 2)))
     best = min(rms, key=lambda c: rms[c])
-    return best * seen.cycle if rms[best] < SHARPER * rms[0] else 0.0
+    return best * seen.cycle if rms[best] < SHIFT_RATIO * rms[0] else 0.0
 
 
-SHARPER = 0.2
+SHIFT_RATIO = 0.2
 """A shift counts where it leaves less than this fraction of the law's residual: gains and delays off the file leave more."""
 
 
@@ -257,11 +257,11 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
     return out
 
 
-TOO_MUCH = 3.0
+ABOVE_PEAK = 3.0
 """A current beyond so many times the motor's peak is no current of this motor."""
 
 
-def _doubt_of_sign(run: MeasuredRun, axis: Axis) -> str:
+def _unsigned_reason(run: MeasuredRun, axis: Axis) -> str:
     """Why the recorded force of an axis cannot be used with its sign, or ''."""
     if recorded_sign(run, axis.name, axis.effort).unsigned:
         return (
@@ -289,11 +289,11 @@ def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str
         for doubt in contradictions(axis.name, own, run.trace.period, axis.kind):
             if doubt.known:
                 out[axis.name, doubt.signal] = Finding(run.name, axis.name, f"{doubt.text}; {doubt.signal} is left out")
-        if (axis.name, axis.effort) not in out and (text := _doubt_of_sign(run, axis)):
+        if (axis.name, axis.effort) not in out and (text := _unsigned_reason(run, axis)):
             out[axis.name, axis.effort] = Finding(run.name, axis.name, text)
         peak, unit = axis.motor.peak_current_a, axis.effort_unit
         largest = float(np.abs(run.trace.get(axis.name, axis.effort)).max()) if run.trace.has(axis.name, axis.effort) else 0.0
-        if largest > TOO_MUCH * peak:
+        if largest > ABOVE_PEAK * peak:
             text = f"{axis.effort} up to {largest:.4g} {unit}, the motor's peak is {peak:g} {unit}: left out; check the unit of the column"
             out[axis.name, axis.effort] = Finding(run.name, axis.name, text)
     return out

@@ -20,7 +20,7 @@ from twin.simulation.gap import Job as PredictJob
 from twin.simulation.gap import Prediction, SignalGap, gap_of, is_moving, predict_each
 from twin.simulation.setpoints import AT_REST
 
-LEFT_OUT_SHARE = 0.3
+HELD_OUT_SHARE = 0.3
 """Share of the runs, the last ones, or of the motion of an axis, that no fit sees."""
 
 LEAST_SAMPLES = 20
@@ -44,7 +44,7 @@ class Division:
         """Runs of which any axis is fitted on any row."""
         return [i for i in range(len(self.runs)) if any(rows[i].any() for rows in self.fitted.values())]
 
-    def left_out(self) -> list[int]:
+    def held_out(self) -> list[int]:
         """Runs of which no axis is fitted."""
         known = set(self.training())
         return [i for i in range(len(self.runs)) if i not in known]
@@ -71,9 +71,9 @@ class Division:
         return kept or [(i, rows.copy()) for i, rows in enumerate(self.fitted[axis])]
 
 
-def divided(machine: Machine, runs: Sequence[MeasuredRun]) -> Division:
+def divide_runs(machine: Machine, runs: Sequence[MeasuredRun]) -> Division:
     """Leave out whole runs where there are three or more, never the only one with a feedforward setting or most of an axis' motion."""
-    count = max(int(LEFT_OUT_SHARE * len(runs)), 1) if len(runs) >= 3 else 0
+    count = max(int(HELD_OUT_SHARE * len(runs)), 1) if len(runs) >= 3 else 0
     training = list(runs)
     aside: set[str] = set()
     for run in reversed(runs):
@@ -99,12 +99,12 @@ def _stretch(moving: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     out = []
     for m in moving:
         at = np.flatnonzero(m)
-        last = int(LEFT_OUT_SHARE * len(at))
+        last = int(HELD_OUT_SHARE * len(at))
         out.append(np.arange(len(m)) < at[len(at) - last] if last >= LEAST_SAMPLES else np.ones(len(m), bool))
     return tuple(out)
 
 
-def gap_left_out(machine: Machine, division: Division) -> Table:
+def held_out_gap(machine: Machine, division: Division) -> Table:
     """Gap of a machine on the rows that judge it: axis -> signal -> RMS, RMS of noise alone, unit. Raises SimulationError where it diverges."""
     asked = sorted({i for a in machine.axis_names for i, _ in division.judged(a)})
     predictions = dict(zip(asked, predict_each([PredictJob(machine, division.runs[i]) for i in asked])))
@@ -155,6 +155,6 @@ def score(signals: Mapping[str, Mapping[str, float | str]]) -> float:
 def gap_or_reason(machine: Machine, division: Division) -> Table | str:
     """The gap, or one line that says why there is none."""
     try:
-        return gap_left_out(machine, division)
+        return held_out_gap(machine, division)
     except SimulationError as error:
         return " ".join(str(error).split())

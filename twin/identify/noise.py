@@ -35,10 +35,10 @@ def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, f
     """Values of the keys of [measurement], file units; keys without standstill or signal are left out."""
     spread: dict[tuple[str, str], list[float]] = {}
     weight: dict[tuple[str, str], list[int]] = {}
-    reference = _rest_of_the_twin(machine, runs[0].trace.period)
+    reference = _simulated_standstill(machine, runs[0].trace.period)
     for run in runs:
         for axis in machine.axes:
-            for part in rests(run.trace, axis):
+            for part in standstills(run.trace, axis):
                 for signal in ("position", "velocity", "current"):
                     if run.trace.has(axis.name, signal):
                         ratio = _scatter(run.trace.get(axis.name, signal)[part]) / max(_scatter(reference.get(axis.name, signal)), 1e-15)
@@ -54,7 +54,7 @@ def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, f
     return out
 
 
-def rests(trace: Trace, axis: Axis) -> list[slice]:
+def standstills(trace: Trace, axis: Axis) -> list[slice]:
     """Stretches in which the set point of the axis stands still, without their first part."""
     if axis.name not in trace.axes:
         return []
@@ -68,7 +68,7 @@ def _scatter(values: np.ndarray) -> float:
     return float(np.std(np.diff(values))) if len(values) > 2 else 0.0
 
 
-def _rest_of_the_twin(machine: Machine, period: float) -> Trace:
+def _simulated_standstill(machine: Machine, period: float) -> Trace:
     start = np.array([np.clip(0.0, *axis.travel) for axis in machine.axes])
     setpoints = Setpoints(np.tile(start, (round(1.0 / period), 1)), period)
     return simulate(machine, setpoints, sample_period=period, noise_seed=0).trace

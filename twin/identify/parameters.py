@@ -191,7 +191,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             "constant_force": ("constant_torque", force, axis.constant_torque_nm, r, f"axis.{name}.constant_torque_nm"),
         }
         for field, value in fit.values.items():
-            if field in fit.unseen or not math.isfinite(fit.deviations[field]):
+            if field in fit.unidentified or not math.isfinite(fit.deviations[field]):
                 continue
             label, unit, start, factor, path = rows.get(field) or (
                 field,
@@ -217,8 +217,8 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
     return out
 
 
-def doubts_of(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[str, str], float]:
-    """The regression's standard deviations as the refinement's knobs take them: relative, delays in seconds."""
+def prior_deviations(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[str, str], float]:
+    """Standard deviations of the regression in the units of the refinement's free parameters: relative, delays in seconds."""
     out: dict[tuple[str, str], float] = {}
     for p in parameters:
         d = p.estimate.half / 1.96
@@ -241,10 +241,10 @@ def doubts_of(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[s
     return out
 
 
-LOOSE = 0.1
+WIDE_INTERVAL = 0.1
 """A half interval above this fraction of the value counts as not identified."""
 
-CURES = {
+REMEDIES = {
     "velocity_feedforward": "a run with velocity feedforward on",
     "speed_gain_nm_s_per_rad": "runs that stay below the current limit",
     "torque_feedforward": "accelerations with torque feedforward on",
@@ -257,7 +257,7 @@ CURES = {
 }
 """The run that identifies a parameter."""
 
-TOGETHER = {
+PREREQUISITES = {
     "velocity_feedforward": ("position_gain_per_s",),
     "speed_gain_nm_s_per_rad": ("position_gain_per_s", "inertia"),
     "torque_feedforward": ("speed_gain_nm_s_per_rad",),
@@ -265,7 +265,7 @@ TOGETHER = {
 """Where the others are known and the first is not, it is the runs that lack, not the signals."""
 
 
-def impossible(direct: Direct) -> dict[str, Finding]:
+def implausible_currents(direct: Direct) -> dict[str, Finding]:
     """Axes whose inertia or Coulomb friction comes out below zero, beyond its interval: their current is none of this motion."""
     out: dict[str, Finding] = {}
     for key, balance in direct.balance.items():
@@ -281,19 +281,19 @@ def impossible(direct: Direct) -> dict[str, Finding]:
     return out
 
 
-def unseen(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
+def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
     """Parameters that the campaign leaves open, with the run that would close them."""
     out = []
     for axis in machine.axes:
         found = {p.name: p for p in parameters if p.axis == axis.name}
-        for name, cure in CURES.items():
+        for name, cure in REMEDIES.items():
             p = found.get(name)
             if p is not None:
                 scale = abs(p.before) or abs(p.estimate.value)
-                if p.estimate.half > LOOSE * scale > 0.0:
+                if p.estimate.half > WIDE_INTERVAL * scale > 0.0:
                     label = f"{name} only within {100 * p.estimate.half / scale:.0f} %; add {cure} ('twin plan')"
                     out.append(Finding("", axis.name, label))
-            elif (name in TOGETHER and set(TOGETHER[name]) <= found.keys()) or (
+            elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)
             ):
                 out.append(Finding("", axis.name, f"no run identifies {name}; add {cure} ('twin plan')"))

@@ -41,13 +41,13 @@ STARTS = 3
 GRID_ROWS = 4000
 """The grid reads at most so many cycles; the refinement reads all."""
 
-UNTOLD = 3.0
+GAIN_SIGNIFICANCE = 3.0
 """A gain within so many standard deviations of 0 is none."""
 
 CLEARLY_LESS = 0.8
 """The other interpolation counts where it leaves less than this part of what the machine file's leaves."""
 
-RIVAL = 2.0
+RIVAL_RATIO = 2.0
 """A law that leaves less than so many times the RMS of the best one is not excluded."""
 
 OUT_OF_LINE = 8.0
@@ -58,7 +58,7 @@ TRIMMED = 0.97
 
 NOT_RECORDED = "no speed set point is recorded"
 
-EVERY = slice(None)
+ALL_ROWS = slice(None)
 
 FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_delay_s": 1.2e-8, "feedforward_delay_s": 4e-9}
 """What rounded columns and the splines of the set points leave, as a standard deviation: not random from sample to sample."""
@@ -89,9 +89,9 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     """
     if not any(r.speed_setpoint is not None for r in runs):
         return NOT_RECORDED
-    if not any(seen_position(r, axis) is not None for r in runs):
+    if not any(loop_position(r, axis) is not None for r in runs):
         return "the position that the control used is not recorded"
-    runs = [r for r in runs if r.speed_setpoint is not None and seen_position(r, axis) is not None and np.ptp(r.angle) * axis.ratio > 1e-5]
+    runs = [r for r in runs if r.speed_setpoint is not None and loop_position(r, axis) is not None and np.ptp(r.angle) * axis.ratio > 1e-5]
     if not runs:
         return "the axis does not move where its speed set point is recorded"
     ways = sorted(INTERPOLATIONS, key=lambda way: way != interpolation)[: 1 if only else 2]
@@ -106,7 +106,7 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     fit, x = law.polished(x)
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "one speed only: the set point's delay and the position gain are one number; record accelerations"
-    if x[0] <= UNTOLD * fit.deviations[0]:
+    if x[0] <= GAIN_SIGNIFICANCE * fit.deviations[0]:
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     values = dict(zip(NAMES, x.tolist()))
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
@@ -116,7 +116,7 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     )
 
 
-def seen_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
+def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
     """Position (cycle,) that closes the position loop, axis units: the scale, or the motor encoder where the machine file says so."""
     if axis.encoder == "motor" and run.motor_at_axis is not None:
         return run.motor_at_axis
@@ -139,13 +139,13 @@ class _Law:
             return run.setpoint_at(times)
         return np.interp(times, run.start, run.setpoint_at(run.start))
 
-    def error(self, run: AxisRun, delay: float, rows: np.ndarray | slice = EVERY) -> np.ndarray:
+    def error(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Control error (row,) of one run for a delay of the set point."""
-        position = seen_position(run, self.axis)
+        position = loop_position(run, self.axis)
         assert position is not None
         return self.read(run, run.start[rows] - delay) - position[rows]
 
-    def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = EVERY) -> np.ndarray:
+    def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle."""
         if self.recorded:
             return (run.velocity_feedforward if run.velocity_feedforward is not None else np.zeros(len(run.start)))[rows]
@@ -159,7 +159,7 @@ class _Law:
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* less the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
         out = []
-        for run, on, kept in zip(self.runs, self.on, rows or [EVERY] * len(self.runs)):
+        for run, on, kept in zip(self.runs, self.on, rows or [ALL_ROWS] * len(self.runs)):
             assert run.speed_setpoint is not None
             law = x[0] * self.error(run, x[2], kept) + x[1] * on * self.fed(run, x[3], kept)
             out.append(run.speed_setpoint[kept] * self.axis.ratio - law)
@@ -210,7 +210,7 @@ class _Law:
                 ends.append((rms, found.x))
                 if rms < least:
                     best, least = found.x, rms
-        return best, least, [x for rms, x in ends if rms < RIVAL * least]
+        return best, least, [x for rms, x in ends if rms < RIVAL_RATIO * least]
 
     def polished(self, x: np.ndarray) -> tuple[Fit, np.ndarray]:
         """The regression at the solution, with intervals by strokes and without cycles that are far out of line."""

@@ -52,7 +52,7 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
     sections.append(_gap(result, pictures.get("gap")))
     sections += [_caveats(result), _signals(result)]
     axes = ", ".join(a.name for a in result.before.axes)
-    lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}."
+    lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; left out: {', '.join(result.held_out) or 'none'}."
     write_page(path, "Identified from its own traces", lead, sections, made_line(result.before.name, str(result.campaign)))
     return files
 
@@ -118,7 +118,7 @@ def _caveats(result: Identification) -> Section:
     return Section("What to keep in mind", lines, items=findings)
 
 
-BLUNT = 20.0
+WIDER_INTERVAL = 20.0
 """Runs left out that identify a parameter so many times less sharply do not judge it."""
 
 
@@ -140,8 +140,8 @@ def _parameters(result: Identification) -> Section:
     ]
     rows, marked = [], set()  # type: ignore[var-annotated]
     for p in result.parameters:
-        judges = p.left_out is not None and p.left_out.half < BLUNT * p.estimate.half
-        off = judges and p.left_out is not None and (p.left_out.low > p.estimate.high or p.left_out.high < p.estimate.low)
+        judges = p.held_out is not None and p.held_out.half < WIDER_INTERVAL * p.estimate.half
+        off = judges and p.held_out is not None and (p.held_out.low > p.estimate.high or p.held_out.high < p.estimate.low)
         if off or p.at_bound:
             marked.add(len(rows))
         rows.append(
@@ -156,7 +156,7 @@ def _parameters(result: Identification) -> Section:
                 _half(p.estimate) if p.product else "",
                 _number(p.refined),
                 _half(p.refined),
-                _aside(p),
+                _held_out_cell(p),
                 f"{p.condition:.0f}" if math.isfinite(p.condition) else "",
                 "yes" if p.at_bound else "",
             ]
@@ -185,8 +185,8 @@ def _half(r: Range | None) -> str:
     return f"± {100 * half / abs(r.value):.2g} %" if abs(r.value) > 20.0 * half else f"± {half:.2g}"
 
 
-def _aside(p: Parameter) -> str:
-    return f"{_number(p.left_out)} {_half(p.left_out)}" if p.left_out else ""
+def _held_out_cell(p: Parameter) -> str:
+    return f"{_number(p.held_out)} {_half(p.held_out)}" if p.held_out else ""
 
 
 def _gap(result: Identification, picture: Figure | None) -> Section:
@@ -212,7 +212,7 @@ def _gap(result: Identification, picture: Figure | None) -> Section:
 
 
 def _signals(result: Identification) -> Section:
-    rows = [[c.axis, c.signal, f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.late]
+    rows = [[c.axis, c.signal, f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.skews]
     before, after = (m.document.get("measurement", {}) for m in (result.before, result.machine))
     noise = [[k, f"{before[k]:.4g}", f"{after[k]:.4g}"] for k in before if "noise" in k]
     return Section(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twin.identify.direct import Direct
-from twin.identify.findings import Finding, Late
+from twin.identify.findings import ChannelSkew, Finding
 from twin.machine.machine import Machine
 
 
@@ -33,7 +33,7 @@ class Parameter:
     """One identified number.
 
     `estimate` is what the regression found; with `product` it stands for value x (file's Kt / true Kt). `value` is what the machine file
-    gets after products are split; `left_out` the same regression on the runs left out; `refined` the re-simulated one.
+    gets after products are split; `held_out` the same regression on the runs left out; `refined` the re-simulated one.
     """
 
     axis: str
@@ -46,7 +46,7 @@ class Parameter:
     condition: float
     at_bound: bool
     path: str = ""
-    left_out: Range | None = None
+    held_out: Range | None = None
     refined: Range | None = None
 
 
@@ -58,10 +58,10 @@ class Identification:
     machine: Machine
     parameters: tuple[Parameter, ...]
     findings: tuple[Finding, ...]
-    late: tuple[Late, ...]
+    skews: tuple[ChannelSkew, ...]
     direct: Direct
     training: tuple[str, ...]
-    left_out: tuple[str, ...]
+    held_out: tuple[str, ...]
     campaign: str
     tolerance_holds: dict[str, bool]
     gaps: dict[str, Any] = field(default_factory=dict)  # 'before', 'regression', 'refined' -> axis -> signal -> {rms, noise, unit}

@@ -6,7 +6,7 @@
 all taken as means over a position cycle, which the angles at its ends give exactly (mean w = difference of angles over Tp). The last
 part is what the current loop's integrator lags behind a growing voltage; T_i stands for what is left of delays. The speed loop's
 integrator also sums the speed noise of ticks that no trace holds: a slow random walk that a high-pass takes off both sides. The loop
-feeds the unseen noise back into e and i, so e is not free of the residual: the regression takes the same signals of a noise-free
+feeds the unrecorded noise back into e and i, so e is not free of the residual: the regression takes the same signals of a noise-free
 simulation as instruments (they follow the set points, not the noise).
 
 With feedforward on, the error e is a hundredth of the current: small parts that the columns lack weigh on the gain. The same regression
@@ -32,7 +32,7 @@ PASS_HZ = (1.0, 25.0)
 REMEMBERED_S = 0.4
 """So far from a limit of the current, on either side, the high-pass carries what was cut off there."""
 
-LAW_DOUBT = 0.002
+LAW_DEVIATION = 0.002
 """How well the law above holds after that, as a relative standard deviation of gain and integral time (docs/identify.md)."""
 
 
@@ -69,10 +69,10 @@ def fit_speed_control(
     kt = loop.control_torque_constant
     rows, y, clusters, instruments = [], [], [], []
     for k, (run, current, twin) in enumerate(kept):
-        columns, values = _columns(axis, loop, run, current, delay)
+        columns, values = regressors(axis, loop, run, current, delay)
         free = columns
         if twin is not None and twin.current is not None:
-            free, _ = _columns(axis, loop, twin, twin.current, delay)
+            free, _ = regressors(axis, loop, twin, twin.current, delay)
             free = np.vstack([free, np.zeros((max(len(values) - len(free), 0), 4))])[: len(values)]
         if run.feedforward in ("off", "velocity"):
             columns[:, 2], free[:, 2] = 0.0, 0.0
@@ -90,7 +90,7 @@ def fit_speed_control(
     spread = tn * np.sqrt((d[0] / kp) ** 2 + (d[1] / ki) ** 2 - 2.0 * fit.covariance[0, 1] / (kp * ki)) if fit.seen[1] else np.inf
     weights = {}
     for run, current, _ in kept:
-        columns, values = _columns(axis, loop, run, current, delay)
+        columns, values = regressors(axis, loop, run, current, delay)
         left = values - columns[:, [0, 1, 3]] @ np.array([kp, ki, lag])
         power = float(columns[:, 2] @ columns[:, 2])
         weights[run.run] = float(columns[:, 2] @ left / power) if np.sqrt(power / len(left)) > 0.05 * kt else float("nan")
@@ -100,8 +100,8 @@ def fit_speed_control(
             zip(
                 NAMES,
                 (
-                    float(np.hypot(d[0], LAW_DOUBT * kp)),
-                    float(np.hypot(spread, LAW_DOUBT * tn)),
+                    float(np.hypot(d[0], LAW_DEVIATION * kp)),
+                    float(np.hypot(spread, LAW_DEVIATION * tn)),
                     float(d[2]) if fit.seen[2] else float("inf"),
                 ),
             )
@@ -119,7 +119,7 @@ def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | No
     for twin in twins:
         current = mean_of(known, twin, axis.loops.torque_feedforward) if twin is not None and known is not None else None
         if twin is not None and known is not None and current is not None:
-            columns, values = _columns(axis, known, twin, current, axis.loops.feedforward_delay_s)
+            columns, values = regressors(axis, known, twin, current, axis.loops.feedforward_delay_s)
             if twin.feedforward in ("off", "velocity"):
                 columns[:, 2] = 0.0
             rows.append(columns)
@@ -139,7 +139,7 @@ LAW_HOLDS = 0.15
 """Where the regression misses a known gain by more than this, it is not the law's small parts: nothing is taken back."""
 
 
-def _columns(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
+def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
     """Filtered columns e, E, T_ff at weight 1, kt di/dt (cycle, 4) and kt i (cycle,)."""
     tp, kt = run.cycle, loop.control_torque_constant
     assert run.speed_setpoint is not None

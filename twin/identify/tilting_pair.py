@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.identify.axis_run import AxisRun
-from twin.identify.drive_balance import MeanCurrent, Rows, _kept, stacked
+from twin.identify.drive_balance import MeanCurrent, Rows, sliding_rows, stacked
 from twin.machine.machine import Body, Machine
 from twin.recordings.least_squares import Fit, regress
 
@@ -86,9 +86,9 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
         own[2 * k], own[2 * k + 1], own[4 + k] = sign, (va, vc)[k], run.jerk[:n] * axis.ratio
         f = run.filtered
         torque = currents[k][:n] * axis.motor.torque_constant_nm_per_a / axis.ratio
-        if run.outside is not None:
-            torque = torque + run.outside[:n] / axis.ratio
-        out.append(_kept(_cut(run, n), np.column_stack([f(x) for x in (*columns, *own)]), f(torque)))
+        if run.known_load is not None:
+            torque = torque + run.known_load[:n] / axis.ratio
+        out.append(sliding_rows(_cut(run, n), np.column_stack([f(x) for x in (*columns, *own)]), f(torque)))
     return out[0], out[1]
 
 
@@ -127,5 +127,5 @@ def _cut(run: AxisRun, n: int) -> AxisRun:
     if n == len(run.speed):
         return run
     names = ("start", "middle", "axis_position", "speed", "acceleration", "limited")
-    outside = None if run.outside is None else run.outside[:n]
-    return replace(run, **{k: getattr(run, k)[:n] for k in names}, outside=outside)
+    outside = None if run.known_load is None else run.known_load[:n]
+    return replace(run, **{k: getattr(run, k)[:n] for k in names}, known_load=outside)

@@ -66,7 +66,7 @@ def write_identified(result: Identification, path: str | Path) -> None:
         "campaign": Path(result.campaign).name,
         "route": result.chosen,
         "fitted_runs": list(result.training),
-        "left_out_runs": list(result.left_out),
+        "left_out_runs": list(result.held_out),
         "torque_constants": "only products are known from current and motion; split within parameter_tolerance"
         if all(result.tolerance_holds.values())
         else "only products are known from current and motion; the file's torque constants were kept where the tolerance is contradicted",
@@ -95,13 +95,13 @@ def as_json(result: Identification) -> dict[str, Any]:
         "route": result.chosen,
         "refused": result.refused,
         "fitted_runs": list(result.training),
-        "left_out_runs": list(result.left_out),
+        "left_out_runs": list(result.held_out),
         "parameters": [
             {
                 "axis": p.axis, "name": p.name, "unit": p.unit, "path": p.path, "before": p.before,
                 **(range_table(_final(p, result)) or {}),
                 "product_at_file_torque_constant": range_table(p.estimate) if p.product else None,
-                "regression": range_table(p.value), "refined": range_table(p.refined), "left_out": range_table(p.left_out),
+                "regression": range_table(p.value), "refined": range_table(p.refined), "left_out": range_table(p.held_out),
                 "taken": result.taken(p) is not None,
                 "condition": p.condition if math.isfinite(p.condition) else None, "at_bound": p.at_bound,
             }
@@ -109,7 +109,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         ],
         "findings": [{"run": f.run, "axis": f.axis, "text": f.text} for f in result.findings],
         "notes": [{"axis": f.axis, "text": f.text} for f in result.notes],
-        "late_channels": [{"axis": c.axis, "signal": c.signal, "seconds": c.seconds, "low": c.seconds - 1.96 * c.deviation, "high": c.seconds + 1.96 * c.deviation} for c in result.late],
+        "late_channels": [{"axis": c.axis, "signal": c.signal, "seconds": c.seconds, "low": c.seconds - 1.96 * c.deviation, "high": c.seconds + 1.96 * c.deviation} for c in result.skews],
         "gap": result.gaps,
         "tolerance_holds": result.tolerance_holds,
         "seconds": result.seconds,

@@ -101,12 +101,12 @@ def summary_lines(trials: dict[str, list[Trial]]) -> list[str]:
     return [
         f"calibrated on trial {first.run} with {first.load:g} kgf: {1e3 * k:.2f} mA/kgf",
         table(heading, rows, left=1),
-        *friction_told(trials),
+        *friction_lines(trials),
         "backlash, wear, stiffness: cannot be seen at 25 Hz with a current that has no sign; the gap of a screw closes between two samples.",
     ]
 
 
-def friction_told(trials: dict[str, list[Trial]]) -> list[str]:
+def friction_lines(trials: dict[str, list[Trial]]) -> list[str]:
     """How the friction of the other files differs from the first one's at equal load; a cause is not named."""
     names = list(trials)
     out = []

@@ -18,7 +18,7 @@ import numpy as np
 
 from twin.cli.parser import show_and_run
 from twin.errors import TwinError
-from twin.identify.held_out import Division, divided
+from twin.identify.held_out import Division, divide_runs
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
 from twin.simulation.added_feedforward import added_feedforward
@@ -63,16 +63,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def summary_text(machine: Machine, campaign: Campaign) -> str:
     """Gap of each axis on the part of its motion that was left out, in parts of following error and range of the current."""
-    division = divided(machine, campaign.runs)
+    division = divide_runs(machine, campaign.runs)
     predictions = {run.name: predict(machine, run).trace for run in campaign.runs}
     rows, pulses = [], []
     for axis in machine.axes:
         gap, lag, current, late = [], [], [], []
         delay = best_delay(division, axis.name)
         whole = [run.trace.get(axis.name, "current") for run in campaign.runs]
-        for i, left_out in division.judged(axis.name):
+        for i, held_out in division.judged(axis.name):
             run = division.runs[i]
-            moving = left_out & is_moving(run.trace, axis)
+            moving = held_out & is_moving(run.trace, axis)
             simulated = predictions[run.name]
             gap.append((run.trace.get(axis.name, "position") - simulated.get(axis.name, "position"))[moving])
             lag.append((run.trace.get(axis.name, "position") - run.trace.get(axis.name, "setpoint"))[moving])
