@@ -181,7 +181,7 @@ def test_nothing_is_identified_from_a_radius(tmp_path: Path, mikron: Machine, ca
     assert main(["iso", "230-4", str(ROOT / "examples/iso230/ballbar.csv"), "--plot", str(tmp_path / "bar.png"), *bar]) == 0
     capsys.readouterr()
     assert main(["identify", str(tmp_path / "bar"), "--out", str(tmp_path / "machine.toml")]) == 2
-    assert "a ballbar saw the radius alone" in capsys.readouterr().err
+    assert "a ballbar measures the radius only" in capsys.readouterr().err
     file = tmp_path / "bar" / "campaign.toml"
     for wrong, says in (('axes = ["X"]', "name two axes of the trace"), ('axes = ["X", "Z"]', "name two axes of the trace")):
         file.write_text(file.read_text().replace('axes = ["X", "Y"]', wrong), encoding="utf-8")

@@ -77,8 +77,8 @@ def test_nothing_to_identify_is_an_error_with_a_remedy(machine: Machine, runs: l
 def test_a_wrong_feedforward_flag_is_noticed_and_put_right(machine: Machine, runs: list[MeasuredRun]) -> None:
     wrong = [replace(r, feedforward={"quick_off": "velocity+torque", "quick": "off"}.get(r.name, r.feedforward)) for r in runs]
     result = identified(machine, wrong)
-    assert "run quick_off: campaign.toml says feedforward 'velocity+torque', the signals show 'off'" in said(result)
-    assert "run quick: campaign.toml says feedforward 'off', the signals show 'velocity+torque'" in said(result)
+    assert "run quick_off: campaign.toml has feedforward 'velocity+torque', but the signals show 'off'" in said(result)
+    assert "run quick: campaign.toml has feedforward 'off', but the signals show 'velocity+torque'" in said(result)
     assert result.parameter("X", "velocity_feedforward").value.value == pytest.approx(1.0, abs=1e-3)
 
 
@@ -97,14 +97,14 @@ def test_a_late_motor_encoder_is_timed(machine: Machine, runs: list[MeasuredRun]
     result = identified(machine, late)
     item = next(c for c in result.skews if c.signal == "motor_position")
     assert item.seconds == pytest.approx(1e-3, abs=2e-5)
-    assert said(result).count("taken back") == 1  # the other channels, timed against the motor, are not late
+    assert said(result).count("; corrected") == 1  # the other channels, timed against the motor, are not late
 
 
 def test_a_late_speed_set_point_is_taken_back(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "velocity_setpoint", np.roll(r.trace.get("X", "velocity_setpoint"), 4)) for r in runs]
     result = identified(machine, late)
     assert "velocity_setpoint was recorded 4.000 ms late" in said(result)
-    assert "campaign.toml says" not in said(result)  # late, it looks like another feedforward
+    assert "campaign.toml has" not in said(result)  # late, it looks like another feedforward
     assert result.parameter("X", "position_delay_s").value.value == pytest.approx(0.002, abs=5e-6)
 
 
@@ -124,7 +124,7 @@ def test_a_clipped_channel_is_named_and_its_parts_left_out(machine: Machine, run
         limit = share * np.abs(values).max()
         clipped.append(with_signal(run, "X", signal, np.clip(values, -limit, limit)))
     result = identified(machine, clipped)
-    assert f"{signal} stays on its largest value for" in said(result)
+    assert f"{signal} stays at its largest value for" in said(result)
     assert result.parameter("X", "coulomb_friction").estimate.value == pytest.approx(1.8, rel=0.01)
     assert result.parameter("X", "position_delay_s").value.value == pytest.approx(0.002, abs=20e-6)
 
@@ -168,7 +168,7 @@ def test_in_one_direction_coulomb_friction_and_weight_are_one_number(machine: Ma
 
 def test_a_current_of_the_wrong_sign_is_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
     result = identified(machine, [with_signal(r, "X", "current", -r.trace.get("X", "current")) for r in runs])
-    assert "runs against the motion and is not used; check the sign of the column" in said(result)
+    assert "so it contradicts the motion and is not used; check the sign of the column" in said(result)
     assert "inertia" not in {p.name for p in result.parameters}
     assert result.machine.axis("X").coulomb_friction_nm == machine.axis("X").coulomb_friction_nm
     assert result.parameter("X", "position_gain_per_s").value.value == pytest.approx(50.0, rel=1e-3)
@@ -176,7 +176,7 @@ def test_a_current_of_the_wrong_sign_is_not_used(machine: Machine, runs: list[Me
 
 def test_a_current_in_another_unit_is_left_out(machine: Machine, runs: list[MeasuredRun]) -> None:
     result = identified(machine, [with_signal(r, "X", "current", 1e3 * r.trace.get("X", "current")) for r in runs])
-    assert "the motor's peak is 46 A: left out; check the unit of the column" in said(result)
+    assert "the motor's peak is 46 A: not used; check the unit of the column" in said(result)
     assert "inertia" not in {p.name for p in result.parameters}
 
 
@@ -186,7 +186,7 @@ def test_a_short_run_is_left_out_and_nothing_else_is_an_error(machine: Machine, 
         return replace(run, trace=replace(run.trace, time=run.trace.time[:samples], signals=signals))
 
     result = identified(machine, [*runs, cut(replace(runs[0], name="broken off"), 40)])
-    assert "run broken off: only 0.039 s long: left out" in said(result)
+    assert "run broken off: only 0.039 s long: not used" in said(result)
     assert "broken off" not in result.training + result.held_out
     with pytest.raises(InputError, match="no run is longer than"):
         identified(machine, [cut(r, 2) for r in runs])
@@ -204,7 +204,9 @@ def test_peaks_that_a_recorder_cut_off_are_left_out(machine: Machine, runs: list
 
 def test_too_few_speeds_are_said(machine: Machine) -> None:
     points = path([0.2, -0.2, 0.2, -0.2], [0.15] * 4)
-    assert "too few speeds" in said(identified(machine, [recorded(machine, f"one_speed_{k}", points, "velocity", k) for k in range(2)]))
+    assert "too narrow a range of speeds" in said(
+        identified(machine, [recorded(machine, f"one_speed_{k}", points, "velocity", k) for k in range(2)])
+    )
 
 
 def test_an_axis_that_never_moves_is_named(mikron: Machine) -> None:
@@ -247,7 +249,7 @@ def test_samples_between_the_ticks_are_an_error(machine: Machine, runs: list[Mea
 def test_a_current_without_its_sign_is_named_and_not_fitted(machine: Machine, runs: list[MeasuredRun]) -> None:
     unsigned = [with_signal(r, "X", "current", np.abs(r.trace.get("X", "current"))) for r in runs]
     result = identified(machine, unsigned)
-    assert "current is recorded without a sign" in said(result)
+    assert "current is recorded without its sign" in said(result)
     assert "record X.current with its sign" in said(result)
     assert "inertia" not in {p.name for p in result.parameters}
     assert "position_gain_per_s" in {p.name for p in result.parameters}

@@ -39,7 +39,7 @@ def test_a_limit_is_found_and_does_not_bend_the_gain(mikron: Machine) -> None:
     assert found is not None
     assert found.limit == pytest.approx(8.0, abs=0.1)
     assert found.gain == pytest.approx(1.0, abs=0.01)
-    assert "a limit" in found.text()
+    assert "limited to 8.0" in found.text()
 
 
 def test_signals_without_a_common_law_say_nothing(mikron: Machine) -> None:

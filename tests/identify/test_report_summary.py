@@ -29,15 +29,15 @@ def identified(before: float) -> Any:
 
 def test_what_changed_comes_first() -> None:
     section = _summary(identified(before=1.4))
-    assert "Gap of position on what was left out, RMS: X 3 to 0.08 um (noise 0.07)." in section.paragraphs
-    assert section.paragraphs[-1] == "1 number of the machine file lies outside the 95 % interval that was identified:"
+    assert "Position gap on held-out motion, RMS: X 3 to 0.08 um (noise 0.07)." in section.paragraphs
+    assert section.paragraphs[-1] == "1 value of the old machine file lies outside the identified 95 % interval:"
     assert section.items == ["X: coulomb friction from 1.4 to 1.9 Nm (± 2.6 %)"]
 
 
 def test_nothing_changed() -> None:
     section = _summary(identified(before=1.92))
     assert section.items == []
-    assert section.paragraphs[-1] == "No number of the machine file lies outside the 95 % interval that was identified."
+    assert section.paragraphs[-1] == "No value of the old machine file lies outside the identified 95 % interval."
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""From a campaign to an identified machine: read, regress, split products, re-simulate, judge on what was left out."""
+"""Identify a machine from a campaign: prepare the signals, regress, split products, refine by re-simulation, judge on held-out motion."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def identify_campaign(
     """Identify the machine of a campaign, starting from its machine file.
 
     `torque_constant_tolerance`: relative half width within which the torque constants are known (default: the machine file's
-    parameter_tolerance). `progress` is called with the name of each step that begins. With `gaps` what was found is judged on what was
-    left out, and `refused` says where it must not be written.
+    parameter_tolerance). `progress` is called with the name of each step when it begins. With `gaps` the result is judged on the held-out
+    motion; its `refused` then gives the reason if no machine file may be written. Raises InputError if the recording lacks the signals.
     """
     say = progress or (lambda _text: None)
     clock: dict[str, float] = {}
@@ -63,7 +63,7 @@ def identify_campaign(
     say("reading signals")
     if by_bar := [run.name for run in campaign.runs if run.ballbar is not None]:
         raise InputError(
-            f"{campaign.path}: run {by_bar[0]}: a ballbar saw the radius alone, which identifies nothing; give it to 'twin diagnose'"
+            f"{campaign.path}: run {by_bar[0]}: a ballbar measures the radius only, which identifies no parameter; give it to 'twin diagnose'"
         )
     recording = prepare_recording(machine, campaign)
     division = divide_runs(machine, recording.runs)
@@ -84,7 +84,7 @@ def identify_campaign(
     controlled = with_identified_control(machine, direct)
     found = with_identified_control(split_machine(machine, splits), direct)
     found = _with_noise(found, measured_noise(machine, training))
-    say("regression on what was left out")
+    say("regression on the held-out motion")
     checking = division.part(recording.axis_runs, fitted=False)
     other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()
     parameters = parameters_of(machine, direct, other, splits)
@@ -106,7 +106,7 @@ def identify_campaign(
     route = "refined" if "refined" in stages else "regression"
     stage_of: dict[str, str] | None = None
     if gaps:
-        say("gap on what was left out")
+        say("gap on the held-out motion")
         if direct.position:
             stages["control"] = controlled
         all_tables = gap_tables({"before": machine, **stages}, division)
@@ -126,14 +126,14 @@ def identify_campaign(
 
 
 def _held_out_names(division: Division) -> tuple[str, ...]:
-    """What no fit has seen, as it is printed."""
+    """Held-out runs and stretches of motion, as printed."""
     names = [division.runs[i].name for i in division.held_out()]
     stretches = [f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {a}" for a in division.by_stretch]
     return (*names, *stretches)
 
 
 def _simulated(machine: Machine, division: Division) -> Runs | None:
-    """The training runs without noise, as the machine file has it: instruments. None where the machine file cannot follow the set points."""
+    """Noise-free simulation of the training runs with the machine file: the instruments. None if the machine file cannot follow the set points."""
     training = division.training()
 
     def one(i: int) -> MeasuredRun:
@@ -163,7 +163,10 @@ def _resimulated(
     against: dict[str, Finding],
     say: Callable[[str], None],
 ) -> tuple[Machine | None, list[Parameter], list[Finding]]:
-    """Both closed-loop fits: drives with a current loop below the band of their drive trains, ideal drives by every sample."""
+    """Both closed-loop fits: axes with a current loop by `refine`, axes with an ideal actuator by `drive_fit`.
+
+    Returns the machine (None if no fit succeeded), the parameters, and findings about fits that failed.
+    """
     from twin.identify.refine import refined_machine
 
     training = division.training()
@@ -178,7 +181,7 @@ def _resimulated(
             machine = refined.machine
             parameters = with_refined(parameters, machine, refined.deviations)
         except SimulationError as error:
-            said.append(Finding("", "", f"not refined by re-simulation: {error}"))
+            said.append(Finding("", "", f"re-simulation could not refine the parameters: {error}"))
             return None, parameters, said
     if any(has_ideal_actuator(a) for a in found.axes):
         say("drives in closed loop")
@@ -195,18 +198,18 @@ def _resimulated(
 
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
-"""Control values known no better than this, relative and in seconds, do not replace the machine file's."""
+"""Control values with a wider interval than this (relative; delays in seconds) do not replace the machine file's."""
 
 
 def known_load_findings(machine: Machine, direct: Direct) -> list[Finding]:
-    """Axes whose drive does not answer the outside load that the recording holds."""
+    """Findings about axes whose drive does not react to the recorded outside load."""
     out = []
     for balance in direct.balance.values():
         for name, rows in balance.rows.items():
             if not drive_reacts_to_load(rows):
                 effort = machine.axis(name).effort
                 text = (
-                    f"the {effort} does not answer the recorded disturbance: it is part of the {effort} already; "
+                    f"the {effort} does not react to the recorded disturbance, so it already contains it; "
                     'map it as signal = "injected_command"'
                 )
                 out.append(Finding("", name, text))
@@ -214,22 +217,22 @@ def known_load_findings(machine: Machine, direct: Direct) -> list[Finding]:
 
 
 def position_control_findings(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:
-    """Findings: why a position controller was not identified. Notes: what the table of parameters does not say of those that were."""
+    """Findings: why a position controller was not identified. Notes: further results about identified ones."""
     findings, notes = [], []
     for axis in machine.axes:
         unit, factor = AXIS_UNITS[axis.kind].speed
         reason = direct.unfitted.get(axis.name, "")
         if reason and reason != NOT_RECORDED:
-            findings.append(Finding("", axis.name, f"position controller not identified: {reason}; the file's values stay"))
+            findings.append(Finding("", axis.name, f"position controller not identified: {reason}; the machine file's values are kept"))
         found = direct.position.get(axis.name)
         if found is not None:
             rms = found.residual_rms * factor
             notes.append(
-                Finding("", axis.name, f"position controller: its law leaves {rms:.2g} {unit} RMS of the recorded speed set point")
+                Finding("", axis.name, f"position controller: residual of its law {rms:.2g} {unit} RMS of the recorded speed set point")
             )
         if found is not None and found.interpolation != machine.setpoint_interpolation:
             way = {"linear": "a straight line", "cubic": "a cubic spline"}[found.interpolation]
-            notes.append(Finding("", axis.name, f"set points between the NC's cycles lie on {way}"))
+            notes.append(Finding("", axis.name, f"the control interpolates set points between the NC's cycles with {way}"))
         loop = direct.drive_loop.get(axis.name)
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             notes.append(Finding("", axis.name, loop.evidence(unit, factor)))
@@ -244,7 +247,7 @@ def position_control_findings(machine: Machine, direct: Direct) -> tuple[list[Fi
 
 
 def with_identified_control(machine: Machine, direct: Direct) -> Machine:
-    """Control values and windings into the machine file; those that the signals did not show keep the file's."""
+    """The machine with the identified control values and windings; values that were not identified keep the file's."""
     values: dict[str, object] = {}
     for axis in machine.axes:
         for found in (direct.position.get(axis.name), direct.speed.get(axis.name)):
@@ -260,7 +263,7 @@ def with_identified_control(machine: Machine, direct: Direct) -> Machine:
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
         mean = direct.current.get(axis.name)
-        if mean is not None and axis.has_current_loop and math.isfinite(mean.fit.misfit):  # the winding, read off the saw-tooth
+        if mean is not None and axis.has_current_loop and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
             values[f"axis.{axis.name}.motor.inductance_h"] = mean.fit.loop.inductance
             values[f"axis.{axis.name}.motor.resistance_ohm"] = mean.fit.loop.resistance
     ways = {p.interpolation for p in direct.position.values()}

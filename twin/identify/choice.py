@@ -1,6 +1,6 @@
-"""Which numbers go into the machine file: axis by axis the best of what was found, and never worse than the file before.
+"""Choose for each axis which identified values go into the machine file: the best stage, never worse than the file before.
 
-Judged by the gap on what no fit has seen. An axis whose loops would be unstable, or whose gap grows, keeps its numbers, and it is said why.
+The criterion is the gap on held-out motion. An axis whose loops would be unstable or whose gap would grow keeps its values, with a finding.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from twin.machine.loops import loops_of
 from twin.machine.machine import Machine
 
 GROWN_GAP = 1.02
-"""A gap counts as grown from this factor on."""
+"""A gap has grown if it is larger than before by this factor."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The machine to write, what was said on the way, and why nothing is to be written ('' where something is)."""
+    """The machine to write, findings, and the reason why nothing is to be written ('' if the machine is to be written)."""
 
     machine: Machine
     findings: tuple[Finding, ...]
     refused: str = ""
-    stage_of: Mapping[str, str] = field(default_factory=dict)  # axis -> stage whose numbers it has; the file before where it is missing
+    stage_of: Mapping[str, str] = field(default_factory=dict)  # axis -> stage of its values; a missing axis keeps the file before
 
 
 def ratio(after: Mapping[str, Mapping[str, Any]], before: Mapping[str, Mapping[str, Any]]) -> float:
@@ -59,7 +59,7 @@ def unstable_loops(machine: Machine) -> dict[str, str]:
 
 
 def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division) -> Choice:
-    """The best stage of each axis; `stages` in the order of preference where they are equal, `tables` their gaps and that of 'before'."""
+    """The best stage of each axis. `stages`: in order of preference for ties; `tables`: gaps of the stages and of 'before'."""
     start = tables["before"]
     unstable = {name: unstable_loops(machine) for name, machine in stages.items()}
     unstable_before = unstable_loops(before)
@@ -97,11 +97,13 @@ def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mappin
         findings.append(Finding("", "", f"the machine file before cannot follow the recorded set points ({start})"))
     if not best and stages:
         reasons = "; ".join(str(f) for f in findings) or next(
-            (t for t in tables.values() if isinstance(t, str)), "nothing moves on what was left out"
+            (t for t in tables.values() if isinstance(t, str)), "no axis moves in the held-out motion"
         )
-        # an axis that could not be judged is no reason to refuse: nothing is known to be worse
+        # an axis that could not be judged is no reason to refuse, because no gap is known to grow
         if moving or any(isinstance(t, str) for t in tables.values()):
-            return Choice(before, tuple(findings), f"no machine file is written: nothing found is better than the file before ({reasons})")
+            return Choice(
+                before, tuple(findings), f"no machine file is written: no identified value is better than the file before ({reasons})"
+            )
         return Choice(next(iter(stages.values())), tuple(findings), "", dict.fromkeys(names, next(iter(stages))))
     unjudged = {a: next(iter(stages)) for a in names if a not in best and a not in moving}
     stage_of = {**unjudged, **best}
@@ -110,13 +112,13 @@ def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mappin
 
 def _why(axis: str, scores: Mapping[str, float], unstable: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:
     loops = sorted({f"the {s[axis]} loop would be unstable" for s in unstable.values() if axis in s})
-    grown = [f"the gap on what was left out would be {min(scores.values()):.3g} times as large" for _ in (0,) if scores]
+    grown = [f"the gap on held-out motion would be {min(scores.values()):.3g} times as large" for _ in (0,) if scores]
     failed = [t for t in tables.values() if isinstance(t, str)]
-    return f"keeps the numbers of the file before: {'; '.join([*loops, *grown] or failed or ['no signal to judge it by'])}"
+    return f"keeps the values of the file before: {'; '.join([*loops, *grown] or failed or ['no signal to judge it by'])}"
 
 
 def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str]) -> Machine:
-    """One machine with the table, effects and bodies of each axis from its stage; the rest from the first stage."""
+    """One machine: the table, effects and bodies of each axis from its stage, everything else from the first stage."""
     if len(set(stage_of.values())) == 1 and len(stage_of) == len(before.axes):
         return stages[next(iter(stage_of.values()))]
     base = stages[next(iter(stage_of.values()))] if stage_of else before
@@ -135,5 +137,5 @@ def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping
 
 
 def gap_tables(machines: Mapping[str, Machine], division: Division) -> dict[str, Table | str]:
-    """Gap of each machine on what was left out, or why there is none."""
+    """Gap of each machine on held-out motion, or the reason why there is none."""
     return {name: gap_or_reason(machine, division) for name, machine in machines.items()}

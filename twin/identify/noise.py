@@ -1,7 +1,7 @@
-"""Measuring noise per signal, from the parts of a campaign in which all axes stand still.
+"""Measuring noise of each signal, from the parts of a campaign in which the axis stands still.
 
-At rest the control answers its own noise: the current swings by more than its sensor. What an ideal sensor would leave is therefore not
-zero, and the twin at rest with the machine file's noise says how much of a standstill's scatter each sensor makes:
+At standstill the control reacts to the encoder noise, so the current scatters by more than the noise of its sensor. A simulated standstill
+with the machine file's noise shows this scatter, and its ratio to the measured one scales the file's value:
     noise = file's noise x measured scatter / simulated scatter         scatter: of differences from sample to sample
 """
 
@@ -18,10 +18,10 @@ from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
 REST_S = 0.08
-"""Standstill shorter than this is not used."""
+"""Shorter standstills are not used."""
 
 SETTLE_S = 0.05
-"""The first part of each standstill is left out: the loop still settles."""
+"""First part of each standstill that is not used, because the loop still settles."""
 
 KEYS = {
     ("linear", "position"): "linear_scale_noise_m",
@@ -32,7 +32,7 @@ KEYS = {
 
 
 def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
-    """Values of the keys of [measurement], file units; keys without standstill or signal are left out."""
+    """Values for [measurement] by key, in file units; keys without standstill or signal are missing."""
     spread: dict[tuple[str, str], list[float]] = {}
     weight: dict[tuple[str, str], list[int]] = {}
     reference = _simulated_standstill(machine, runs[0].trace.period)
@@ -55,7 +55,7 @@ def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, f
 
 
 def standstills(trace: Trace, axis: Axis) -> list[slice]:
-    """Stretches in which the set point of the axis stands still, without their first part."""
+    """Sample ranges in which the set point of the axis stands still, without their first part."""
     if axis.name not in trace.axes:
         return []
     still = np.diff(trace.get(axis.name, "setpoint"), prepend=np.nan) == 0.0

@@ -1,4 +1,4 @@
-"""A recording before it is believed: every axis on the position cycles, flags of the feedforward checked, late channels taken back."""
+"""Prepare a campaign for identification: drop unusable channels, check feedforward flags, correct late channels, resample to position cycles."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 
 SHORT_S = 0.5
-"""A run shorter than this shows nothing below 20 Hz: it is left out."""
+"""A shorter run has no usable content below 20 Hz and is not used."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Runs with checked flags, each axis of each run on the position cycles (None: no measured motion), findings, skew of each channel."""
+    """Runs with checked flags, their axes on the position cycles (None: no measured motion), findings, skew of each channel."""
 
     runs: list[MeasuredRun]
     axis_runs: dict[str, list[AxisRun | None]]
@@ -37,13 +37,13 @@ class Recording:
     skews: list[ChannelSkew]
 
     def without_current(self, axes: Iterable[str]) -> Recording:
-        """The same as if the current of these axes had not been recorded."""
+        """The recording without the current of these axes."""
         changed = {a: [replace(r, current=None, current_ripple=None) if r else None for r in self.axis_runs[a]] for a in axes}
         return replace(self, axis_runs={**self.axis_runs, **changed})
 
 
 def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
-    """Read a campaign: flags checked, late channels taken back, everything noticed on the way in `findings`."""
+    """Read a campaign, check flags and correct late channels; `findings` lists all problems. Raises InputError without a usable run."""
     usable, findings = _usable(machine, campaign)
     findings += missing_signals(machine, usable)
     runs = usable
@@ -60,7 +60,7 @@ def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
     findings += said
     for item in skews or ():
         if item.signal in correct.get(item.axis, {}):
-            text = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); taken back"
+            text = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); corrected"
             findings.append(Finding("", item.axis, text))
     for axis in machine.axes:
         seen = [r for r in axis_runs[axis.name] if r is not None]
@@ -69,16 +69,16 @@ def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
 
 
 FLAG_ROUNDS = 2
-"""A late channel looks like another feedforward, and the wrong feedforward like a late channel: flags are checked before and after."""
+"""Rounds of flag check and skew correction. They depend on each other: a late channel looks like another feedforward and vice versa."""
 
 
 def _usable(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], list[Finding]]:
-    """The runs that are long enough, without channels that cannot be what they say, and a finding for each that is left out."""
+    """The runs that are long enough, without unusable channels, and a finding for each excluded run or channel."""
     runs, findings = [], []
     for run in campaign.runs:
         length = float(run.trace.time[-1] - run.trace.time[0])
         if length < SHORT_S:
-            findings.append(Finding(run.name, "", f"only {length:.3g} s long: left out; record at least {SHORT_S:g} s"))
+            findings.append(Finding(run.name, "", f"only {length:.3g} s long: not used; record at least {SHORT_S:g} s"))
             continue
         unusable = unusable_channels(machine, run)
         findings += unusable.values()
@@ -96,13 +96,13 @@ def _axis_runs(machine: Machine, runs: Sequence[MeasuredRun], lateness: dict[str
 def _without_skew(
     machine: Machine, runs: Sequence[MeasuredRun]
 ) -> tuple[list[ChannelSkew], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
-    """Skew of each channel, what was taken back of it by axis and signal [s], and the axis runs without it."""
+    """Skew of each channel, applied correction by axis and signal [s], and the corrected axis runs."""
     axis_runs = _axis_runs(machine, runs, {})
     skews = _mean_skews(machine, runs, axis_runs)
     correct: dict[str, dict[str, float]] = {}
     for done in range(SKEW_ROUNDS):
-        # a current that is late by odd samples shows another phase of its saw-tooth, and a late motor angle makes all else look late:
-        # what one round leaves or overdoes, the next finds
+        # A current that is late by an odd number of samples has another phase of the saw-tooth, and a late motor angle makes all other
+        # channels look late. Further rounds correct the remaining error.
         skews, before = _total_skews(skews, _mean_skews(machine, runs, axis_runs), correct) if done else skews, correct
         correct = {}
         for item in skews:
@@ -116,7 +116,7 @@ def _without_skew(
 
 SKEW_ROUNDS = 3
 NEAR_SAMPLE = 0.2
-"""A skew within this fraction of a period from whole samples is taken as whole samples: recorders are late by those."""
+"""A skew within this fraction of a period from a whole number of samples is rounded to it: recorders delay by whole samples."""
 
 
 def _whole_samples(seconds: float, period: float) -> float:
@@ -125,7 +125,7 @@ def _whole_samples(seconds: float, period: float) -> float:
 
 
 def _total_skews(before: Sequence[ChannelSkew], now: Sequence[ChannelSkew], correct: dict[str, dict[str, float]]) -> list[ChannelSkew]:
-    """Skews after a correction: what was taken back and what is left."""
+    """Total skews after a correction: correction plus remaining skew."""
     left = {(c.axis, c.signal): c for c in now}
     out = []
     for item in before:
@@ -136,7 +136,7 @@ def _total_skews(before: Sequence[ChannelSkew], now: Sequence[ChannelSkew], corr
 
 
 def _mean_skews(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]) -> list[ChannelSkew]:
-    """Skew of each channel over the runs: weighted mean, its deviation from their scatter."""
+    """Skew of each channel: weighted mean over the runs, its standard deviation from their scatter."""
     out = []
     for axis in machine.axes:
         items: dict[str, list[ChannelSkew]] = {}

@@ -1,14 +1,14 @@
-"""The second route: Gauss-Newton on the closed-loop gap, every evaluation a simulation of the training runs in MuJoCo.
+"""The second route: refine parameters by Gauss-Newton on the closed-loop gap; every evaluation simulates the training runs in MuJoCo.
 
-    min sum over axis, signal, cycle of (F(measured - simulated) / d)^2,     d: noise of the sensor through F, or what the start leaves
+    min sum over axis, signal, cycle of (F(measured - simulated) / d)^2,     d: sensor noise after F, or the start's residual if larger
 
-Signals are position, motor angle and mean current where the axis slides; F is the window of the regressions. Above it a drive train's
-mode and the saw-tooth between samples depend on parameters that are not refined here; at a reversal friction does.
+Signals are position, motor angle and mean current where the axis slides; F is the low-pass of the regressions. Above its band the mode of
+the drive train and the saw-tooth between samples depend on parameters that are not refined here. At reversals, friction does.
 
-X, Y, Z and the pair A, C do not feel each other, so one simulation perturbs one parameter of every axis at once: a dozen simulations a
-step, whatever the number of axes. The simulations are free of noise: with noise in their loop the differences would answer the noise,
-too, and bias what they estimate. The intervals come from clusters of CLUSTER_S, as in the regression. It starts at the regression's machine, and the regression's
-own doubts weigh against what it finds. Both come from the same data: their informations are averaged, not added.
+X, Y, Z and the pair A, C do not affect each other, so one simulation perturbs one parameter of every axis: a dozen simulations a step for
+any number of axes. The simulations have no noise, because noise in the loop would affect the differences and bias the estimates. The
+intervals come from clusters of CLUSTER_S, as in the regression. The search starts at the regression's machine, and the regression's
+standard deviations are its prior. Both use the same data, so their information matrices are averaged, not added.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from twin.simulation.setpoints import recorded_setpoints
 
 CLUSTER_S = 0.5
 STEPS = 2
-"""Gauss-Newton steps; a start from the regression lies within the linear range."""
+"""Number of Gauss-Newton steps; the start from the regression is close enough for linearisation."""
 
 FLOOR = {"linear": (2e-8, 2e-8, 2e-3), "rotary": (1.2e-7, 1.2e-7, 2e-3)}
-"""Deviation of scale, motor position [m or rad] and current [A] that no law undercuts, added to the sensors' noise."""
+"""Model errors of scale, motor position [m or rad] and current [A] (standard deviations), added to the sensors' noise."""
 
 # field of the axis, its motor or loops, and the step of the difference quotient: relative, delays in seconds
 FIELDS = {
@@ -59,7 +59,7 @@ FIELDS = {
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One parameter: of an axis' field ('axis', field), of its moving mass, or of a body's mass; `affects` names the axes that answer."""
+    """One refined parameter: a field of an axis, its moving mass, or the mass of a body; `affects` names the axes whose signals change."""
 
     axis: str
     field: str
@@ -105,7 +105,7 @@ def free_parameters(machine: Machine, runs: Sequence[MeasuredRun], known: Collec
 
 
 def _field_in_use(axis: Axis, field: str) -> str:
-    """The field of an axis that stands for this one: without a rotor the moving mass is all inertia."""
+    """The field that the axis uses instead of this one: without a rotor, the moving mass is the inertia."""
     return TOLERANCED[inertia_of(axis)] if field == TOLERANCED["rotor_inertia"] else field
 
 
@@ -114,7 +114,7 @@ def _is_free(machine: Machine, axis: Axis, field: str, known: Collection[tuple[s
 
 
 def _in_file(machine: Machine, axis: Axis, field: str) -> bool:
-    """Has the machine file a place for this field? A delay may be left out."""
+    """Does the machine file contain this field? Optional delays may be missing."""
     return not hasattr(axis.loops, field) or field in machine.document["axis"][axis.name]["loops"]
 
 
@@ -126,7 +126,7 @@ def perturbed(machine: Machine, parameter: FreeParameter, amount: float) -> Mach
     axis = machine.axis(parameter.axis)
     value = float(next(getattr(part, parameter.field) for part in (axis, axis.motor, axis.loops) if hasattr(part, parameter.field)))
     changed = max(value + amount, 0.0) if parameter.field.endswith("delay_s") else value * (1.0 + amount)
-    # the mass of the vertical axis keeps its inertia with the rotor: weight and inertia are two parameters
+    # a change of the vertical axis' mass changes the weight only: the rotor compensates the inertia, which is a parameter of its own
     change = {parameter.field: changed}
     if parameter.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 > 0.0:
         change["rotor_inertia_kg_m2"] = axis.rotor_inertia_kg_m2 - (changed - value) * axis.ratio**2
@@ -141,9 +141,10 @@ def refined_machine(
     prior: dict[tuple[str, str], float],
     say: Callable[[str], None] | None = None,
 ) -> Refined:
-    """Refine from `machine` on the training runs; `measured` are these on the position cycles, `mean_current` as the regression left it.
+    """Refine `machine` on the training runs.
 
-    `prior`: the regression's standard deviation of each parameter by (axis, field), relative (delays in seconds); what it does not know is free.
+    `measured`: the runs on the position cycles; `mean_current`: from the regression. `prior`: the regression's standard deviation by
+    (axis, field), relative (delays in seconds); parameters without one have no prior. Raises SimulationError if the start diverges.
     """
     batches = free_parameters(machine, runs, prior.keys())
     names = machine.axis_names
@@ -159,7 +160,7 @@ def refined_machine(
         residuals = _residuals(variants, runs, seen)
         if residuals[0] is None:
             raise SimulationError(
-                "refinement: the identified machine diverges on its own set points; give --no-refine and look at the report"
+                "refinement: the simulation of the identified machine diverges on the recorded set points; use --no-refine and read the report"
             )
         if step == 0:
             weights = {n: _weights(pieces) for n, pieces in residuals[0].items()}
@@ -209,7 +210,7 @@ def _perturb_all(machine: Machine, batch: Sequence[FreeParameter]) -> Machine:
 
 @dataclass(frozen=True)
 class MeasuredAxis:
-    """One axis of one run as it is compared: rows (cycle,), cluster and filtered scale, motor position [axis units], current [A] (k, cycle)."""
+    """Measured signals of one axis in one run: rows (cycle,), and filtered scale, motor position [axis units] and current [A] (k, cycle)."""
 
     rows: np.ndarray
     signals: np.ndarray
@@ -222,7 +223,7 @@ def _measured_axis(run: AxisRun, current: MeanCurrent | None) -> MeasuredAxis:
 
 def _filtered(run: AxisRun, current: np.ndarray | None) -> tuple[np.ndarray, tuple[bool, bool, bool]]:
     signals = (run.position, run.angle[:-1], current)
-    # from the start of the run: a filter has no trouble with a constant, the ends of a run do
+    # relative to the start of the run: a constant would disturb the filter at the ends of the run
     filled = [run.filtered(s - s[0]) + s[0] if s is not None else np.zeros(len(run.speed)) for s in signals]
     return np.array(filled), tuple(s is not None for s in signals)  # type: ignore[return-value]
 
@@ -230,7 +231,7 @@ def _filtered(run: AxisRun, current: np.ndarray | None) -> tuple[np.ndarray, tup
 def _residuals(
     machines: Sequence[Machine], runs: Sequence[MeasuredRun], seen: Mapping[str, Sequence[MeasuredAxis | None]]
 ) -> list[dict[str, list[np.ndarray]] | None]:
-    """Per machine: axis -> weighted residuals in pieces of CLUSTER_S, all signals of a piece together; None where it diverges."""
+    """For each machine: axis -> weighted residuals in pieces of CLUSTER_S, all signals of a piece together; None if it diverges."""
     inertias = [home_inertia_at_motor(m) for m in machines]
     tasks = [(m, i, k) for m, i in zip(machines, inertias) for k in range(len(runs))]
 
@@ -276,7 +277,7 @@ def _pieces(reference: Machine, machine: Machine, axis: Axis, twin: MeasuredRun,
     signals, _ = _filtered(run, mean_of(fast_loop_of(machine, axis, inertia), run, weight))
     rows = there.rows[there.rows < signals.shape[1]]
     noise = reference.noise(reference.axis(axis.name))
-    quiet = float(np.sqrt(np.sum(low_pass_window(run.cycle) ** 2)))  # what the filter leaves of white noise
+    quiet = float(np.sqrt(np.sum(low_pass_window(run.cycle) ** 2)))  # factor of the filter on white noise
     scale = np.array([1.0, axis.ratio, 1.0])
     d = np.hypot(quiet * np.array([noise.position, noise.position, noise.current]), FLOOR[axis.kind])
     use = np.flatnonzero(there.present)
@@ -286,9 +287,9 @@ def _pieces(reference: Machine, machine: Machine, axis: Axis, twin: MeasuredRun,
 
 
 def _weights(pieces: Sequence[np.ndarray]) -> np.ndarray:
-    """Weight (signal, 1) that brings a signal which the regression's machine leaves above its noise down to what it leaves.
+    """Weights (signal, 1) that scale the residual RMS of each signal to 1 where it exceeds the noise at the start.
 
-    What no parameter mends (a drive train's spring between motor and scale) must not steer the parameters.
+    Otherwise unmodelled effects, such as the spring between motor and scale, would distort the parameters.
     """
     left = np.sqrt(np.mean(np.concatenate(pieces, axis=1) ** 2, axis=1, keepdims=True))
     return 1.0 / np.maximum(left, 1.0)
@@ -297,11 +298,11 @@ def _weights(pieces: Sequence[np.ndarray]) -> np.ndarray:
 def _gauss_newton(
     columns: np.ndarray, rows: np.ndarray, clusters: np.ndarray, so_far: np.ndarray, prior: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Change of the parameters that takes the residual rows (model minus it) down, and standard deviations, both joined with the regression.
+    """Gauss-Newton change of the parameters and their standard deviations, both combined with the regression.
 
-    `so_far` is what the parameters have been perturbed from the regression's machine, `prior` the regression's deviations (infinite: unknown).
-    Covariance of the data alone from clusters; the two estimates are weighed by their covariances. Huber's weights keep single
-    pieces (an axis about to stick) from steering.
+    `so_far`: change from the regression's machine up to now; `prior`: the regression's standard deviations (infinite: none). The covariance of
+    the data comes from clusters, and the two estimates are weighted by their covariances. Huber weights limit the influence of single
+    pieces, such as an axis about to stick.
     """
     length = np.linalg.norm(columns, axis=0)
     seen = (length > 0.0) & np.isfinite(length)
@@ -356,7 +357,7 @@ def _spread_of(machine: Machine, parameters: Sequence[FreeParameter], spread: np
 
 
 def _without_negative_friction(now: Machine) -> Machine:
-    """The refined machine with no friction below zero, checked: a fit may pass through values that no machine file may hold."""
+    """The refined machine with negative friction set to zero, and checked: the search may produce values that no machine file may have."""
     values: dict[str, object] = {}
     for axis in now.axes:
         for name in ("coulomb_friction", "viscous_friction"):
