@@ -172,7 +172,7 @@ def order_text(document: dict[str, Any]) -> str:
     gap = document["gap"]
     left = max(gap["after"] ** 2 - 1.0, 0.0) / max(gap["before"] ** 2 - 1.0, 1e-9)
     rows.append(["unexplained", "", f"{100 * left:.1f} %", f"verdict: {document['verdict']}"])
-    return "\nshare of the remaining squared gap that each effect closed when it was found, and unexplained share:\n" + table(
+    return "\nshare of the remaining squared gap that each effect closed when it was found:\n" + table(
         ["effect", "size", "share", ""], rows, left=2
     )
 

@@ -10,7 +10,7 @@ import pytest
 from twin.diagnose.law.known_physics import looks_like
 from twin.diagnose.law.laws import LEAST_PREDICTS
 from twin.diagnose.law.measure import excess, measured_laws
-from twin.diagnose.law.residual import Samples, with_memory
+from twin.diagnose.law.residual import Samples, direction_with_memory
 from twin.diagnose.law.shapes import described
 from twin.machine.machine import load_machine
 
@@ -64,7 +64,7 @@ PLANTED = {
     "friction that warms away": ("friction", "time", "approach", {"height": -150.0, "scale": 60.0},
         150.0 * (1 - np.exp(-M["time"] / 60.0)) * np.sign(V)),
     "a cable chain": ("force", "direction", "line", {"height": -120.0, "length": 4e-3},
-        -120.0 * with_memory(V, M["travel"], FIRST, 4e-3, False)),
+        -120.0 * direction_with_memory(V, M["travel"], FIRST, 4e-3, False)),
     "cogging": ("force", "turn", "sine", {"amplitude": 60.0, "period": 2 * math.pi / 4}, 60.0 * np.sin(4 * M["turn"] + 0.4)),
     "a wave over the travel": ("force", "position", "sine", {"amplitude": 60.0, "period": 0.0173}, 60.0 * np.sin(2 * math.pi * Q / 0.0173)),
 }  # fmt: skip
@@ -97,7 +97,7 @@ def test_a_law_in_a_single_run_predicts_nothing():
 
 def test_a_play_of_the_scale_is_a_slack():
     half = 5e-6
-    y = half * with_memory(V, M["travel"], FIRST, half, True)  # motor minus scale
+    y = half * direction_with_memory(V, M["travel"], FIRST, half, True)  # motor minus scale
     samples = samples_of(y, M, "transmission", 5e-8)
     curve = measured_laws(samples, X)[0]
     best = described(samples, curve, X)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, with_memory
+from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, direction_with_memory
 from twin.machine.machine import Axis
 
 LENGTHS = tuple(np.geomspace(2e-5, 6e-2, 12))
@@ -79,7 +79,7 @@ def variable_of(samples: Samples, candidate: Candidate) -> np.ndarray:
     if candidate.variable == "acceleration_size":
         return np.abs(motion["acceleration"])
     if candidate.variable in ("direction", "slack"):
-        return with_memory(motion["velocity"], motion["travel"], samples.first, candidate.length, candidate.variable == "slack")
+        return direction_with_memory(motion["velocity"], motion["travel"], samples.first, candidate.length, candidate.variable == "slack")
     return motion[candidate.variable]
 
 
@@ -92,14 +92,14 @@ def factor_of(samples: Samples, candidate: Candidate, axis: Axis) -> np.ndarray 
     return -1.0 if candidate.block == "measurement" else 1.0
 
 
-def from_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
+def zeroed_at_run_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
     """Columns (sample, n) of a displacement, zero at the start of each run."""
     return columns - columns[samples.first]
 
 
-def in_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.ndarray) -> np.ndarray:
+def contribution_to_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.ndarray) -> np.ndarray:
     """Contribution (sample, n) of values of a law to the residual."""
     if samples.through is not None:
         return samples.through.current(columns, samples.first)
     acting = columns * (factor if np.isscalar(factor := factor_of(samples, candidate, axis)) else np.asarray(factor)[:, None])
-    return from_start(samples, acting) if candidate.output == "displacement" else acting
+    return zeroed_at_run_start(samples, acting) if candidate.output == "displacement" else acting
