@@ -55,7 +55,9 @@ def test_a_good_recording_has_no_findings(good: Identification) -> None:
         ("velocity", "no velocity in any run"),
     ],
 )
-def test_missing_signals_are_named_with_what_they_cost(machine: Machine, runs: list[MeasuredRun], signal: str, words: str) -> None:
+def test_missing_signals_are_named_with_the_parameters_that_need_them(
+    machine: Machine, runs: list[MeasuredRun], signal: str, words: str
+) -> None:
     result = identified(machine, [with_signal(r, "X", signal, None) for r in runs])
     assert words in said(result)
     names = {p.name for p in result.parameters}
@@ -83,7 +85,7 @@ def test_a_wrong_feedforward_flag_is_noticed_and_put_right(machine: Machine, run
 
 
 @pytest.mark.parametrize("samples", [2, -3])
-def test_a_late_current_is_timed_and_taken_back(machine: Machine, runs: list[MeasuredRun], samples: int) -> None:
+def test_the_delay_of_a_late_current_is_measured_and_corrected(machine: Machine, runs: list[MeasuredRun], samples: int) -> None:
     late = [with_signal(r, "X", "current", np.roll(r.trace.get("X", "current"), samples)) for r in runs]
     result = identified(machine, late)
     item = next(c for c in result.skews if c.signal == "current")
@@ -92,7 +94,7 @@ def test_a_late_current_is_timed_and_taken_back(machine: Machine, runs: list[Mea
     assert result.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.03)
 
 
-def test_a_late_motor_encoder_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_the_delay_of_a_late_motor_encoder_is_measured(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "motor_position", np.roll(r.trace.get("X", "motor_position"), 1)) for r in runs]
     result = identified(machine, late)
     item = next(c for c in result.skews if c.signal == "motor_position")
@@ -108,7 +110,7 @@ def test_a_late_speed_set_point_is_taken_back(machine: Machine, runs: list[Measu
     assert result.parameter("X", "position_delay_s").value.value == pytest.approx(0.002, abs=5e-6)
 
 
-def test_a_clipped_current_is_left_out_and_said(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_a_clipped_current_is_reported_and_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
     clipped = [with_signal(r, "X", "current", np.clip(r.trace.get("X", "current"), -4.0, 4.0)) for r in runs]
     result = identified(machine, clipped)
     assert "current at its limit or clipped" in said(result)
@@ -116,7 +118,7 @@ def test_a_clipped_current_is_left_out_and_said(machine: Machine, runs: list[Mea
 
 
 @pytest.mark.parametrize("signal", ["velocity", "velocity_setpoint", "motor_position", "position"])
-def test_a_clipped_channel_is_named_and_its_parts_left_out(machine: Machine, runs: list[MeasuredRun], signal: str) -> None:
+def test_a_clipped_channel_is_reported_and_its_clipped_parts_not_used(machine: Machine, runs: list[MeasuredRun], signal: str) -> None:
     share = 0.6 if signal.startswith("velocity") else 0.8
     clipped = []
     for run in runs:
@@ -129,7 +131,7 @@ def test_a_clipped_channel_is_named_and_its_parts_left_out(machine: Machine, run
     assert result.parameter("X", "position_delay_s").value.value == pytest.approx(0.002, abs=20e-6)
 
 
-def test_a_saturated_current_is_left_out_and_said(machine: Machine) -> None:
+def test_a_saturated_current_is_reported_and_not_used(machine: Machine) -> None:
     weak = machine.with_axis("X", peak_current_a=4.5)
     result = identified(weak, usual_runs(weak))
     assert "current at its limit or clipped" in said(result)
@@ -137,24 +139,24 @@ def test_a_saturated_current_is_left_out_and_said(machine: Machine) -> None:
     assert "no run identifies speed_gain_nm_s_per_rad; add runs that stay below the current limit" in said(result)
 
 
-def test_a_late_speed_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_the_delay_of_a_late_speed_is_measured(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "velocity", np.roll(r.trace.get("X", "velocity"), 2)) for r in runs]
     item = next(c for c in identified(machine, late).skews if c.signal == "velocity")
     assert item.seconds == pytest.approx(2e-3, abs=5e-5)
 
 
-def test_what_no_run_tells_is_named_with_the_run_that_would(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_an_unidentified_parameter_is_named_with_the_run_that_identifies_it(machine: Machine, runs: list[MeasuredRun]) -> None:
     result = identified(machine, [r for r in runs if r.feedforward != "velocity+torque"])
     assert "no run identifies torque_feedforward; add accelerations with torque feedforward on" in said(result)
 
 
-def test_the_only_run_with_a_feedforward_setting_is_learnt_from(machine: Machine, runs: list[MeasuredRun], good: Identification) -> None:
+def test_the_only_run_with_a_feedforward_setting_is_not_held_out(machine: Machine, runs: list[MeasuredRun], good: Identification) -> None:
     assert good.held_out == ()
     again = [*runs, recorded(machine, "again", SHORT_LADDER, "velocity", 9)]
     assert identified(machine, again).held_out == ("again",)
 
 
-def test_one_direction_only_is_said(machine: Machine) -> None:
+def test_motion_in_one_direction_only_is_reported(machine: Machine) -> None:
     runs = [recorded(machine, f"way_{k}", ONE_WAY, "velocity", k) for k in range(2)]
     assert "moves in one direction only" in said(identified(machine, runs))
 
@@ -174,13 +176,13 @@ def test_a_current_of_the_wrong_sign_is_not_used(machine: Machine, runs: list[Me
     assert result.parameter("X", "position_gain_per_s").value.value == pytest.approx(50.0, rel=1e-3)
 
 
-def test_a_current_in_another_unit_is_left_out(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_a_current_in_another_unit_is_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
     result = identified(machine, [with_signal(r, "X", "current", 1e3 * r.trace.get("X", "current")) for r in runs])
     assert "the motor's peak is 46 A: not used; check the unit of the column" in said(result)
     assert "inertia" not in {p.name for p in result.parameters}
 
 
-def test_a_short_run_is_left_out_and_nothing_else_is_an_error(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_a_short_run_is_not_used_and_no_other_run_is_an_error(machine: Machine, runs: list[MeasuredRun]) -> None:
     def cut(run: MeasuredRun, samples: int) -> MeasuredRun:
         signals = {key: values[:samples] for key, values in run.trace.signals.items()}
         return replace(run, trace=replace(run.trace, time=run.trace.time[:samples], signals=signals))
@@ -192,7 +194,7 @@ def test_a_short_run_is_left_out_and_nothing_else_is_an_error(machine: Machine, 
         identified(machine, [cut(r, 2) for r in runs])
 
 
-def test_peaks_that_a_recorder_cut_off_are_left_out(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_peaks_that_the_recorder_clipped_are_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
     """The saw-tooth of the current meets the limit for single samples: none stays on it."""
     limit = 0.85 * max(np.abs(r.trace.get("X", "current")).max() for r in runs)
     result = identified(machine, [with_signal(r, "X", "current", np.clip(r.trace.get("X", "current"), -limit, limit)) for r in runs])
@@ -202,7 +204,7 @@ def test_peaks_that_a_recorder_cut_off_are_left_out(machine: Machine, runs: list
     assert inertia.holds(0.008573)
 
 
-def test_too_few_speeds_are_said(machine: Machine) -> None:
+def test_a_narrow_range_of_speeds_is_reported(machine: Machine) -> None:
     points = path([0.2, -0.2, 0.2, -0.2], [0.15] * 4)
     assert "too narrow a range of speeds" in said(
         identified(machine, [recorded(machine, f"one_speed_{k}", points, "velocity", k) for k in range(2)])

@@ -58,7 +58,7 @@ def test_how_the_drive_controls_and_a_steady_load_are_found(machine: Machine, la
     assert found.coulomb_friction_nm == pytest.approx(0.05, rel=0.03)
 
 
-def test_gains_that_are_tried_do_not_bend_what_is_moved(machine: Machine) -> None:
+def test_assumed_gains_do_not_bias_the_identified_inertia(machine: Machine) -> None:
     """Without a recorded speed set point only the command counts: how far the axis follows is made by gains that nobody measured."""
     run = recording(machine)
     signals = {k: v for k, v in run.trace.signals.items() if k[1] != "velocity_setpoint"}
@@ -81,7 +81,7 @@ def test_the_inertia_in_the_table_is_the_whole_one(tmp_path: Path) -> None:
     assert inertia.before == pytest.approx(home_inertia_at_motor(start)[0])
 
 
-def test_where_weights_are_given_along_the_way_no_torque_goes_with_the_angle(tmp_path: Path) -> None:
+def test_without_gravity_in_the_file_the_balance_has_no_gravity_columns(tmp_path: Path) -> None:
     """The cosine of an angle that swings is nearly its acceleration: without need of it the inertia is known better."""
     machine = load_machine(write_slides(tmp_path)).with_axes(["B"])
     run = swings(machine)

@@ -35,7 +35,7 @@ def pushed(machine: Machine, force_n: float, period_s: float = 0.13) -> Measured
     return MeasuredRun("pushed", Trace(trace.time, {**kept, ("X", "disturbance_force"): load[: len(trace.time)]}, trace.kinds), "off", 0.0)
 
 
-def test_identification_takes_the_load_off(mikron: Machine) -> None:
+def test_identification_accounts_for_a_known_load(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"]).with_feedforward("off")
     run = pushed(machine, 600.0)
     axis = machine.axis("X")
@@ -51,7 +51,7 @@ def test_identification_takes_the_load_off(mikron: Machine) -> None:
     assert np.abs(without - 1.0).max() > 2.0 * np.abs(with_load - 1.0).max()
 
 
-def test_a_load_that_the_drive_does_not_answer_is_part_of_its_command(mikron: Machine) -> None:
+def test_a_load_without_reaction_of_the_drive_is_reported_as_part_of_its_command(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"]).with_feedforward("off")
     run = pushed(machine, 600.0)
     axis = machine.axis("X")

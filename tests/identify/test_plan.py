@@ -28,7 +28,7 @@ def test_the_table_turns_within_its_travel(mikron: Machine, axis: str, travel: o
     assert {name: len(of_axis) for name, of_axis in places.items()} == {"A": 3, "C": 3}
 
 
-def test_residuals_stand_as_far_apart_as_their_rows(mikron: Machine) -> None:
+def test_the_residual_axis_uses_the_spacing_of_the_rows(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"])
     result = identify_campaign(machine, campaign(usual_runs(machine)), refine=False, gaps=False)
     for cycle in (machine.position_cycle, 0.5 * machine.position_cycle):

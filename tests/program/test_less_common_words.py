@@ -191,7 +191,7 @@ def test_pitches_of_taps(write, mikron, unit: int, feed: float) -> None:
         ("DISC=50", "DISC=50"),
     ],
 )
-def test_what_a_cycle_cannot_do_is_refused(read, block: str, message: str) -> None:
+def test_unsupported_arguments_of_a_cycle_are_refused(read, block: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(f"G1 X1 F100 S100\n{block}\nG1 X5\n")
 
@@ -206,7 +206,7 @@ def test_what_a_cycle_cannot_do_is_refused(read, block: str, message: str) -> No
         ("part.nc", "MSG(\"A\")\nG1 X=R1 F100\nCYCLE832(0.1,1)\n", "sinumerik"),
     ],
 )  # fmt: skip
-def test_what_a_file_is_written_in(write, name: str, text: str, language: str) -> None:
+def test_the_language_of_a_file_is_detected(write, name: str, text: str, language: str) -> None:
     assert dialect(Source(write(text, name))) == language
 
 

@@ -71,7 +71,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, example: ModuleType) -> Path:
     return path
 
 
-def test_what_is_planted_is_found_in_order(example: ModuleType, made: Path, tmp_path: Path) -> None:
+def test_planted_effects_are_found_largest_first(example: ModuleType, made: Path, tmp_path: Path) -> None:
     example.import_record(made, tmp_path, picture=False)
     document = example.diagnosed(tmp_path, quick=True)
     gaps = gaps_on_last_third(example, tmp_path, {"file": load_machine(example.MACHINE), "corrected": example.corrected(tmp_path)})
@@ -140,7 +140,7 @@ def expected_statements(document: dict[str, Any]) -> list[str]:
 
 
 @pytest.mark.slow
-def test_the_page_holds_todays_numbers(example: ModuleType, measured: tuple[Path, dict[str, Any]]) -> None:
+def test_the_page_has_the_numbers_of_the_current_code(example: ModuleType, measured: tuple[Path, dict[str, Any]]) -> None:
     """docs/measured_axis.md: law, identification, diagnosis, gap on the last third, regression."""
     page = " ".join((ROOT / "docs" / "measured_axis.md").read_text(encoding="utf-8").split())
     (out, document), record = measured, example.read_emps(RECORD)

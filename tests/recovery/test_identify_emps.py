@@ -35,7 +35,7 @@ def test_closed_loop_resimulation_follows_the_record(record: Record) -> None:
     assert again.force_error_filtered <= 0.046
 
 
-def test_the_residual_is_told(record: Record) -> None:
+def test_shares_of_the_residual(record: Record) -> None:
     shares = residual_shapes(fit_single_axis(record), record.period)
     assert shares["viscous friction by direction"] > 0.3
     assert shares["lags outside the white band"] > 0.5

@@ -158,7 +158,7 @@ def predict_once() -> Callable[..., Any]:
     return predict
 
 
-def test_a_planned_campaign_keeps_limits_and_tells_what_it_promised(
+def test_a_planned_campaign_keeps_limits_and_reaches_its_predicted_intervals(
     mikron: Machine, predict_once: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Z alone: planned, recorded by the twin with other noise, identified; intervals are as predicted and contain the truth."""

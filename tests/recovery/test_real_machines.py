@@ -36,7 +36,7 @@ def test_a_robot_is_identified_from_one_recording_and_compared_with_the_other(tm
 
 
 @pytest.mark.parametrize("example", ["sinumerik", "kr300"])
-def test_a_recording_that_is_not_there_is_one_line(example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_recording_is_one_line(example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main = script(f"examples/real/{example}/run.py", f"{example}_example").main
     assert main([str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err

@@ -53,7 +53,7 @@ def test_a_filter_is_recognised_beside_a_gain(block: str, name: str, numbers: di
         assert best.numbers[key] == pytest.approx(value, rel=0.03), key
 
 
-def test_a_gain_is_no_filter():
+def test_a_gain_is_not_recognised_as_a_filter():
     assert all(f.predicts < LEAST_PREDICTS for f in filters_of(passed_by("speed controller", None, {}, gain=1.1), MACHINE))
 
 
