@@ -1,8 +1,8 @@
-"""APT / CL data (.apt .cls .ncl .aptsource) into moves: what CATIA, NX and Creo write between CAM system and postprocessor.
+"""Read APT / CL data (.apt .cls .ncl .aptsource), the output of CATIA, NX and Creo between CAM system and postprocessor.
 
 CL data describe the tool tip and the tool axis in the part frame, so everything runs under TRAORI with corner rounding (G642).
 A line that ends in `$` continues on the next, `$$` starts a comment. RAPID holds for the next move only; a GOTO with three
-values keeps the tool axis of TLAXIS or of the GOTO before. MSYS and CSYS place what follows in the part frame.
+values keeps the tool axis of TLAXIS or of the GOTO before. MSYS and CSYS set the frame of the following points in the part frame.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from twin.program.source import Source
 
 UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
 LONGEST_STATEMENT = 20_000
-"""Characters of one statement over all its lines."""
+"""Largest number of characters of one statement over all its lines."""
 
 OFF_AXIS = 1e-3
-"""A frame whose axes are further from a right angle or from unit length than this is no frame."""
+"""Largest deviation of the axes of a frame from right angles and unit length."""
 
 
 def read_apt(path: Path, machine: Machine) -> mv.Program:
@@ -39,7 +39,7 @@ def read_apt(path: Path, machine: Machine) -> mv.Program:
 
 
 class AptReader:
-    """The state of the tool while statements are read."""
+    """Tool, frames and feeds while statements are read."""
 
     def __init__(self, path: Path, machine: Machine) -> None:
         self.source = Source(path)
@@ -88,7 +88,7 @@ class AptReader:
                 break
 
     def _statements(self) -> Iterator[tuple[int, str]]:
-        """First line and text of each statement; one that the end of the file cuts off after its '$' ends there."""
+        """First line and text of each statement; a statement whose '$' is the last of the file ends there."""
         text, first, remark = "", 0, False
         for number, raw in enumerate(self.source.lines, start=1):
             part = raw.split("$$")[0].upper().rstrip()

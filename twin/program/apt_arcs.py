@@ -5,7 +5,7 @@ MOVARC/ x,y,z,i,j,k,r,ANGLE,a    the same; of the two senses the one that the an
 INDIRV/ i,j,k                    direction in which the tool leaves (CATIA); INDIRP/ x,y,z: the point it leaves towards
 TLON,GOFWD/ (CIRCLE/ x,y,z,r),ON,[n,INTOF,](LINE/ x1,y1,z1,x2,y2,z2)
                                  along the circle about the tool axis to its first (n-th) meeting with the line;
-                                 CIRCLE/CANON,x,y,z,i,j,k,r has an axis of its own, (PLANE/ i,j,k,d) stands for a line
+                                 CIRCLE/CANON,x,y,z,i,j,k,r gives another axis, (PLANE/ i,j,k,d) replaces the line
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def arc_to(
 ) -> Arc:
     """The arc from start to end about an axis; equal places are a full circle.
 
-    Without `radius` [m] it is that of the start. With `sweep` [rad] the sense is the one whose angle is that: the older post of
-    Fusion writes the axis of a clockwise arc as that of a counter-clockwise one.
+    Without `radius` [m] the radius is that of the start. With `sweep` [rad] the direction is the one that gives this angle, because the
+    older post of Fusion writes the axis of a clockwise arc as that of a counter-clockwise one.
     """
     arms = [_arm(p, centre, normal) for p in (start, end)]
     radius = float(np.linalg.norm(arms[0])) if radius is None else radius

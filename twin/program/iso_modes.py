@@ -1,4 +1,4 @@
-"""What the words of an ISO block switch: G and M codes, feeds, tools, the modes that M70 to M73 of LinuxCNC keep."""
+"""Modes set by the words of an ISO block: G and M codes, feeds, tools, and M70 to M73 of LinuxCNC, which store modes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22:
 
 
 _MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
-"""What M70 and M73 of LinuxCNC keep besides unit and feed."""
+"""Modes that M70 and M73 of LinuxCNC store besides unit and feed."""
 
 
 class IsoModes(IsoCalls, ABC):
@@ -98,7 +98,7 @@ class IsoModes(IsoCalls, ABC):
             raise WordError("E has no use in this block; remove it", w["E"].column)
 
     def _g(self, number: float, column: int, w: dict[str, Item], codes: set[float]) -> bool:
-        """A G code that is no motion."""
+        """A G code without motion."""
         kind, meaning = ISO_G[number]
         if kind == NOTE:
             self.note(f"G{number:g}: {meaning}")
@@ -184,7 +184,7 @@ class IsoModes(IsoCalls, ABC):
         return pause
 
     def _modes(self, number: int) -> None:
-        """M70 stores the modes, M71 forgets them, M72 brings them back; M73 does so at the end of the subprogram."""
+        """M70 stores the modes, M71 discards them, M72 restores them; M73 restores them at the end of the subprogram."""
         frame = self.flow.frame
         stored = [getattr(self, n) for n in _MODES], self.unit, self.out.modes.feed_mode, self.feed
 

@@ -29,7 +29,7 @@ POSITIONS = 9
 
 
 class Layout(NamedTuple):
-    """Where the later arguments of a drilling cycle stand, counted from 0; None where it has none.
+    """Positions of the later arguments of a drilling cycle, counted from 0; None if it has none.
 
     `gmode` 1: the depth is that of the shank, not of the tip. `amode`: its second digit 2 gives the dwell in turns. `axis`: the tool
     axis, 1 or 2 for the first or second geometry axis. `pitch_unit`: 2 threads an inch, 3 inches, 4 modules.
@@ -55,7 +55,7 @@ _ORDERS = {1: 0, 2: 1, 3: 2}
 
 
 def values_of(control: SinumerikCalls, word: Word) -> list[float | str | None]:
-    """The arguments of a cycle; None where one is left out."""
+    """The arguments of a cycle; None for a missing one."""
     out: list[float | str | None] = []
     for text, at in split_arguments(word.text or ""):
         if not text:
@@ -68,7 +68,7 @@ def values_of(control: SinumerikCalls, word: Word) -> list[float | str | None]:
 
 
 def carry_out(control: SinumerikCalls, word: Word) -> None:
-    """One cycle call, at once or as what MCALL repeats."""
+    """One cycle call, made at once or repeated by MCALL."""
     name = word.name
     arguments = values_of(control, word)
     if name == "CYCLE832":
@@ -93,7 +93,7 @@ def _number(arguments: list, k: int, default: float | None = None) -> float:
 
 
 def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callable[[], None]:
-    """A drilling cycle as a function that carries it out where the tool stands."""
+    """A drilling cycle as a function that makes its moves at the current position."""
     rtp, rfp, sdis = _number(a, 0), _number(a, 1, 0.0), abs(_number(a, 2, 0.0))
     given = len(a) > 3 and a[3] is not None
     relative = _number(a, 4, 0.0)
@@ -172,7 +172,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
 
 
 def _later_arguments(control: SinumerikCalls, name: str, a: list, layout: Layout, word: Word) -> None:
-    """What stands behind the classic arguments and has an effect on the control: noted or refused."""
+    """Arguments after the classic ones that have an effect on the control: noted or refused."""
     given = {key: int(_number(a, k, 0.0)) for key, k in layout._asdict().items() if k is not None}
     if given.get("gmode", 0) == 1:
         control.note(f"{name}: its depth is that of the shank (_GMODE 1); here the tip goes to it, since the angle of the tip is not known")
@@ -289,7 +289,7 @@ def _count(value: float) -> int:
 
 
 def swivel(control: SinumerikCalls, a: list, word: Word) -> None:
-    """CYCLE800(_FR,_TC,_ST,_MODE,_X0,_Y0,_Z0,_A,_B,_C,_X1,_Y1,_Z1,..): a plane by its turns; without arguments it ends."""
+    """CYCLE800(_FR,_TC,_ST,_MODE,_X0,_Y0,_Z0,_A,_B,_C,_X1,_Y1,_Z1,..): a plane by its rotations; without arguments it ends."""
     numbers = [_number(a, k, 0.0) for k in range(4, min(13, len(a)))]
     numbers += [0.0] * (9 - len(numbers))
     mode = int(_number(a, 3, 57.0))
@@ -321,7 +321,7 @@ def swivel(control: SinumerikCalls, a: list, word: Word) -> None:
 
 
 def smooth(control: SinumerikCalls, a: list, word: Word) -> None:
-    """CYCLE832(tolerance, machining, orientation tolerance): G642 with that tolerance, SOFT and FFWON; 0 or nothing switches off.
+    """CYCLE832(tolerance, machining, orientation tolerance): G642 with this tolerance, SOFT and FFWON; 0 or no argument switches it off.
 
     The last digit 0 of `machining` switches off, too; its second digit 1 or a name _ORI_.. says that the third value is the tolerance
     of the orientation [deg], which otherwise is a number of the version (Programming Manual 12/2019, CYCLE832).

@@ -15,7 +15,7 @@ from twin.program.words import Word
 
 
 class SinumerikFrames(SinumerikLines):
-    """Frames and what changes them."""
+    """Frames and the words that change them."""
 
     def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
@@ -49,7 +49,7 @@ class SinumerikFrames(SinumerikLines):
         self.set_frame(matrix, offset)
 
     def swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
-        """CYCLE800: the plane from here on; the tool stands across it."""
+        """CYCLE800: start a tilted plane, with the tool perpendicular to it."""
         self._swivel(matrix, origin)
         self.note(
             "CYCLE800: A and C turn with the next move to the nearest solution; its retraction (_FR) and direction (_DIR) are left out"

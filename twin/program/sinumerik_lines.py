@@ -1,4 +1,4 @@
-"""The lines of SINUMERIK programs: comments, labels and block numbers, and what the flow must know."""
+"""Lines of SINUMERIK programs: comments, labels, block numbers, and statements of the flow."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class SinumerikLines(Corners):
         return " " * start + text[start:], int(number[1]) if number else -1
 
     def statement(self, text: str) -> Statement | None:
-        """What the flow must know of a line."""
+        """The statement of the flow in a line."""
         body, _ = self._body(text)
         if not body.strip():
             return Statement("label")

@@ -1,7 +1,7 @@
-"""What each word means here: the tables that the readers look words up in and that docs/programs.md is printed from.
+"""Meaning of each program word: tables used by the readers and printed in docs/programs.md.
 
-ACTS: it changes the motion or what later words mean. NOTE: understood, without effect on what is simulated, said once.
-REFUSED: known and not simulated; the text says what to do.
+ACTS: it changes the motion or the meaning of later words. NOTE: understood, without effect on the simulation, noted once.
+REFUSED: known but not simulated; the text says what to do.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which tool is in the spindle, which length TRAORI works with, which radius G41 takes: T, D, H, M6, G43 and G49."""
+"""The active tool: tool in the spindle, length for TRAORI and radius for G41, from T, D, H, M6, G43 and G49."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from twin.program.expressions import Value, WordError
 class Tools:
     """Tool changes of a program; lengths and radii are those of the table [tool] of the machine file.
 
-    T changes the tool at once; from the first M6 on it prepares the tool that the next M6 brings. The Sinumerik takes
-    D1 with a tool and no length with D0; the ISO dialect takes a length with G43 and none with G49.
+    T changes the tool at once; from the first M6 on it selects the tool for the next M6. The Sinumerik uses D1 with a tool, and no length
+    with D0; the ISO dialect uses a length with G43 and none with G49.
     """
 
     def __init__(self, out: Collector, machine: Machine, iso: bool) -> None:
