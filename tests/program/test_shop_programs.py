@@ -78,7 +78,7 @@ def test_programmable_shifts_move_nothing(read) -> None:
 def test_a_dwell_counts_by_dialect(read) -> None:
     assert read("G1 X1 F100\nG4 P500\nG1 X2\n", "part.nc").moves.pause[1] == pytest.approx(0.5)
     assert read("G1 X1 F100\nG4 P5\nG1 X2\n", "part.ngc").moves.pause[1] == pytest.approx(5.0)
-    with pytest.raises(InputError, match="G4 stands alone"):
+    with pytest.raises(InputError, match="G4 must be alone"):
         read("G1 X1 F100\nG4 P500\n")
 
 
@@ -713,7 +713,7 @@ def test_cutter_radius_in_a_tilted_plane(read, write, mikron) -> None:
     there = ends(tilted)
     shift = there[0] - matrix @ flat[0]
     assert np.allclose(there, flat @ matrix.T + shift, atol=1e-6)
-    with pytest.raises(InputError, match="stands across the plane"):
+    with pytest.raises(InputError, match="perpendicular to the plane"):
         read("TRAORI\n" + head + "A3=0 B3=-0.3 C3=1\n" + last)
 
 

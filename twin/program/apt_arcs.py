@@ -59,7 +59,7 @@ def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis:
     """The arc of TLON,GOFWD and its end point (3,) [m]; `direction` (3,) is that of the start, `unit` [m] of the numbers."""
     parts = {m[1]: m[2] for m in _PART.finditer(values)}
     if "CIRCLE" not in parts or not {"LINE", "PLANE"} & parts.keys():
-        raise ArcError("TLON,GOFWD needs (CIRCLE/ ..) and (LINE/ ..) or (PLANE/ ..); let the CAM system put out points instead")
+        raise ArcError("TLON,GOFWD needs (CIRCLE/ ..) and (LINE/ ..) or (PLANE/ ..); let the CAM system output points instead")
     circle = parts["CIRCLE"].removeprefix("CANON").lstrip(" ,")
     numbers = _numbers(circle, "CIRCLE")
     if len(numbers) == 4:

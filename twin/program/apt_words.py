@@ -41,11 +41,11 @@ NOT_SIMULATED = {
             "SCON",
             "THRUST",
         ),
-        "let the CAM system put out points (GOTO) instead",
+        "let the CAM system output points (GOTO) instead",
     ),
     **dict.fromkeys(
         ("TRACUT", "COPY", "TRANS", "ORIGIN", "ROTABL", "ROTATE", "ROTHED", "TRANTO"),
-        "let the CAM system put out the transformed points",
+        "let the CAM system output the transformed points",
     ),
     **dict.fromkeys(("RETRCT", "RETURN"), "give the place as a GOTO"),
     **dict.fromkeys(("CALSUB", "CALLSUB"), "it calls a subprogram that this file does not hold; put its points out here"),

@@ -25,7 +25,7 @@ DEFAULT_TOLERANCE = 10e-6
 """Default tolerance of corner rounding for G64 and G642 [m]; chosen, the paper gives no value."""
 DEFAULT_ANGLE_TOLERANCE = rad_from_deg(0.05)
 """The same for A and C [rad]."""
-NO_RADIUS_COMPENSATION = "cutter radius compensation is not simulated; let the CAM system put out the path of the tool centre"
+NO_RADIUS_COMPENSATION = "cutter radius compensation is not simulated; let the CAM system output the path of the tool centre"
 RAPID_TOLERANCE_FACTOR = 3.0
 """Factor on the tolerance between two rapid moves (STOLF on the control)."""
 SETTLING = {"G601": 3.0, "G602": 1.0, "G603": 0.0}
@@ -232,7 +232,7 @@ class Collector:
         program = mv.Program(self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes), tuple(self.messages))
         if not len(moves) or not np.any((np.abs(program.starts() - moves.target) > 1e-12).any(axis=1) | (moves.kind == mv.ARC)):
             raise InputError(
-                f"{self.path}: the program moves no axis from its start; a first rapid move is taken as the start, add a move behind it"
+                f"{self.path}: the program moves no axis from its start; a first rapid move defines the start, so add a move after it"
             )
         return program
 

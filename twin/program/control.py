@@ -201,7 +201,7 @@ class Control(ControlState):
             raise WordError(f"a dwell of {seconds:g} s is out of range; give 0 to 3600 s", 1)
         out = self.out
         if self.comp is not None:
-            out.notes["G4 inside G41 or G42 is left out: the tool does not rest on the contour"] = None
+            out.notes["G4 inside G41 or G42 is omitted: the tool does not dwell on the contour"] = None
             return
         out.pauses[len(out.kinds)] = seconds
         out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.line, self.block)
@@ -236,7 +236,7 @@ class Control(ControlState):
         if side and radius:
             if self.out.modes.traori and not self._stands_across():
                 raise WordError(
-                    "G41 and G42 need a tool that stands across the plane G17, G18 or G19; let the CAM system put out the tool centre", 1
+                    "G41 and G42 need a tool perpendicular to the plane G17, G18 or G19; let the CAM system output the tool centre", 1
                 )
             self.programmed = self.here()
             self.comp = Compensation(

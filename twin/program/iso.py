@@ -82,7 +82,7 @@ class Iso(IsoModes):
                 e.at += 1
                 key = self._key(e)
                 if e.peek() != "=":
-                    raise e.fail("a variable stands alone; give it a value with '='")
+                    raise e.fail("a variable without an assignment; give it a value with '='")
                 e.at += 1
                 later.append((key, e.number(), column))
                 continue

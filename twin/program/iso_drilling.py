@@ -86,7 +86,7 @@ class IsoDrilling(IsoVariables):
             aside = (abs(self.sticky.get("Q", 0.0)), 0.0)
             self.note("G76, G87: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
         if number == 88:
-            self.note("G88: the halt at the bottom is left out")
+            self.note("G88: the halt at the bottom is omitted")
         pause = self.sticky.get("P", 0.0) if number in USED_BY["P"] else 0.0
         if not self.linuxcnc:
             pause /= 1000.0

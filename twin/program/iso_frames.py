@@ -179,7 +179,7 @@ class IsoFrames(IsoLines):
     def _map(self, number: float, w: dict[str, Item], column: int) -> None:
         """G51.1 and G101 (mirror), G51 (scale), G68 (turn) and the codes that end them."""
         if self.shift_on and np.any(self.shift):
-            self.note("G68, G51: the point they are about counts before G92")
+            self.note("G68, G51: their centre is in the coordinates before G92")
         places = {i: w.pop(n).value * self.unit for i, n in enumerate(LINEAR) if n in w}
         if number in (51.1, 101):
             if number == 101 and any(places.values()):
@@ -229,7 +229,7 @@ class IsoFrames(IsoLines):
         i, j, k = (w.pop(n).value if n in w else 0.0 for n in "IJK")
         matrix = rotation(2, i) @ rotation(0, j) @ rotation(2, k)
         self._swivel(matrix, origin)
-        self.note("G68.2: the tool stands across the plane at once; A and C turn with the next move")
+        self.note("G68.2: the tool is perpendicular to the plane at once; A and C turn with the next move")
 
 
 def _about(matrix: np.ndarray, centre: np.ndarray) -> Map:

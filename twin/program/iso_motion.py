@@ -65,7 +65,7 @@ class IsoMotion(IsoDrilling):
         in_plane = {n: w.pop(n) for n in "IJK" if n in w and self.motion in (2, 3)}
         if self.motion is None and coordinates and not self.linuxcnc and not self.any_motion:
             self.motion = 0
-            self.note("coordinates before any G0 or G1 are taken as rapid; a parameter of the control decides this")
+            self.note("coordinates before any G0 or G1 are rapid moves; a parameter of the control decides this")
         self.any_motion = self.any_motion or self.motion is not None
         moves = bool(coordinates or vector or (self.motion in (2, 3) and (in_plane or "R" in w)))
         if codes & {2, 3} and not moves:
@@ -222,7 +222,7 @@ class IsoMotion(IsoDrilling):
         seconds = item.value
         if name == "P" and not self.linuxcnc and self._written_whole(item):
             seconds /= 1000.0
-            self.note("G4 P without a decimal point counts in ms, as on a Fanuc; write P1.5 or a .ngc file for seconds")
+            self.note("G4 P without a decimal point is in ms, as on a Fanuc; write P1.5 or a .ngc file for seconds")
         self.dwell(seconds)
 
     def _written_whole(self, item: Item) -> bool:

@@ -125,7 +125,7 @@ class Sinumerik(SinumerikModes):
                     raise WordError(f"{axis} occurs twice in the block; keep one", word.column)
                 block.coordinates[axis] = self._item(word)
                 if name.startswith("POS"):
-                    self.note("POS, POSA: the axis moves with the others of the block, at rapid where it stands alone")
+                    self.note("POS, POSA: the axis moves with the others of the block, and at rapid if it is alone")
                     block.extra["POS"] = Item(1.0, "", word.column)
             elif name in ("I", "J", "K"):
                 block.centre[name] = self._item(word)

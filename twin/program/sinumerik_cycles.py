@@ -106,7 +106,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
         raise WordError(f"{name} needs the depth DP or DPR; add it", word.column)
     if relative and given and abs(depth - (rfp + down * abs(relative))) > 1e-9:
         depth = rfp + down * abs(relative)  # the control takes DPR where both are given
-        control.note(f"{name}: DP and DPR differ, DPR counts")
+        control.note(f"{name}: DP and DPR differ, DPR is used")
     safe = rfp - down * sdis
     if (depth - safe) * down <= 0.0:
         raise WordError(f"{name}: the depth {depth:g} does not lie below the reference plane {rfp:g}; correct one", word.column)
@@ -149,7 +149,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
         aside = _number(a, 7, 0.0), _number(a, 8, 0.0)
         cycle = Drilling(safe, depth, rtp, dwell=time(5), aside=aside, lift=abs(_number(a, 9, 0.0)))
     elif name in ("CYCLE87", "CYCLE88"):
-        control.note(f"{name}: the halt at the bottom is left out")
+        control.note(f"{name}: the halt at the bottom is omitted")
         cycle = Drilling(safe, depth, rtp, dwell=time(5) if name == "CYCLE88" else 0.0)
     elif name == "CYCLE89":
         cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED)
@@ -180,7 +180,7 @@ def _later_arguments(control: SinumerikCalls, name: str, a: list, layout: Layout
     if given.get("axis", 0) in (1, 2) and given["axis"] != across:
         raise WordError(f"{name} along geometry axis {given['axis']} is not supported; select its plane with G17, G18 or G19", word.column)
     if given.get("pecks", 0):
-        control.note(f"{name}: one stroke to its depth; the strokes between (_VARI) are left out")
+        control.note(f"{name}: one stroke to its depth; intermediate strokes (_VARI) are omitted")
 
 
 def _lead(control: SinumerikCalls, pitch: float, unit: int) -> float:
@@ -245,7 +245,7 @@ def holes(control: SinumerikCalls, name: str, a: list, word: Word) -> None:
     if control.mcall is None:
         raise WordError(f"{name} needs a modal cycle; add MCALL CYCLE81(..) before it", word.column)
     if any(isinstance(v, str) and "1" in v for v in a):
-        raise WordError(f"{name} with places left out (_HIDE) is not supported; write the places", word.column)
+        raise WordError(f"{name} with omitted places (_HIDE) is not supported; write the places", word.column)
     x, y, _ = arcs.PLANES[control.plane]
     places: list[tuple[float, float]] = []
     if name == "HOLES1":
@@ -336,7 +336,7 @@ def smooth(control: SinumerikCalls, a: list, word: Word) -> None:
     control.tolerance = tolerance * control.unit or DEFAULT_TOLERANCE
     oriented = name.startswith("_ORI") or number // 10 % 10 == 1
     if not oriented and len(a) > 2 and a[2] not in (None, 1.0):
-        control.note("CYCLE832: its third value is a tolerance only behind _ORI_.. or a second value with 1 in its tens; left out")
+        control.note("CYCLE832: its third value is a tolerance only after _ORI_.. or a second value with 1 in its tens; ignored")
     angle = a[2] if oriented and len(a) > 2 and isinstance(a[2], float) else 0.0
     control.angle_tolerance = rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE
     control.rounding = 642 if tolerance else 64

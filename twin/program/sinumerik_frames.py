@@ -52,7 +52,7 @@ class SinumerikFrames(SinumerikLines):
         """CYCLE800: start a tilted plane, with the tool perpendicular to it."""
         self._swivel(matrix, origin)
         self.note(
-            "CYCLE800: A and C turn with the next move to the nearest solution; its retraction (_FR) and direction (_DIR) are left out"
+            "CYCLE800: A and C turn with the next move to the nearest solution; its retraction (_FR) and direction (_DIR) are ignored"
         )
 
     def unswivel(self) -> None:
@@ -99,7 +99,7 @@ class SinumerikFrames(SinumerikLines):
         elif values:
             raise WordError(f"{name} is not supported: a turn by angles in space; use ROT with X Y Z", 1)
         if not name.endswith("TRANS") and shift is None and set(values) & set(ROTARY):
-            raise WordError(f"{name} of A or C is not supported; let the CAM system put out the final coordinates", 1)
+            raise WordError(f"{name} of A or C is not supported; let the CAM system output the final coordinates", 1)
         self.program_offset = np.concatenate(
             [self.program_offset[:3] + self.program_matrix @ shifted[:3], self.program_offset[3:] + shifted[3:]]
         )

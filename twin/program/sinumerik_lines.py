@@ -95,7 +95,7 @@ class SinumerikLines(Corners):
             return Statement(word.lower(), text=rest, column=match.end(1) + 1)
         if word in ("ELSE", "ENDIF", "ENDWHILE", "ENDFOR", "LOOP", "ENDLOOP"):
             if rest.strip():
-                raise WordError(f"{word} stands alone in its block; write the rest in the next one", column)
+                raise WordError(f"{word} must be alone in its block; write the rest in the next one", column)
             return Statement(word.lower(), column=column)
         if word == "FOR":
             parts = _FOR.match(body)

@@ -116,7 +116,7 @@ class SinumerikModes(SinumerikCalls):
         for number in numbers:
             entry = SINUMERIK_M.get(number)
             if number in (0, 1, 6):
-                self.note(f"M{number}: the program goes on after an exact stop")
+                self.note(f"M{number}: the program continues after an exact stop")
                 pause = 0.0
             elif number not in (2, 17, 30):
                 self.note(f"M{number}: {entry[1] if entry else 'a code of the machine builder, without effect on the motion'}")

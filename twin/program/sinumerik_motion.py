@@ -124,7 +124,7 @@ class SinumerikMotion(SinumerikVariables):
             return None, arcs.through(start, middle, point)
         if by_name == "CT":
             if self.tangent is None:
-                raise WordError("CT goes on from the direction of the move before; there is none, use CIP or G2", 1)
+                raise WordError("CT needs a move before it, whose direction it continues; use CIP or G2", 1)
             return None, arcs.tangential(start, self.tangent, point, self.plane)
         clockwise = self.motion == 2
         if "AR" in extra:
@@ -232,7 +232,7 @@ class SinumerikMotion(SinumerikVariables):
 
     def _dwell(self, numbers: set[float], extra: dict[str, Item], more: bool) -> None:
         if more or numbers - {4} or extra.keys() not in ({"F"}, {"S"}):
-            raise WordError("G4 stands alone in its block with one time, e.g. G4 F<seconds>; give the rest a block of its own", 1)
+            raise WordError("G4 must be alone in its block with one time, e.g. G4 F<seconds>; write the rest in another block", 1)
         self._release()
         if "S" in extra:
             if not self.out.modes.spindle:

@@ -68,7 +68,7 @@ class Tools:
 
     def _iso(self, words: Mapping[str, tuple[Value, int]], spindle: float) -> float:
         if "G43" in words:
-            self.out.notes["G43: its length counts under TRAORI or G43.4; without it X Y Z are positions of the axes"] = None
+            self.out.notes["G43: its length is used under TRAORI or G43.4; without it X Y Z are positions of the axes"] = None
             return self._length(words["H"]) if "H" in words else spindle
         if "G49" in words:
             return 0.0
