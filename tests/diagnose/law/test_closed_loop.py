@@ -132,7 +132,7 @@ def test_a_single_run_is_predicted_half_by_half():
     before, columns = rng.standard_normal(group.size), rng.standard_normal((group.size, 40))
     left = before - columns @ np.linalg.lstsq(columns, before, rcond=None)[0]
     nothing = np.zeros(40)
-    fitted = loop._judged(state, [], left, columns, 0.5 * float(left @ left), nothing, nothing)
+    fitted = loop._cross_validated(state, [], left, columns, 0.5 * float(left @ left), nothing, nothing)
     assert fitted.loss < 0.5 * float(before @ before) < fitted.held_out
     assert fitted.without(0) == state  # the machine file is fitted to all samples
 
