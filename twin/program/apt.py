@@ -56,7 +56,7 @@ class AptReader:
         self.rotation = np.eye(3)  # part frame from the frame of the data
         self.shift = np.zeros(3)
         self.arc: tuple[np.ndarray, np.ndarray, float | None, float | None] | None = None  # centre, axis, radius [m], angle [rad]
-        self.world = False  # points stand in the part frame whatever CSYS says
+        self.world = False  # True: points are in the part frame, independent of CSYS
         self.direction: tuple[str, np.ndarray] | None = None
         self.cycle: Cycle | None = None
         self.ended = False

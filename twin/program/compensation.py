@@ -159,7 +159,7 @@ class Compensation:
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
             return
-        raise CompensationError("the tool cannot reach an inside corner without gouging; use a smaller tool or mend the contour")
+        raise CompensationError("the tool cannot reach an inside corner without gouging; use a smaller tool or correct the contour")
 
 
 def _holds(e: Element, p: np.ndarray) -> bool:

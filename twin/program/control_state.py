@@ -1,7 +1,7 @@
 """The modal state of the control, for both languages: frames, modes, units, tools.
 
 Program coordinates x become machine coordinates by the frame: M x + offset (`matrix`, `offset`; the matrix turns, mirrors and
-scales). Lengths are in m and rad from here on; a front end converts what is programmed.
+scales). Lengths are in m and rad; a front end converts the programmed values.
 """
 
 from __future__ import annotations

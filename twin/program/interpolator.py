@@ -37,7 +37,8 @@ LIMIT_TOLERANCE = 1e-4
 WORTH_PLANNING, ATTEMPTS = 2e-3, 8
 """An excess up to the first value slows the whole stretch; a larger one causes a new plan, at most this many times."""
 FAR_ABOVE = 1.1
-"""From this share of a limit between two nodes on, the limit there is reduced by the square of the share, because the result falls by less."""
+"""If a value between two nodes exceeds its limit by more than this factor, the limit there is divided by the square of the excess, because
+the result decreases by less than the limit."""
 NO_LIMIT = 1e9
 """Limit of a missing axis, which never moves."""
 
@@ -195,13 +196,13 @@ def _stretch_pieces(
         inside = lookahead.excess(spline, frames, limits, law)
         attempt += 1
         if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and inside.max() > 1.0:
-            # too much between two nodes: plan anew with less there
+            # a limit is exceeded between two nodes: plan again with a lower limit there
             ease /= np.where(inside > 1.0, inside * 1.001, 1.0) ** np.where(inside > FAR_ABOVE, 2, 1)
             law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (law, ease), windows)
         else:
             slower *= excess * (1.0 + 1e-5)
     if count > BLOCK:
-        blocks = _sampled(spline, frames, law, times, slower, period, count)  # once measured, they are made again rather than kept
+        blocks = _sampled(spline, frames, law, times, slower, period, count)  # compute them again instead of keeping all in memory
     for block in blocks:
         row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, block.u, side="right") - 1, len(stretch.row) - 1)]
         _check_travel(program, block.axes, row)

@@ -240,7 +240,7 @@ class IsoMotion(IsoDrilling):
             self.tolerance = p * self.unit if p > 0.0 else DEFAULT_TOLERANCE
             if "Q" in w:
                 w.pop("Q")
-                self.note("G64 Q: merging of collinear blocks; the rounding here does that by itself")
+                self.note("G64 Q: merging of collinear blocks, which the rounding here always does")
         if number == 61.1 and not self.linuxcnc:
             self.note("G61.1: high accuracy of Mazak and Mitsubishi, corners are rounded as under G64; in .ngc files an exact stop")
         self.rounding = 60 if number == (61.1 if self.linuxcnc else 61) else 64

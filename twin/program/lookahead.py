@@ -147,8 +147,8 @@ def plan(
 ) -> Law:
     """The time law of a stretch; `progress` is called with the share done.
 
-    `eased` is an earlier law and the factors (2, interval) on its acceleration and jerk limits with which it is planned anew; of its windows
-    those in `kept` are taken again whose factors are still the same.
+    `eased`: an earlier law, and factors (2, interval) on its acceleration and jerk limits for the new plan. Windows in `kept` whose factors
+    are unchanged are reused.
     """
     if eased is None:
         nodes, piece, _ = grid(s, e, f, limits, feeds)

@@ -31,7 +31,7 @@ ISO_G: dict[float, tuple[str, str]] = {
     42: (ACTS, "cutter to the right of the contour"), 41.1: (ACTS, "as G41, D is the diameter"), 42.1: (ACTS, "as G42, D is the diameter"),
     43: (ACTS, "tool length of H"), 43.1: (ACTS, "tool length in the block"), 43.2: (REFUSED, "a second tool length is not simulated"),
     43.4: (ACTS, "tool centre point control: five-axis transformation on"), 43.5: (ACTS, "as G43.4, tool axis by I J K"),
-    44: (ACTS, "as G43: without G43.4 X Y Z are positions of the axes whatever the length"), 49: (ACTS, "tool length and G43.4 off"),
+    44: (ACTS, "as G43: without G43.4 X Y Z are positions of the axes for any length"), 49: (ACTS, "tool length and G43.4 off"),
     50: (ACTS, "scaling off"), 50.1: (ACTS, "mirror off"), 51: (ACTS, "scaling P or I J K about a point"), 51.1: (ACTS, "mirror about X Y Z"),
     52: (ACTS, "local shift"), 53: (ACTS, "machine coordinates in this block"), 53.1: (NOTE, "A and C turn with the next move"),
     53.6: (NOTE, "A and C turn with the next move"),

@@ -28,7 +28,7 @@ class Tools:
         self.written: dict[tuple[str, str, bool], float] = {}  # by the program itself [m]: tool, radius or length, whether it is wear
 
     def block(self, words: Mapping[str, tuple[Value, int]]) -> None:
-        """The words T, D, H, M6, G43, G49 of one block as value and column: tool and length from here on.
+        """The words T, D, H, M6, G43, G49 of one block as value and column; they set the active tool and length.
 
         Raises:
             WordError: a tool or an edge that the machine file does not know, or H without G43.
