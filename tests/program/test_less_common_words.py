@@ -185,7 +185,7 @@ def test_pitches_of_taps(write, mikron, unit: int, feed: float) -> None:
     [
         ("CYCLE83(5,0,1,-2,0,-1,,0,0,0,1,0,1)", "geometry axis 1"),
         ("MCALL CYCLE81(5,0,1,-2)\nCYCLE802(111111112,111111111,3,4)", "incremental places"),
-        ('MCALL CYCLE81(5,0,1,-2)\nHOLES2(1,2,5,10,20,3,1000,1,"10")', "left out"),
+        ('MCALL CYCLE81(5,0,1,-2)\nHOLES2(1,2,5,10,20,3,1000,1,"10")', "with omitted places"),
         ("G147 G41 DISR=5 X5", "soft approach"),
         ("REPOSL", "interrupted contour"),
         ("DISC=50", "DISC=50"),
