@@ -31,7 +31,7 @@ from twin.effects.truth import true_machine
 from twin.exam.draw import SHIPPED_MACHINE, Case, draw_case, truth_of, truth_toml, write_campaign
 from twin.identify.campaign_fit import identify_campaign
 from twin.identify.result import Identification
-from twin.identify.single_axis import NAMES, fit_single_axis, leftovers, read_emps, refine_single_axis, resimulate
+from twin.identify.single_axis import NAMES, fit_single_axis, read_emps, refine_single_axis, residual_shapes, resimulate
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.simulation.summary import table
@@ -170,7 +170,7 @@ def emps(files: Sequence[Path]) -> int:
                 f"re-simulated with the values of the {name}: position RMS {1e6 * again.position_rms:.2f} um, "
                 f"force error {100 * again.force_error:.2f} % (below 50 Hz {100 * again.force_error_filtered:.2f} %)"
             )
-        rows = [[name, f"{100 * share:.0f} %"] for name, share in leftovers(fit, record.period).items()]
+        rows = [[name, f"{100 * share:.0f} %"] for name, share in residual_shapes(fit, record.period).items()]
         print(table(["residual of the regression", "share of its variance"], rows, left=1))
     return 0
 

@@ -98,7 +98,7 @@ def test_half_the_inertia_in_its_quick_form(tmp_path: Path, capsys: pytest.Captu
     assert (tmp_path / "half_inertia.png").stat().st_size > 10_000
 
 
-def test_the_study_of_the_mark_changes_what_it_says(mikron: Machine) -> None:
+def test_the_mark_depth_study_changes_the_named_parameters(mikron: Machine) -> None:
     """The whole of mark_depth_study.py takes minutes; each of its changes is made here, and a gain of zero effect would be noticed."""
     example = script("examples/mark_depth_study.py", "mark_depth_study")
     for what, factors in example.FACTORS.items():

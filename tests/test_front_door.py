@@ -44,7 +44,7 @@ def test_unknown_name() -> None:
         twin.simulat  # noqa: B018
 
 
-def test_py_typed_lies_beside() -> None:
+def test_py_typed_is_part_of_the_package() -> None:
     assert (Path(twin.__file__).parent / "py.typed").is_file()
 
 

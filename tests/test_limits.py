@@ -162,7 +162,7 @@ def test_the_message_names_the_factor_that_lets_it_through(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("period_us", "says"), [("1e-5", "us: about 1.7e+12 set points, the limit is 1e+07"), ("1e17", "give at most 150000")]
+    ("period_us", "says"), [("1e-5", "us: about 1.7e+12 set points, the limit is 1e+07"), ("1e17", "use at most 150000")]
 )
 def test_a_plan_with_an_impossible_sample_period(period_us: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "small.xml").write_text(MJCF)

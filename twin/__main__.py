@@ -1,4 +1,4 @@
-"""Run the command line with `python -m twin`, or as `twin`; from the first moment it can be stopped."""
+"""Entry point of the command line (`python -m twin` and `twin`). Signals stop it from the start."""
 
 from io import TextIOWrapper
 import os

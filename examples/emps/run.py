@@ -1,9 +1,9 @@
-"""A measured axis, all the way: a real carriage's record is imported, identified and diagnosed against its published model.
+"""Import, identify and diagnose the record of a real axis, and compare the result with its published model.
 
     python examples/emps/run.py DATA_EMPS.mat [--out out/emps] [--quick]
 
 The record is that of the EMPS benchmark (Janot, Gautier, Brunot 2019) and is not part of this repository: 24.84 s at 1 kHz of a set
-point, one motor encoder and a drive voltage. Its first two thirds are fitted; the last third takes no part and is what the gap is told on.
+point, one motor encoder and a drive voltage. The first two thirds are fitted; the gap is evaluated on the held-out last third.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from twin.simulation.summary import table
 HERE = Path(__file__).resolve().parent
 MACHINE = HERE / "axis.toml"
 PUBLISHED_OFFSET_N = -3.16
-"""The constant force of the published model; in a machine file it is an effect, and axis.toml leaves it for identification to find."""
+"""The constant force of the published model [N]. axis.toml does not contain it, so identification has to find it."""
 
 PUBLISHED_FORCE_ERROR = 0.0408
 """Relative force error of the published model on this record."""
 
 LEAD_M = 0.0025
 PERIOD_S = 6.24
-"""The set points of the record repeat."""
+"""Period of the set points of the record."""
 
 NEXT_BEST = 0.02
-"""Share of the squared gap from which a candidate that was not taken is told."""
+"""Least share of the squared residual of a further shape in the second opinion."""
 
 MEASURED, NOMINAL, CORRECTED, NOISE = "#15181c", "#e07b10", "#1764c0", "#d5dae1"
 
@@ -91,7 +91,7 @@ def import_record(path: Path, out: Path, picture: bool = True) -> None:
 
 
 def tilted(out: Path) -> Path:
-    """The machine file on a rail that falls so much that the weight of the carriage is the published offset."""
+    """The machine file with its rail tilted, so that the weight of the carriage makes the published offset."""
     slope = -PUBLISHED_OFFSET_N / ((load_machine(MACHINE).axis("X").moving_mass_kg or 0.0) * 9.81)
     model = (
         (HERE / "axis.xml").read_text(encoding="utf-8").replace('axis="1 0 0"', f'axis="{math.cos(slope):.9f} 0 {-math.sin(slope):.9f}"')
@@ -133,7 +133,7 @@ def corrected(out: Path) -> Machine:
 
 
 def law_error(record: Record) -> np.ndarray:
-    """Recorded voltage less kv (kp (s - q) - dq) of the recorded position, without the first samples (sample,) [V]."""
+    """Recorded voltage minus kv (kp (s - q) - dq) of the recorded position, without the first two samples (sample,) [V]."""
     q, h = record.position, record.period
     speed = (q[2:] - q[:-2]) / (2.0 * h)
     command_v = record.speed_gain * (record.position_gain * (record.setpoint - q)[2:] - speed)
@@ -141,7 +141,7 @@ def law_error(record: Record) -> np.ndarray:
 
 
 def repeatability(record: Record, period_s: float) -> tuple[float, float]:
-    """RMS by which position [m] and voltage [V] differ from one period of the set points to the next, for one period alone."""
+    """RMS scatter of position [m] and voltage [V] of one period, from the differences between consecutive periods of the set points."""
     n = round(period_s / record.period)
     settled = slice(n // 10, None)
     position = (record.position[n:] - record.position[:-n]) - (record.setpoint[n:] - record.setpoint[:-n])
@@ -150,19 +150,19 @@ def repeatability(record: Record, period_s: float) -> tuple[float, float]:
 
 
 def last_third(out: Path, machines: dict[str, Machine]) -> tuple[MeasuredRun, dict[str, Prediction]]:
-    """The run that took no part, and what each machine expects of it."""
+    """The held-out run and the prediction of each machine."""
     run = read_campaign(out / "check", next(iter(machines.values()))).runs[0]
     return run, {name: predict(machine, run) for name, machine in machines.items()}
 
 
 def law_text(record: Record) -> str:
-    """How well the control does what its file says."""
+    """How well the record agrees with the control law."""
     rms = float(np.sqrt(np.mean(law_error(record) ** 2)))
-    return f"\ncontrol law held against the record: {rms * 1e3:.2f} mV RMS of a voltage of {np.abs(record.voltage).max():.2f} V"
+    return f"\nresidual of the control law: {rms * 1e3:.2f} mV RMS, largest voltage {np.abs(record.voltage).max():.2f} V"
 
 
 def order_text(document: dict[str, Any]) -> str:
-    """What each effect taken closes of what it found left, the largest share first, and the share of the squared gap that none explains."""
+    """Share of the remaining squared gap that each effect closed when it was found, largest first, and the unexplained share."""
     taken = {(e["effect"], e["axis"]) for e in document["effects"]}
     known = {(c["effect"], c["axis"]): c for c in reversed(document["candidates"])}
     rows = []
@@ -171,14 +171,14 @@ def order_text(document: dict[str, Any]) -> str:
         rows.append([key[0].replace("_", " "), values, f"{100 * known[key]['explained']:.1f} %", "taken"])
     gap = document["gap"]
     left = max(gap["after"] ** 2 - 1.0, 0.0) / max(gap["before"] ** 2 - 1.0, 1e-9)
-    rows.append(["no effect of the library", "", f"{100 * left:.1f} %", f"verdict: {document['verdict']}"])
-    return "\nwhat each effect closes of what was left when it was found, and what none explains, as shares of squares:\n" + table(
+    rows.append(["unexplained", "", f"{100 * left:.1f} %", f"verdict: {document['verdict']}"])
+    return "\nshare of the remaining squared gap that each effect closed when it was found:\n" + table(
         ["effect", "size", "share", ""], rows, left=2
     )
 
 
 def gap_text(run: MeasuredRun, predictions: dict[str, Prediction], machines: dict[str, Machine], repeats: tuple[float, float]) -> str:
-    """The gap on the last third, beside what the axis itself differs by from period to period."""
+    """The gap on the last third, with the scatter of the axis from period to period."""
     rows = []
     for name, prediction in predictions.items():
         gap = gap_of(machines[name], run, prediction)["X"]
@@ -191,13 +191,11 @@ def gap_text(run: MeasuredRun, predictions: dict[str, Prediction], machines: dic
             ]
         )
     rows.append(["the axis, from period to period", f"{repeats[0] * 1e6:.3f}", f"{repeats[1]:.3f}", "", ""])
-    return "\ngap on the last third, which took no part in any fit:\n" + table(
-        ["machine", "RMS [um]", "RMS [V]", "largest [um]", "largest [V]"], rows, left=1
-    )
+    return "\ngap on the held-out last third:\n" + table(["machine", "RMS [um]", "RMS [V]", "largest [um]", "largest [V]"], rows, left=1)
 
 
 def force_shapes(speed: np.ndarray, position: np.ndarray, period: float) -> dict[str, list[np.ndarray]]:
-    """What a force may depend on beyond mass, viscous and Coulomb friction and a constant, by name."""
+    """Name -> columns of additional force laws beyond mass, viscous and Coulomb friction and a constant."""
     turn = 2.0 * np.pi * position / LEAD_M
     acceleration = np.gradient(speed, period)
     return {
@@ -214,7 +212,7 @@ def force_shapes(speed: np.ndarray, position: np.ndarray, period: float) -> dict
 
 
 def force_text(record: Record) -> str:
-    """A second opinion that knows nothing of the closed loop: the force below 50 Hz by regression, shape by shape."""
+    """A second opinion without the closed loop: regression of the force below 50 Hz, adding the best shape at a time."""
     part = slice(0, 2 * len(record.time) // 3)
     fit = fit_single_axis(replace(record, **{k: getattr(record, k)[part] for k in ("time", "setpoint", "position", "voltage")}))
     columns = [np.gradient(fit.speed, record.period), fit.speed, np.sign(fit.speed), np.ones_like(fit.speed)]
@@ -239,7 +237,7 @@ def force_text(record: Record) -> str:
     error, whole = f"{100 * fit.force_error:.1f} % of the force", fit_single_axis(record).force_error
     return (
         f"\nforce below 50 Hz by regression, whole record: relative error {100 * whole:.2f} %, published {100 * PUBLISHED_FORCE_ERROR:.2f} %"
-        f"\nsecond opinion on the fitted two thirds (the published form leaves {error}):\n"
+        f"\nsecond opinion on the fitted two thirds (residual of the published form: {error}):\n"
         + table(["the residual depends on", "share"], rows, left=1)
     )
 
@@ -268,7 +266,7 @@ def gap_figure(run: MeasuredRun, predictions: dict[str, Prediction], repeats: tu
 
 
 def friction_figure(record: Record, machines: dict[str, Machine]):  # type: ignore[no-untyped-def]
-    """Voltage at constant speed less that of the published model, by speed and direction, and what the corrected machine says."""
+    """Voltage at constant speed minus that of the published model, by speed and direction: measured and corrected machine."""
     figure, panels = new_figure(1, 1, width=8.0, height=3.6)
     panel = panels[0, 0]
     grid = np.linspace(0.005, 0.135, 50)
@@ -284,17 +282,15 @@ def friction_figure(record: Record, machines: dict[str, Machine]):  # type: igno
     for speed, visits in plateaus(record).items():
         off = 1e3 * (np.array(visits) - voltage_at(machines["published"], np.array([speed])))
         panel.plot(np.full(len(off), speed * 1e3), off, color=MEASURED, marker="o", markersize=4, linestyle="none", alpha=0.6)
-    panel.plot(
-        [], [], color=MEASURED, marker="o", markersize=4, linestyle="none", alpha=0.6, label="measured, each stretch of constant speed"
-    )
+    panel.plot([], [], color=MEASURED, marker="o", markersize=4, linestyle="none", alpha=0.6, label="measured, each part at constant speed")
     panel.set_xlabel("speed [mm/s]")
-    panel.set_ylabel("voltage less published model [mV]")
+    panel.set_ylabel("voltage minus published model [mV]")
     panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
     return figure
 
 
 def voltage_at(machine: Machine, speed: np.ndarray) -> np.ndarray:
-    """Voltage [V] that a machine takes at constant speeds (speed,) [m/s]: friction, its asymmetry, a constant force."""
+    """Voltage [V] of a machine at constant speeds (speed,) [m/s]: friction, its asymmetry, constant force."""
     axis = machine.axis("X")
     force = axis.coulomb_friction * np.sign(speed) + axis.viscous_friction * speed + axis.constant_force
     for effect in machine.effects:
@@ -306,7 +302,7 @@ def voltage_at(machine: Machine, speed: np.ndarray) -> np.ndarray:
 
 
 def plateaus(record: Record, least_s: float = 0.2, settle_s: float = 0.08) -> dict[float, list[float]]:
-    """Mean voltage [V] of each stretch of constant speed, by the speed of the set point [m/s]."""
+    """Speed of the set point [m/s] -> mean voltages [V] of its parts at constant speed."""
     h = record.period
     speed = np.gradient(record.setpoint, h)
     steady = np.abs(np.gradient(speed, h)) < 1e-3

@@ -92,7 +92,7 @@ def test_unreadable_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "permission" in refused(capsys, "run", str(path))
 
 
-def test_permission_denied_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_permission_denied_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     import pyarrow.csv
 
     def denied(*_: object) -> None:
@@ -211,7 +211,7 @@ EMPTY = {
 
 
 @pytest.mark.parametrize("case", EMPTY)
-def test_nothing_is_given(case: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_argument_is_refused(case: str, capsys: pytest.CaptureFixture[str]) -> None:
     """An empty argument would silently become a default: another machine, no picture."""
     arguments, said = EMPTY[case]
     assert f"twin: {said}: this argument is empty" in refused(capsys, *arguments)

@@ -33,7 +33,7 @@ def test_first_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.testing.assert_allclose(trace.get("X", "setpoint"), read_trace(EXAMPLE).get("X", "setpoint"), rtol=0, atol=1e-12)
 
 
-def test_what_if_beside_what_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_compares_a_machine_with_an_effect_to_the_nominal_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     effect = ["--effect", "backlash:X:clearance=15e-6", "--beside", "--no-recording"]
     assert main(["run", "examples/x_200mm.csv", *effect, "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
@@ -129,7 +129,7 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(list(tmp_path.glob("*.parquet"))) == 3
 
 
-def test_example_is_what_the_demo_makes(tmp_path: Path) -> None:
+def test_the_example_equals_the_output_of_the_demo(tmp_path: Path) -> None:
     assert main(["demo", "--setpoints", str(tmp_path / "x.csv")]) == 0
     made, kept = read_trace(tmp_path / "x.csv"), read_trace(EXAMPLE)
     np.testing.assert_allclose(made.get("X", "setpoint"), kept.get("X", "setpoint"), rtol=0, atol=1e-15)
@@ -165,7 +165,7 @@ def test_default_machine_of_the_environment(capsys: pytest.CaptureFixture[str], 
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
-def test_completion_knows_commands_and_options(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_completion_contains_commands_and_options(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     out = capsys.readouterr().out
     assert "interpolate" in out
@@ -193,7 +193,7 @@ def test_a_command_uses_one_blas_thread() -> None:
     assert threads.strip() == "{1}"
 
 
-def test_two_machine_files_are_a_page_of_their_own(tmp_path: Path) -> None:
+def test_two_machine_files_give_a_comparison_page(tmp_path: Path) -> None:
     """No page of an earlier comparison is left in the folder as if it were this one's."""
     (tmp_path / "report.html").write_text("of an earlier comparison")
     assert main(["compare", "examples/gantry/gantry.toml", "examples/lab_axis/axis.toml", "--out", str(tmp_path)]) == 0

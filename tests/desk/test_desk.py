@@ -79,7 +79,7 @@ def ask(desk: Desk, path: str, form: list[tuple[str, str]] | None = None, host: 
     return answer.status, text, answer.headers.get("Location", "")
 
 
-def test_what_lies_in_a_folder(folder: Path) -> None:
+def test_results_in_a_folder_are_recognised(folder: Path) -> None:
     found = {entry.path: entry for entry in entries_in(folder)}
     assert {path: entry.kind for path, entry in found.items()} == {
         "first": "run", "worn & old": "run", "diagnosis": "diagnosis", "broken": "study", "gap.html": "report",
@@ -188,7 +188,7 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert "give another --port" in capsys.readouterr().err
 
 
-def test_a_browser_that_goes_away_is_no_fault(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_disconnected_browser_is_not_an_error(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Desk(folder, 0) as desk:
         for fault, said in ((BrokenPipeError, False), (ConnectionResetError, False), (ValueError, True)):
             try:

@@ -140,7 +140,7 @@ def test_one_fault_is_named_from_a_circle(
     ("seed", "radius", "feed", "feedforward"),
     [(None, RADIUS, FEED, "off"), (2, RADIUS, FEED, "off"), (3, RADIUS, FEED, "off"), (4, RADIUS, FEED, "off"), (9, 0.1, 0.05, "velocity")],
 )
-def test_a_healthy_circle_names_nothing(
+def test_a_healthy_circle_has_no_effects(
     seed: int | None, radius: float, feed: float, feedforward: str, worn: object, mikron: Machine, tmp_path: Path
 ) -> None:
     """Seeds 2 to 4 have drive trains of 174 and 177, of 167, and of 168 Hz, softer than normal for complete records. With seed 9 the normal
@@ -175,13 +175,13 @@ def test_a_bar_needs_a_circle() -> None:
     assert bar_on(circle_of()).measured.mean() == pytest.approx(2.0 / 3.0, abs=0.02)
 
 
-def test_nothing_is_identified_from_a_radius(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_identification_refuses_a_ballbar_run(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixture[str]) -> None:
     """Positions from a ballbar contain no lag, so `identify` refuses them; a wrong table is refused too."""
     bar = ["--radius-mm", "100", "--feed-mm-per-min", "1500", "--campaign", str(tmp_path / "bar")]
     assert main(["iso", "230-4", str(ROOT / "examples/iso230/ballbar.csv"), "--plot", str(tmp_path / "bar.png"), *bar]) == 0
     capsys.readouterr()
     assert main(["identify", str(tmp_path / "bar"), "--out", str(tmp_path / "machine.toml")]) == 2
-    assert "a ballbar saw the radius alone" in capsys.readouterr().err
+    assert "a ballbar measures the radius only" in capsys.readouterr().err
     file = tmp_path / "bar" / "campaign.toml"
     for wrong, says in (('axes = ["X"]', "name two axes of the trace"), ('axes = ["X", "Z"]', "name two axes of the trace")):
         file.write_text(file.read_text().replace('axes = ["X", "Y"]', wrong), encoding="utf-8")

@@ -42,7 +42,7 @@ def test_a_control_that_interpolates_its_own_way_is_healthy(machine: Machine) ->
 def test_without_model_error_it_would_be_blamed(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(observing, "between_cycles", lambda view, axis: np.zeros(len(view.trace.time)))
     monkeypatch.setattr(observing, "law_model_error", lambda view, axis: 0.0)
-    monkeypatch.setattr("twin.diagnose.validation.laws_beside", lambda *_: pytest.fail("a quick look looks for no law"))
+    monkeypatch.setattr("twin.diagnose.validation.find_unlisted_laws", lambda *_: pytest.fail("--quick must not search for laws"))
     assert diagnose(campaign_of(machine), machine, quick=True).verdict != "none"
 
 

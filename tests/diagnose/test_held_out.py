@@ -97,9 +97,9 @@ def test_a_law_that_makes_one_signal_worse_is_refused(monkeypatch, law, accepted
 
     monkeypatch.setattr(corrected, "gap_of", gaps)
     proposal = SimpleNamespace(laws=[SimpleNamespace(axis="X")], corrected="machine with the law")
-    monkeypatch.setattr(validation, "laws_beside", lambda *_: [proposal])
+    monkeypatch.setattr(validation, "find_unlisted_laws", lambda *_: [proposal])
     predictions = {which: {"after": {run.name: which for run in RUNS}} for which in LEVELS}
-    monkeypatch.setattr(validation, "predictions_with", lambda *_, **__: corrected.HeldOut(predictions[law], []))
+    monkeypatch.setattr(validation, "predictions_with_laws", lambda *_, **__: corrected.HeldOut(predictions[law], []))
     records = SimpleNamespace(runs=RUNS, motions=[], aligned=lambda *_: RUNS)
     setup = SimpleNamespace(quick=False, machine="m", nominal="m", thresholds=DEFAULT, folds=FOLDS, threads=1, progress=None)
     without = validation.Validated(tuple(RUNS), [], corrected.HeldOut(predictions["nominal"], []), {}, {}, "machine without")

@@ -29,7 +29,7 @@ def test_each_effect_has_its_picture():
     assert all(path.stat().st_size < 80_000 for path in pictures.values())
 
 
-def test_an_effect_without_a_picture_of_its_own_is_shown_too():
+def test_an_effect_without_its_own_picture_is_shown():
     """A new effect needs no picture settings: it is shown on an acceleration of its first axis."""
     plain = replace(EFFECTS["backlash"], picture=Picture())
     axis, without, having, _ = traces_of(plain, load_machine())

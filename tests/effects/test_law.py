@@ -53,7 +53,7 @@ def test_a_law_of_the_turn_is_a_ripple():
     np.testing.assert_allclose(trace_of(wave).get("X", "current"), ripple.get("X", "current"), atol=1e-9)
 
 
-def test_a_recorded_current_is_late_and_nothing_else_is():
+def test_only_a_recorded_current_is_late():
     plain = trace_of()
     late = trace_of({"name": "law", "axis": "X", "block": "measurement", "output": "current", "variables": ["current"],
                      "formula": "dead time", "time_s": 0.004})  # fmt: skip

@@ -122,7 +122,7 @@ def test_listed_shown_and_drawn(tmp_path: Path, capsys):
         (LAW + "raise ValueError('late')\n", "cannot be imported (line 17): ValueError: late"),
     ],
 )
-def test_a_bad_file_is_one_line(tmp_path: Path, capsys, content, said):
+def test_a_bad_file_gives_one_line(tmp_path: Path, capsys, content, said):
     before = dict(EFFECTS)
     file = tmp_path / "own.py"
     if content is not None:

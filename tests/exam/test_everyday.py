@@ -44,7 +44,7 @@ def drawn_only(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("drawn_only")
-def test_an_everyday_machine_has_the_background_on_every_axis_and_up_to_three_effects_beside() -> None:
+def test_an_everyday_machine_has_background_effects_on_every_axis_and_up_to_three_main_effects() -> None:
     main, zeros = Counter[int](), Counter[str]()
     for seed in range(16):
         case = draw_case(seed, "everyday", MACHINE)
@@ -83,7 +83,7 @@ def test_a_background_is_3_to_15_percent_of_usual_sizes() -> None:
 
 
 @pytest.mark.usefixtures("drawn_only")
-def test_old_kinds_stay_what_they_were() -> None:
+def test_older_kinds_of_cases_keep_their_numbers() -> None:
     """Seeds give the same numbers as before everyday and wide machines existed."""
     case = draw_case(5, "single", MACHINE, effect="speed_integral_time", axis="Y")
     assert (case.encoder_zero, case.wide) == ("each run", False)
@@ -159,7 +159,7 @@ LEAD = {"name": "lead_error", "axis": "Y", "fraction": 4e-5}
 
 
 @pytest.mark.parametrize("zero", drawing.ZEROS)
-def test_an_encoder_that_keeps_its_zero_shows_the_error_where_it_stands(zero: str) -> None:
+def test_with_a_kept_encoder_zero_the_error_depends_on_the_absolute_position(zero: str) -> None:
     trace = run(drawing.settings_for(machine_with(CYCLIC, LEAD, zero=zero), MACHINE), moves(0.3).set_points, noise=False)
     q, ratio = trace.load, 0.010 / (2 * math.pi)
     kept = zero == "kept"
@@ -192,7 +192,7 @@ def test_noise_is_the_spread_of_several_recordings() -> None:
     assert noise_of(replace(case, noise_seed=7), MACHINE, test, 0.0)[SIGNALS.index("current")] == pytest.approx(spread, rel=0.15)
 
 
-def test_a_budget_is_what_changes_without_each_effect() -> None:
+def test_the_budget_of_an_effect_is_the_change_when_it_is_removed() -> None:
     """Effects removed together on different axes get the same budget as alone; a drift agrees with its formula."""
     case = machine_with(CYCLIC, *FORCES, DRIFT)
     rows = {(r["effect"], r["axis"]): r for r in budget_of(case, MACHINE, [moves(), moves()])}
@@ -260,7 +260,7 @@ def test_what_is_missed_false_or_out_of_order_is_marked() -> None:
     assert (silent["recall"], silent["precision"], silent["largest"], silent["order"]) == ([0, 5], [0, 0], False, 0.0)
 
 
-def test_probabilities_are_asked_of_every_candidate_that_can_be_known() -> None:
+def test_every_detectable_candidate_is_scored_by_its_probability() -> None:
     tried = {("thermal_drift", "X"): 0.2, ("inertia", "Y"): 0.3, ("stribeck", "C"): 0.6}
     m = mark_budget(TRUTH, said({("thermal_drift", "X"): 200.0}, tried))
     # named and present: 0.9; tried and absent: 0.3; below the visible size: not scored; three other visible ones: 0
@@ -268,7 +268,7 @@ def test_probabilities_are_asked_of_every_candidate_that_can_be_known() -> None:
 
 
 @pytest.mark.usefixtures("drawn_only")
-def test_an_everyday_machine_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_everyday_machine_is_drawn_recorded_answered_and_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawn with its budget, recorded, answered by this test, marked; with background effects on X only and one run."""
     monkeypatch.setattr(drawing, "BACKGROUND", tuple(b for b in BACKGROUND if b[1] == "X"))
     monkeypatch.setattr(drawing, "MOST_MAIN", 0)

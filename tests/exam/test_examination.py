@@ -72,7 +72,7 @@ def test_same_seed_same_questions_and_another_seed_others() -> None:
     assert {q.stratum.kind for q in questions_of(5, 7, only="healthy")} == {"healthy"}
 
 
-def test_a_seal_holds(tmp_path: Path) -> None:
+def test_a_seal_detects_another_truth(tmp_path: Path) -> None:
     digest = seal("the truth\n", tmp_path)
     assert digest == hashlib.sha256(b"the truth\n").hexdigest()
     assert seal("the truth\n", tmp_path) == digest  # an examination that goes on
@@ -134,7 +134,7 @@ def test_marks(there: dict, said: dict, first: bool, exact: bool, place: bool) -
     assert (m["first"], m["exact"], m["place"]) == (first, exact, place)
 
 
-def test_a_rival_counts_only_where_it_was_told_instead_of_the_first() -> None:
+def test_a_rival_counts_only_for_the_effect_that_it_is_named_with() -> None:
     there = truth(("stribeck", "X"))
     right = answer("effect", ("coulomb_friction", "X"), ambiguous=(("stribeck", "X", "coulomb_friction"),))
     other = answer("effect", ("coulomb_friction", "X"), ambiguous=(("stribeck", "X", "backlash"),))
@@ -143,7 +143,7 @@ def test_a_rival_counts_only_where_it_was_told_instead_of_the_first() -> None:
     assert not mark_answer(there, other)["first_or_ambiguous"]
 
 
-def test_a_rival_beside_a_false_effect_or_of_another_axis_is_no_excuse() -> None:
+def test_a_rival_does_not_count_with_a_false_effect_or_on_another_axis() -> None:
     there = truth(("stribeck", "X"))
     rival = (("stribeck", "X", "coulomb_friction"),)
     two = answer("effect", ("coulomb_friction", "X"), ("backlash", "Y"), ambiguous=rival)
@@ -330,7 +330,7 @@ def test_a_short_examination_is_passed(sat: tuple[Path, list[str]]) -> None:
 
 
 @pytest.mark.slow
-def test_what_was_sealed_is_what_was_opened(sat: tuple[Path, list[str]]) -> None:
+def test_the_opened_truth_matches_the_seal(sat: tuple[Path, list[str]]) -> None:
     out, _ = sat
     digest = hashlib.sha256((out / "truths.json").read_bytes()).hexdigest()
     assert (out / "seal.sha256").read_text(encoding="utf-8").strip() == digest
@@ -344,7 +344,7 @@ def test_what_was_sealed_is_what_was_opened(sat: tuple[Path, list[str]]) -> None
 
 
 @pytest.mark.slow
-def test_an_examination_goes_on_where_it_was(sat: tuple[Path, list[str]]) -> None:
+def test_a_repeated_examination_keeps_finished_answers(sat: tuple[Path, list[str]]) -> None:
     out, arguments = sat
     before = {p: p.stat().st_mtime_ns for p in out.glob("cases/*/answer/diagnosis.json")}
     first = (out / "exam.json").read_text(encoding="utf-8")
@@ -371,7 +371,7 @@ def test_a_diagnosis_that_fails_is_an_answer(tmp_path: Path, monkeypatch: pytest
     assert (tmp_path / "answer" / "failed.txt").read_text(encoding="utf-8") == "twin: it cannot be\n"
 
 
-def test_a_diagnosis_that_is_killed_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_diagnosis_is_not_an_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     question, case, folder = asked(tmp_path)
     monkeypatch.setattr("twin.exam.session.subprocess.run", lambda *_, **__: subprocess.CompletedProcess([], -9, "", ""))
     with pytest.raises(InputError, match="killed"):
@@ -379,7 +379,7 @@ def test_a_diagnosis_that_is_killed_is_none(tmp_path: Path, monkeypatch: pytest.
     assert not is_answered(folder)
 
 
-def test_nothing_can_be_opened_that_was_not_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_truth_cannot_be_opened_before_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["exam", "--seed", "3", "--cases", "1", "--workers", "1", "--open", "--out", str(tmp_path)]) == 2
     assert "no case has been diagnosed yet" in capsys.readouterr().err
     assert not (tmp_path / "truths.json").exists()
@@ -390,7 +390,7 @@ def outlook_of(products: np.ndarray, nuisances: int) -> dict[str, Any]:
     return {o.effect: o for o in outlooks(products, Answers(nuisances, places, {}))}
 
 
-def test_what_could_be_found_by_closed_forms() -> None:
+def test_detectable_sizes_agree_with_closed_forms() -> None:
     """Two responses of length a and b at an angle phi: found from sqrt(2 DEFAULT.evidence) / a, separated from that over sin(phi)."""
     a, b, phi = 10.0, 20.0, 0.3
     cross = a * b * math.cos(phi)
@@ -402,7 +402,7 @@ def test_what_could_be_found_by_closed_forms() -> None:
     assert math.isinf(alike.apart)
 
 
-def test_what_re_tuning_does_alike_cannot_be_found() -> None:
+def test_an_effect_that_re_tuning_imitates_is_hardly_detectable() -> None:
     """If a nuisance has the same response as an effect, only its prior makes the effect visible."""
     c = 100.0
     one = outlook_of(np.array([[c * c, c * c, 0.0], [c * c, c * c, 0.0], [0.0, 0.0, 1.0]]), 1)["one"]

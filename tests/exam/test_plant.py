@@ -347,7 +347,7 @@ def test_kinds_of_cases():
         draw_case(3, "twin", MACHINE)
 
 
-def test_a_state_that_is_no_number_is_reported():
+def test_a_state_that_is_not_finite_is_reported():
     s = nominal()
     s.inductance[Y] = 1e-9  # far too fast for the step
     with pytest.raises(PlantError, match="axis Y is unstable"):
@@ -371,7 +371,7 @@ def test_set_points_stay_within_the_machine():
 
 
 @pytest.mark.parametrize("signals", SIGNALS)
-def test_campaign_has_the_contract_form_and_tells_nothing(tmp_path, monkeypatch, signals):
+def test_a_written_campaign_has_the_agreed_form_and_does_not_reveal_the_truth(tmp_path, monkeypatch, signals):
     short = [
         TestRun("constant_velocity", "test", "velocity", LIVELY.set_points[:120]),
         TestRun("other", "test", "off", LIVELY.set_points[:150]),

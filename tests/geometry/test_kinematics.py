@@ -122,7 +122,7 @@ def test_tool_length_moves_the_tip_along_the_tool(mikron: Machine) -> None:
     assert np.allclose(longer, tip - 0.03 * direction, atol=1e-12)
 
 
-def test_c_goes_the_shortest_way_and_counts_on(mikron: Machine) -> None:
+def test_c_takes_the_shortest_way_and_counts_full_turns(mikron: Machine) -> None:
     kinematics = kinematics_of(mikron)
     turn = np.linspace(0.0, 6 * np.pi, 300)
     axes = np.column_stack([np.zeros((300, 3)), np.full(300, -0.5), turn])
@@ -145,7 +145,7 @@ def test_a_turning_axis_with_stops_rewinds(mikron: Machine) -> None:
     assert np.abs(chosen.angles[:, 1]).max() <= np.pi + 1e-9
 
 
-def test_what_cannot_be_reached_is_said(mikron: Machine) -> None:
+def test_unreachable_orientations_are_reported(mikron: Machine) -> None:
     kinematics = kinematics_of(mikron)
     below = choose_angles(kinematics, np.array([[0.0, 0.3, -0.9]]), np.zeros(2), check=False)
     assert below.status[0] == OUTSIDE_TRAVEL

@@ -33,7 +33,7 @@ def test_same_as_frozen(mikron: Machine) -> None:
         assert difference.max() <= TOLERANCE[signal], f"{axis}.{signal} is off by {difference.max():.2e} ({note})"
 
 
-def test_the_frozen_run_has_what_can_change(mikron: Machine) -> None:
+def test_the_frozen_run_contains_all_features_that_may_change(mikron: Machine) -> None:
     frozen = read_trace(TRACE)
     assert frozen.axes == mikron.axis_names
     for axis in mikron.axis_names:

@@ -55,7 +55,9 @@ def test_a_good_recording_has_no_findings(good: Identification) -> None:
         ("velocity", "no velocity in any run"),
     ],
 )
-def test_missing_signals_are_named_with_what_they_cost(machine: Machine, runs: list[MeasuredRun], signal: str, words: str) -> None:
+def test_missing_signals_are_named_with_the_parameters_that_need_them(
+    machine: Machine, runs: list[MeasuredRun], signal: str, words: str
+) -> None:
     result = identified(machine, [with_signal(r, "X", signal, None) for r in runs])
     assert words in said(result)
     names = {p.name for p in result.parameters}
@@ -77,38 +79,38 @@ def test_nothing_to_identify_is_an_error_with_a_remedy(machine: Machine, runs: l
 def test_a_wrong_feedforward_flag_is_noticed_and_put_right(machine: Machine, runs: list[MeasuredRun]) -> None:
     wrong = [replace(r, feedforward={"quick_off": "velocity+torque", "quick": "off"}.get(r.name, r.feedforward)) for r in runs]
     result = identified(machine, wrong)
-    assert "run quick_off: campaign.toml says feedforward 'velocity+torque', the signals show 'off'" in said(result)
-    assert "run quick: campaign.toml says feedforward 'off', the signals show 'velocity+torque'" in said(result)
+    assert "run quick_off: campaign.toml has feedforward 'velocity+torque', but the signals show 'off'" in said(result)
+    assert "run quick: campaign.toml has feedforward 'off', but the signals show 'velocity+torque'" in said(result)
     assert result.parameter("X", "velocity_feedforward").value.value == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("samples", [2, -3])
-def test_a_late_current_is_timed_and_taken_back(machine: Machine, runs: list[MeasuredRun], samples: int) -> None:
+def test_the_delay_of_a_late_current_is_measured_and_corrected(machine: Machine, runs: list[MeasuredRun], samples: int) -> None:
     late = [with_signal(r, "X", "current", np.roll(r.trace.get("X", "current"), samples)) for r in runs]
     result = identified(machine, late)
-    item = next(c for c in result.late if c.signal == "current")
+    item = next(c for c in result.skews if c.signal == "current")
     assert item.seconds == pytest.approx(samples * 1e-3, abs=0.25e-3)
     assert "current was recorded" in said(result)
     assert result.parameter("X", "inertia").estimate.value == pytest.approx(0.008573, rel=0.03)
 
 
-def test_a_late_motor_encoder_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_the_delay_of_a_late_motor_encoder_is_measured(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "motor_position", np.roll(r.trace.get("X", "motor_position"), 1)) for r in runs]
     result = identified(machine, late)
-    item = next(c for c in result.late if c.signal == "motor_position")
+    item = next(c for c in result.skews if c.signal == "motor_position")
     assert item.seconds == pytest.approx(1e-3, abs=2e-5)
-    assert said(result).count("taken back") == 1  # the other channels, timed against the motor, are not late
+    assert said(result).count("; corrected") == 1  # the other channels, timed against the motor, are not late
 
 
 def test_a_late_speed_set_point_is_taken_back(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "velocity_setpoint", np.roll(r.trace.get("X", "velocity_setpoint"), 4)) for r in runs]
     result = identified(machine, late)
     assert "velocity_setpoint was recorded 4.000 ms late" in said(result)
-    assert "campaign.toml says" not in said(result)  # late, it looks like another feedforward
+    assert "campaign.toml has" not in said(result)  # late, it looks like another feedforward
     assert result.parameter("X", "position_delay_s").value.value == pytest.approx(0.002, abs=5e-6)
 
 
-def test_a_clipped_current_is_left_out_and_said(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_a_clipped_current_is_reported_and_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
     clipped = [with_signal(r, "X", "current", np.clip(r.trace.get("X", "current"), -4.0, 4.0)) for r in runs]
     result = identified(machine, clipped)
     assert "current at its limit or clipped" in said(result)
@@ -116,7 +118,7 @@ def test_a_clipped_current_is_left_out_and_said(machine: Machine, runs: list[Mea
 
 
 @pytest.mark.parametrize("signal", ["velocity", "velocity_setpoint", "motor_position", "position"])
-def test_a_clipped_channel_is_named_and_its_parts_left_out(machine: Machine, runs: list[MeasuredRun], signal: str) -> None:
+def test_a_clipped_channel_is_reported_and_its_clipped_parts_not_used(machine: Machine, runs: list[MeasuredRun], signal: str) -> None:
     share = 0.6 if signal.startswith("velocity") else 0.8
     clipped = []
     for run in runs:
@@ -124,12 +126,12 @@ def test_a_clipped_channel_is_named_and_its_parts_left_out(machine: Machine, run
         limit = share * np.abs(values).max()
         clipped.append(with_signal(run, "X", signal, np.clip(values, -limit, limit)))
     result = identified(machine, clipped)
-    assert f"{signal} stays on its largest value for" in said(result)
+    assert f"{signal} stays at its largest value for" in said(result)
     assert result.parameter("X", "coulomb_friction").estimate.value == pytest.approx(1.8, rel=0.01)
     assert result.parameter("X", "position_delay_s").value.value == pytest.approx(0.002, abs=20e-6)
 
 
-def test_a_saturated_current_is_left_out_and_said(machine: Machine) -> None:
+def test_a_saturated_current_is_reported_and_not_used(machine: Machine) -> None:
     weak = machine.with_axis("X", peak_current_a=4.5)
     result = identified(weak, usual_runs(weak))
     assert "current at its limit or clipped" in said(result)
@@ -137,24 +139,24 @@ def test_a_saturated_current_is_left_out_and_said(machine: Machine) -> None:
     assert "no run identifies speed_gain_nm_s_per_rad; add runs that stay below the current limit" in said(result)
 
 
-def test_a_late_speed_is_timed(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_the_delay_of_a_late_speed_is_measured(machine: Machine, runs: list[MeasuredRun]) -> None:
     late = [with_signal(r, "X", "velocity", np.roll(r.trace.get("X", "velocity"), 2)) for r in runs]
-    item = next(c for c in identified(machine, late).late if c.signal == "velocity")
+    item = next(c for c in identified(machine, late).skews if c.signal == "velocity")
     assert item.seconds == pytest.approx(2e-3, abs=5e-5)
 
 
-def test_what_no_run_tells_is_named_with_the_run_that_would(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_an_unidentified_parameter_is_named_with_the_run_that_identifies_it(machine: Machine, runs: list[MeasuredRun]) -> None:
     result = identified(machine, [r for r in runs if r.feedforward != "velocity+torque"])
     assert "no run identifies torque_feedforward; add accelerations with torque feedforward on" in said(result)
 
 
-def test_the_only_run_with_a_feedforward_setting_is_learnt_from(machine: Machine, runs: list[MeasuredRun], good: Identification) -> None:
-    assert good.left_out == ()
+def test_the_only_run_with_a_feedforward_setting_is_not_held_out(machine: Machine, runs: list[MeasuredRun], good: Identification) -> None:
+    assert good.held_out == ()
     again = [*runs, recorded(machine, "again", SHORT_LADDER, "velocity", 9)]
-    assert identified(machine, again).left_out == ("again",)
+    assert identified(machine, again).held_out == ("again",)
 
 
-def test_one_direction_only_is_said(machine: Machine) -> None:
+def test_motion_in_one_direction_only_is_reported(machine: Machine) -> None:
     runs = [recorded(machine, f"way_{k}", ONE_WAY, "velocity", k) for k in range(2)]
     assert "moves in one direction only" in said(identified(machine, runs))
 
@@ -168,31 +170,31 @@ def test_in_one_direction_coulomb_friction_and_weight_are_one_number(machine: Ma
 
 def test_a_current_of_the_wrong_sign_is_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
     result = identified(machine, [with_signal(r, "X", "current", -r.trace.get("X", "current")) for r in runs])
-    assert "runs against the motion and is not used; check the sign of the column" in said(result)
+    assert "so it contradicts the motion and is not used; check the sign of the column" in said(result)
     assert "inertia" not in {p.name for p in result.parameters}
     assert result.machine.axis("X").coulomb_friction_nm == machine.axis("X").coulomb_friction_nm
     assert result.parameter("X", "position_gain_per_s").value.value == pytest.approx(50.0, rel=1e-3)
 
 
-def test_a_current_in_another_unit_is_left_out(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_a_current_in_another_unit_is_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
     result = identified(machine, [with_signal(r, "X", "current", 1e3 * r.trace.get("X", "current")) for r in runs])
-    assert "the motor's peak is 46 A: left out; check the unit of the column" in said(result)
+    assert "the motor's peak is 46 A: not used; check the unit of the column" in said(result)
     assert "inertia" not in {p.name for p in result.parameters}
 
 
-def test_a_short_run_is_left_out_and_nothing_else_is_an_error(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_a_short_run_is_not_used_and_no_other_run_is_an_error(machine: Machine, runs: list[MeasuredRun]) -> None:
     def cut(run: MeasuredRun, samples: int) -> MeasuredRun:
         signals = {key: values[:samples] for key, values in run.trace.signals.items()}
         return replace(run, trace=replace(run.trace, time=run.trace.time[:samples], signals=signals))
 
     result = identified(machine, [*runs, cut(replace(runs[0], name="broken off"), 40)])
-    assert "run broken off: only 0.039 s long: left out" in said(result)
-    assert "broken off" not in result.training + result.left_out
+    assert "run broken off: only 0.039 s long: not used" in said(result)
+    assert "broken off" not in result.training + result.held_out
     with pytest.raises(InputError, match="no run is longer than"):
         identified(machine, [cut(r, 2) for r in runs])
 
 
-def test_peaks_that_a_recorder_cut_off_are_left_out(machine: Machine, runs: list[MeasuredRun]) -> None:
+def test_peaks_that_the_recorder_clipped_are_not_used(machine: Machine, runs: list[MeasuredRun]) -> None:
     """The saw-tooth of the current meets the limit for single samples: none stays on it."""
     limit = 0.85 * max(np.abs(r.trace.get("X", "current")).max() for r in runs)
     result = identified(machine, [with_signal(r, "X", "current", np.clip(r.trace.get("X", "current"), -limit, limit)) for r in runs])
@@ -202,9 +204,11 @@ def test_peaks_that_a_recorder_cut_off_are_left_out(machine: Machine, runs: list
     assert inertia.holds(0.008573)
 
 
-def test_too_few_speeds_are_said(machine: Machine) -> None:
+def test_a_narrow_range_of_speeds_is_reported(machine: Machine) -> None:
     points = path([0.2, -0.2, 0.2, -0.2], [0.15] * 4)
-    assert "too few speeds" in said(identified(machine, [recorded(machine, f"one_speed_{k}", points, "velocity", k) for k in range(2)]))
+    assert "too narrow a range of speeds" in said(
+        identified(machine, [recorded(machine, f"one_speed_{k}", points, "velocity", k) for k in range(2)])
+    )
 
 
 def test_an_axis_that_never_moves_is_named(mikron: Machine) -> None:
@@ -247,7 +251,7 @@ def test_samples_between_the_ticks_are_an_error(machine: Machine, runs: list[Mea
 def test_a_current_without_its_sign_is_named_and_not_fitted(machine: Machine, runs: list[MeasuredRun]) -> None:
     unsigned = [with_signal(r, "X", "current", np.abs(r.trace.get("X", "current"))) for r in runs]
     result = identified(machine, unsigned)
-    assert "current is recorded without a sign" in said(result)
+    assert "current is recorded without its sign" in said(result)
     assert "record X.current with its sign" in said(result)
     assert "inertia" not in {p.name for p in result.parameters}
     assert "position_gain_per_s" in {p.name for p in result.parameters}

@@ -68,7 +68,7 @@ def test_a_half_cycle_delay_is_found_from_any_start(mikron: Machine, start: floa
     assert found.residual_rms < 2e-5
 
 
-def test_one_speed_says_why_there_is_no_gain(mikron: Machine) -> None:
+def test_a_single_speed_gives_the_reason_why_no_gain_is_identified(mikron: Machine) -> None:
     run = made(mikron)
     still = replace(run, speed_setpoint=None)
     assert fit_position_control(mikron.axis("X"), [still]) == "no speed set point is recorded"

@@ -39,16 +39,16 @@ def test_a_limit_is_found_and_does_not_bend_the_gain(mikron: Machine) -> None:
     assert found is not None
     assert found.limit == pytest.approx(8.0, abs=0.1)
     assert found.gain == pytest.approx(1.0, abs=0.01)
-    assert "a limit" in found.text()
+    assert "limited to 8.0" in found.text()
 
 
-def test_signals_without_a_common_law_say_nothing(mikron: Machine) -> None:
+def test_unrelated_command_and_effort_are_not_compared(mikron: Machine) -> None:
     run = with_signal(run_of(1.0, 0.0, 0.0), "X", "torque", np.random.default_rng(1).standard_normal(len(TIME)))
     assert delivered_effort(mikron.axis("X"), [run]) is None
     assert delivered_effort(mikron.axis("X"), [with_signal(run, "X", "torque", None)]) is None
 
 
-def test_identification_says_what_the_actuator_makes_of_its_command(mikron: Machine) -> None:
+def test_identification_reports_a_delivered_effort_that_differs_from_its_command(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"])
     run = recorded(machine, "strokes", 0.05 * (1.0 - np.cos(4.0 * np.arange(2400) * 1e-3)), "velocity", 0)
     current = run.trace.get("X", "current")

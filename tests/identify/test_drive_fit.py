@@ -11,7 +11,7 @@ from twin.geometry.scurve import moves_in_turn
 from twin.identify.direct import direct_route
 from twin.identify.drive_fit import fit_drives
 from twin.identify.parameters import with_drives
-from twin.identify.recording import prepared
+from twin.identify.recording import prepare_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
@@ -58,7 +58,7 @@ def test_how_the_drive_controls_and_a_steady_load_are_found(machine: Machine, la
     assert found.coulomb_friction_nm == pytest.approx(0.05, rel=0.03)
 
 
-def test_gains_that_are_tried_do_not_bend_what_is_moved(machine: Machine) -> None:
+def test_assumed_gains_do_not_bias_the_identified_inertia(machine: Machine) -> None:
     """Without a recorded speed set point only the command counts: how far the axis follows is made by gains that nobody measured."""
     run = recording(machine)
     signals = {k: v for k, v in run.trace.signals.items() if k[1] != "velocity_setpoint"}
@@ -81,14 +81,14 @@ def test_the_inertia_in_the_table_is_the_whole_one(tmp_path: Path) -> None:
     assert inertia.before == pytest.approx(home_inertia_at_motor(start)[0])
 
 
-def test_where_weights_are_given_along_the_way_no_torque_goes_with_the_angle(tmp_path: Path) -> None:
+def test_without_gravity_in_the_file_the_balance_has_no_gravity_columns(tmp_path: Path) -> None:
     """The cosine of an angle that swings is nearly its acceleration: without need of it the inertia is known better."""
     machine = load_machine(write_slides(tmp_path)).with_axes(["B"])
     run = swings(machine)
     found = {}
     for gravity in (9.81, 0.0):
         there = machine.with_values({"gravity_m_per_s2": gravity})
-        found[gravity] = direct_route(there, prepared(there, campaign([run])).axis_runs).balance["B"]
+        found[gravity] = direct_route(there, prepare_recording(there, campaign([run])).axis_runs).balance["B"]
     assert {"gravity_cos", "gravity_sin"} <= set(found[9.81].names)
     assert not {"gravity_cos", "gravity_sin"} & set(found[0.0].names)
     assert found[0.0].fit.deviations[0] < found[9.81].fit.deviations[0]

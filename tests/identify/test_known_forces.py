@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import PERIOD, SHORT_QUICK, campaign
-from twin.identify.campaign_fit import _on_known_loads
+from twin.identify.campaign_fit import known_load_findings
 from twin.identify.direct import direct_route
-from twin.identify.recording import prepared
+from twin.identify.recording import prepare_recording
 from twin.machine.from_recording import machine_from_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -35,13 +35,13 @@ def pushed(machine: Machine, force_n: float, period_s: float = 0.13) -> Measured
     return MeasuredRun("pushed", Trace(trace.time, {**kept, ("X", "disturbance_force"): load[: len(trace.time)]}, trace.kinds), "off", 0.0)
 
 
-def test_identification_takes_the_load_off(mikron: Machine) -> None:
+def test_identification_accounts_for_a_known_load(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"]).with_feedforward("off")
     run = pushed(machine, 600.0)
     axis = machine.axis("X")
 
     def inertia_and_friction(one: MeasuredRun) -> np.ndarray:
-        found = direct_route(machine, prepared(machine, campaign([one])).axis_runs).balance["X"].fit.values[:2]
+        found = direct_route(machine, prepare_recording(machine, campaign([one])).axis_runs).balance["X"].fit.values[:2]
         return found / [axis.commissioned_inertia, axis.coulomb_friction * axis.ratio]
 
     with_load = inertia_and_friction(run)
@@ -51,14 +51,16 @@ def test_identification_takes_the_load_off(mikron: Machine) -> None:
     assert np.abs(without - 1.0).max() > 2.0 * np.abs(with_load - 1.0).max()
 
 
-def test_a_load_that_the_drive_does_not_answer_is_part_of_its_command(mikron: Machine) -> None:
+def test_a_load_without_reaction_of_the_drive_is_reported_as_part_of_its_command(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"]).with_feedforward("off")
     run = pushed(machine, 600.0)
     axis = machine.axis("X")
     held = run.trace.get("X", "disturbance_force") * axis.ratio / axis.motor.torque_constant_nm_per_a
     signals = {**run.trace.signals, ("X", "current"): run.trace.get("X", "current") + held}
     injected = replace(run, trace=replace(run.trace, signals=signals))
-    said = [_on_known_loads(machine, direct_route(machine, prepared(machine, campaign([r])).axis_runs)) for r in (run, injected)]
+    said = [
+        known_load_findings(machine, direct_route(machine, prepare_recording(machine, campaign([r])).axis_runs)) for r in (run, injected)
+    ]
     assert said[0] == []
     assert [f.axis for f in said[1]] == ["X"]
     assert "injected_command" in said[1][0].text

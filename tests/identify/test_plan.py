@@ -8,7 +8,7 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, usual_runs
 from twin.identify.campaign_fit import identify_campaign
-from twin.identify.drive_balance import EVERY
+from twin.identify.drive_balance import ROW_STRIDE
 from twin.identify.figures import residual_figure
 from twin.identify.plan import _check_runs, _table_runs
 from twin.machine.machine import Machine
@@ -28,11 +28,11 @@ def test_the_table_turns_within_its_travel(mikron: Machine, axis: str, travel: o
     assert {name: len(of_axis) for name, of_axis in places.items()} == {"A": 3, "C": 3}
 
 
-def test_residuals_stand_as_far_apart_as_their_rows(mikron: Machine) -> None:
+def test_the_residual_axis_uses_the_spacing_of_the_rows(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"])
     result = identify_campaign(machine, campaign(usual_runs(machine)), refine=False, gaps=False)
     for cycle in (machine.position_cycle, 0.5 * machine.position_cycle):
         trace, white = residual_figure(replace(result, before=machine.with_values({"control.position_cycle_us": cycle * 1e6}))).axes
-        assert trace.get_xlabel() == f"rows where the axis slides, {EVERY * cycle * 1e3:g} ms apart"
+        assert trace.get_xlabel() == f"rows where the axis slides, {ROW_STRIDE * cycle * 1e3:g} ms apart"
         lags = [segment[0, 0] for segment in white.collections[-1].get_segments()]
-        assert lags[1] - lags[0] == pytest.approx(EVERY * cycle * 1e3)
+        assert lags[1] - lags[0] == pytest.approx(ROW_STRIDE * cycle * 1e3)

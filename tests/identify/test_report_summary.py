@@ -27,17 +27,17 @@ def identified(before: float) -> Any:
     )
 
 
-def test_what_changed_comes_first() -> None:
+def test_changed_values_are_listed_first() -> None:
     section = _summary(identified(before=1.4))
-    assert "Gap of position on what was left out, RMS: X 3 to 0.08 um (noise 0.07)." in section.paragraphs
-    assert section.paragraphs[-1] == "1 number of the machine file lies outside the 95 % interval that was identified:"
+    assert "Position gap on held-out motion, RMS: X 3 to 0.08 um (noise 0.07)." in section.paragraphs
+    assert section.paragraphs[-1] == "1 value of the old machine file lies outside the identified 95 % interval:"
     assert section.items == ["X: coulomb friction from 1.4 to 1.9 Nm (± 2.6 %)"]
 
 
-def test_nothing_changed() -> None:
+def test_a_summary_without_changed_values() -> None:
     section = _summary(identified(before=1.92))
     assert section.items == []
-    assert section.paragraphs[-1] == "No number of the machine file lies outside the 95 % interval that was identified."
+    assert section.paragraphs[-1] == "No value of the old machine file lies outside the identified 95 % interval."
 
 
 @pytest.mark.parametrize(
@@ -50,5 +50,5 @@ def test_nothing_changed() -> None:
         (1.23456789, 1e-9, "1.23457"),
     ],
 )
-def test_digits_that_an_interval_leaves_standing(value: float, half: float, shown: str) -> None:
+def test_a_value_has_the_digits_that_its_interval_justifies(value: float, half: float, shown: str) -> None:
     assert _number(Range(value, value - half, value + half)) == shown

@@ -251,7 +251,7 @@ def test_a_model_that_crashes_the_engine_is_refused(tmp_path: Path, monkeypatch:
         compiles(tmp_path / "m.xml", root)
 
 
-def test_a_joint_without_inertia_is_named_and_no_log_is_left(
+def test_a_joint_without_inertia_is_named_and_no_log_file_remains(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """MuJoCo would write a warning to standard error and into a file in the current folder."""
@@ -312,7 +312,7 @@ PACKAGE = '<robot name="r"><link name="a"><visual><geometry><mesh filename="pack
 @pytest.mark.parametrize(
     "name", ["../secret.stl", "robot/../../secret.stl", "../../secret.stl", "robot/../../../secret.stl", ".ssh/secret.stl"]
 )
-def test_a_package_is_not_left(tmp_path: Path, name: str) -> None:
+def test_mesh_paths_cannot_leave_their_package(tmp_path: Path, name: str) -> None:
     """Files above the package are not read, even with the requested name."""
     home = tmp_path / "robot" / "urdf"
     home.mkdir(parents=True)

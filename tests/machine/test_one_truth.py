@@ -124,7 +124,7 @@ def test_any_chain_of_changes_written_and_read_is_the_same_machine(mikron: Machi
 
 @settings(max_examples=15, deadline=None)
 @given(st.data())
-def test_also_where_machine_data_stand_for_numbers(mikron: Machine, data: st.DataObject) -> None:
+def test_changes_are_consistent_with_machine_data_as_well(mikron: Machine, data: st.DataObject) -> None:
     with tempfile.TemporaryDirectory() as folder:
         check_chain(load_machine(with_machine_data(Path(folder), take=data.draw(st.booleans()))), data)
 
@@ -192,12 +192,12 @@ def test_an_impossible_machine_can_be_simulated_and_is_not_written(mikron: Machi
         mikron.with_values({"axis.X.coulomb_friction_nm": -0.1})
 
 
-def test_nothing_typed_can_be_replaced_past_the_document(mikron: Machine) -> None:
+def test_typed_values_cannot_be_replaced_without_the_document(mikron: Machine) -> None:
     with pytest.raises((TypeError, ValueError)):
         dataclasses.replace(mikron, gravity=1.0)  # type: ignore[call-arg]
 
 
-def test_a_change_leaves_the_first_machine_alone(mikron: Machine) -> None:
+def test_a_change_does_not_modify_the_original_machine(mikron: Machine) -> None:
     before = mikron.document["axis"]["X"]["loops"]["position_gain_per_s"]
     mikron.with_axis("X", position_gain_per_s=99.0).with_values({"geometry.a_axis_to_c_axis_z_m": 0.1})
     assert mikron.document["axis"]["X"]["loops"]["position_gain_per_s"] == before

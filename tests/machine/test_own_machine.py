@@ -39,7 +39,7 @@ def command(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int
 # the examples
 
 
-def test_the_gantry_is_what_new_makes_of_its_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_machine_new_reproduces_the_gantry_from_its_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = command(capsys, "machine", "new", GANTRY / "gantry.urdf", "--out", tmp_path / "gantry.toml", "--structure", "P/PI")
     assert code == 0
     assert "4 axes: y, x, z, b" in out
@@ -64,7 +64,7 @@ def test_an_example_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str], mac
 
 
 @pytest.mark.parametrize("file", [GANTRY / "gantry.toml", LAB / "axis.toml"])
-def test_nothing_is_wrong_with_an_example(tmp_path: Path, capsys: pytest.CaptureFixture[str], file: Path) -> None:
+def test_machine_check_finds_no_fault_in_an_example(tmp_path: Path, capsys: pytest.CaptureFixture[str], file: Path) -> None:
     code, out, _ = command(capsys, "machine", "check", file, "--out", tmp_path)
     assert code == 0
     found = json.loads((tmp_path / "check.json").read_text(encoding="utf-8"))
@@ -102,7 +102,7 @@ def test_gap_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, capsys: p
     assert "current" not in out
 
 
-def test_the_control_law_is_seen_in_command_and_encoder(tmp_path: Path) -> None:
+def test_command_and_encoder_follow_the_control_law(tmp_path: Path) -> None:
     """The control law holds for any mechanics; a different gain is detected."""
     machine = load_machine(LAB / "axis.toml")
     folder = recorded(machine, [{"name": "viscous_friction", "axis": "X", "factor": 2.0}], tmp_path / "c")

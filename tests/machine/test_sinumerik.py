@@ -87,7 +87,7 @@ def test_the_same_machine_from_machine_data(mikron: Machine, tmp_path: Path, tak
         assert dataclasses.asdict(getattr(axis, part)) == pytest.approx(dataclasses.asdict(getattr(mikron.axis("X"), part)))
 
 
-def test_a_variant_is_written_where_the_number_stands(tmp_path: Path) -> None:
+def test_a_change_is_written_to_the_table_that_holds_the_number(tmp_path: Path) -> None:
     machine = load_machine(with_machine_data(tmp_path, take=True))
     changed = machine.with_values({"axis.X.loops.position_gain_per_s": 40.0, "axis.X.max_velocity_m_per_min": 24.0})
     assert changed.axis("X").loops.position_gain_per_s == pytest.approx(40.0)

@@ -123,7 +123,7 @@ def test_a_feed_per_revolution_takes_the_spindle_speed(read) -> None:
     assert program.moves.feed[0] == pytest.approx(0.2 / 60)
 
 
-def test_text_for_people_is_no_statement(read) -> None:
+def test_operator_text_is_not_a_statement(read) -> None:
     program = read("PPRINT OPERATION NAME : Tool Change.1\nTPRINT/T1 End Mill D 10\nFROM/0,0,150\nFEDRAT/600\nGOTO/10,0,150\nEND\n")
     assert program.moves.kind.tolist() == [LINE]
 
@@ -170,7 +170,7 @@ def test_an_arc_of_turning_stands_on_edge(read) -> None:
     assert program.moves.angle[-1] == pytest.approx(math.pi / 2)
 
 
-def test_a_shift_by_nothing_is_none(read) -> None:
+def test_a_shift_by_zero_has_no_effect(read) -> None:
     program = read("ORIGIN/0.0,0,0\nFROM/0,0,150\nFEDRAT/600\nTRANS/0,0,0\nGOTO/10,0,150\n")
     assert (program.moves.target[-1, :3] * 1e3).tolist() == pytest.approx([10, 0, 150])
     for shift in ("ORIGIN/0,0,1", "TRANS/5,0,0", "ORIGIN/0,0", "COPY/0,0,0"):

@@ -41,7 +41,7 @@ def test_g_codes_by_group_and_number(read) -> None:
 
 
 @pytest.mark.parametrize("block", ["X[1]=5", "Y[X]=2"])
-def test_an_index_that_says_nothing_is_refused(read, block: str) -> None:
+def test_an_index_that_names_no_axis_is_refused(read, block: str) -> None:
     with pytest.raises(InputError, match="is not an axis"):
         read(f"G1 X1 F100\n{block}\n")
 
@@ -69,7 +69,7 @@ def test_the_feed_before_the_first_f(read, with_program_table, name: str, text: 
     assert read(text, name, with_program_table("feed_mm_min = 600")).moves.feed * 60e3 == pytest.approx([600, 600])
 
 
-def test_a_feed_of_nothing_is_refused(with_program_table) -> None:
+def test_a_feed_of_zero_is_refused(with_program_table) -> None:
     with pytest.raises(InputError, match="feed_mm_min must be a number above 0"):
         with_program_table("feed_mm_min = 0")
 

@@ -54,7 +54,7 @@ def test_under_traori_the_shift_turns_with_the_table(tmp_path: Path, mikron: Mac
     assert axes_of(error.program)[:, 0].max() > high
 
 
-def test_what_fits_nowhere_says_which_axis(tmp_path: Path, mikron: Machine) -> None:
+def test_a_program_that_fits_nowhere_names_the_axis(tmp_path: Path, mikron: Machine) -> None:
     error = outside(tmp_path / "long.mpf", "G0 X-400\nG1 X400 F1000\nM30\n", mikron)
     with pytest.raises(InputError, match=r"axis X moves over 800.0 mm, its travel is 710.0 mm"):
         placed(error.program)

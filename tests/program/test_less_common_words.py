@@ -185,13 +185,13 @@ def test_pitches_of_taps(write, mikron, unit: int, feed: float) -> None:
     [
         ("CYCLE83(5,0,1,-2,0,-1,,0,0,0,1,0,1)", "geometry axis 1"),
         ("MCALL CYCLE81(5,0,1,-2)\nCYCLE802(111111112,111111111,3,4)", "incremental places"),
-        ('MCALL CYCLE81(5,0,1,-2)\nHOLES2(1,2,5,10,20,3,1000,1,"10")', "left out"),
+        ('MCALL CYCLE81(5,0,1,-2)\nHOLES2(1,2,5,10,20,3,1000,1,"10")', "with omitted places"),
         ("G147 G41 DISR=5 X5", "soft approach"),
         ("REPOSL", "interrupted contour"),
         ("DISC=50", "DISC=50"),
     ],
 )
-def test_what_a_cycle_cannot_do_is_refused(read, block: str, message: str) -> None:
+def test_unsupported_arguments_of_a_cycle_are_refused(read, block: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(f"G1 X1 F100 S100\n{block}\nG1 X5\n")
 
@@ -206,7 +206,7 @@ def test_what_a_cycle_cannot_do_is_refused(read, block: str, message: str) -> No
         ("part.nc", "MSG(\"A\")\nG1 X=R1 F100\nCYCLE832(0.1,1)\n", "sinumerik"),
     ],
 )  # fmt: skip
-def test_what_a_file_is_written_in(write, name: str, text: str, language: str) -> None:
+def test_the_language_of_a_file_is_detected(write, name: str, text: str, language: str) -> None:
     assert dialect(Source(write(text, name))) == language
 
 

@@ -78,7 +78,7 @@ def test_programmable_shifts_move_nothing(read) -> None:
 def test_a_dwell_counts_by_dialect(read) -> None:
     assert read("G1 X1 F100\nG4 P500\nG1 X2\n", "part.nc").moves.pause[1] == pytest.approx(0.5)
     assert read("G1 X1 F100\nG4 P5\nG1 X2\n", "part.ngc").moves.pause[1] == pytest.approx(5.0)
-    with pytest.raises(InputError, match="G4 stands alone"):
+    with pytest.raises(InputError, match="G4 must be alone"):
         read("G1 X1 F100\nG4 P500\n")
 
 
@@ -149,7 +149,7 @@ def test_an_outside_corner_made_by_rounding_gets_no_arc(read, rise: float, arcs:
 
 
 @pytest.mark.parametrize("beside", [0.0, 1e-4, -1e-4])
-def test_a_full_circle_stays_one_beside_the_contour(read, beside: float) -> None:
+def test_a_full_circle_remains_full_with_radius_compensation(read, beside: float) -> None:
     """Inside a bore of 40 mm with a tool of 10 mm: entry on an arc, once round, out; also where the join is not quite tangent."""
     text = "G21 G17 G90\nG0 X0 Y-10\nF100\nG41.1 D10 G1 X10\nG3 X20 Y0 I0 J10\nG3 I-20 J{:.4f}\nG3 X10 Y10 I-10 J0\nG40\nG1 X0 Y0\nM30\n"
     program = read(text.format(beside), "part.ngc")
@@ -226,7 +226,7 @@ def test_an_endless_loop_is_found_before_the_limit_of_jumps(read, name: str, tex
         ),
     ],
 )
-def test_a_long_loop_is_no_endless_one(read, name: str, text: str) -> None:
+def test_a_long_loop_is_not_refused_as_endless(read, name: str, text: str) -> None:
     assert ends(read(text, name))[-1, 0] == 2
 
 
@@ -615,7 +615,7 @@ def test_each_statement_of_cl_data_without_effect_is_noted(write, mikron, word: 
         ("part.nc", "G1 X5.\n#1=#4001\nG#1 X6.\nIF[#4003EQ90]GOTO 9\nX8.\nN9 X7.\n", [5, 6, 7]),
     ],
 )
-def test_what_was_read_wrongly_or_not_at_all(read, name: str, text: str, x: list[float]) -> None:
+def test_words_that_were_once_misread_give_the_right_moves(read, name: str, text: str, x: list[float]) -> None:
     program = read(f"F100\n{text}" if name != "part.ngc" else text.replace("G90 G1 X", "G90 G1 F100 X", 1), name)
     assert ends(program)[:, 0].tolist() == x
 
@@ -635,7 +635,7 @@ def test_what_was_read_wrongly_or_not_at_all(read, name: str, text: str, x: list
         ("part.mpf", "CUT3DC", "cutter radius in space"),
     ],
 )
-def test_what_would_be_read_wrongly_is_refused(read, name: str, block: str, message: str) -> None:
+def test_words_that_would_be_misread_are_refused(read, name: str, block: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(f"G1 X1 F100\n{block}\nG1 X5\n", name)
 
@@ -713,7 +713,7 @@ def test_cutter_radius_in_a_tilted_plane(read, write, mikron) -> None:
     there = ends(tilted)
     shift = there[0] - matrix @ flat[0]
     assert np.allclose(there, flat @ matrix.T + shift, atol=1e-6)
-    with pytest.raises(InputError, match="stands across the plane"):
+    with pytest.raises(InputError, match="perpendicular to the plane"):
         read("TRAORI\n" + head + "A3=0 B3=-0.3 C3=1\n" + last)
 
 

@@ -31,6 +31,6 @@ def test_mutilated_recordings_of_real_machines(tmp_path: Path) -> None:
     assert {"nothing", "gap"} <= reached
 
 
-def test_a_number_that_is_none_is_a_fault(tmp_path: Path) -> None:
+def test_an_impossible_number_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text('{"parameters": [{"name": "inertia", "value": -1.0}]}', encoding="utf-8")
     assert "inertia" in impossible_numbers(tmp_path / "m.toml", tmp_path / "n.toml", tmp_path / "result.json")

@@ -310,7 +310,7 @@ def test_bad_binary_file(tmp_path: Path, capsys: pytest.CaptureFixture[str], cas
     assert all(part in line for part in expected), line
 
 
-def test_gaps_are_refused_when_the_map_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_gaps_are_refused_if_the_map_asks_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept = np.r_[0:800, 830:2000]
     file = write_csv(tmp_path / "run.csv", {k: v[kept] for k, v in {"t": TIME, **move(TIME)}.items()})
     line = importing(capsys, tmp_path, file, 'gaps = "refuse"\n' + MAP)

@@ -59,7 +59,7 @@ def test_pieces_of_a_run_leave_the_names_of_other_runs(tmp_path: Path) -> None:
         assert len(campaign["run"]) == 3
 
 
-def test_a_gap_is_filled_when_the_map_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_gap_is_filled_if_the_map_asks_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept = np.r_[0:1500, 1508:4000]
     (trace,) = imported(tmp_path, recorded(tmp_path, TIME, kept), 'gaps = "fill"\n' + MAP).values()
     assert "filled by a cubic" in capsys.readouterr().out
@@ -141,7 +141,7 @@ def test_skew_is_estimated(late: float) -> None:
     assert found["velocity"].clear
 
 
-def test_what_belongs_together_shows_no_skew_and_a_gap_in_the_drive_is_none() -> None:
+def test_synchronous_channels_have_no_skew_and_backlash_is_not_a_delay() -> None:
     columns = move(TIME)
     speed = columns["speed"] * 1e-3
     position = columns["ist"] * 1e-3
@@ -161,7 +161,7 @@ def test_what_belongs_together_shows_no_skew_and_a_gap_in_the_drive_is_none() ->
     assert [item.signal for item in wrong if item.against] == ["current"]
 
 
-def test_skew_is_said_and_taken_back_when_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_skew_is_reported_and_corrected_on_request(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     columns = move(TIME)
     late = {"t": TIME, **columns, "speed": move(TIME - 4e-3)["speed"], "strom": move(TIME - 4e-3)["strom"]}
     file = write_csv(tmp_path / "run.csv", late)
@@ -211,7 +211,7 @@ def test_following_error_motor_turns_force_and_signs(tmp_path: Path) -> None:
         assert np.abs(trace.get("X", signal) - expected).max() < 1e-12
 
 
-def test_the_machine_file_knows_the_travel_of_a_motor_turn(tmp_path: Path) -> None:
+def test_the_travel_per_motor_turn_comes_from_the_machine_file(tmp_path: Path) -> None:
     columns = move(TIME)
     pitch = load_machine().axis("X").ratio * 2.0 * np.pi * 1e3
     file = write_csv(tmp_path / "run.csv", {"t": TIME, **columns, "speed": columns["speed"] / pitch * 60.0})

@@ -47,7 +47,7 @@ def test_known_names(name: str, axis: str, signal: str, unit: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["fault_type", "tau_c_all(1)", "m_all(2)", "Spindle speed", "run", "Kraft", "pid.x.output"])
-def test_names_that_mean_nothing(name: str) -> None:
+def test_unknown_column_names_have_no_meaning(name: str) -> None:
     assert meaning_of(name) is None
 
 
@@ -160,7 +160,7 @@ def test_an_axis_commanded_by_a_torque_alone_is_refused_with_the_reason(tmp_path
     assert said.count("\n") == 1
 
 
-def test_no_axis_moves_is_said_only_if_none_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_message_that_no_axis_moves_appears_only_if_none_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     columns = {n: v for n, v in edge_columns(TIME[:400]).items() if n.endswith("|3")}
     file = write_edge(tmp_path / "rec.json", columns)
     assert main(["import", str(file), "--out", str(tmp_path / "out")]) == 2

@@ -49,7 +49,7 @@ def test_instruments_take_the_bias_of_noise_in_the_regressor() -> None:
     assert regress(seen[:, None], y, groups, clean[:, None]).values[0] == pytest.approx(3.0, rel=0.03)
 
 
-def test_a_column_that_is_no_news_is_left_out_with_infinite_doubt() -> None:
+def test_a_collinear_column_is_omitted_with_infinite_deviation() -> None:
     x = np.linspace(-1.0, 1.0, 100)
     fit = regress(np.column_stack([x, 2.0 * x, np.zeros(100)]), x, np.arange(100) // 10)
     assert fit.seen.tolist() == [True, False, False]
@@ -67,7 +67,7 @@ def test_the_allowance_for_related_strokes_widens(monkeypatch: pytest.MonkeyPatc
     assert RELATED > 1.05
 
 
-def test_whiteness_tells_white_from_coloured() -> None:
+def test_whiteness_distinguishes_white_from_coloured_noise() -> None:
     rng = np.random.default_rng(3)
     assert whiteness(rng.standard_normal(5000))[1] < 0.15
     assert whiteness(coloured(rng, 5000, 0.9))[1] > 0.3

@@ -164,7 +164,7 @@ def test_matlab_7_3(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_column_that_is_no_clock_is_passed_over() -> None:
+def test_a_column_that_is_not_a_clock_is_ignored() -> None:
     columns = {"time": (np.array([np.inf, np.inf, 1.0]), "s"), "t": (np.array([0.0, 1.0, 2.0]), "s"), "x": (np.zeros(3), "mm")}
     signals = share_time(columns, Clock(), "file")
     assert signals["x"].time is not None

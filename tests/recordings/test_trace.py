@@ -57,7 +57,7 @@ def test_select_decimate_and_matrix_keep_the_order() -> None:
     assert trace.decimated(3).time.tolist() == [0, 1.5, 3, 4.5]
 
 
-def test_missing_signal_says_what_there_is() -> None:
+def test_the_message_about_a_missing_signal_lists_the_recorded_ones() -> None:
     trace = Trace(np.arange(2.0), {("X", "setpoint"): np.zeros(2)}, KINDS)
     with pytest.raises(InputError, match=r"no X\.position; axis X has: setpoint"):
         trace.get("X", "position")

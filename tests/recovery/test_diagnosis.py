@@ -168,7 +168,7 @@ def test_large_effect_casts_no_shadow(tmp_path, effect, axis):
     assert not is_unknown(found)
 
 
-def test_a_position_gain_leaves_nothing_of_its_law(tmp_path):
+def test_a_fitted_position_gain_leaves_no_residual_of_the_control_law(tmp_path):
     """The controller law uses the measured position, so the random rest position of an axis leaves no residual."""
     found, hidden = found_on(tmp_path, "single", "position_gain", "Z", Richness.small())
     levels = [float(np.mean(u**2)) for channel, u in settled_channels(found) if channel.name == "controller"]
@@ -217,13 +217,13 @@ def test_a_lead_error_shows_without_motor_encoder(tmp_path):
     assert first[0].evidence - lead.evidence < DEFAULT.ambiguous
 
 
-def test_healthy_machine_has_none(tmp_path):
+def test_a_healthy_machine_has_no_effects(tmp_path):
     found, _ = found_on(tmp_path, "healthy", None, "Y")
     assert found.fit.settings == ()
     assert not is_unknown(found)
 
 
-def test_what_a_run_cannot_tell_apart_is_called_ambiguous(tmp_path):
+def test_effects_that_a_run_cannot_separate_are_reported_as_ambiguous(tmp_path):
     """In a run at constant speed a drifting scale and a lead error have the same effect."""
     campaign_of(tmp_path, "single", "thermal_drift", "Z", [run_of("cruise", {"Z": ([0.2], 0.03)})])
     whole = pq.read_table(tmp_path / "cruise.parquet")

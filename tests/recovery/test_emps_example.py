@@ -71,7 +71,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, example: ModuleType) -> Path:
     return path
 
 
-def test_what_is_planted_is_found_in_order(example: ModuleType, made: Path, tmp_path: Path) -> None:
+def test_planted_effects_are_found_largest_first(example: ModuleType, made: Path, tmp_path: Path) -> None:
     example.import_record(made, tmp_path, picture=False)
     document = example.diagnosed(tmp_path, quick=True)
     gaps = gaps_on_last_third(example, tmp_path, {"file": load_machine(example.MACHINE), "corrected": example.corrected(tmp_path)})
@@ -82,15 +82,15 @@ def test_what_is_planted_is_found_in_order(example: ModuleType, made: Path, tmp_
     assert found["torque_ripple"]["periods_per_rev"]["value"] == pytest.approx(1.0, rel=1e-3)
     control_is_not_blamed(document)
     assert gaps["corrected"]["motor_position"].rms < 0.1 * gaps["file"]["motor_position"].rms
-    told = example.order_text(document)
-    assert told.index("viscous asymmetry") < told.index("torque ripple") < told.index("no effect of the library")
+    text = example.order_text(document)
+    assert text.index("viscous asymmetry") < text.index("torque ripple") < text.index("unexplained")
 
 
 def test_a_second_opinion_by_regression(example: ModuleType, made: Path) -> None:
     record = example.read_emps(made)
     assert np.sqrt(np.mean(example.law_error(record) ** 2)) < 4e-3
-    told = example.force_text(record)
-    assert told.index("viscous friction by direction") < told.index("once a motor turn")
+    text = example.force_text(record)
+    assert text.index("viscous friction by direction") < text.index("once a motor turn")
 
 
 def test_a_wrong_path_is_one_line(example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,7 +124,7 @@ def test_the_measured_axis(example: ModuleType, measured: tuple[Path, dict[str, 
     assert position["corrected"] < 0.85 * position["published"]
 
 
-def diagnosis_told(document: dict[str, Any]) -> list[str]:
+def expected_statements(document: dict[str, Any]) -> list[str]:
     """Statements of the page on a diagnosis: effects with intervals, heights of laws, verdict, gap."""
     found = {e["effect"]: e["parameters"] for e in document["effects"]}
     fraction, ripple = found["viscous_asymmetry"]["fraction"], found["torque_ripple"]["amplitude_nm"]
@@ -135,12 +135,12 @@ def diagnosis_told(document: dict[str, Any]) -> list[str]:
         f"{1e3 * ripple['value']:.2f} mNm ({1e3 * ripple['low']:.2f} to {1e3 * ripple['high']:.2f})",
         *(f"({abs(h['value']):.2f} +- {0.5 * (h['high'] - h['low']):.2f}) N" for h in laws),
         f'The verdict is "{document["verdict"]}"',
-        f"a gap of {gap['after']:.0f} times what the encoder's steps make, of {gap['before']:.0f} before",
+        f"remaining gap is {gap['after']:.0f} times the encoder's quantisation noise, {gap['before']:.0f} times before",
     ]
 
 
 @pytest.mark.slow
-def test_the_page_holds_todays_numbers(example: ModuleType, measured: tuple[Path, dict[str, Any]]) -> None:
+def test_the_page_has_the_numbers_of_the_current_code(example: ModuleType, measured: tuple[Path, dict[str, Any]]) -> None:
     """docs/measured_axis.md: law, identification, diagnosis, gap on the last third, regression."""
     page = " ".join((ROOT / "docs" / "measured_axis.md").read_text(encoding="utf-8").split())
     (out, document), record = measured, example.read_emps(RECORD)
@@ -161,7 +161,7 @@ def test_the_page_holds_todays_numbers(example: ModuleType, measured: tuple[Path
         f"published, with its offset of {example.PUBLISHED_OFFSET_N} N {rows['published']}",
         f"identified from the first two thirds {rows['identified']}",
         f"corrected by the diagnosis {rows['corrected']}",
-        *diagnosis_told(document),
+        *expected_statements(document),
         f"error is {100 * fit_single_axis(record).force_error:.2f} %; the published model's is {100 * example.PUBLISHED_FORCE_ERROR:.2f} %",
     ]
     assert [words for words in said if words not in page] == []

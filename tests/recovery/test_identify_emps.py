@@ -7,7 +7,7 @@ import pytest
 
 from tests.conftest import SHARED
 from twin.errors import InputError
-from twin.identify.single_axis import Record, fit_single_axis, leftovers, read_emps, refine_single_axis, resimulate
+from twin.identify.single_axis import Record, fit_single_axis, read_emps, refine_single_axis, residual_shapes, resimulate
 
 PUBLISHED = {"mass": 95.11, "viscous": 203.5, "coulomb": 20.39}
 LIMITS = {"mass": 0.005, "viscous": 0.02, "coulomb": 0.01}
@@ -35,8 +35,8 @@ def test_closed_loop_resimulation_follows_the_record(record: Record) -> None:
     assert again.force_error_filtered <= 0.046
 
 
-def test_the_residual_is_told(record: Record) -> None:
-    shares = leftovers(fit_single_axis(record), record.period)
+def test_shares_of_the_residual(record: Record) -> None:
+    shares = residual_shapes(fit_single_axis(record), record.period)
     assert shares["viscous friction by direction"] > 0.3
     assert shares["lags outside the white band"] > 0.5
 

@@ -110,7 +110,7 @@ def test_the_command_writes_machine_file_report_and_json(mikron: Machine, tmp_pa
     assert main(["identify", str(tmp_path), "--out", str(out), "--json", str(told), "--no-refine"]) == 0
     printed = capsys.readouterr()
     assert "coulomb_friction" in printed.out
-    assert "axis Y: no run holds this axis" in printed.err
+    assert "axis Y: no run contains this axis" in printed.err
     result = {(p["axis"], p["name"]): p for p in json.loads(told.read_text(encoding="utf-8"))["parameters"]}
     coulomb = result["X", "coulomb_friction"]["product_at_file_torque_constant"]
     assert coulomb["low"] < mikron.axis("X").coulomb_friction_nm < coulomb["high"]
@@ -158,7 +158,7 @@ def predict_once() -> Callable[..., Any]:
     return predict
 
 
-def test_a_planned_campaign_keeps_limits_and_tells_what_it_promised(
+def test_a_planned_campaign_keeps_limits_and_reaches_its_predicted_intervals(
     mikron: Machine, predict_once: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Z alone: planned, recorded by the twin with other noise, identified; intervals are as predicted and contain the truth."""
@@ -172,7 +172,7 @@ def test_a_planned_campaign_keeps_limits_and_tells_what_it_promised(
     assert max(p.half for p in plan.predicted) < 0.02
     runs = [recorded(machine, r.name, r.setpoints.position[:, 0], r.feedforward, 900 + i) for i, r in enumerate(plan.runs)]
     result = identify_campaign(machine, campaign(runs), refine=False, gaps=False)
-    assert result.left_out == ("plan_check",)
+    assert result.held_out == ("plan_check",)
     assert plan.runs[0].repeats == 1  # what was predicted is one round
     for (axis, name), promised in known.items():
         achieved = result.parameter(axis, name).estimate.half / abs(promised.value)

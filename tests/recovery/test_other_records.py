@@ -30,7 +30,7 @@ FOLDS = [[0], [1], [2]]
 
 
 @pytest.mark.parametrize(("period", "begin"), [(1e-3, 86400.123), (0.9e-3, 0.0), (1.0 / 1024.0, 17.0)])
-def test_a_clock_that_fits_no_cycle_is_no_fault(tmp_path, period, begin):
+def test_a_clock_that_fits_no_cycle_is_not_a_fault(tmp_path, period, begin):
     """The twin is compared at the times of the recording; controller samples are used only if they are recorded."""
     campaign, _ = campaign_of(tmp_path, "healthy", None, "X", [*short_runs("X"), travel("X")])
     machine, runs = load_machine(), []
@@ -87,7 +87,7 @@ def test_each_of_two_effects_keeps_its_own_place():
     assert by_block["mechanics"]["effect"] == "coulomb_friction"
 
 
-def test_a_gain_is_placed_where_two_p_controllers_show_it():
+def test_a_speed_gain_of_two_p_controllers_is_assigned_to_the_speed_controller():
     machine = load_machine()
     p_only = machine.with_axis("X", speed_integral_time_s=math.inf)
     listed = [{"axis": "X", "block": "position controller", "_excess": 100.0}]
@@ -117,7 +117,7 @@ def test_noise_is_that_of_a_machine_that_rings(tmp_path):
     assert ratios == [pytest.approx(2.0, rel=0.2)]
 
 
-def test_effects_that_would_not_show_are_told(tmp_path):
+def test_effects_that_a_campaign_cannot_show_are_listed(tmp_path):
     """Y moves alone in one direction: coupling, direction-dependent friction and drive limits cannot be determined."""
     campaign_of(tmp_path, "healthy", None, "Y", [run_of("one way", {"Y": ([0.05, 0.05], 0.03)})])
     campaign = read_campaign(tmp_path, load_machine())

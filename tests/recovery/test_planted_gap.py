@@ -34,7 +34,7 @@ def gaps(folder: Path) -> dict:  # type: ignore[type-arg]
     return json.loads((folder / "gap.json").read_text())["runs"]  # type: ignore[no-any-return]
 
 
-def test_nothing_planted_leaves_noise(mikron: Machine, tmp_path: Path) -> None:
+def test_without_planted_effects_the_gap_is_noise(mikron: Machine, tmp_path: Path) -> None:
     for run, axes in gaps(record(mikron, tmp_path)).items():
         for axis, signals in axes.items():
             for signal, gap in signals.items():
@@ -50,7 +50,7 @@ def test_nothing_planted_leaves_noise(mikron: Machine, tmp_path: Path) -> None:
         ("A", "speed_gain_nm_s_per_rad", 0.55, "position"),
     ],
 )
-def test_what_is_planted_shows_on_its_axis(mikron: Machine, tmp_path: Path, axis: str, key: str, value: float, signal: str) -> None:
+def test_a_planted_effect_shows_on_its_axis(mikron: Machine, tmp_path: Path, axis: str, key: str, value: float, signal: str) -> None:
     table = f"axis.{axis}.loops" if hasattr(mikron.axis(axis).loops, key) else f"axis.{axis}"
     planted = mikron.with_values({f"{table}.{key}": value})
     for run, axes in gaps(record(planted, tmp_path)).items():

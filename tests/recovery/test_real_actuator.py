@@ -36,7 +36,7 @@ def test_the_load_is_found_and_no_cause_is_named(tmp_path: Path) -> None:
     assert all(t.by_load / k == pytest.approx(t.load, rel=0.15) for several in trials.values() for t in several)
     said = " ".join(example.summary_lines(trials))
     assert "+12 % at 20 kgf" in said or "+13 % at 20 kgf" in said
-    assert "none is named" in said
+    assert "No cause is named" in said
 
 
 def test_a_file_of_another_kind_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

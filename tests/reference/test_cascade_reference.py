@@ -46,7 +46,7 @@ def test_same_law_with_other_cycles_and_delays(tmp_path: Path) -> None:
     check(machine, swings(machine, 0.5))
 
 
-def test_same_law_with_a_control_that_was_commissioned_otherwise(mikron: Machine) -> None:
+def test_same_law_with_commissioned_values_that_differ_from_the_machine(mikron: Machine) -> None:
     machine = mikron.with_axis("X", torque_constant_nm_per_a=1.3, commissioned_inertia=0.01)
     points = swings(mikron, 0.2)
     check(machine, points)

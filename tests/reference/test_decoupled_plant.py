@@ -30,7 +30,7 @@ def nominal():
 
 
 def decoupled_trace(machine, setpoints, nominal_trace, axes):
-    """The axes by themselves, along the nominal motion."""
+    """The decoupled axes, along the nominal motion."""
     index = tuple(machine.axis_names.index(a) for a in axes)
     speed = nominal_trace.matrix("velocity", axes)
     motion = Motion(nominal_trace.matrix("position", axes), speed, np.gradient(speed, PERIOD, axis=0), PERIOD)
@@ -66,7 +66,7 @@ def test_axis_with_an_effect_agrees_with_the_engine(nominal, effect):
     assert np.abs(alone.get("X", "position") - full.get("X", "position")).max() < 0.01e-6
 
 
-def test_what_is_remembered_does_not_leak_into_other_machines(nominal):
+def test_cached_results_are_not_used_for_other_machines(nominal):
     machine, setpoints, trace = nominal
     first = decoupled_trace(machine, setpoints, trace, ("X",)).get("X", "position")
     heavier = decoupled_trace(machine.with_values({"axis.X.moving_mass_kg": 800.0}), setpoints, trace, ("X",)).get("X", "position")

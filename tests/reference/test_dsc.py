@@ -58,7 +58,7 @@ def test_following_distance_is_the_sum_of_the_delays(mikron: Machine, delay_s: f
     np.testing.assert_allclose(setpoint - position, SPEED * (2e-3 + delay_s), rtol=1e-6)
 
 
-def test_without_feedforward_the_gain_counts_once(mikron: Machine) -> None:
+def test_without_feedforward_the_gain_adds_one_lag(mikron: Machine) -> None:
     """s - x = v (d_pos + Td + 1 / Kv)."""
     setpoint, position = constant_speed(with_dsc(mikron, 5e-3).with_feedforward("off"))
     np.testing.assert_allclose(setpoint - position, SPEED * (2e-3 + 5e-3 + 1.0 / 50.0), rtol=1e-6)
@@ -73,7 +73,7 @@ def test_the_command_of_the_nc_is_larger_than_the_speed(mikron: Machine) -> None
     np.testing.assert_allclose(trace.get("X", "drive_velocity_setpoint")[-50:], SPEED, rtol=1e-6)
 
 
-def test_a_loop_in_the_nc_has_no_set_point_of_its_own_in_the_drive(mikron: Machine) -> None:
+def test_with_the_loop_in_the_nc_the_drive_has_no_separate_set_point(mikron: Machine) -> None:
     trace = simulate(mikron.with_axes(["X"]), Setpoints(np.zeros((50, 1)), 1e-3)).trace
     assert not trace.has("X", "drive_velocity_setpoint")
 
@@ -122,8 +122,8 @@ def test_twin_and_second_plant_agree(mikron: Machine, delay_s: float, interpolat
         assert np.sqrt(np.mean(speed**2)) < 1e-3 * np.abs(other.velocity_setpoint[:, a]).max(), axis.name
 
 
-def test_the_loop_of_the_drive_itself(mikron: Machine) -> None:
-    """The simulated axis answers a swinging set point as the loops say: x / s = e^(-j w Td) H Kv P / (1 + L), H a command held over Tp."""
+def test_closed_loop_response_of_the_drive(mikron: Machine) -> None:
+    """Response of the simulated axis to a sinusoidal set point: x / s = e^(-j w Td) H Kv P / (1 + L), H: command held over Tp."""
     f, period, delay, m = 12.0, 1e-3, 5.25e-3, 16
     machine = with_effects(mikron.with_axes(["X"]), [{"name": "coulomb_friction", "axis": "X", "factor": 0.0}])
     machine = machine.with_values({"axis.X.loops.position_delay_s": 0.0, "axis.X.loops.dsc_delay_s": delay}).with_feedforward("off")
@@ -144,8 +144,8 @@ def test_the_loop_of_the_drive_itself(mikron: Machine) -> None:
     assert abs(measured / expected - 1.0) < 0.01
 
 
-def test_margins_are_those_of_a_loop_without_its_delay(mikron: Machine) -> None:
-    """Td costs no phase: the drive's loop is stable at a gain at which a loop with that dead time is unstable."""
+def test_the_delay_does_not_reduce_the_stability_margins(mikron: Machine) -> None:
+    """Td causes no phase lag in the drive's loop: it is stable at a gain at which a loop with that dead time is unstable."""
     fast = with_dsc(mikron, 8e-3).with_values({"axis.X.loops.position_gain_per_s": 160.0})
     margins = margins_of(loops_of(fast, fast.axis("X"))[2])
     assert margins.stable
@@ -156,7 +156,7 @@ def test_margins_are_those_of_a_loop_without_its_delay(mikron: Machine) -> None:
     assert np.ptp(settled) < 1e-6
 
 
-def test_errors_without_delay_know_the_drive(mikron: Machine) -> None:
+def test_errors_without_delay_subtract_the_delay_of_the_drive(mikron: Machine) -> None:
     """At constant speed the following error of a loop closed in the drive is zero without both delays."""
     machine = with_dsc(mikron, 5.25e-3).with_axes(["X"])
     t = np.arange(900) * 1e-3

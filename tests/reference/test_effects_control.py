@@ -40,7 +40,7 @@ def rounded_move(t: float) -> float:
     ],
     ids=lambda value: (value or {"name": "nominal"}).get("name", ""),
 )
-def test_as_integrated_from_the_law(effect, reference):
+def test_an_effect_agrees_with_an_integration_of_its_law(effect, reference):
     """Position and current over a whole fast move; without the effect the same comparison is off by more than ten times as much."""
     times = np.arange(221) * 1e-3
     setpoint = np.array([rounded_move(t) for t in times])
@@ -127,7 +127,7 @@ def test_speed_integral_time():
 
 
 def test_set_point_filter():
-    """A lag sampled with Tp follows a ramp by v (T' - Tp), T' = Tp / (1 - exp(-Tp / T)); feedforward does not feel it."""
+    """A lag sampled with Tp follows a ramp by v (T' - Tp), T' = Tp / (1 - exp(-Tp / T)); feedforward does not pass through it."""
     tp, time_constant = 2e-3, 3e-3
     lag = tp / -math.expm1(-tp / time_constant) - tp
     for feedforward in ("off", "velocity+torque"):
@@ -138,7 +138,7 @@ def test_set_point_filter():
 
 
 def test_current_filter():
-    """To the current loop's own answer the filter adds p / (1 - (1 - p) exp(-j w Ti)), p = 1 - exp(-Ti / T)."""
+    """The filter multiplies the response of the current loop by p / (1 - (1 - p) exp(-j w Ti)), p = 1 - exp(-Ti / T)."""
     ti, time_constant, hz = 125e-6, 1e-3, 40.0
     p = -math.expm1(-ti / time_constant)
     wave = np.exp(-2j * np.pi * hz * ti * np.arange(4000))  # twenty periods

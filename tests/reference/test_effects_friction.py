@@ -85,8 +85,8 @@ def test_presliding_breaks_away_as_a_spring():
 
 
 @pytest.mark.parametrize("shape", [{}, {"damping": 3e5}, {"excess": 500.0, "velocity": 0.003}])
-def test_presliding_under_swinging(shape):
-    """Hysteresis of small swings: the twin's own motion put through the bristle equation by another integrator gives its force."""
+def test_presliding_in_small_oscillations(shape):
+    """Hysteresis of small oscillations: another integrator of the bristle equation gives the same force for the motion of the twin."""
     a = axis_of("X")
     stiffness = a.coulomb_friction / 8e-6
     bristle = {"name": "presliding", "stiffness": stiffness, "damping": shape.get("damping", 0.0)}

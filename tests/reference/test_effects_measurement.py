@@ -1,4 +1,4 @@
-"""Effects in the direct measuring system: scale minus motor, against closed forms and the convolution of the frame's answer."""
+"""Effects in the direct measuring system: scale minus motor, against closed forms and the convolution with the frame's response."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_encoder_eccentricity():
     assert np.ptp(expected) > 4e-5
 
 
-def test_thermal_drift_goes_on_across_runs():
+def test_thermal_drift_continues_in_the_next_run():
     """rate (started_at + t): the second run continues the drift of the first one."""
     for started_at in (0.0, 40.0):
         trace = follow("Y", steady(0.01, 0.3), [{"name": "thermal_drift", "rate": 0.3e-6}], started_at=started_at)

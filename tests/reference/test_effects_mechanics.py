@@ -16,7 +16,7 @@ G = 9.81
 
 
 def test_torque_constant():
-    """Holding Z takes m g r / (factor Kt), whatever constant the control uses."""
+    """The holding current of Z is m g r / (factor Kt), independent of the control's constant."""
     a = axis_of("Z")
     trace = follow("Z", np.zeros(100), [{"name": "torque_constant", "factor": 0.9}])
     expected = a.moving_mass_kg * G * a.ratio / (0.9 * a.motor.torque_constant_nm_per_a)
@@ -25,7 +25,7 @@ def test_torque_constant():
 
 @pytest.mark.parametrize("axis", ["X", "A"])
 def test_inertia(axis):
-    """added a / r more torque while the axis accelerates, and nothing at rest (A feels no weight of it)."""
+    """added a / r more torque while the axis accelerates, none at rest (no weight on A)."""
     a = axis_of(axis)
     added = 0.25 * total_inertia(axis)
     t = np.arange(301) * 1e-3
@@ -62,7 +62,7 @@ def test_constant_force():
     assert (means[0] - means[1]) / 2 == pytest.approx(a.coulomb_friction + a.viscous_friction * 0.05, rel=1e-3)
 
 
-def test_steady_load_of_the_file_is_a_constant_force():
+def test_constant_load_of_the_file_equals_the_constant_force_effect():
     """A steady load in the machine file acts like a constant force effect, in both plants."""
     axis = axis_of("X")
     loaded = MACHINE.with_values({"axis.X.constant_torque_nm": 400.0 * axis.ratio}).with_axes(["X"])
@@ -91,7 +91,7 @@ def test_table_unbalance(tilt, turn):
         assert extra == pytest.approx(np.full(len(extra), torque), abs=1e-6)
 
 
-def test_table_unbalance_stands_above_the_tilting_axis():
+def test_height_of_a_table_unbalance_counts_from_the_tilting_axis():
     """`height_m` counts from the A axis, wherever the table lies: tilted by 90 degrees it holds m g h, offset or not."""
     for offset in (0.0, 0.06):
         two = MACHINE.with_values({"geometry.a_axis_to_c_axis_z_m": offset}).with_axes(["A", "C"])
@@ -101,7 +101,7 @@ def test_table_unbalance_stands_above_the_tilting_axis():
         assert (torques[1] - torques[0]) / axis_of("A").ratio == pytest.approx(40.0 * G * 0.12, rel=1e-6)
 
 
-def test_table_unbalance_is_inertia_too():
+def test_table_unbalance_adds_inertia():
     """About C it adds m r^2."""
     import mujoco
 

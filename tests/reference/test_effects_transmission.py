@@ -52,7 +52,7 @@ def balanced_tilt():
     return float(np.interp(0.0, *zip(*sorted(zip(held, angles)))))
 
 
-def test_backlash_shows_nothing_where_gravity_presses_one_flank():
+def test_backlash_is_not_visible_if_gravity_keeps_one_flank_loaded():
     """On Z the load stays on its lower flank in both directions; only the spring deflects."""
     stiffness = (2 * math.pi * 450.0) ** 2 * reduced_mass("Z")
     trace = follow("Z", there_and_back(1e-3, 0.001, 0.5, 50.0), [{"name": "backlash", "clearance": 15e-6}])
@@ -118,7 +118,7 @@ def test_default_damping():
     assert c == pytest.approx(2 * 0.3 * w * reduced * -math.expm1(-rate) / rate, rel=1e-9)
 
 
-def test_transmission_compliance_is_stretched_by_what_it_carries():
+def test_transmission_compliance_deflects_under_weight_friction_and_acceleration():
     """At rest on Z by m g / k, at constant speed on X by (Fc + b v) / k, accelerating by M a / k more."""
     z, x = axis_of("Z"), axis_of("X")
     held = follow("Z", np.zeros(40), [{"name": "transmission_compliance", "stiffness": 5e7}])
@@ -161,9 +161,9 @@ def test_cyclic_error():
 
 
 @pytest.mark.parametrize("axis", AXES)
-def test_a_rotor_on_a_spring_feels_the_error_of_its_transmission(axis):
-    """At constant speed, M = rotor + load, b viscous friction, G the drive from motor speed to acceleration: a rigid rotor answers with
-    q / e = G s / (s^2 + b/M s + G (s + Kv)), one of its own with (G s + share s^2) / (the same), share = rotor / M. G is read off the rigid one."""
+def test_response_of_a_rotor_on_a_spring_to_a_transmission_error(axis):
+    """At constant speed, M = rotor + load, b viscous friction, G the drive from motor speed to acceleration: the response of a rigid drive train is
+    q / e = G s / (s^2 + b/M s + G (s + Kv)), that of a rotor on a spring (G s + share s^2) / (the same), share = rotor / M. G comes from the rigid one."""
     r, amplitude, kv = axis_of(axis).ratio, 2e-6, axis_of(axis).loops.position_gain_per_s
     load, rotor = load_inertia(MACHINE, axis_of(axis)), axis_of(axis).reflected_inertia
     spring = {
@@ -187,7 +187,7 @@ def test_a_rotor_on_a_spring_feels_the_error_of_its_transmission(axis):
     kv = kv * np.mean(np.exp(-s * TICK * np.arange(16)))  # held over the position cycle of 16 ticks
     drive = rigid * inert / (s - rigid * (s + kv))
     own = (drive * s + rotor / (load + rotor) * s**2) / (inert + drive * (s + kv))
-    assert abs(own - rigid) > 0.1  # the spring's own answer is a hundredth of that
+    assert abs(own - rigid) > 0.1  # the response of the spring alone is a hundredth of that
     assert answers[1] / error == pytest.approx(own, abs=0.03 * abs(own))
 
 

@@ -27,7 +27,7 @@ def test_position_at_the_tick_is_exact_under_constant_force(mikron: Machine) -> 
         mujoco.mj_step(plant.model, plant.data)
     t = np.arange(ticks) * h
     np.testing.assert_allclose(at_tick, 0.5 * acceleration * t**2, rtol=1e-11, atol=1e-15)
-    assert np.abs(ahead - 0.5 * acceleration * t**2).max() > 1e-5  # what the half step is worth: more than 10 um
+    assert np.abs(ahead - 0.5 * acceleration * t**2).max() > 1e-5  # effect of the half step: more than 10 um
 
 
 def test_recorded_position_and_speed_belong_together(mikron: Machine) -> None:

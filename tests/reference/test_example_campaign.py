@@ -19,7 +19,7 @@ def found(mikron: Machine) -> CampaignGap:
     return gap(ROOT / "examples" / "campaign", mikron)
 
 
-def test_every_axis_is_as_it_should_be(found: CampaignGap) -> None:
+def test_every_axis_agrees_within_noise(found: CampaignGap) -> None:
     assert found.verdict == "X, Y, Z, A and C as they should be"
     for row in found.rows():
         if row.signal in ("position", "current"):
@@ -27,7 +27,7 @@ def test_every_axis_is_as_it_should_be(found: CampaignGap) -> None:
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/results.md"])
-def test_the_table_is_what_the_command_prints(found: CampaignGap, page: str) -> None:
+def test_the_documented_table_equals_the_output_of_the_command(found: CampaignGap, page: str) -> None:
     rows = ROW.findall(Path(ROOT / page).read_text(encoding="utf-8"))
     assert [row[0] for row in rows] == ["X", "Y", "Z", "A", "C"]
     for axis, position, _unit, position_noise, current, current_noise in rows:

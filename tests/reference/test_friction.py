@@ -28,7 +28,7 @@ def test_sticks_at_95_percent_of_break_away(model: mujoco.MjModel, mikron: Machi
         assert abs(speed) < CREEP[axis.kind], f"{axis.name} creeps at {speed:.2e}"
 
 
-def test_breaks_away_just_above_and_slides_by_the_law(model: mujoco.MjModel, mikron: Machine) -> None:
+def test_breaks_away_just_above_and_follows_the_friction_law(model: mujoco.MjModel, mikron: Machine) -> None:
     for axis in mikron.axes:
         result = push(model, mikron, axis.name, SLIDING)
         assert result.speed > 20 * CREEP[axis.kind]

@@ -74,7 +74,7 @@ def over_limits(trace: Trace, machine: Machine) -> float:
 
 
 @pytest.mark.parametrize("factor", [1e2, 1e3, 1e4, 1e5])
-def test_no_set_point_above_a_limit_whatever_law_was_planned(
+def test_set_points_keep_the_limits_for_any_planned_law(
     mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factor: float
 ) -> None:
     plain = lookahead.plan
@@ -88,7 +88,7 @@ def test_no_set_point_above_a_limit_whatever_law_was_planned(
 
 
 def slow_turning(rows: int, blocks: int) -> str:
-    """Short five-axis blocks at a slow feed through a changing tool axis; between the rows rapids, which want long run-ups."""
+    """Short five-axis blocks at a slow feed with a changing tool axis, and rapids between the rows, which need long run-ups."""
     out = ["TRAORI", "CYCLE832(0.01,3)"]
     k = np.arange(blocks)
     for row in range(rows):
@@ -99,7 +99,7 @@ def slow_turning(rows: int, blocks: int) -> str:
     return "\n".join(out)
 
 
-def test_slow_turning_blocks_between_rapids_take_the_same_time_in_any_windows(
+def test_the_time_of_slow_five_axis_blocks_between_rapids_does_not_depend_on_the_window(
     mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Regression: windows short of their optimum disagreed at their joints, which raised the jerk above the limit and slowed all moves."""
@@ -113,10 +113,10 @@ def test_slow_turning_blocks_between_rapids_take_the_same_time_in_any_windows(
     assert max(seconds) < 1.002 * min(seconds), seconds
 
 
-def test_slow_moves_take_no_more_nodes_for_a_set_point_than_fast_ones(
+def test_slow_moves_use_no_more_nodes_per_set_point_than_fast_ones(
     mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # each move turns the tool axis: through the transformation its path bends all along, though the feed alone decides the speed
+    # each move turns the tool axis, so the path of the axes is curved throughout although only the feed limits the speed
     nodes: list[int] = []
     plain = lookahead.grid
 
@@ -138,7 +138,7 @@ def test_slow_moves_take_no_more_nodes_for_a_set_point_than_fast_ones(
     assert cost[2] < 0.1 * cost[0]
 
 
-def test_an_acceleration_above_its_limit_between_two_nodes_slows_that_place_only(mikron: Machine, tmp_path: Path) -> None:
+def test_an_acceleration_above_its_limit_between_two_nodes_is_corrected_locally(mikron: Machine, tmp_path: Path) -> None:
     head = "TRAORI\nCYCLE832(0.01,_ORI_FINISH,1)\nG0 X0 Y0 Z60 A0 C0\nG642 CTOL=0.01\n"
     moves = (
         "G1 X2.637 Y4.392 Z60.529 A=-5.234 C=10.611 F200\n"
@@ -193,7 +193,9 @@ def test_brisk_is_faster_than_soft(mikron: Machine, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cycle", ["position", "interpolation"])
-def test_set_points_in_blocks_are_those_of_the_whole(mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cycle: str) -> None:
+def test_set_points_written_in_blocks_equal_those_of_the_whole(
+    mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cycle: str
+) -> None:
     text = "G1 X20 Y5 F3000\nG4 F0.7\nG60 X0\nX1\nX2\nG64 X30 Y20\nX0 Y0\n"
     program = read_program(write(tmp_path, text), mikron)
     whole = interpolate(program, mikron, cycle=cycle)
@@ -207,7 +209,7 @@ def test_set_points_in_blocks_are_those_of_the_whole(mikron: Machine, tmp_path: 
         assert np.array_equal(parts.signals[key], values), key
 
 
-def test_hours_of_set_points_take_the_memory_of_a_block(mikron: Machine, tmp_path: Path) -> None:
+def test_hours_of_set_points_need_the_memory_of_one_block(mikron: Machine, tmp_path: Path) -> None:
     program = read_program(write(tmp_path, "G1 X50 F1\nG4 F3600\nG4 F3600\n"), mikron)
     tracemalloc.start()
     count = sum(len(block.time) for block in written(interpolator.set_point_blocks(program, mikron), tmp_path / "long.parquet"))
@@ -225,7 +227,7 @@ def test_interpolation_cycle_is_every_fourth_position_cycle(mikron: Machine, tmp
     assert np.array_equal(coarse.get("X", "setpoint"), fine.get("X", "setpoint")[::4])
 
 
-def test_great_circle_that_the_travel_of_a_breaks_is_refused(mikron: Machine, tmp_path: Path) -> None:
+def test_a_great_circle_beyond_the_travel_of_a_is_refused(mikron: Machine, tmp_path: Path) -> None:
     """A ends at +30 deg: A and C must pass over the pole instead of switching to their other solution during the cut."""
     path = tmp_path / "swing.mpf"
     text = "TRAORI\nORIWKS\nG0 X0 Y0 Z150 A3={} B3={} C3=0.9\nG1 X0 Y40 A3={} B3={} C3=0.8 F1000\n"
@@ -252,8 +254,8 @@ def test_great_circle_keeps_the_tool_axis_in_its_plane(mikron: Machine, tmp_path
     assert off["ORIWKS"] < 2e-3 < off["ORIMKS"]
 
 
-def test_budget_names_the_level(mikron: Machine, tmp_path: Path) -> None:
-    """A perfect follower has level 1 errors only; a lateral offset of 50 um is a level 2 error."""
+def test_the_error_budget_assigns_errors_to_their_level(mikron: Machine, tmp_path: Path) -> None:
+    """Perfect following gives level 1 errors only; a lateral offset of 50 um is a level 2 error."""
     program = read_program(write(tmp_path, "G642 CTOL=0.01\nG1 X20 F3000\nY20\n"), mikron)
     setpoints = interpolate(program, mikron)
     perfect = Trace(setpoints.time, {(a, "position"): setpoints.get(a, "setpoint") for a in mikron.axis_names}, mikron.kinds)

@@ -27,7 +27,7 @@ GEOMETRIES = {
 
 
 def source() -> str:
-    """The text of LinuxCNC's transformation; skips where it is not there."""
+    """The source of LinuxCNC's transformation; skips the test if it is missing."""
     folder = SHARED / "data" / "linuxcnc" / "kinematics"
     files = sorted(folder.glob("trtfuncs.c")) if folder.is_dir() else []
     if not files:

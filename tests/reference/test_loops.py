@@ -54,7 +54,7 @@ def textbook(machine: Machine, axis: Axis) -> dict[str, object]:
 
 
 def of_control(system: object) -> tuple[float, float, float, float]:
-    """(gain margin, its Hz, phase margin, its Hz), of all that python-control finds the nearest; slow artefacts of z near 1 left out."""
+    """(gain margin, its Hz, phase margin, its Hz): the smallest that python-control finds, without slow artefacts near z = 1."""
     gains, phases, _, at_gain, at_phase, _ = control.stability_margins(system, returnall=True)
     gain = min(((g, w) for g, w in zip(gains, at_gain) if w > 1.0), key=lambda x: abs(math.log(x[0])), default=(math.inf, math.inf))
     phase = min(((p, w) for p, w in zip(phases, at_phase) if w > 0.5), key=lambda x: abs(x[0]), default=(math.inf, math.inf))
@@ -125,8 +125,8 @@ def test_speed_filter_and_scale_behind_a_spring(mikron: Machine) -> None:
     np.testing.assert_allclose(ratio, (1.0 - pole) / (1.0 - pole / z), rtol=1e-6)
 
 
-def test_the_loop_of_the_twin_itself(mikron: Machine) -> None:
-    """The simulated axis answers a swinging set point as the closed position loop says: amplitude and phase at 5 Hz."""
+def test_closed_loop_response_of_the_simulated_axis(mikron: Machine) -> None:
+    """The simulated response to a sinusoidal set point equals that of the closed position loop: amplitude and phase at 5 Hz."""
     from tests.builders.one_axis import swing
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import Setpoints
@@ -146,7 +146,7 @@ def test_the_loop_of_the_twin_itself(mikron: Machine) -> None:
     assert math.degrees(np.angle(measured / expected)) == pytest.approx(0.0, abs=1.0)
 
 
-def test_unstable_gains_are_seen(mikron: Machine) -> None:
+def test_unstable_gains_are_detected(mikron: Machine) -> None:
     for factor, stable in ((1.0, True), (margins_of(loops_of(mikron, mikron.axis("X"))[2]).gain * 1.02, False)):
         machine = mikron.with_axis("X", position_gain_per_s=50.0 * factor)
         assert margins_of(loops_of(machine, machine.axis("X"))[2]).stable is stable

@@ -102,7 +102,7 @@ def test_holding_at_home_as_the_readme_says(pose) -> None:  # type: ignore[no-un
     assert pose(math.radians(-35), 0.0)[1][3] == pytest.approx(-43.4, abs=0.05)
 
 
-def test_inertia_at_the_motor_is_what_the_control_was_told(mikron: Machine) -> None:
+def test_inertia_at_the_motor_equals_the_commissioned_value(mikron: Machine) -> None:
     computed = home_inertia_at_motor(mikron)
     load = {**MOVED, "A": inertia_at_a(0.0), "C": inertia_at_c()}
     for axis, value in zip(mikron.axes, computed):
@@ -120,7 +120,7 @@ def test_friction_and_motors_of_the_compiled_model(mikron: Machine) -> None:
     assert model.opt.timestep == 125e-6
 
 
-def test_values_of_the_file_win_over_the_model(mikron: Machine) -> None:
+def test_values_of_the_file_override_the_model(mikron: Machine) -> None:
     changed = mikron.with_values({"axis.X.moving_mass_kg": 710.0, "body.table.mass_kg": 90.0, "axis.C.coulomb_friction_nm": 0.4})
     before, after = compile_model(mikron), compile_model(changed)
     assert after.body("x_slide").mass[0] == pytest.approx(before.body("x_slide").mass[0] + 10)
@@ -129,7 +129,7 @@ def test_values_of_the_file_win_over_the_model(mikron: Machine) -> None:
     assert after.dof_frictionloss[after.joint("C").dofadr[0]] == pytest.approx(0.4 * 120)
 
 
-def test_the_data_sheet_is_the_given_one(mikron: Machine) -> None:
+def test_the_machine_file_has_the_values_of_the_data_sheet(mikron: Machine) -> None:
     given = SHARED / "machine" / "mikron_ucp710.toml"
     if not given.is_file():
         pytest.skip("no data sheet to compare with: ../shared/machine is not beside this repository")

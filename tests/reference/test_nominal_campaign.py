@@ -12,7 +12,7 @@ POSITION_RMS = {"um": 0.2, "arcsec": 0.5}
 POSITION_MAX = 2.0  # um or arcsec
 CURRENT_RMS = 0.08  # A, where the axis moves; 0.04 A of it is noise
 NOISE_FACTOR = 1.2
-"""The gap is what measuring noise alone makes, within the scatter of an RMS over a few realisations."""
+"""The gap equals that of measuring noise alone, within the scatter of an RMS over a few realisations."""
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_positions_and_currents_agree(gaps: dict[str, dict[str, dict[str, Signal
             assert signals["current"].rms <= CURRENT_RMS, where
 
 
-def test_nothing_but_noise_is_left(gaps: dict[str, dict[str, dict[str, SignalGap]]]) -> None:
+def test_the_gap_is_noise_only(gaps: dict[str, dict[str, dict[str, SignalGap]]]) -> None:
     for run, axes in gaps.items():
         for axis, signals in axes.items():
             for signal in ("position", "velocity"):

@@ -26,7 +26,7 @@ def test_same_law(mikron: Machine, dsc_delay_s: float) -> None:
 
 @pytest.mark.parametrize("lag_s", [0.0, LAG_S])
 def test_an_accelerating_axis_keeps_the_lag(mikron: Machine, lag_s: float) -> None:
-    """At acceleration a the speed lags its set point by a Tr: by nothing without a reference model."""
+    """At acceleration a the speed lags its set point by a Tr, and not at all without a reference model."""
     t, a = np.arange(700) * 1e-3, 0.5
     one = modelled(mikron.with_axes(["X"]), lag_s).with_values({"axis.X.loops.torque_feedforward": 0.0})
     trace = simulate(one, Setpoints((0.5 * a * t**2)[:, None], 1e-3), sample_period=one.position_cycle).trace
@@ -36,7 +36,7 @@ def test_an_accelerating_axis_keeps_the_lag(mikron: Machine, lag_s: float) -> No
     assert lag == pytest.approx(lag_s + 0.5 * one.position_cycle, abs=1.5 * one.speed_cycle)
 
 
-def test_the_loop_seen_from_outside(mikron: Machine) -> None:
+def test_closed_position_loop_response(mikron: Machine) -> None:
     """The closed position loop of `loops_of` answers like the simulated axis, amplitude and phase at 20 Hz."""
     quiet = with_effects(mikron.with_axes(["X"]), [{"name": "coulomb_friction", "axis": "X", "factor": 0.0}])
     machine = modelled(quiet, 4e-3).with_feedforward("off").with_axis("X", position_delay_s=0.0)

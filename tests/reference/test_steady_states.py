@@ -62,7 +62,7 @@ def test_holding_currents(mikron: Machine) -> None:
 
 
 def test_current_limit_is_kept_and_left_without_windup(mikron: Machine) -> None:
-    """A step of 5 mm saturates the current; the axis stays within it, then settles without swinging far beyond."""
+    """A step of 5 mm saturates the current; the current keeps its limit, and the axis settles without a large overshoot."""
     machine = mikron.with_axes(["X"]).with_feedforward("off").with_axis("X", peak_current_a=20.0)
     position = np.where(np.arange(1500) < 100, 0.0, 0.005)[:, None]
     run = simulate(machine, Setpoints(position, 1e-3), sample_period=machine.base_tick)
@@ -86,8 +86,8 @@ def test_voltage_limit_bounds_the_speed(mikron: Machine) -> None:
     np.testing.assert_allclose(run.trace.get("X", "velocity")[-100:], speed * axis.ratio, rtol=1e-6)
 
 
-def test_torque_feedforward_takes_the_error_of_acceleration(mikron: Machine) -> None:
-    """In a jerk-limited move the deviation from the delayed set point shrinks when the torque is fed forward."""
+def test_torque_feedforward_reduces_the_error_during_acceleration(mikron: Machine) -> None:
+    """Torque feedforward reduces the deviation from the delayed set point in a jerk-limited move."""
     machine = mikron.with_axes(["X"]).with_axis("X", coulomb_friction_nm=0.0)
     t = np.arange(1400) * 1e-3
     points = Setpoints(jerk_limited_move(0.2, 0.25, 2.5, 5.0, t - 0.1)[:, None] - 0.1, 1e-3)

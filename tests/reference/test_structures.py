@@ -85,12 +85,12 @@ def test_a_p_loop_holds_a_weight_by_its_following_error(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.get("Z", "current"), 20.0 * 9.81 * ratio / 0.5, rtol=1e-9)
 
 
-def test_an_integral_part_holds_a_weight_without(tmp_path: Path) -> None:
+def test_a_pi_loop_holds_a_weight_without_following_error(tmp_path: Path) -> None:
     trace = simulate(slides(tmp_path, "Z"), Setpoints(np.full((300, 1), 0.1), 1e-3)).trace
     assert np.abs(trace.get("Z", "position") - 0.1).max() < 1e-12
 
 
-def test_direct_drive_is_a_screw_of_one_metre_a_radian(tmp_path: Path) -> None:
+def test_direct_drive_equals_a_screw_with_one_metre_per_radian(tmp_path: Path) -> None:
     direct = slides(tmp_path, "X").axes[0]
     text = machine_text("X")
     for old, new in (
@@ -109,7 +109,7 @@ def test_direct_drive_is_a_screw_of_one_metre_a_radian(tmp_path: Path) -> None:
     assert (screw.motor.torque_constant_nm_per_a, screw.coulomb_friction) == (35.0, pytest.approx(20.0))
 
 
-def test_decoupled_plant_is_the_engine(tmp_path: Path) -> None:
+def test_the_decoupled_plant_agrees_with_mujoco(tmp_path: Path) -> None:
     machine: Machine = slides(tmp_path)
     setpoints = swings(machine, 0.6)
     full = simulate(machine, setpoints, plant_of=MujocoPlant).trace

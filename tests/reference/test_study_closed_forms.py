@@ -66,7 +66,7 @@ def test_the_lead_of_least_current_matches_the_inertias(tmp_path: Path) -> None:
     leads = 2.0 * math.pi * matched * np.array([0.8, 0.9, 1.0, 1.1, 1.25])
     rows = f"[[{'], ['.join(map(repr, leads.tolist()))}]]"
     factor = '[[factor]]\nname = "lead"\npath = "axis.X.screw_lead_m_per_rev"\n'
-    # a position cycle of one tick: without the steps of 2 ms in the speed's set point the current is that of the acceleration alone
+    # a position cycle of one tick avoids the steps of 2 ms in the speed set point, so only the acceleration needs current
     fixed = PLAIN.replace('"axis.X.loops.torque_feedforward" = 0.0\n', "")
     fixed += '"control.position_cycle_us" = 125.0\n"axis.X.loops.position_delay_s" = 0.000125\n'
     tied = '[[tied]]\npath = "axis.X.loops.speed_gain_nm_s_per_rad"\nto = "inertia.X"\n'

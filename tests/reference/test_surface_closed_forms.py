@@ -103,7 +103,7 @@ def test_tool_of_revolution_equals_the_same_tool_of_elements() -> None:
     np.testing.assert_allclose(chords.height, ball.height, atol=TOLERANCE)
 
 
-def test_ball_about_its_centre_is_a_ball() -> None:
+def test_a_ball_end_turning_about_its_centre_cuts_a_ball() -> None:
     """A ball-end that turns about the centre of its ball cuts only the ball."""
     tool = ball_end(2 * R, cutting_length=0.02)
     # sub-steps of 5 nm bulge: the tip moves on a straight line between poses, so the poses must be close
@@ -115,7 +115,7 @@ def test_ball_about_its_centre_is_a_ball() -> None:
     np.testing.assert_allclose(after.map(), expected, atol=TOLERANCE)
 
 
-def test_turning_flat_end_pivots_a_plane() -> None:
+def test_a_flat_end_turning_about_its_tip_cuts_two_planes() -> None:
     """A flat end that pivots about an axis through its tip leaves the lower of its two discs, up to the first and last pose."""
     tool = flat_end(2 * R, cutting_length=0.02)
     b = math.radians(6.0)
@@ -128,7 +128,7 @@ def test_turning_flat_end_pivots_a_plane() -> None:
     np.testing.assert_allclose(after.height, np.where(u > 0, -u * math.tan(b), 0.0), atol=TOLERANCE)
 
 
-def test_same_whatever_the_order_tiling_and_threads() -> None:
+def test_the_surface_does_not_depend_on_order_tiling_and_threads() -> None:
     rng = np.random.default_rng(3)
     tool, rays = bull_nose(2 * R, 1e-3), plane(width=2e-3, spacing=1e-4, length=1e-3)
     tip = np.cumsum(rng.normal(0.0, 3e-4, (12, 3)) * [1, 1, 0.05], axis=0)

@@ -53,7 +53,7 @@ NEAR, OPPOSITE = [[-10, -5, -5], [1, 5, 5]], [[31, -5, -5], [40, 5, 5]]
 
 
 @pytest.mark.parametrize("inside_out", [False, True])
-def test_the_opposite_wall_of_a_pocket_is_no_stock(tmp_path: Path, inside_out: bool) -> None:
+def test_the_opposite_wall_of_a_pocket_does_not_count_as_stock(tmp_path: Path, inside_out: bool) -> None:
     """A nominal wall at x = 0 with 1 mm of stock, the wall across the pocket 30 mm away: the rays end at 1 mm."""
     np.testing.assert_allclose(heights(tmp_path, [NEAR, OPPOSITE], 0.0, inside_out), 1.0, atol=1e-3)
 

@@ -49,7 +49,7 @@ def test_programmed_and_commanded_tool_axes_agree(mikron: Machine, tmp_path: Pat
     np.testing.assert_allclose(programmed.axis[[0, -1]], commanded.axis[[0, -1]], atol=1e-9)
 
 
-def test_the_tool_axis_of_a_turn_goes_with_the_tip(mikron: Machine, tmp_path: Path) -> None:
+def test_a_turn_of_the_tool_axis_gives_tip_and_axis_at_each_part(mikron: Machine, tmp_path: Path) -> None:
     """A from 0 to -40 degrees in 400 parts: the axis is (0, sin A, cos A) at each of them, and the feed is that of A."""
     path, _ = paths(TURN, mikron, tmp_path)
     angle = np.radians(-np.linspace(0.0, 40.0, len(path)))

@@ -1,4 +1,4 @@
-"""The Mikron as URDF, written by the script: the same joint accelerations as its MJCF, read by us and by MuJoCo's own reader."""
+"""The Mikron as URDF, written by the script: the same joint accelerations as its MJCF, with the reader of the twin and that of MuJoCo."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_same_machine_with_its_drives(mikron: Machine, urdf: Path) -> None:
     assert np.abs(accelerations(again.model, names) - accelerations(first.model, names)).max() < TOLERANCE
 
 
-def test_another_mass_shows(mikron: Machine, urdf: Path) -> None:
+def test_the_comparison_detects_another_mass(mikron: Machine, urdf: Path) -> None:
     """The comparison can fail: it detects 0.1 % of the table's mass."""
     model = bodies_alone(spec_of_urdf(urdf)[0].compile())
     expected = accelerations(model, mikron.axis_names)
@@ -75,7 +75,7 @@ def test_another_mass_shows(mikron: Machine, urdf: Path) -> None:
     assert np.abs(accelerations(model, mikron.axis_names) - expected).max() > 100 * TOLERANCE
 
 
-def test_limits_of_the_joints_come_along(mikron: Machine, urdf: Path) -> None:
+def test_joint_limits_are_imported(mikron: Machine, urdf: Path) -> None:
     _, limits = spec_of_urdf(urdf)
     for axis in mikron.axes:
         assert limits[axis.name].speed == pytest.approx(axis.max_velocity)

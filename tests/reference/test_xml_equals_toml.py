@@ -1,4 +1,4 @@
-"""The MJCF by itself is the nominal machine: opened without the machine file it has the same numbers and moves the same."""
+"""The MJCF alone is the nominal machine: without the machine file it has the same values and moves the same."""
 
 import mujoco
 import numpy as np
@@ -73,7 +73,7 @@ def test_moves_the_same(mikron: Machine, models: tuple[mujoco.MjModel, mujoco.Mj
     np.testing.assert_allclose(ends[0], ends[1], rtol=1e-9, atol=1e-12)
 
 
-def test_home_holds(models: tuple[mujoco.MjModel, mujoco.MjModel]) -> None:
+def test_the_machine_stays_at_its_home_position(models: tuple[mujoco.MjModel, mujoco.MjModel]) -> None:
     model = models[0]
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)

@@ -220,13 +220,13 @@ def test_a_case_that_breaks_is_a_verdict(suite: Path, tmp_path: Path, monkeypatc
     assert ElementTree.parse(tmp_path / "out" / "junit.xml").find("./testsuite/testcase/error") is not None
 
 
-def test_what_is_no_number_is_kept_as_a_word(suite: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_values_that_are_not_numbers_are_kept_as_text(suite: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case = read_suite(suite)[0]
     monkeypatch.setattr("twin.regress.runners._RUNNERS", {"run": lambda case, machine: Outcome({"mean": Feature(float("nan"), "um")})})
     assert run_case(case).features["mean"].value == "nan"
 
 
-def test_the_workflow_tells_what_failed(suite: Path, tmp_path: Path) -> None:
+def test_the_workflow_reports_failed_cases(suite: Path, tmp_path: Path) -> None:
     """The summary in the workflow file reads what the command writes, and the command's arguments are those that it has."""
     text = (HERE / ".github/workflows/regress.yml").read_text()
     assert "python -m twin regress examples/regression --out out/regress" in text
@@ -283,7 +283,7 @@ def test_other_control_structures(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert (place["axis"], place["block"]) == (axis, block), (new, place)
 
 
-def test_junit_is_what_servers_read(suite: Path, tmp_path: Path) -> None:
+def test_junit_output_has_the_common_form(suite: Path, tmp_path: Path) -> None:
     """Elements, attributes, order and counts as in the schema that Jenkins, GitLab and GitHub actions share."""
     edit(suite / "moves.toml", 'name = "u_move"\n', "")
     with (suite / "moves.toml").open("a") as file:
@@ -340,7 +340,7 @@ def test_update_shows_old_and_new_and_keeps_the_reason(suite: Path, tmp_path: Pa
     assert regress(suite, tmp_path) == 0
 
 
-def test_update_of_a_changed_case_shows_what_it_was(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_update_of_a_changed_case_shows_the_old_values(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     edit(suite / "moves.toml", "speed_mm_per_s = 100.0", "speed_mm_per_s = 90.0")
     assert regress(suite, tmp_path, "--update", "--reason", "slower, as the machine is run now") == 0
     told = capsys.readouterr().out
@@ -408,7 +408,7 @@ def test_golden_results_that_cannot_be_used(suite: Path, tmp_path: Path, capsys:
     one_line(capsys, "golden trace", "is missing")
 
 
-def test_update_says_what_it_skips(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_update_lists_skipped_cases(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (suite / "measured.toml").write_text(
         'kind = "campaign"\nname = "spring"\ncampaign = "not_here"\n[tolerance.gap]\ngrowth = 0.1\nabove_noise = 0.1\nreason = "another draw"\n'
     )
@@ -417,7 +417,7 @@ def test_update_says_what_it_skips(suite: Path, tmp_path: Path, capsys: pytest.C
     assert "skipped, golden result unchanged: spring: campaign not_here is not here" in capsys.readouterr().out
 
 
-def test_golden_of_another_version_is_said(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_golden_result_of_another_version_is_reported(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     document = json.loads((suite / "golden" / "u_move.json").read_text())
     document["versions"]["mujoco"] = "3.9.9"
     (suite / "golden" / "u_move.json").write_text(json.dumps(document))

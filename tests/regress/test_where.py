@@ -50,7 +50,7 @@ def test_a_drive_that_closes_the_position_loop(change: dict[str, float], block: 
 
 
 @pytest.mark.parametrize(("key", "block"), [("loops_speed_gain_nm_s_per_rad", "speed controller"), ("coulomb_friction_nm", "mechanics")])
-def test_a_record_without_what_the_drive_follows(key: str, block: str) -> None:
+def test_a_change_is_located_without_the_recorded_drive_set_point(key: str, block: str) -> None:
     """It follows from the command and the position."""
     golden = machine_with()
     axis = golden.axis("X")

@@ -197,7 +197,7 @@ def test_bad_options_have_a_line_each(run: Path, tmp_path: Path, capsys: pytest.
     assert "without its trace" in refused(capsys, run, tmp_path / "alone.rrd", "--out", tmp_path / "x.rrd")
 
 
-def test_the_folder_of_every_command_is_accepted_or_says_what_to_open(
+def test_the_folder_of_every_command_is_accepted_or_the_message_names_the_file_to_open(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # one recording each: a diagnosis, a cut, a comparison, the best variant of a study
@@ -226,7 +226,7 @@ def test_the_folder_of_every_command_is_accepted_or_says_what_to_open(
             source_of(folder)
 
 
-def test_no_display_is_said(run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_display_is_reported(run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("sys.platform", "linux")
@@ -324,7 +324,7 @@ def test_the_web_viewer_answers_on_this_computer_only_and_ends(run: Path) -> Non
         assert probe.connect_ex(("127.0.0.1", port)) != 0
 
 
-def test_a_port_in_use_is_said(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_reported(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -40,7 +40,7 @@ def test_contour_error_of_a_circle_too_large_by_5_um() -> None:
     assert np.allclose(contour.error, 5e-6, atol=0.015 * (np.pi * 1e-3) ** 2 / 2 + 1e-12)
 
 
-def test_a_delay_along_the_path_is_no_contour_error() -> None:
+def test_a_delay_along_the_path_is_not_a_contour_error() -> None:
     time = np.arange(1001) * 1e-3
     line = np.outer(0.1 * time**2, [1.0, 2.0, -1.0])
     late = np.outer(0.1 * np.maximum(time - 0.02, 0.0) ** 2, [1.0, 2.0, -1.0])
@@ -62,7 +62,7 @@ def test_magnified_path_moves_only_the_deviation() -> None:
     assert np.allclose(magnified, line + np.array([0.0, 2e-3, 0.0]), atol=1e-12)
 
 
-def test_path_points_left_out_lie_within_the_tolerance() -> None:
+def test_omitted_path_points_lie_within_the_tolerance() -> None:
     time = np.linspace(0.0, 1.0, 5000)
     points = circle(time, 0.05) + np.column_stack([np.zeros_like(time), np.zeros_like(time), 0.01 * np.sin(40 * time)])
     keep = np.zeros(len(points), bool)
@@ -203,13 +203,13 @@ def test_runs_differ_by_colour_and_dash() -> None:
     assert np.allclose(values[shown], np.sin(times[shown]), atol=1e-6)
 
 
-def test_what_a_measured_trace_lacks_is_named() -> None:
+def test_missing_signals_of_a_measured_trace_are_named() -> None:
     time = np.arange(10) * 1e-3
     trace = trace_of(time, setpoint=time, position=time, current=time)
     assert not_recorded(trace, MACHINE) == ["X: speed, speed set point, torque of friction, torque of gravity, torque of feedforward"]
 
 
-def test_every_curve_has_a_name_with_a_unit_and_an_entity_of_its_own() -> None:
+def test_every_curve_has_its_own_entity_and_a_name_with_a_unit() -> None:
     time = np.arange(100) * 1e-3
     trace = trace_of(time, setpoint=time, position=time, velocity=time, velocity_setpoint=time, current=time, torque=time)
     later = replace(trace, signals={key: values + 1e-6 for key, values in trace.signals.items()})
@@ -223,7 +223,7 @@ def test_every_curve_has_a_name_with_a_unit_and_an_entity_of_its_own() -> None:
     assert np.allclose(difference.values, 1.0)
 
 
-def test_only_what_can_be_seen_is_magnified() -> None:
+def test_invisible_deviations_are_not_magnified() -> None:
     assert magnifications(6e-9, 0.1) == (1,)  # 0.006 um: rounding
     assert magnifications(10e-6, 0.1) == (1, 100, 1000)
     assert magnifications(10e-6, 0.01) == (1, 10, 100)
@@ -261,7 +261,7 @@ def test_other_motions_and_runs_without_set_points_stay_where_they_are() -> None
         assert on_clock_of(first, other) == (other, 0.0)
 
 
-def test_a_run_with_its_own_set_points_is_held_against_these() -> None:
+def test_a_run_with_its_own_set_points_is_compared_with_them() -> None:
     """Two variants of a study on different paths: the second one follows its own, not the first one's."""
     time = np.arange(200) * 1e-3
     scene = scene_of(MACHINE)

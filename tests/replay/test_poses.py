@@ -91,7 +91,7 @@ def test_pose_and_its_inverse_are_the_identity() -> None:
     assert np.allclose(np.abs(both.quaternion[:, 0]), 1.0, atol=ROUNDING)
 
 
-def test_what_does_not_move_keeps_one_sample() -> None:
+def test_bodies_at_rest_keep_one_sample() -> None:
     model = mujoco.MjModel.from_xml_path(str(load_machine().model_path))
     local = local_poses(model, {"X": np.linspace(0.0, 0.1, 30)})
     lengths = {model.body(b).name: (len(pose.position), len(pose.quaternion)) for b, pose in enumerate(local)}

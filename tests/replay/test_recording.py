@@ -185,7 +185,7 @@ def test_magnified_path_has_the_contour_error_times_its_factor(held: dict[str, d
     assert 0.5 * 1000 * largest < distance.max() < 1.02 * 1000 * largest + 1e-4
 
 
-def test_layout_refers_only_to_what_is_there(file: Path) -> None:
+def test_the_layout_refers_only_to_existing_entities(file: Path) -> None:
     assert check_layout(file) > 25
 
 
@@ -211,7 +211,7 @@ def check_layout(file: Path) -> int:
     return views
 
 
-def test_summary_names_what_was_run(held: dict[str, dict[str, Rows]]) -> None:
+def test_the_summary_names_program_and_machine(held: dict[str, dict[str, Rows]]) -> None:
     text = held["/summary"]["TextDocument:text"].values[0][0]
     assert "Mikron UCP 710" in text
     assert "Contour error" in text
@@ -248,7 +248,7 @@ def test_two_runs_are_overlaid_with_their_difference(machine: Machine, run: Trac
     assert "both runs have the same set points" in held["/summary"]["TextDocument:text"].values[0][0]
 
 
-def test_other_set_points_are_said_to_differ(machine: Machine, run: Trace, tmp_path: Path) -> None:
+def test_a_difference_of_set_points_is_reported(machine: Machine, run: Trace, tmp_path: Path) -> None:
     moved = Trace(run.time, {k: v + (1e-4 if k == ("Y", "setpoint") else 0.0) for k, v in run.signals.items()}, run.kinds)
     write_recording(tmp_path / "two.rrd", machine, {"a": run, "b": moved})
     assert "set points differ by up to 100 um (Y" in read_recording(tmp_path / "two.rrd")["/summary"]["TextDocument:text"].values[0][0]

@@ -79,7 +79,7 @@ def test_both_panes_have_one_scale_and_their_own_error(held: dict[str, dict[str,
     assert factors[0] == factors[1] != {"1"}
 
 
-def test_what_differs_most_is_in_front(designs: dict[str, tuple[Machine, Trace]]) -> None:
+def test_the_axis_that_differs_most_is_shown_first(designs: dict[str, tuple[Machine, Trace]]) -> None:
     (machine, first), (_, second) = designs.values()
     assert most_different_axis(machine, first, second) == "Y"
 

@@ -22,7 +22,7 @@ def test_names_that_would_be_broken_formulas(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
-def test_names_in_a_page_are_no_tags() -> None:
+def test_names_in_a_page_are_escaped() -> None:
     text = page(NAME, NAME, [Section(NAME, [NAME], [Figure("<svg/>", NAME)], [Table([NAME], [[NAME]])], [NAME])])
     assert "<b>" not in text
     assert "&lt;b&gt;" in text

@@ -63,7 +63,7 @@ def test_entries_of_a_catalogue_have_no_order() -> None:
     assert without_effect(["motor", "x"], [(table, y)], [0]) == []
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+def test_intervals_contain_the_truth_as_often_as_stated() -> None:
     table = points(30, [-1.0, -1.0], [1.0, 1.0])
     rng = np.random.default_rng(5)
     inside = 0
@@ -91,7 +91,7 @@ def test_sobol_indices_of_ishigami() -> None:
     np.testing.assert_allclose(found["ST"], [0.5576, 0.4424, 0.2437], atol=0.03)
 
 
-def test_pareto_front_is_what_nothing_beats() -> None:
+def test_the_pareto_front_contains_exactly_the_undominated_variants() -> None:
     rng = np.random.default_rng(3)
     values = np.round(rng.random((300, 3)), 1)  # with ties
     plain = [not any(np.all(other <= row) and np.any(other < row) for other in values) for row in values]
@@ -101,7 +101,7 @@ def test_pareto_front_is_what_nothing_beats() -> None:
 
 
 @pytest.mark.parametrize("count", [60, 900])
-def test_the_surrogate_tells_its_own_error(count: int) -> None:
+def test_the_surrogate_reports_its_error(count: int) -> None:
     def truth(x: np.ndarray) -> np.ndarray:
         return np.sin(2.0 * x[:, 0]) + x[:, 1] ** 2
 
@@ -117,7 +117,7 @@ def test_the_surrogate_tells_its_own_error(count: int) -> None:
     assert abs(next(s for s in swings if s.factor == "b").least_at) < 0.05
 
 
-def test_a_surrogate_of_noise_does_not_claim_to_know() -> None:
+def test_a_surrogate_of_noise_has_no_predictive_power() -> None:
     table = points(50, [0.0, 0.0], [1.0, 1.0])
     surrogate = surrogate_of(table, np.random.default_rng(1).standard_normal(50))
     assert surrogate.error > 0.8 * surrogate.spread
@@ -165,7 +165,7 @@ def test_retuned_loops_have_the_margins_of_the_machine_as_it_was() -> None:
         assert (max(apart) > 5.0) == (variant is changed)
 
 
-def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
+def test_a_response_without_a_pattern_gives_no_effects(tmp_path: Path) -> None:
     """A poor surrogate gives no effects; a variant at its limit is left out; the most common reason is named."""
     study = read_study(write_spec(tmp_path, 'answer = ["noise", "line"]\n' + FACTOR + '[design]\nkind = "latin_hypercube"\ncount = 30\n'))
     rng = np.random.default_rng(1)
@@ -189,7 +189,7 @@ def test_of_a_response_without_order_nothing_is_said(tmp_path: Path) -> None:
     assert any("3 of 34 variants break a constraint" in text and "copper loss of X is .. W" in text for text in said)
 
 
-def test_effects_that_the_design_cannot_part_are_left_out() -> None:
+def test_effects_that_the_design_cannot_separate_are_omitted() -> None:
     """Two nearly proportional factors get coefficients of thousands for a response that changes by one; these are dropped."""
     a = np.linspace(0.0, 1.0, 12)
     rng = np.random.default_rng(2)

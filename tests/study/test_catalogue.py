@@ -77,7 +77,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_what_is_installed_is_the_machine_as_it_is(folder: Path, mikron: Machine) -> None:
+def test_the_installed_catalogue_entries_give_the_nominal_machine(folder: Path, mikron: Machine) -> None:
     study = read_study(write_spec(folder, CHOICES + GRID))
     same = machine_of(study, np.array([0.0, 0.0]))
     np.testing.assert_allclose(home_inertia_at_motor(same), home_inertia_at_motor(mikron), rtol=1e-12)
@@ -155,7 +155,7 @@ def test_shares_of_the_ratings(folder: Path) -> None:
         ("[design]", '[[tied]]\npath = "axis.X.max_jerk_m_per_s3"\nto = "motor"\n[design]', "is a catalogue choice"),
     ],
 )
-def test_what_a_catalogue_cannot_do(folder: Path, old: str, new: str, words: str) -> None:
+def test_unsupported_entries_of_a_catalogue_are_refused(folder: Path, old: str, new: str, words: str) -> None:
     spec = write_spec(folder, (CHOICES + GRID).replace(old, new, 1))
     with pytest.raises(InputError, match=words):
         read_study(spec)
@@ -172,7 +172,7 @@ def test_what_a_catalogue_cannot_do(folder: Path, old: str, new: str, words: str
         ("[[motor]]", "[[motor", "not a valid TOML file"),
     ],
 )
-def test_what_is_wrong_in_a_catalogue(folder: Path, old: str, new: str, words: str) -> None:
+def test_faults_of_a_catalogue_are_reported(folder: Path, old: str, new: str, words: str) -> None:
     (folder / "motors.toml").write_text(MOTORS.replace(old, new, 1), encoding="utf-8")
     spec = write_spec(folder, CHOICES + GRID)
     with pytest.raises(InputError, match=words):

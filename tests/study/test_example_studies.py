@@ -20,7 +20,7 @@ def test_there_are_studies() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spec", STUDIES, ids=lambda spec: spec.stem)
-def test_a_variant_gives_what_the_study_asks_for(spec) -> None:  # type: ignore[no-untyped-def]
+def test_a_variant_gives_the_requested_responses(spec) -> None:  # type: ignore[no-untyped-def]
     study = read_study(spec)
     row = variants_of(study)[0]
     found = evaluate(work_of(study), tuple(float(value) for value in row))

@@ -40,7 +40,7 @@ def test_an_unknown_name_is_refused_at_the_first_variant(asked: str, tmp_path: P
         store.close()
 
 
-def test_what_other_variants_may_have_is_waited_for(tmp_path: Path) -> None:
+def test_names_that_other_variants_may_provide_are_checked_later(tmp_path: Path) -> None:
     text = 'answer = ["first_mode_X_hz"]\n' + bound("torque_rms_used_*", 1.0) + bound("phase_margin_speed_*", 90.0)
     study = read_study(write_spec(tmp_path, text + FACTOR + GRID))
     check_names(study, ["cycle_time_s"], some_variants=True)
@@ -48,7 +48,7 @@ def test_what_other_variants_may_have_is_waited_for(tmp_path: Path) -> None:
         check_names(study, ["cycle_time_s"])
 
 
-def test_a_bound_may_change_and_nothing_runs_again(tmp_path: Path) -> None:
+def test_a_changed_bound_does_not_repeat_simulations(tmp_path: Path) -> None:
     spec = write_spec(tmp_path)
     before = rows_of(spec, tmp_path / "out")
     largest = sorted(row[2]["current_max_X_a"] for row in before)

@@ -104,7 +104,7 @@ def test_a_position_gain_raised_by_its_margin_is_on_the_edge(tmp_path: Path) -> 
         assert margins_of(position).stable == stable
 
 
-def test_half_a_millisecond_of_clipped_voltage_is_said_and_allowed(tmp_path: Path) -> None:
+def test_half_a_millisecond_of_clipped_voltage_is_reported_and_allowed(tmp_path: Path) -> None:
     write_move(tmp_path / "move.csv", distance=0.3, speed=0.2)
     _, _, machine, run = answered(tmp_path, MASS)
     voltage = np.sort(np.abs(windings(machine, run)[0]))

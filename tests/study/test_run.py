@@ -88,7 +88,7 @@ def test_two_runs_have_joined_and_own_responses(tmp_path: Path) -> None:
     assert found["electrical_energy_j"] == pytest.approx(sum(found[f"{n}.electrical_energy_j"] for n in names))
 
 
-def test_what_cannot_run_or_breaks_a_limit_is_a_row_with_its_reason(tmp_path: Path) -> None:
+def test_a_variant_that_fails_or_breaks_a_limit_is_a_row_with_its_reason(tmp_path: Path) -> None:
     factors = "".join(
         f'[[factor]]\nname = "{name}"\npath = "axis.X.{path}"\n'
         for name, path in (("mass", "moving_mass_kg"), ("gain", "loops.speed_gain_nm_s_per_rad"), ("limit", "motor.peak_current_a"))
@@ -236,7 +236,7 @@ def test_a_program_in_latin_1_runs(tmp_path: Path) -> None:
     assert found["cycle_time_s"] > 0.0
 
 
-def test_a_stopped_study_goes_on_and_repeats_nothing(tmp_path: Path) -> None:
+def test_a_stopped_study_continues_without_repeating_variants(tmp_path: Path) -> None:
     spec = write_spec(tmp_path, FACTOR + GRID.replace("3", "6"))
     whole = rows_of(spec, tmp_path / "whole")
     study = read_study(spec)

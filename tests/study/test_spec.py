@@ -90,7 +90,7 @@ def test_ties_follow_factors_and_inertia(tmp_path: Path, mikron: Machine) -> Non
 
 
 @pytest.mark.parametrize("recommission", [False, True])
-def test_the_control_is_told_a_variant_or_keeps_the_nominal(tmp_path: Path, mikron: Machine, recommission: bool) -> None:
+def test_the_control_is_commissioned_on_the_variant_or_on_the_nominal_machine(tmp_path: Path, mikron: Machine, recommission: bool) -> None:
     study = read_study(write_spec(tmp_path, f"recommission = {str(recommission).lower()}\n" + FACTOR + GRID))
     machine = machine_of(study, np.array([900.0]))
     told = home_inertia_at_motor(machine if recommission else mikron)
@@ -115,7 +115,7 @@ def test_the_control_keeps_the_nominal_torque_constant(tmp_path: Path, recommiss
     assert axis.commissioned_torque_constant == constant
 
 
-def test_what_the_control_was_told_can_be_varied_itself(tmp_path: Path) -> None:
+def test_commissioned_values_can_be_factors(tmp_path: Path) -> None:
     spec = without_told_constants(tmp_path)
     text = spec.read_text(encoding="utf-8").replace("axis.X.motor.torque_constant_nm_per_a", "axis.X.commissioned.inertia_kg_m2")
     spec.write_text(text.replace("[1.0, 2.0]", "[0.01, 0.02]"), encoding="utf-8")
@@ -178,7 +178,7 @@ def test_a_seed_is_a_table(tmp_path: Path, kind: str) -> None:
     assert not np.array_equal(table(1), table(2))
 
 
-def test_results_belong_to_what_made_them(tmp_path: Path) -> None:
+def test_the_fingerprint_changes_with_the_study(tmp_path: Path) -> None:
     def print_of(text: str) -> str:
         study = read_study(write_spec(tmp_path, text))
         return fingerprint(study, variants_of(study))
@@ -270,7 +270,7 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("fault", WRONG)
-def test_a_wrong_study_file_is_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str) -> None:
+def test_a_wrong_study_file_gives_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str) -> None:
     change, words = WRONG[fault]
     spec = write_spec(tmp_path)
     text = spec.read_text(encoding="utf-8")

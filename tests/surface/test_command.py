@@ -162,7 +162,7 @@ def test_mesh_as_nominal_part_and_as_stock(tmp_path: Path) -> None:
     assert result["cuts"][-1]["deviation_um"]["max"] < 100.0
 
 
-def test_what_a_mark_on_a_mesh_lacks_is_null(tmp_path: Path) -> None:
+def test_missing_values_of_a_mark_on_a_mesh_are_null(tmp_path: Path) -> None:
     """The commanded path against the programmed one on a mesh: no width, length or place along u and v, and cut.json is JSON."""
     import trimesh
 

@@ -39,7 +39,7 @@ def test_areal_parameters_of_a_sine() -> None:
         assert got.sku == pytest.approx(1.5, rel=0.01)
 
 
-def test_form_removal_leaves_nothing_of_a_form() -> None:
+def test_form_removal_removes_a_form_completely() -> None:
     u, v = np.linspace(0.0, 0.02, 70), np.linspace(-0.001, 0.001, 40)
     form = 1.0 + 2.0 * u[None] + 3.0 * v[:, None] + 40.0 * u[None] ** 2 + 50.0 * u[None] * v[:, None] - 60.0 * v[:, None] ** 2
     assert np.abs(without_form(form, u, v)).max() < 1e-12

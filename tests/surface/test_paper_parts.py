@@ -19,7 +19,7 @@ SHIPPED = ROOT / "examples" / "parts"
 
 
 @pytest.mark.parametrize("name", list(PARTS))
-def test_examples_are_what_the_generator_writes(name: str) -> None:
+def test_the_examples_equal_the_output_of_the_generator(name: str) -> None:
     assert (SHIPPED / f"{name}.mpf").read_text(encoding="utf-8") == PARTS[name].program()
     assert (SHIPPED / f"{name}.toml").read_text(encoding="utf-8") == PARTS[name].part()
 
@@ -63,7 +63,7 @@ def test_every_part_is_cut_at_every_level(tmp_path: Path, name: str, paper: dict
         assert max(errors[f"{axis}_deviation_rms_deg"] for axis in ("A", "C")) < 0.0005
 
 
-def test_the_variant_changes_only_what_it_says(mikron: Machine) -> None:
+def test_the_variant_changes_only_the_named_dimensions(mikron: Machine) -> None:
     """The file differs from the nominal one only in gain and feedforward of every axis, jerk of Z, and name."""
     variant = load_machine(ROOT / "models" / "mikron_ucp710_paper.toml")
 

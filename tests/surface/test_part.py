@@ -105,7 +105,7 @@ def test_each_shape_has_rays_along_unit_normals(folder: Path, text: str) -> None
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_wrong_part_file_is_told_in_one_line(folder: Path, fault: str) -> None:
+def test_a_wrong_part_file_gives_one_line(folder: Path, fault: str) -> None:
     right, old, new, says = FAULTS[fault]
     text = right.replace(old, new)
     assert text != right

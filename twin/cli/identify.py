@@ -1,4 +1,4 @@
-"""`twin identify`: identify a machine's parameters, with confidence intervals, from its traces."""
+"""`twin identify`: identify the parameters of a machine, with 95 % intervals, from measured traces."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
     out = Path(args.out)
     if out.suffix != ".toml":
-        raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
+        raise InputError(f"--out {out}: the name of a machine file must end in .toml; rename it")
     within = args.torque_constant_within
     if within is not None and not 0.0 <= within < 1.0:
         raise InputError(f"--torque-constant-within {within:g}: a fraction between 0 and 1, e.g. 0.001 for 0.1 %")
@@ -56,7 +56,7 @@ def carry_out(args: argparse.Namespace) -> int:
             write_identified(result, out)
         files = write_report(result, args.report or out.with_suffix(".html"))
     except OSError as error:
-        raise InputError(f"{error.filename or out}: cannot be written ({error.strerror}); give another place") from None
+        raise InputError(f"{error.filename or out}: cannot be written ({error.strerror}); choose another path") from None
     for finding in result.findings:
         print(f"finding: {finding}", file=sys.stderr)
     for note in result.notes:
@@ -70,7 +70,7 @@ def carry_out(args: argparse.Namespace) -> int:
     print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt", "in the file"], rows, left=2))
     if not all(result.tolerance_holds.values()):
         print("The identified products contradict parameter_tolerance; the torque constants of the machine file were kept.")
-    print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; held out: {', '.join(result.left_out) or 'none'}")
+    print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}")
     if args.json:
         write_json(as_json(result), Path(args.json), "identification")
     if result.refused:

@@ -1,4 +1,4 @@
-"""Does a campaign belong to the machine, and what do its missing signals leave open?"""
+"""Check that a campaign belongs to the machine, and which conclusions its missing signals rule out."""
 
 from __future__ import annotations
 

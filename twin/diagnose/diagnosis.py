@@ -14,7 +14,7 @@ from twin.diagnose.budget import Budget, document_of
 from twin.diagnose.corrected import normal_imperfections
 from twin.diagnose.fit import Sizes
 from twin.diagnose.law.laws import Law
-from twin.diagnose.law.step import keeps_its_gap
+from twin.diagnose.law.step import gap_remains
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
@@ -127,9 +127,9 @@ class Diagnosis:
         )
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
-    def keeps_its_gap(self, axis: str) -> bool:
+    def gap_remains(self, axis: str) -> bool:
         """Does the correction leave so much of an axis' gap that its effects do not explain it?"""
-        return keeps_its_gap(self.axis_level("before", axis), self.axis_level("after", axis))
+        return gap_remains(self.axis_level("before", axis), self.axis_level("after", axis))
 
     @property
     def axes(self) -> list[str]:

@@ -164,7 +164,7 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
     """The diagnosis with the verdict that the held-out gaps allow: 'unknown' if too much gap remains, 'law' if laws explain almost all."""
     states, verdict = diagnosis.found, diagnosis.verdict
     above = any(diagnosis.axis_level("after", axis) > setup.thresholds.undecided for axis in diagnosis.axes)
-    keeps = any(diagnosis.keeps_its_gap(axis) for state in states for axis in state.group.axes)
+    keeps = any(diagnosis.gap_remains(axis) for state in states for axis in state.group.axes)
     if (verdict == "none" and above) or (verdict == "effect" and keeps):
         # a quick look skips axes whose blocks show no more than noise, so that a gap there is not examined
         decided = not (setup.quick and verdict == "none")

@@ -1,4 +1,4 @@
-"""What every step of a diagnosis needs besides the state: the machine, the folds of the runs, and the options of the call."""
+"""Constant inputs of the steps of a diagnosis: the machine, the folds of the runs, and the options of the call."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import math
 from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, is_worse, log_gap, loudest, uncorrected, worse_signals
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
 from twin.diagnose.law.laws import LEAST_CLOSED, Laws
-from twin.diagnose.law.step import ALL_BUT, explained_by_many, laws_beside, predictions_with
+from twin.diagnose.law.step import ALL_BUT, find_unlisted_laws, many_effects_explain, predictions_with_laws
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
@@ -68,7 +68,7 @@ def validated(setup: Setup, records: Records, states: list[GroupState]) -> Valid
         states = [uncorrected(s) if w else s for s, w in zip(states, worse)]
         held_out, runs = predicted(states)
         after = held_out.levels(machine, runs, "after")
-    states = [replace(s, unknown=s.unknown and not explained_by_many(s, before, after)) for s in states]
+    states = [replace(s, unknown=s.unknown and not many_effects_explain(s, before, after)) for s in states]
     return Validated(runs, states, held_out, before, after, corrected_machine(machine, states))
 
 
@@ -80,7 +80,7 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
     levels = held_out.signal_levels(machine, validated.runs)
     accepted = validated
     with ThreadPoolExecutor(setup.threads) as workers:
-        proposals = laws_beside(
+        proposals = find_unlisted_laws(
             validated.states,
             validated.before,
             validated.after,
@@ -94,7 +94,7 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
         best = math.inf
         for laws in proposals:
             if laws.laws:
-                predicted = predictions_with(
+                predicted = predictions_with_laws(
                     laws, held_out, records.runs, records.motions, setup.folds, engine=not setup.quick, threads=setup.threads
                 )
                 if predicted is None:

@@ -1,10 +1,10 @@
-"""One axis in one run, brought to the grid of the position cycles: what the regressions read.
+"""Signals of one axis in one run, resampled to the position cycles: the input of the regressions.
 
-The trace is sampled once or several times a position cycle Tp. A cycle n begins at t_n; positions at the starts of cycles are free
-of the saw-tooth within a cycle, so speed and acceleration in its middle come from them alone (cubic spline), and the current is
-the mean of the cycle's samples (`between_samples` adds what these miss). Regressions filter both sides alike, without phase: a
-symmetric window of finite length, so that noise in the regressors is too small to bias (1e-4 of the acceleration), and a row whose
-window lies where the axis slides holds nothing of a reversal, a stop or a clipped sample.
+The trace has one or several samples per position cycle Tp. Cycle n begins at t_n. Positions at the starts of cycles are free of the
+saw-tooth within a cycle, so speed and acceleration at mid-cycle come from these positions alone (cubic spline). The current is the mean
+of the cycle's samples; `between_samples` corrects it to the true mean. Regressions filter both sides with the same symmetric window of
+finite length. It has no phase lag and reduces the noise in the regressors until their bias is negligible (1e-4 of the acceleration).
+A row counts only if the axis slides during its whole window, so reversals, stops and clipped samples do not enter it.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from twin.recordings.trace import Trace
 from twin.simulation import recorded_forces
 
 BAND_HZ = 20.0
-"""Regressions look below this: drive trains are rigid there (a 150 Hz mode adds 0.4 % of the load at its edge)."""
+"""Upper frequency limit of the regressions. Below it drive trains are rigid: at the limit a 150 Hz mode adds 0.4 % of the load."""
 
 NYQUIST = 0.4
-"""Band times position cycle from which on there is nothing above it to take away (0.5 is the sampling theorem's limit)."""
+"""From this product of band and position cycle on, no filter is applied: the sampling leaves almost nothing above the band (limit: 0.5)."""
 
 REACH_S = 0.06
-"""Half length of the filter: what lies further away takes no part."""
+"""Half length of the filter window."""
 
 SLIDING_RAD_PER_S, SLIDING_M_PER_S = 5.0, 8e-3
-"""Motor speed from which friction is on its line: 8 mm/s at a 10 mm screw, where Stribeck's excess has gone (it has at 4 mm/s); the
-other one is a direct drive's."""
+"""Speed above which friction is linear in speed: motor speed of a screw drive (8 mm/s with a 10 mm screw) and speed of a direct drive.
+The Stribeck excess has decayed at 4 mm/s."""
 
 STROKE_S = 0.5
-"""A stroke longer than this counts as several clusters."""
+"""Longer strokes are split into clusters of this length."""
 
 
 @dataclass(frozen=True)
 class AxisRun:
-    """Signals of one axis on the position cycles (cycle,), at the motor in SI unless said otherwise."""
+    """Signals of one axis on the position cycles (cycle,), at the motor in SI unless noted otherwise."""
 
     run: str
     feedforward: str | None
@@ -62,20 +62,20 @@ class AxisRun:
     velocity_feedforward: np.ndarray | None  # as recorded, held in the cycle, axis units a second
     motor_at_axis: np.ndarray | None  # motor encoder at t_n, axis units
     motor_speed: np.ndarray | None  # mean of the cycle's samples of the speed channel [rad/s]
-    current: np.ndarray | None  # mean of the cycle's samples [A]; of an axis without current loop its command [A, V or Nm]
+    current: np.ndarray | None  # mean of the cycle's samples [A]; without a current loop the command [A, V or Nm]
     current_ripple: np.ndarray | None
     speed_ripple: np.ndarray | None
-    torque_feedforward: np.ndarray  # at weight 1 without delay [Nm], 0 where the run has none
+    torque_feedforward: np.ndarray  # at weight 1 without delay [Nm], 0 in runs without it
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
-    outside: np.ndarray | None  # known outside load, mean of the cycle, as torque at the motor towards +q [Nm]
-    injected: np.ndarray | None  # what a rig adds to the command, mean of the cycle, as torque at the motor [Nm]
-    slides_above: float  # speed from which friction is on its line [rad/s]
-    limited: np.ndarray  # current at its limit, or a channel clipped
-    clipped: dict[str, float]  # signal -> seconds that its recording stays on its largest value while the axis goes on
+    known_load: np.ndarray | None  # recorded outside load, mean of the cycle, as torque at the motor towards +q [Nm]
+    injected: np.ndarray | None  # command that a test rig adds, mean of the cycle, as torque at the motor [Nm]
+    slides_above: float  # speed above which friction is linear in speed [rad/s]
+    limited: np.ndarray  # True where the current is at its limit or a channel is clipped
+    clipped: dict[str, float]  # signal -> seconds for which its recording is clipped
 
     def filtered(self, values: np.ndarray) -> np.ndarray:
-        """Zero-phase low-pass of (cycle,) values; at the ends of the run with the end value beyond."""
-        window = _window(self.cycle)
+        """Zero-phase low-pass of (cycle,) values, padded with the end values."""
+        window = low_pass_window(self.cycle)
         return np.convolve(np.pad(values, len(window) // 2, "edge"), window, "valid")
 
     def setpoint_at(self, times: np.ndarray) -> np.ndarray:
@@ -89,16 +89,16 @@ class AxisRun:
 
     @property
     def strokes(self) -> np.ndarray:
-        """(cycle,) number of the stroke: new at each reversal, and every STROKE_S."""
+        """(cycle,) number of the stroke; a new one begins at each reversal and after every STROKE_S."""
         turned = np.diff(np.sign(self.filtered(self.speed)), prepend=0.0) != 0
         since = np.arange(len(self.speed)) * self.cycle // STROKE_S
         return np.cumsum(turned | (np.diff(since, prepend=0.0) > 0))
 
     @property
     def sliding(self) -> np.ndarray:
-        """(cycle,) True where the axis slides, unlimited, all through the window of the filter."""
-        reach = len(_window(self.cycle)) // 2
-        # the current between samples remembers a limit as long as it remembers a step
+        """(cycle,) True where the axis slides without a limit during the whole filter window."""
+        reach = len(low_pass_window(self.cycle)) // 2
+        # a limit affects the current between samples for as many cycles as a step does
         remembered = np.convolve(self.limited, np.ones(SETTLED_CYCLES + 1))[: len(self.limited)] > 0.5
         slow = (np.abs(self.speed) < self.slides_above) | remembered
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
@@ -107,22 +107,22 @@ class AxisRun:
 
 
 @functools.lru_cache(maxsize=16)
-def _window(cycle: float) -> np.ndarray:
-    """Low-pass of BAND_HZ as a symmetric window (Hamming) of REACH_S to each side; sum 1. Slower cycles hold no more than the band: 1."""
+def low_pass_window(cycle: float) -> np.ndarray:
+    """Symmetric low-pass window (Hamming) with cutoff BAND_HZ and half length REACH_S, sum 1; [1] where the cycle is slower than the band."""
     if cycle * BAND_HZ >= NYQUIST:
         return np.ones(1)
     return firwin(2 * math.ceil(REACH_S / cycle) + 1, BAND_HZ, fs=1.0 / cycle)
 
 
 def slides_above(axis: Axis) -> float:
-    """Speed at the motor from which friction is on its line [rad/s; m/s of a direct drive]."""
+    """Motor speed above which friction is linear in speed [rad/s; m/s of a direct drive]."""
     return SLIDING_M_PER_S if axis.drive == "direct" else SLIDING_RAD_PER_S
 
 
 def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:
-    """The axis in this run, or None where it has no measured motion.
+    """Signals of an axis in a run; None if its motion was not measured.
 
-    `lateness` [s] by signal: how much later than the scale a channel was recorded; it is taken back.
+    `lateness`: signal -> delay [s] of the channel against the scale, which is corrected. Raises InputError for an unsuitable sample period.
     """
     trace = run.trace
     has = {
@@ -146,7 +146,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         values = trace.get(axis.name, name)
         late = (lateness or {}).get("current" if name == axis.effort else name, 0.0)
         samples = late / trace.period
-        if abs(samples - round(samples)) < 1e-6:  # whole samples: no interpolation, a staircase stays one
+        if abs(samples - round(samples)) < 1e-6:  # whole samples: shift without interpolation, so a staircase keeps its edges
             return values[np.clip(np.arange(len(values)) + round(samples), 0, len(values) - 1)]
         return CubicSpline(time, values)(np.clip(time + late, 0.0, time[-1]))
 
@@ -214,7 +214,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         deflection=(motor - signal("position"))[window].reshape(cycles, n).mean(axis=1)
         if has["motor_position"] and has["position"]
         else None,
-        outside=pushed,
+        known_load=pushed,
         injected=added,
         slides_above=slides_above(axis),
         limited=limited,
@@ -230,22 +230,21 @@ def _known_torques(trace: Trace, machine: Machine, axis: Axis) -> tuple[np.ndarr
 
 
 def _phase(speed_setpoint: np.ndarray, samples_per_cycle: int) -> int:
-    """The sample within a cycle at which the speed set point changes; the first where that is not plain."""
+    """Index of the sample within a cycle at which the speed set point changes; 0 if it cannot be determined."""
     changes = [np.count_nonzero(np.diff(speed_setpoint)[k::samples_per_cycle]) for k in range(samples_per_cycle)]
     most = int(np.argmax(changes))
     return (most + 1) % samples_per_cycle if changes[most] > 2 * sorted(changes)[-2:][0] and samples_per_cycle > 1 else 0
 
 
 CLIPPED_SAMPLES = 5
-"""So many equal samples in a row at a channel's largest value are a limit, not noise."""
-
+"""This many equal samples in a row at a channel's largest value indicate a limit, not noise."""
 
 PILED_SAMPLES, PILED = 20, 3.0
-"""So many samples on a channel's largest value, and so many times as many as on the next one, are a limit, not rounding."""
+"""A limit: at least PILED_SAMPLES samples on a channel's largest value, and at least PILED times as many as on the next level."""
 
 
 def _piled(values: np.ndarray) -> np.ndarray:
-    """(sample,) True on a largest or smallest value that samples pile up on: a saw-tooth touches a limit for single samples."""
+    """(sample,) True at a largest or smallest value that many samples share; a saw-tooth touches a limit with single samples only."""
     out = np.zeros(len(values), bool)
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) > 2:
@@ -256,7 +255,7 @@ def _piled(values: np.ndarray) -> np.ndarray:
 
 
 def _flat(values: np.ndarray, least: int) -> np.ndarray:
-    """(sample,) True where a noisy channel stays on its largest or smallest value for `least` samples or more."""
+    """(sample,) True where a noisy channel stays at its largest or smallest value for `least` samples or more."""
     out = np.zeros(len(values), bool)
     for extreme in (values.max(), values.min()):
         at = values == extreme
@@ -266,18 +265,18 @@ def _flat(values: np.ndarray, least: int) -> np.ndarray:
     return out
 
 
-GOES_ON = 0.02
-"""A channel is clipped where the set point goes beyond its largest or smallest value by this share of the set point's range."""
+BEYOND_RANGE = 0.02
+"""A channel is clipped if the set point exceeds its largest or smallest value by this share of the set point's range."""
 
 
 def _clipped(values: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """(sample,) True where a channel is flat at its end while its set point `reference` (sample,) goes on."""
+    """(sample,) True where a channel is flat at an extreme value while its set point `reference` (sample,) moves beyond it."""
     flat = _flat(values, 4 * CLIPPED_SAMPLES)
     if not flat.any():
         return flat
-    # an axis may rest at the end of its way, and a motor encoder count from elsewhere: neither goes on
+    # Remove the offset of the zero points. An axis that rests at the end of its travel is not clipped: its set point rests, too.
     reference = reference - np.median(reference - values)
-    beyond = np.maximum(reference - values.max(), values.min() - reference) > GOES_ON * np.ptp(reference)
-    # one sample that contradicts says it of its whole stretch: the axis lags behind the set point
+    beyond = np.maximum(reference - values.max(), values.min() - reference) > BEYOND_RANGE * np.ptp(reference)
+    # one sample beyond the range marks its whole flat stretch as clipped, because the axis lags behind the set point
     stretch = np.cumsum(np.diff(flat, prepend=False))
     return flat & np.isin(stretch, stretch[flat & beyond])

@@ -1,15 +1,15 @@
-"""What the control does between two samples of a trace: the mean current of a position cycle from the recorded samples.
+"""Mean current of a position cycle, reconstructed from one or two samples per cycle.
 
-The speed set point is a staircase with steps of one position cycle Tp (16 ticks). Each step kicks the current, which then
-decays: a saw-tooth at 1/Tp that a trace of one or two samples a cycle shows at fixed phases only. While the axis accelerates,
-the mean of those samples lies below the mean current, here by 9 % of the inertia's share. The mean is what moves the mass.
+The speed set point is a staircase with steps of one position cycle Tp (16 ticks). Each step excites the current, which then
+decays. The result is a saw-tooth at 1/Tp, and a trace of one or two samples a cycle shows it at fixed phases only. While the axis
+accelerates, the mean of those samples lies below the mean current, here by 9 % of the inertia's share. The mean current moves the mass.
 
-The saw-tooth is linear in the steps that the trace holds, so the missing part is a convolution with them:
+The saw-tooth is linear in the recorded set-point steps, so the missing part is a convolution with them:
 
     mean_n(i) - mean of samples in cycle n = sum_m g_m dw*_{n-m} + sum_m f_m dT_ff,{n-m}
 
-g and f follow from the cascade, the winding and a drive train of two masses (motor, load, spring). What they hang on - the
-inductance, damping - is read off the saw-tooth itself: the difference of samples within a cycle.
+g and f follow from the cascade, the winding and a drive train of two masses (motor, load, spring). Their parameters, such as
+inductance and damping, are fitted to the saw-tooth itself: the differences between samples within a cycle.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 
 SETTLED_CYCLES = 48
-"""Length of the convolution: the speed loop's integral has decayed by then (96 ms, some ten integral times)."""
+"""Length of the convolution. The speed loop's integral has decayed by then (96 ms, about ten integral times)."""
 
 RIGID_RAD_PER_S = 2.0 * math.pi * 1500.0
-"""A drive train stiffer than this is rigid to a control of some hundred hertz."""
+"""A drive train with a higher mode than this is rigid for a control with a bandwidth of some hundred hertz."""
 
 DAMPING_RATIO = 0.05
-"""Damping of a drive train's mode to start from; ball screws lie between 0.02 and 0.1."""
+"""Initial damping ratio of the drive train's mode; ball screws have 0.02 to 0.1."""
 
 
 @dataclass(frozen=True)
 class FastLoop:
-    """What shapes the current within a cycle, at the motor: gains of the control, winding, and the two masses.
+    """Parameters that shape the current within a cycle, at the motor: gains of the control, winding, two masses.
 
-    `inertia` is all that the motor moves, `load` the part behind the spring [kg m2]; `mode` [rad/s] = sqrt(stiffness / load).
+    `inertia` is the total inertia, `load` the part behind the spring [kg m2]; `mode` [rad/s] = sqrt(stiffness / load).
     """
 
     speed_gain: float
@@ -55,11 +55,11 @@ class FastLoop:
     damping: float
     tick: float
     cycle_ticks: int
-    held: bool = False  # a command without current loop: its samples are its mean
+    held: bool = False  # a command without current loop is constant within a cycle, so its samples are its mean
 
 
 def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
-    """The machine file's values; `inertia` [kg m2] at the motor."""
+    """The fast loop with the values of the machine file; `inertia` [kg m2] at the motor."""
     return FastLoop(
         speed_gain=axis.loops.speed_gain_nm_s_per_rad,
         integral_time=axis.loops.speed_integral_time_s,
@@ -80,8 +80,8 @@ def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
     )
 
 
-UNSTABLE = 1e100
-"""A unit step makes no such current or speed in a loop that settles."""
+DIVERGED = 1e100
+"""Current [A] or speed [rad/s] after a unit step beyond which the loop is unstable."""
 
 
 def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -104,7 +104,7 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     exact = _exponential(np.block([[a, b[:, None]], [np.zeros((1, 4))]]) * h)
     decay = math.exp(-loop.resistance * h / loop.inductance)
     mean_decay = (1.0 - decay) * loop.inductance / (loop.resistance * h)
-    # one tick is linear in z = (masses 3, speed integral, current integral, current) and the two inputs: advance by matrices
+    # one tick is linear in z = (masses 3, speed integral, current integral, current) and the two inputs: advance with matrices
     n = 6
     e = -np.eye(1, n, 0)[0]
     wanted = loop.speed_gain * e + np.eye(1, n, 3)[0]
@@ -125,7 +125,7 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     inputs[4] = loop.current_gain * h / loop.current_integral_time * error_input
     matrix[5] = final * (1.0 - decay) + decay * np.eye(1, n, 5)[0]
     inputs[5] = final_input * (1.0 - decay)
-    # the state at the ticks of one cycle from that at its start, then from cycle to cycle
+    # first the states at the ticks of one cycle from its initial state, then cycle by cycle
     ticks = loop.cycle_ticks
     free, forced = np.empty((ticks + 1, n, n)), np.zeros((ticks + 1, n, 2))
     free[0] = np.eye(n)
@@ -135,7 +135,7 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     starts = np.zeros((cycles, n, 2))
     for c in range(cycles - 1):
         starts[c + 1] = free[ticks] @ starts[c] + forced[ticks]
-        if not np.abs(starts[c + 1]).max() < UNSTABLE:
+        if not np.abs(starts[c + 1]).max() < DIVERGED:
             raise InputError(
                 f"a speed loop with a gain of {loop.speed_gain:.3g} Nm s/rad on {loop.inertia:.3g} kg m2 is unstable; correct the machine file"
             )
@@ -144,7 +144,7 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
 
 
 def _exponential(x: np.ndarray) -> np.ndarray:
-    """Matrix exponential of a small matrix by its series; a mode turns by less than 1.2 rad a tick, so 18 terms hold 1e-13."""
+    """Matrix exponential of a small matrix by its series. A mode turns by less than 1.2 rad per tick, so 18 terms give an error of 1e-13."""
     out = term = np.eye(len(x))
     for k in range(1, 19):
         term = term @ x / k
@@ -164,7 +164,7 @@ def missing_mean(loop: FastLoop, samples_per_cycle: int) -> tuple[np.ndarray, np
     every = loop.cycle_ticks // samples_per_cycle
     kernels = []
     for current, _ in step_responses(loop):
-        # the current runs linearly between ticks as far as the mean over a cycle is concerned
+        # for the mean over a cycle it is enough that the current is linear between ticks
         following = np.append(current[1:, 0], current[-1, 0])
         mean = (current.sum(axis=1) + 0.5 * (following - current[:, 0])) / loop.cycle_ticks
         kernels.append(mean - current[:, ::every].mean(axis=1))
@@ -172,7 +172,7 @@ def missing_mean(loop: FastLoop, samples_per_cycle: int) -> tuple[np.ndarray, np
 
 
 def ripples(loop: FastLoop, samples_per_cycle: int) -> list[list[np.ndarray]]:
-    """Sample in the middle of a cycle minus the mean of those at its ends: [current, speed][speed step, torque step]."""
+    """Kernels of the ripple, the sample at mid-cycle minus the mean of those at its ends: [current, speed][speed step, torque step]."""
     every = loop.cycle_ticks // samples_per_cycle
     out: list[list[np.ndarray]] = [[], []]
     for responses in step_responses(loop):
@@ -183,7 +183,7 @@ def ripples(loop: FastLoop, samples_per_cycle: int) -> list[list[np.ndarray]]:
 
 
 def measured_ripple(values: np.ndarray, samples_per_cycle: int, cycles: int) -> np.ndarray:
-    """The same of a recorded signal (sample,), phase 0 at its first sample: (cycle,)."""
+    """Ripple (cycle,) of a recorded signal (sample,) whose first sample is at the start of a cycle."""
     start = values[: cycles * samples_per_cycle : samples_per_cycle]
     middle = values[samples_per_cycle // 2 : cycles * samples_per_cycle : samples_per_cycle]
     return middle - 0.5 * (start + np.append(start[1:], start[-1]))
@@ -191,9 +191,9 @@ def measured_ripple(values: np.ndarray, samples_per_cycle: int, cycles: int) -> 
 
 @dataclass(frozen=True)
 class Sawtooth:
-    """What the ripple of current and speed says, in a form that does not grow with the recording.
+    """Ripple of current and speed, condensed so that its size does not depend on the length of the recording.
 
-    The misfit |D k - seen|^2 of lag matrix D (cycle, lag) and kernel k is |R k - z|^2 + rest with R'R = D'D, per quantity.
+    The misfit |D k - seen|^2 of lag matrix D (cycle, lag) and kernel k equals |R k - z|^2 + rest with R'R = D'D, per quantity.
     """
 
     root: tuple[np.ndarray, np.ndarray]
@@ -209,10 +209,11 @@ def sawtooth_of(
     use: list[np.ndarray],
     noise: tuple[float, float],
 ) -> Sawtooth:
-    """Per run: `steps` (speed, torque set point steps, (cycle,)), ripple (cycle,) of current [A] and motor speed [rad/s], and the
-    cycles to `use` (cycle,) bool: a load that sticks shakes otherwise.
+    """Condense the ripple of several runs.
 
-    `noise`: standard deviations of one sample of either; a ripple is a sample minus half of two others.
+    Per run: `steps` (speed and torque set point steps, (cycle,)), ripple (cycle,) of current [A] and motor speed [rad/s], and `use`
+    (cycle,) bool, the cycles in which the axis slides; a sticking load vibrates differently. `noise`: standard deviation of one sample of
+    current and of speed; a ripple is one sample minus half of two others.
     """
     gram = np.zeros((2 * SETTLED_CYCLES, 2 * SETTLED_CYCLES))
     cross, square, count = np.zeros((2, 2 * SETTLED_CYCLES)), np.zeros(2), 0
@@ -237,14 +238,14 @@ def sawtooth_of(
 
 
 def _lagged(steps: np.ndarray) -> np.ndarray:
-    """(cycle, SETTLED_CYCLES) steps of this and the earlier cycles."""
+    """(cycle, SETTLED_CYCLES) steps of this cycle and the earlier ones."""
     padded = np.concatenate([np.zeros(SETTLED_CYCLES - 1), steps])
     return np.lib.stride_tricks.sliding_window_view(padded, SETTLED_CYCLES)[:, ::-1]
 
 
 @dataclass(frozen=True)
 class FastFit:
-    """The fitted loop, its misfit in units of noise, and the standard deviation of sum_m g_m [A s/rad] that the fit leaves."""
+    """The fitted loop, its misfit in units of noise, and the standard deviation of sum_m g_m [A s/rad] after the fit."""
 
     loop: FastLoop
     misfit: float
@@ -252,21 +253,21 @@ class FastFit:
 
 
 COLOURED = 2.0
-"""The loop colours the noise and neighbouring ripples share a sample: so many times fewer independent samples, as a deviation."""
+"""Factor on the standard deviations: the loop colours the noise and neighbouring ripples share a sample, so they are not independent."""
 
 PRIOR = np.array([0.2, 0.2, 0.03, 0.01, 0.3])
-"""How far inductance, resistance, load, mode and damping may lie off their start (standard deviation of the logarithm). Motor minus
-scale gave load and mode before, within 1 % and 0.3 %."""
+"""Prior standard deviations (of the logarithm) of inductance, resistance, load, mode and damping. Load and mode were identified
+before from motor minus scale, within 1 % and 0.3 %."""
 
 
 def fit_fast_loop(loop: FastLoop, samples_per_cycle: int, seen: Sawtooth, reference: FastLoop) -> FastFit:
-    """Inductance, resistance, load, mode and damping from the saw-tooth; priors lie around `reference`, the search starts at `loop`.
+    """Fit inductance, resistance, load, mode and damping to the saw-tooth; priors lie around `reference`, the search starts at `loop`.
 
-    A rigid drive train (mode above RIGID_RAD_PER_S) has the first two only.
+    For a rigid drive train (mode above RIGID_RAD_PER_S) only inductance and resistance are fitted.
     """
     elastic = reference.mode < RIGID_RAD_PER_S
     free = 5 if elastic else 2
-    # what no kernel explains is noise that the loop has passed on: more than a sensor's, and another share in each signal
+    # what no kernel explains is noise that the loop has amplified, differently in each signal: estimate it from the residual
     scatter = [COLOURED * math.sqrt(max(rest / seen.count, 1.0)) for rest in seen.rest]
 
     def changed(x: np.ndarray) -> FastLoop:
@@ -298,7 +299,7 @@ def fit_fast_loop(loop: FastLoop, samples_per_cycle: int, seen: Sawtooth, refere
     explained = sum(rest / s**2 for rest, s in zip(seen.rest, scatter))
     misfit = COLOURED * math.sqrt((2.0 * found.cost + explained) / (2.0 * seen.count))
 
-    # what is left unknown of the missing mean, to first order
+    # standard deviation of the missing mean, to first order
     def total(x: np.ndarray) -> float:
         return float(missing_mean(changed(x), samples_per_cycle)[0].sum())
 

@@ -1,4 +1,4 @@
-"""From a campaign to an identified machine: read, regress, split products, re-simulate, judge on what was left out."""
+"""Identify a machine from a campaign: prepare the signals, regress, split products, refine by re-simulation, judge on held-out motion."""
 
 from __future__ import annotations
 
@@ -13,19 +13,27 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
-from twin.identify.choice import chosen, tables_of
+from twin.identify.choice import choose_stages, gap_tables
 from twin.identify.delivered import delivered_effort
 from twin.identify.direct import Direct, Runs, direct_route
-from twin.identify.drive_balance import load_answered
+from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
-from twin.identify.drive_residuals import is_driven_ideally
+from twin.identify.drive_residuals import has_ideal_actuator
 from twin.identify.findings import Finding
-from twin.identify.held_out import LEFT_OUT_SHARE, Division, divided
+from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs
 from twin.identify.noise import measured_noise
-from twin.identify.parameters import LOOP_BOUNDS, doubts_of, impossible, parameters_of, unseen, with_drives, with_refined
+from twin.identify.parameters import (
+    LOOP_BOUNDS,
+    implausible_currents,
+    parameters_of,
+    prior_deviations,
+    unidentified,
+    with_drives,
+    with_refined,
+)
 from twin.identify.position_control import NOT_RECORDED
 from twin.identify.products import split_machine, split_products
-from twin.identify.recording import prepared
+from twin.identify.recording import prepare_recording
 from twin.identify.result import Identification, Parameter
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
@@ -46,8 +54,8 @@ def identify_campaign(
     """Identify the machine of a campaign, starting from its machine file.
 
     `torque_constant_tolerance`: relative half width within which the torque constants are known (default: the machine file's
-    parameter_tolerance). `progress` is called with the name of each step that begins. With `gaps` what was found is judged on what was
-    left out, and `refused` says where it must not be written.
+    parameter_tolerance). `progress` is called with the name of each step when it begins. With `gaps` the result is judged on the held-out
+    motion; its `refused` then gives the reason if no machine file may be written. Raises InputError if the recording lacks the signals.
     """
     say = progress or (lambda _text: None)
     clock: dict[str, float] = {}
@@ -55,10 +63,10 @@ def identify_campaign(
     say("reading signals")
     if by_bar := [run.name for run in campaign.runs if run.ballbar is not None]:
         raise InputError(
-            f"{campaign.path}: run {by_bar[0]}: a ballbar saw the radius alone, which identifies nothing; give it to 'twin diagnose'"
+            f"{campaign.path}: run {by_bar[0]}: a ballbar measures the radius only, which identifies no parameter; give it to 'twin diagnose'"
         )
-    recording = prepared(machine, campaign)
-    division = divided(machine, recording.runs)
+    recording = prepare_recording(machine, campaign)
+    division = divide_runs(machine, recording.runs)
     if not any(r is not None and (r.current is not None or r.speed_setpoint is not None) for a in recording.axis_runs.values() for r in a):
         raise InputError(
             f"{campaign.path}: no run holds position with current or speed set point; record position, current and velocity_setpoint"
@@ -67,21 +75,21 @@ def identify_campaign(
     simulated = _simulated(machine, division)
     say("regression")
     direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
-    against = impossible(direct)
+    against = implausible_currents(direct)
     if against:
         recording = recording.without_current(against)
         direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
     splits = split_products(machine, direct, torque_constant_tolerance)
     training = [division.runs[i] for i in division.training()]
-    controlled = with_loops(machine, direct)
-    found = with_loops(split_machine(machine, splits), direct)
+    controlled = with_identified_control(machine, direct)
+    found = with_identified_control(split_machine(machine, splits), direct)
     found = _with_noise(found, measured_noise(machine, training))
-    say("regression on what was left out")
+    say("regression on the held-out motion")
     checking = division.part(recording.axis_runs, fitted=False)
     other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()
     parameters = parameters_of(machine, direct, other, splits)
-    not_found, notes = _on_position_control(machine, direct)
-    findings = [*recording.findings, *against.values(), *not_found, *_on_known_loads(machine, direct)]
+    not_found, notes = position_control_findings(machine, direct)
+    findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
     for one in (delivered_effort(axis, recording.runs) for axis in machine.axes):
         if one is not None:
             (findings if one.off else notes).append(Finding("", one.axis, one.text()))
@@ -93,16 +101,16 @@ def identify_campaign(
         clock["re-simulation"] = time.perf_counter() - started
         if refined is not None:
             stages["refined"] = refined
-    findings += unseen(machine, parameters)
+    findings += unidentified(machine, parameters)
     best, refused, tables = stages.get("refined", found), "", {}
     route = "refined" if "refined" in stages else "regression"
     stage_of: dict[str, str] | None = None
     if gaps:
-        say("gap on what was left out")
+        say("gap on the held-out motion")
         if direct.position:
             stages["control"] = controlled
-        all_tables = tables_of({"before": machine, **stages}, division)
-        choice = chosen(machine, stages, all_tables, division)
+        all_tables = gap_tables({"before": machine, **stages}, division)
+        choice = choose_stages(machine, stages, all_tables, division)
         best, refused, stage_of = choice.machine, choice.refused, dict(choice.stage_of)
         findings += choice.findings
         route = next((name for name, m in stages.items() if m is best), "each axis by itself")
@@ -111,21 +119,21 @@ def identify_campaign(
     else:
         best, route = found, "regression"
     return Identification(
-        machine, best, tuple(parameters), tuple(findings), tuple(recording.late), direct,
-        tuple(r.name for r in training), _left_out(division), str(campaign.path),
+        machine, best, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
+        tuple(r.name for r in training), _held_out_names(division), str(campaign.path),
         {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, tuple(notes),
     )  # fmt: skip
 
 
-def _left_out(division: Division) -> tuple[str, ...]:
-    """What no fit has seen, as it is printed."""
-    names = [division.runs[i].name for i in division.left_out()]
-    stretches = [f"the last {100 * LEFT_OUT_SHARE:.0f} % of the motion of {a}" for a in division.by_stretch]
+def _held_out_names(division: Division) -> tuple[str, ...]:
+    """Held-out runs and stretches of motion, as printed."""
+    names = [division.runs[i].name for i in division.held_out()]
+    stretches = [f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {a}" for a in division.by_stretch]
     return (*names, *stretches)
 
 
 def _simulated(machine: Machine, division: Division) -> Runs | None:
-    """The training runs without noise, as the machine file has it: instruments. None where the machine file cannot follow the set points."""
+    """Noise-free simulation of the training runs with the machine file: the instruments. None if the machine file cannot follow the set points."""
     training = division.training()
 
     def one(i: int) -> MeasuredRun:
@@ -155,7 +163,10 @@ def _resimulated(
     against: dict[str, Finding],
     say: Callable[[str], None],
 ) -> tuple[Machine | None, list[Parameter], list[Finding]]:
-    """Both closed-loop fits: drives with a current loop below the band of their drive trains, ideal drives by every sample."""
+    """Both closed-loop fits: axes with a current loop by `refine`, axes with an ideal actuator by `drive_fit`.
+
+    Returns the machine (None if no fit succeeded), the parameters, and findings about fits that failed.
+    """
     from twin.identify.refine import refined_machine
 
     training = division.training()
@@ -163,16 +174,16 @@ def _resimulated(
     part = division.part(axis_runs, fitted=True)
     measured = {a: [seen[i] for i in training] for a, seen in part.items()}
     machine, said = found, []
-    if any(not is_driven_ideally(a) for a in found.axes):
+    if any(not has_ideal_actuator(a) for a in found.axes):
         say("refinement by re-simulation")
         try:
-            refined = refined_machine(found, runs, measured, direct.current, doubts_of(found, parameters), say)
+            refined = refined_machine(found, runs, measured, direct.current, prior_deviations(found, parameters), say)
             machine = refined.machine
             parameters = with_refined(parameters, machine, refined.deviations)
         except SimulationError as error:
-            said.append(Finding("", "", f"not refined by re-simulation: {error}"))
+            said.append(Finding("", "", f"re-simulation could not refine the parameters: {error}"))
             return None, parameters, said
-    if any(is_driven_ideally(a) for a in found.axes):
+    if any(has_ideal_actuator(a) for a in found.axes):
         say("drives in closed loop")
         rows = {a: [division.fitted[a][i] for i in training] for a in found.axis_names}
         known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop}
@@ -186,42 +197,42 @@ def _resimulated(
     return machine, parameters, said
 
 
-WORSE, WORSE_S = 0.3, 1e-3
-"""Control values known no better than this, relative and in seconds, do not replace the machine file's."""
+WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
+"""Control values with a wider interval than this (relative; delays in seconds) do not replace the machine file's."""
 
 
-def _on_known_loads(machine: Machine, direct: Direct) -> list[Finding]:
-    """Axes whose drive does not answer the outside load that the recording holds."""
+def known_load_findings(machine: Machine, direct: Direct) -> list[Finding]:
+    """Findings about axes whose drive does not react to the recorded outside load."""
     out = []
     for balance in direct.balance.values():
         for name, rows in balance.rows.items():
-            if not load_answered(rows):
+            if not drive_reacts_to_load(rows):
                 effort = machine.axis(name).effort
                 text = (
-                    f"the {effort} does not answer the recorded disturbance: it is part of the {effort} already; "
+                    f"the {effort} does not react to the recorded disturbance, so it already contains it; "
                     'map it as signal = "injected_command"'
                 )
                 out.append(Finding("", name, text))
     return out
 
 
-def _on_position_control(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:
-    """Findings: why a position controller was not identified. Notes: what the table of parameters does not say of those that were."""
+def position_control_findings(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:
+    """Findings: why a position controller was not identified. Notes: further results about identified ones."""
     findings, notes = [], []
     for axis in machine.axes:
         unit, factor = AXIS_UNITS[axis.kind].speed
         reason = direct.unfitted.get(axis.name, "")
         if reason and reason != NOT_RECORDED:
-            findings.append(Finding("", axis.name, f"position controller not identified: {reason}; the file's values stay"))
+            findings.append(Finding("", axis.name, f"position controller not identified: {reason}; the machine file's values are kept"))
         found = direct.position.get(axis.name)
         if found is not None:
             rms = found.residual_rms * factor
             notes.append(
-                Finding("", axis.name, f"position controller: its law leaves {rms:.2g} {unit} RMS of the recorded speed set point")
+                Finding("", axis.name, f"position controller: residual of its law {rms:.2g} {unit} RMS of the recorded speed set point")
             )
         if found is not None and found.interpolation != machine.setpoint_interpolation:
             way = {"linear": "a straight line", "cubic": "a cubic spline"}[found.interpolation]
-            notes.append(Finding("", axis.name, f"set points between the NC's cycles lie on {way}"))
+            notes.append(Finding("", axis.name, f"the control interpolates set points between the NC's cycles with {way}"))
         loop = direct.drive_loop.get(axis.name)
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             notes.append(Finding("", axis.name, loop.evidence(unit, factor)))
@@ -235,8 +246,8 @@ def _on_position_control(machine: Machine, direct: Direct) -> tuple[list[Finding
     return findings, notes
 
 
-def with_loops(machine: Machine, direct: Direct) -> Machine:
-    """Control values and windings into the machine file; those that the signals did not show keep the file's."""
+def with_identified_control(machine: Machine, direct: Direct) -> Machine:
+    """The machine with the identified control values and windings; values that were not identified keep the file's."""
     values: dict[str, object] = {}
     for axis in machine.axes:
         for found in (direct.position.get(axis.name), direct.speed.get(axis.name)):
@@ -245,14 +256,14 @@ def with_loops(machine: Machine, direct: Direct) -> Machine:
             for name, value in found.values.items():
                 half = found.quantile * found.deviations[name]
                 fixed = name == "feedforward_delay_s" and getattr(found, "from_recorded_feedforward", False)
-                if fixed or half < (WORSE_S if name.endswith("delay_s") else WORSE * abs(value)):
+                if fixed or half < (WIDEST_DELAY_INTERVAL_S if name.endswith("delay_s") else WIDEST_INTERVAL * abs(value)):
                     low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
                     values[f"axis.{axis.name}.loops.{name}"] = float(np.clip(value, low, high))
         loop = direct.drive_loop.get(axis.name)
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
         mean = direct.current.get(axis.name)
-        if mean is not None and axis.has_current_loop and math.isfinite(mean.fit.misfit):  # the winding, read off the saw-tooth
+        if mean is not None and axis.has_current_loop and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
             values[f"axis.{axis.name}.motor.inductance_h"] = mean.fit.loop.inductance
             values[f"axis.{axis.name}.motor.resistance_ohm"] = mean.fit.loop.resistance
     ways = {p.interpolation for p in direct.position.values()}

@@ -1,6 +1,6 @@
-"""Which numbers go into the machine file: axis by axis the best of what was found, and never worse than the file before.
+"""Choose for each axis which identified values go into the machine file: the best stage, never worse than the file before.
 
-Judged by the gap on what no fit has seen. An axis whose loops would be unstable, or whose gap grows, keeps its numbers, and it is said why.
+The criterion is the gap on held-out motion. An axis whose loops would be unstable or whose gap would grow keeps its values, with a finding.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, SimulationError
-from twin.identify.drive_residuals import shows_following
+from twin.identify.drive_residuals import position_is_informative
 from twin.identify.findings import Finding
 from twin.identify.held_out import Division, Table, gap_or_reason
 from twin.machine.loops import loops_of
 from twin.machine.machine import Machine
 
-WORSE = 1.02
-"""A gap counts as grown from this factor on."""
+GROWN_GAP = 1.02
+"""A gap has grown if it is larger than before by this factor."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The machine to write, what was said on the way, and why nothing is to be written ('' where something is)."""
+    """The machine to write, findings, and the reason why nothing is to be written ('' if the machine is to be written)."""
 
     machine: Machine
     findings: tuple[Finding, ...]
     refused: str = ""
-    stage_of: Mapping[str, str] = field(default_factory=dict)  # axis -> stage whose numbers it has; the file before where it is missing
+    stage_of: Mapping[str, str] = field(default_factory=dict)  # axis -> stage of its values; a missing axis keeps the file before
 
 
 def ratio(after: Mapping[str, Mapping[str, Any]], before: Mapping[str, Mapping[str, Any]]) -> float:
@@ -58,11 +58,11 @@ def unstable_loops(machine: Machine) -> dict[str, str]:
     return out
 
 
-def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division) -> Choice:
-    """The best stage of each axis; `stages` in the order of preference where they are equal, `tables` their gaps and that of 'before'."""
+def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division) -> Choice:
+    """The best stage of each axis. `stages`: in order of preference for ties; `tables`: gaps of the stages and of 'before'."""
     start = tables["before"]
-    shaky = {name: unstable_loops(machine) for name, machine in stages.items()}
-    was_shaky = unstable_loops(before)
+    unstable = {name: unstable_loops(machine) for name, machine in stages.items()}
+    unstable_before = unstable_loops(before)
     findings: list[Finding] = []
     best: dict[str, str] = {}
     names = [a.name for a in before.axes]
@@ -71,12 +71,12 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
 
     def judging(signals: Mapping[str, Mapping[str, Any]], axis: str) -> dict[str, Mapping[str, Any]]:
         effort = before.axis(axis).effort
-        return {s: g for s, g in signals.items() if s == effort or shows_following(before.axis(axis), division.runs)}
+        return {s: g for s, g in signals.items() if s == effort or position_is_informative(before.axis(axis), division.runs)}
 
     for group in [*groups, *([pair] if pair else [])]:
         scores = {}
         for name, table in tables.items():
-            if isinstance(table, str) or name == "before" or any(a in shaky[name] and a not in was_shaky for a in group):
+            if isinstance(table, str) or name == "before" or any(a in unstable[name] and a not in unstable_before for a in group):
                 continue
             known = [a for a in group if a in table]
             if not known:
@@ -86,37 +86,39 @@ def chosen(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, 
                 if isinstance(start, str)
                 else math.exp(float(np.mean([math.log(ratio(judging(table[a], a), start.get(a, {}))) for a in known])))
             )
-        good = {name: s for name, s in scores.items() if s <= WORSE}
+        good = {name: s for name, s in scores.items() if s <= GROWN_GAP}
         if good:
-            stage = min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / WORSE))
+            stage = min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / GROWN_GAP))
             best.update(dict.fromkeys(group, stage))
         elif moved := [a for a in group if any(not isinstance(t, str) and a in t for t in tables.values())]:
-            findings += [Finding("", a, _why(a, scores, shaky, tables)) for a in moved]
+            findings += [Finding("", a, _why(a, scores, unstable, tables)) for a in moved]
     moving = {a for t in tables.values() if not isinstance(t, str) for a in t}
     if isinstance(start, str):
         findings.append(Finding("", "", f"the machine file before cannot follow the recorded set points ({start})"))
     if not best and stages:
         reasons = "; ".join(str(f) for f in findings) or next(
-            (t for t in tables.values() if isinstance(t, str)), "nothing moves on what was left out"
+            (t for t in tables.values() if isinstance(t, str)), "no axis moves in the held-out motion"
         )
-        # an axis that could not be judged is no reason to refuse: nothing is known to be worse
+        # an axis that could not be judged is no reason to refuse, because no gap is known to grow
         if moving or any(isinstance(t, str) for t in tables.values()):
-            return Choice(before, tuple(findings), f"no machine file is written: nothing found is better than the file before ({reasons})")
+            return Choice(
+                before, tuple(findings), f"no machine file is written: no identified value is better than the file before ({reasons})"
+            )
         return Choice(next(iter(stages.values())), tuple(findings), "", dict.fromkeys(names, next(iter(stages))))
     unjudged = {a: next(iter(stages)) for a in names if a not in best and a not in moving}
     stage_of = {**unjudged, **best}
     return Choice(_assembled(before, stages, stage_of), tuple(findings), "", stage_of)
 
 
-def _why(axis: str, scores: Mapping[str, float], shaky: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:
-    loops = sorted({f"the {s[axis]} loop would be unstable" for s in shaky.values() if axis in s})
-    grown = [f"the gap on what was left out would be {min(scores.values()):.3g} times as large" for _ in (0,) if scores]
+def _why(axis: str, scores: Mapping[str, float], unstable: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:
+    loops = sorted({f"the {s[axis]} loop would be unstable" for s in unstable.values() if axis in s})
+    grown = [f"the gap on held-out motion would be {min(scores.values()):.3g} times as large" for _ in (0,) if scores]
     failed = [t for t in tables.values() if isinstance(t, str)]
-    return f"keeps the numbers of the file before: {'; '.join([*loops, *grown] or failed or ['no signal to judge it by'])}"
+    return f"keeps the values of the file before: {'; '.join([*loops, *grown] or failed or ['no signal to judge it by'])}"
 
 
 def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str]) -> Machine:
-    """One machine with the table, effects and bodies of each axis from its stage; the rest from the first stage."""
+    """One machine: the table, effects and bodies of each axis from its stage, everything else from the first stage."""
     if len(set(stage_of.values())) == 1 and len(stage_of) == len(before.axes):
         return stages[next(iter(stage_of.values()))]
     base = stages[next(iter(stage_of.values()))] if stage_of else before
@@ -134,6 +136,6 @@ def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping
     return Machine(document, before.model_path, before.path)
 
 
-def tables_of(machines: Mapping[str, Machine], division: Division) -> dict[str, Table | str]:
-    """Gap of each machine on what was left out, or why there is none."""
+def gap_tables(machines: Mapping[str, Machine], division: Division) -> dict[str, Table | str]:
+    """Gap of each machine on held-out motion, or the reason why there is none."""
     return {name: gap_or_reason(machine, division) for name, machine in machines.items()}

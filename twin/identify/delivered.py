@@ -1,9 +1,9 @@
-"""Commanded against delivered effort: does the actuator make what it is asked for?
+"""Compare the commanded with the delivered effort (torque or current) of a drive: gain, delay, offset and limit.
 
-    delivered(t) = g commanded(t - d) + o        below a limit, at which the delivered effort stays while the command goes on
+    delivered(t) = g commanded(t - d) + o        below a limit, at which the delivered effort stays while the command grows
 
-Where a drive records both (torque set point and torque, or current set point and current), this is a block by itself: inverter, torque constant,
-saturation. g, d and o are fitted by least squares, d on a grid and then refined, on samples away from the limit. SI throughout.
+A drive that records both (torque set point and torque, or current set point and current) shows inverter, torque constant and saturation
+separately from the mechanics. g and o are fitted by least squares on samples away from the limit; d is searched on a grid and refined. SI.
 """
 
 from __future__ import annotations
@@ -20,29 +20,32 @@ from twin.recordings.least_squares import Fit, regress
 from twin.recordings.trace import OTHER_UNITS, Trace
 
 PAIRS = {"torque": "torque_setpoint", "current": "current_setpoint"}
-"""Delivered effort and what it was commanded to be."""
+"""Delivered effort -> the command it answers."""
 
 LONGEST_S, LONGEST_SAMPLES = 0.05, 40
-"""Delays up to the shorter of both are tried."""
+"""Longest delay tried: the shorter of the two."""
 
 CLUSTER_S = 0.1
 FLAT, BEYOND, LEAST_SHARE = 0.02, 1.05, 0.002
-"""A limit: the delivered effort stays within FLAT of its largest size while the law expects BEYOND times as much, for LEAST_SHARE of the samples or more."""
+"""A limit: for at least LEAST_SHARE of the samples the delivered effort is within FLAT of its largest size while the law predicts more than
+BEYOND times as much."""
 
 FOLLOWS = 0.5
-"""A delivered effort of which the command leaves more than this share (RMS) is another quantity."""
+"""If the law leaves more than this share (RMS) of the delivered effort, the two channels are different quantities and are not compared."""
 
 SURE = 4.0
-"""Standard deviations from which a gain off 1 or an offset is said."""
+"""A gain off 1 or an offset is significant from this many standard deviations."""
 
 SMALL = 0.01
-"""A gain this near to 1, and an offset below this share of the largest effort, are none."""
+"""Smaller deviations of the gain from 1 and smaller offsets (as share of the largest effort) are ignored."""
 
 
 @dataclass(frozen=True)
-class Delivered:
-    """One axis: gain, delay [s] and offset [A, Nm] with the deviations of gain and offset; `left`: share of the delivered effort that the law leaves (RMS);
-    `limit` [A, Nm] where it stays while more is asked, else None; `most_asked` is the largest command."""
+class DeliveredEffort:
+    """One axis: gain, delay [s] and offset [A, Nm] with standard deviations of gain and offset.
+
+    `left`: residual as share of the delivered effort (RMS); `limit` [A, Nm]: saturation level or None; `most_asked`: largest command.
+    """
 
     axis: str
     effort: str
@@ -58,7 +61,7 @@ class Delivered:
 
     @property
     def off(self) -> bool:
-        """Does the actuator not make what it is asked for?"""
+        """Does the delivered effort differ significantly from the command?"""
         gain = abs(self.gain - 1.0) > max(SURE * self.gain_deviation, SMALL)
         offset = abs(self.offset) > max(SURE * self.offset_deviation, SMALL * self.largest)
         return gain or offset or self.limit is not None
@@ -67,16 +70,16 @@ class Delivered:
         """One line."""
         unit = OTHER_UNITS[self.effort]
         said = (
-            f"delivered {self.effort} = {self.gain:.4g} (+-{1.96 * self.gain_deviation:.2g}) of the commanded, {self.delay_s * 1e3:.2f} ms late, "
-            f"offset {self.offset:.3g} {unit}; {self.left:.1%} is left"
+            f"delivered {self.effort} = {self.gain:.4g} (+-{1.96 * self.gain_deviation:.2g}) of the command, {self.delay_s * 1e3:.2f} ms late, "
+            f"offset {self.offset:.3g} {unit}; residual {self.left:.1%}"
         )
         if self.limit is not None:
-            said += f"; it stays at {self.limit:.4g} {unit} where up to {self.most_asked:.4g} {unit} are asked: a limit"
-        return said + ("; look at inverter, torque constant and limits" if self.off else "")
+            said += f"; limited to {self.limit:.4g} {unit} while up to {self.most_asked:.4g} {unit} are commanded"
+        return said + ("; check inverter, torque constant and limits" if self.off else "")
 
 
-def delivered_effort(axis: Axis, runs: Sequence[MeasuredRun]) -> Delivered | None:
-    """Commanded against delivered effort of one axis; None where not both are recorded, or where they have nothing to do with each other."""
+def delivered_effort(axis: Axis, runs: Sequence[MeasuredRun]) -> DeliveredEffort | None:
+    """Commanded against delivered effort of one axis; None if one of them is not recorded or they are unrelated."""
     for effort, command in PAIRS.items():
         traces = [r.trace for r in runs if r.trace.has(axis.name, effort) and r.trace.has(axis.name, command) and len(r.trace.time) > 20]
         traces = [t for t in traces if np.ptp(t.get(axis.name, effort)) > 0.0 and np.ptp(t.get(axis.name, command)) > 0.0]
@@ -85,7 +88,7 @@ def delivered_effort(axis: Axis, runs: Sequence[MeasuredRun]) -> Delivered | Non
     return None
 
 
-def _fitted(axis: str, effort: str, command: str, traces: Sequence[Trace]) -> Delivered | None:
+def _fitted(axis: str, effort: str, command: str, traces: Sequence[Trace]) -> DeliveredEffort | None:
     given = np.concatenate([t.get(axis, effort) for t in traces])
     asked = np.concatenate([t.get(axis, command) for t in traces])
     everywhere = [np.ones(len(t.time), bool) for t in traces]
@@ -102,7 +105,7 @@ def _fitted(axis: str, effort: str, command: str, traces: Sequence[Trace]) -> De
     share = float(np.sqrt(np.mean(fit.residual**2)) / max(float(np.std(given)), 1e-300))
     if not fit.seen[0] or share > FOLLOWS:
         return None
-    return Delivered(
+    return DeliveredEffort(
         axis, effort, float(fit.values[0]), float(fit.deviations[0]), delay, float(fit.values[1]), float(fit.deviations[1]), share, limit,
         float(np.abs(asked).max()), float(np.abs(given).max()),
     )  # fmt: skip
@@ -113,7 +116,7 @@ def _late(trace: Trace, values: np.ndarray, delay: float) -> np.ndarray:
 
 
 def _law(axis: str, effort: str, command: str, traces: Sequence[Trace], used: Sequence[np.ndarray]) -> tuple[Fit, float] | None:
-    """Fit of gain and offset on the used samples of each trace, and the delay [s] that leaves least; None with too few samples."""
+    """Fit of gain and offset on the used samples of each trace, and the delay [s] with the smallest residual; None with too few samples."""
     step = traces[0].period
     longest = min(LONGEST_S, LONGEST_SAMPLES * step)
     kept = [u & (t.time - t.time[0] >= longest) for t, u in zip(traces, used)]
@@ -139,7 +142,7 @@ def _law(axis: str, effort: str, command: str, traces: Sequence[Trace], used: Se
 
 
 def _limit(given: np.ndarray, expected: np.ndarray) -> float | None:
-    """The size at which the delivered effort stays while the law expects more, or None."""
+    """Saturation level of the delivered effort, or None."""
     largest = float(np.abs(given).max())
     stays = (np.abs(given) > (1.0 - FLAT) * largest) & (np.abs(expected) > BEYOND * np.abs(given)) & (np.sign(expected) == np.sign(given))
     return largest if stays.sum() >= max(LEAST_SHARE * len(given), 5) else None

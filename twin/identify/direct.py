@@ -1,4 +1,4 @@
-"""The direct route: regression on the measured signals, block by block, for all axes of some runs."""
+"""The direct route: regression on the measured signals of some runs, block by block for all axes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.least_squares import Fit
 
 Runs = Mapping[str, Sequence[AxisRun | None]]
-"""Axis -> its runs in the order of the campaign, None where the axis has no measured motion."""
+"""Axis -> its runs in the order of the campaign; None where the motion of the axis was not measured."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Balance:
 
 @dataclass(frozen=True)
 class Direct:
-    """What regression finds; axes without the signals for a block are missing from its table."""
+    """Results of the regression by block; each table lacks the axes whose signals were not recorded."""
 
     position: dict[str, PositionControl] = field(default_factory=dict)
     speed: dict[str, SpeedControl] = field(default_factory=dict)
@@ -76,7 +76,7 @@ def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, pr
                 _speed_controller(machine, axis, runs, simulated, out)
         if progress:
             progress("speed controller")
-        # the saw-tooth hangs on the speed controller: once more with what was found of it
+        # the saw-tooth depends on the speed controller: repeat with the identified torque weight
         if not last:
             for axis in machine.axes:
                 found = out.speed.get(axis.name)
@@ -98,7 +98,7 @@ def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, pr
 
 
 def _one_interpolation(machine: Machine, moving: Mapping[str, Sequence[AxisRun]], out: Direct) -> None:
-    """One control has one way to make set points between its cycles: an axis that shows another one than the file decides for all."""
+    """A control has one interpolation for all axes: if an axis shows another one than the file's, fit the other axes again with it."""
     shown = [p.interpolation for p in out.position.values() if p.interpolation != machine.setpoint_interpolation]
     for name, found in list(out.position.items()):
         if shown and found.interpolation != shown[0]:
@@ -108,7 +108,7 @@ def _one_interpolation(machine: Machine, moving: Mapping[str, Sequence[AxisRun]]
 
 
 def _partners(machine: Machine, axis: Axis, runs: Runs) -> list[AxisRun | None]:
-    """The same runs of the other axis of a tilting pair; none for an axis by itself."""
+    """The same runs of the other axis of a tilting pair; empty for a single axis."""
     other = {"A": "C", "C": "A"}.get(axis.name)
     if other is None or other not in runs or not tilting_pair.has_pair(machine):
         return []
@@ -116,7 +116,7 @@ def _partners(machine: Machine, axis: Axis, runs: Runs) -> list[AxisRun | None]:
 
 
 def _balances(machine: Machine, runs: Runs, out: Direct, iterations: int) -> None:
-    """Torque balances of all axes, mean current and inertia in turn."""
+    """Torque balances of all axes; mean current and inertia are updated alternately."""
     paired = tilting_pair.has_pair(machine) and {"A", "C"} <= out.current.keys()
     for _ in range(iterations):
         for axis in machine.axes:
@@ -139,7 +139,7 @@ def _balances(machine: Machine, runs: Runs, out: Direct, iterations: int) -> Non
 
 
 def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs | None, out: Direct) -> None:
-    """The speed controller of one axis; what the mean current leaves unknown of an acceleration is in its torque weight, too."""
+    """The speed controller of one axis; the uncertainty of the mean current adds to that of its torque weight."""
     here = [r for r in runs[axis.name] if r is not None]
     twins = [z for r, z in zip(runs[axis.name], simulated[axis.name]) if r is not None] if simulated else []
     delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
@@ -153,13 +153,13 @@ def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs 
 
 
 def _commanded(axis: Axis, run: AxisRun, current: np.ndarray | None) -> np.ndarray | None:
-    """Mean current [A] that the speed controller asked for: without what a rig injected."""
+    """Mean current [A] commanded by the speed controller, without the command that a test rig injected."""
     if current is None or run.injected is None:
         return current
     return current - run.injected / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
 
 
 def _update(out: Direct, name: str, inertia: float, seen: bool) -> None:
-    """Bring the mean current of an axis up to the inertia just found."""
+    """Update the mean current of an axis with the inertia just identified."""
     if seen and np.isfinite(inertia) and inertia > 0.2 * out.current[name].reference.inertia:
         out.current[name].update(float(inertia))

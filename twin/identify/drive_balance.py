@@ -2,9 +2,9 @@
 
     Kt i + T_out = J (dw/dt + T d2w/dt2) + Fc sign(w) + Fv w + G      where the axis slides
 
-i is the mean current of a position cycle (`between_samples`); T is what current and motion lie apart in time, some ten microseconds that
-would otherwise pass for viscous friction. T_out is a known outside load as torque at the motor, where one is recorded. The torque constant is the machine file's: J, Fc, Fv, G come as products
-with it, and `products` says what fixes them.
+i is the mean current of a position cycle (`between_samples`). T is the time skew between current and motion, some ten microseconds that
+would otherwise look like viscous friction. T_out is a recorded outside load as torque at the motor. The torque constant is the machine
+file's, so J, Fc, Fv and G are known as products with it only; `products` splits them.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.least_squares import Fit, regress
 
 NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
-EVERY = 4
-"""Each so many cycles a row: the filter passes 20 Hz, so rows 8 ms apart (of a 2 ms cycle) hold all."""
+ROW_STRIDE = 4
+"""One row every this many cycles. The filter passes 20 Hz, so rows 8 ms apart (2 ms cycle) keep all information."""
 
 ITERATIONS = 4
 
-LAW_DOUBT = 0.004
-"""How well the law of the saw-tooth (two masses, fixed damping) holds the missing mean, as a standard deviation (docs/identify.md)."""
+LAW_DEVIATION = 0.004
+"""Relative standard deviation of the missing mean due to errors of the saw-tooth model: two masses, fixed damping (docs/identify.md)."""
 
 
 @dataclass(frozen=True)
@@ -51,33 +51,33 @@ class Rows:
     acceleration: np.ndarray
     position: np.ndarray
     run: np.ndarray
-    outside: np.ndarray  # the share of a known outside load in y
+    known_load: np.ndarray  # the part of y that is a known outside load
 
 
 def stacked(parts: Sequence[Rows]) -> Rows:
-    """Rows of several runs in one; clusters of different runs stay apart."""
+    """Rows of several runs concatenated; clusters of different runs stay separate."""
     clusters = [p.clusters + 100_000 * k for k, p in enumerate(parts)]
-    fields = ("columns", "y", "speed", "acceleration", "position", "run", "outside")
+    fields = ("columns", "y", "speed", "acceleration", "position", "run", "known_load")
     joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
     return Rows(clusters=np.concatenate(clusters), **joined)
 
 
 def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray, heavy: bool = True) -> Rows:
-    """Rows of one run where the axis slides, filtered alike on both sides; a lone rotary axis has gravity by its angle, too, where it is `heavy`."""
+    """Rows of one run where the axis slides, both sides filtered. A single rotary axis gets gravity columns by its angle if `heavy`."""
     f = run.filtered
     sliding_sign = np.sign(run.speed) * (np.abs(run.speed) > 0.1 * run.slides_above)
     turning = [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))] if axis.kind == "rotary" and heavy else []
     columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), f(run.jerk), *turning])
     torque = mean_current * axis.motor.torque_constant_nm_per_a
-    return _kept(run, columns, f(torque if run.outside is None else torque + run.outside))
+    return sliding_rows(run, columns, f(torque if run.known_load is None else torque + run.known_load))
 
 
-def _kept(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
-    index = np.arange(0, len(y), EVERY)
+def sliding_rows(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
+    index = np.arange(0, len(y), ROW_STRIDE)
     index = index[run.sliding[index]]
     f = run.filtered
     names = np.full(len(index), run.run, dtype=object)
-    outside = np.zeros(len(index)) if run.outside is None else f(run.outside)[index]
+    outside = np.zeros(len(index)) if run.known_load is None else f(run.known_load)[index]
     return Rows(
         columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index], names,
         outside,
@@ -93,12 +93,13 @@ class DriveTrain:
 
 
 def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun | None] = ()) -> DriveTrain:
-    """The spring from motor minus scale, d, in two regressions below the band where the axis slides:
+    """The spring from d = motor minus scale, in two regressions below the band where the axis slides:
 
-        d = a / mode^2 + what friction and gravity press          -> mode
-        d = (Kt i / r - Jm a) / k                                  -> stiffness k, from friction and gravity, whatever the samples of i miss
+        d = a / mode^2 + deflection by friction and gravity        -> mode
+        d = (Kt i / r - Jm a) / k                                  -> stiffness k
 
-    load = k / mode^2. `partners` are the same runs of the other axis of a tilting pair, which presses with its position and acceleration.
+    k follows from friction and gravity, so it does not depend on the part of i that the samples miss. load = k / mode^2.
+    `partners`: the same runs of the other axis of a tilting pair; its position and acceleration also deflect the spring.
     """
     by_motion, by_torque = [], []
     for run, other in zip(runs, partners or [None] * len(runs)):
@@ -117,12 +118,12 @@ def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun 
                 )
                 pressed += [t * u for t in turning for u in (np.cos(there), np.sin(there))]
                 pressed.append(its_acceleration)
-        if any(r.outside is not None for r in runs):
-            pressed.append(np.zeros(n) if run.outside is None else run.outside)
+        if any(r.known_load is not None for r in runs):
+            pressed.append(np.zeros(n) if run.known_load is None else run.known_load)
         acceleration = f(run.acceleration * axis.ratio)
         torque = f(run.current * axis.motor.torque_constant_nm_per_a / axis.ratio)
-        by_motion.append(_kept(run, np.column_stack([acceleration, *(f(x) for x in pressed)]), f(run.deflection)))
-        by_torque.append(_kept(run, np.column_stack([torque, acceleration, np.ones(n)]), f(run.deflection)))
+        by_motion.append(sliding_rows(run, np.column_stack([acceleration, *(f(x) for x in pressed)]), f(run.deflection)))
+        by_torque.append(sliding_rows(run, np.column_stack([torque, acceleration, np.ones(n)]), f(run.deflection)))
     motion, torques = stacked(by_motion), stacked(by_torque)
     if len(motion.y) < 50:
         return DriveTrain()
@@ -135,7 +136,7 @@ def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun 
 
 @dataclass
 class MeanCurrent:
-    """Mean currents of the runs of one axis, kept up with what is known of its loop."""
+    """Mean currents of the runs of one axis; the model of its fast loop is updated when a better inertia is known."""
 
     machine: Machine
     axis: Axis
@@ -155,9 +156,9 @@ class MeanCurrent:
         partners: Sequence[AxisRun | None] = (),
         torque_weight: float = 1.0,
     ) -> MeanCurrent:
-        """With the machine file's gains and winding; the drive train from motor and scale (`partners`: see drive_train).
+        """Start with the machine file's gains and winding, and the drive train from motor and scale (`partners`: see drive_train).
 
-        `torque_weight` multiplies the torque feedforward of the runs that have it on.
+        `torque_weight` multiplies the torque feedforward of runs in which it is on.
         """
         train = drive_train(axis, runs, partners)
         loop = replace(fast_loop_of(machine, axis, inertia), mode=train.mode, load=train.load)
@@ -175,7 +176,7 @@ class MeanCurrent:
         return cls(machine, axis, loop, sawtooth, usable[0].samples_per_cycle if usable else 1, FastFit(loop, math.nan, 0.0), torque_weight)
 
     def update(self, inertia: float) -> None:
-        """Fit the fast loop again, with a new inertia at the motor."""
+        """Fit the fast loop again with a new inertia at the motor [kg m2]."""
         loop = self.fit.loop
         loop = replace(loop, inertia=inertia)
         if self.sawtooth is None:
@@ -189,9 +190,9 @@ class MeanCurrent:
 
     @property
     def inertia_deviation(self) -> float:
-        """What the fast loop leaves unknown of the inertia [kg m2]: Kt Tp times that of the missing mean per step."""
+        """Standard deviation of the inertia due to the fast loop [kg m2]: Kt Tp times that of the missing mean per step."""
         missing = float(missing_mean(self.fit.loop, self.samples_per_cycle)[0].sum())
-        doubt = np.hypot(self.fit.mean_deviation, LAW_DOUBT * missing)
+        doubt = np.hypot(self.fit.mean_deviation, LAW_DEVIATION * missing)
         return self.axis.motor.torque_constant_nm_per_a * self.machine.position_cycle * float(doubt)
 
 
@@ -205,28 +206,28 @@ def mean_of(loop: FastLoop, run: AxisRun, torque_weight: float) -> np.ndarray | 
 
 
 def _steps(run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of speed set point and torque feedforward at the start of each cycle; without a record, of the motor's speed."""
+    """Steps (cycle,) of speed set point and torque feedforward at the start of each cycle; steps of the motor's speed if no set point is recorded."""
     speed = run.speed_setpoint if run.speed_setpoint is not None else np.diff(run.angle) / run.cycle
     return np.diff(speed, prepend=0.0), np.diff(torque_weight * run.torque_feedforward, prepend=0.0)
 
 
-NOT_ANSWERED = 0.5
-"""A drive answers an outside load with as much; where less than this share is seen, the recorded command holds the load already."""
+LEAST_REACTION = 0.5
+"""A drive must make up for at least this share of an outside load. If it does not, the recorded command already contains the load."""
 
 
-def load_answered(rows: Rows) -> bool:
-    """Does the drive answer the known outside load, as it must? True where there is none, or where these rows cannot tell."""
-    if not np.ptp(rows.outside) > 0.0 or len(rows.y) < 2 * rows.columns.shape[1] + 10:
+def drive_reacts_to_load(rows: Rows) -> bool:
+    """Does the drive make up for the known outside load? Also True without a load or if the rows do not determine it."""
+    if not np.ptp(rows.known_load) > 0.0 or len(rows.y) < 2 * rows.columns.shape[1] + 10:
         return True
-    fit = regress(np.column_stack([rows.columns, rows.outside]), rows.y, rows.clusters)
+    fit = regress(np.column_stack([rows.columns, rows.known_load]), rows.y, rows.clusters)
     too_much, doubt = float(fit.values[-1]), fit.quantile * float(fit.deviations[-1])
-    return not (fit.seen[-1] and too_much - doubt > 0.0 and too_much > NOT_ANSWERED)
+    return not (fit.seen[-1] and too_much - doubt > 0.0 and too_much > LEAST_REACTION)
 
 
 def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tuple[Fit, Rows] | None:
-    """The NAMES of a linear axis; the fast loop's share is in the inertia's variance. None without usable rows.
+    """Fit NAMES of a single axis; the inertia's variance includes the fast loop's. None without usable rows.
 
-    A machine file without gravity says that weights are given along the way: no torque then goes with the angle.
+    If the machine file has no gravity, weights are given along the path, and the balance gets no gravity columns.
     """
     heavy = current.machine.gravity != 0.0
     parts = [linear_rows(axis, run, i, heavy) for run in runs if (i := current.of(run)) is not None]

@@ -1,13 +1,13 @@
 """Fit of a drive in closed loop: lumped inertia, friction, constant force, gains of the speed loop and the delay of its position loop.
 
-For axes whose speed controller commands an ideal actuator (structures P/PI and P/P): a machine without a data sheet, a laboratory axis. The
-numbers may be lumps, inertia and friction over the torque constant. The whole loop is simulated on the recorded set points and compared
-with what was recorded, every sample of the training rows: short moves, reversals and the ringing of the speed loop all count.
+For axes whose speed controller commands an ideal actuator (structures P/PI and P/P): a machine without a data sheet, a laboratory axis.
+The values may be lumped: inertia and friction divided by the torque constant. The whole loop is simulated on the recorded set points and
+compared with every sample of the training rows, including short moves, reversals and the ringing of the speed loop.
 
     min over the values of an axis:  sum over signals of  N log RMS(measured - simulated)
 
-that is, maximum likelihood with an unknown level of noise for each signal. The search is a damped Gauss-Newton (Levenberg-Marquardt);
-axes do not feel each other, so one simulation turns one value of every axis. Intervals come from clusters of a tenth of a second.
+that is, maximum likelihood with an unknown noise level for each signal. The search is a damped Gauss-Newton (Levenberg-Marquardt). The
+axes are independent, so one simulation perturbs one value of every axis. Intervals come from clusters of a tenth of a second.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 
 STEPS = 12
-DONE = 1e-4
-"""The search ends where a step improves the mean log RMS by less."""
+CONVERGED = 1e-4
+"""The search of an axis ends when a step improves the mean log RMS by less than this."""
 
-CLEARLY = 0.02
-"""A speed controller with a reference model, and a torque feedforward of the drive, are taken where they lower the mean log RMS by more."""
+LEAST_IMPROVEMENT = 0.02
+"""A reference model of the speed controller or a torque feedforward of the drive is added if it lowers the mean log RMS by more than this."""
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
 REFERENCE_INTEGRAL_S = 0.01
-"""Where the search for a reference model starts: the lag of the speed loop within bounds, and an integral time of at least this."""
+"""Initial values for a reference model: bounds of the lag of the speed loop, and the least integral time [s]."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ def fit_drives(
     say: Callable[[str], None] | None = None,
     skipped: Collection[str] = (),
 ) -> DriveFits:
-    """Fit all axes without a current loop on the `rows` (run, (sample,) bool) of each; loop values in `known` (axis, field) stay.
+    """Fit all axes without a current loop on their `rows` (run, (sample,) bool); loop values in `known` (axis, field) are kept.
 
-    Axes in `skipped`, and those that neither move nor have a command recorded are left alone.
+    Axes in `skipped` and axes without recorded motion and command are not fitted.
     """
     plain = _searched(DriveResiduals(machine, runs, rows, known, skipped), say)
     if plain is None:
@@ -70,7 +70,7 @@ def fit_drives(
         except SimulationError:
             other = None
         if other is not None:
-            searches |= {n: other for n in other.x if other.score[n] < searches[n].score[n] - CLEARLY}
+            searches |= {n: other for n in other.x if other.score[n] < searches[n].score[n] - LEAST_IMPROVEMENT}
     fits, values, forces = {}, {}, {}
     for n, search in searches.items():
         fits[n] = search.work.result(n, search.x[n], search.base[n], search.jacobian[n])
@@ -82,7 +82,7 @@ def fit_drives(
 
 @dataclass(frozen=True)
 class _Search:
-    """Where a search ended: values, residuals, score and slopes of each axis."""
+    """End of a search: values, residuals, score and Jacobian of each axis."""
 
     work: DriveResiduals
     x: dict[str, np.ndarray]
@@ -92,7 +92,7 @@ class _Search:
 
 
 def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
-    """The machine with a reference model, of the lag of their speed loop, before the integrators of these axes; as it is where all have one."""
+    """Add a reference model with the lag of the speed loop before the integrators of these axes; unchanged if all have one."""
     values: dict[str, object] = {}
     for name in axes:
         axis = machine.axis(name)
@@ -106,22 +106,24 @@ def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
 
 
 def with_drive_feedforward(machine: Machine, axes: Collection[str]) -> Machine:
-    """The machine whose drives feed the torque for the acceleration forward by themselves, on these axes; as it is where all do."""
+    """Switch on the torque feedforward of the drives of these axes; unchanged if it is on for all."""
     off = [n for n in axes if machine.axis(n).loops.drive_torque_feedforward == 0.0]
     return machine.with_values({f"axis.{n}.loops.drive_torque_feedforward": 1.0 for n in off}) if off else machine
 
 
 def _searched(work: DriveResiduals, say: Callable[[str], None] | None) -> _Search | None:
-    """The damped search from the machine's own values; None where no axis is fitted."""
+    """Damped search from the machine's values; None if no axis is fitted."""
     if not work.names:
         return None
     x = work.start()
     base = work.residuals(x)
     if base is None:
-        x = work.softened(x)
+        x = work.with_softer_gains(x)
         base = work.residuals(x)
         if base is None:
-            raise SimulationError("the machine file does not follow the recorded set points: its loops are unstable; correct its gains")
+            raise SimulationError(
+                "the simulated machine does not follow the recorded set points because its loops are unstable; correct its gains"
+            )
     score = {a: _score(base[a]) for a in work.names}
     damping = dict.fromkeys(work.names, 1e-3)
     open_axes = set(work.names)
@@ -139,7 +141,7 @@ def _searched(work: DriveResiduals, say: Callable[[str], None] | None) -> _Searc
                 gained = {a: score[a] - _score(there[a]) for a in better}
                 base = {a: there[a] if a in better else base[a] for a in work.names}
                 score.update({a: _score(base[a]) for a in better})
-                open_axes -= {a for a in better if gained[a] < DONE}
+                open_axes -= {a for a in better if gained[a] < CONVERGED}
                 break
         else:
             break
@@ -151,13 +153,13 @@ def _searched(work: DriveResiduals, say: Callable[[str], None] | None) -> _Searc
 
 
 def _score(residual: Mapping[str, np.ndarray]) -> float:
-    """Mean log RMS of the signals, by their numbers of samples."""
+    """Mean log RMS of the signals, weighted by their numbers of samples."""
     count = sum(len(v) for v in residual.values())
     return sum(len(v) * math.log(max(rms_of(v), LEAST_RMS)) for v in residual.values()) / max(count, 1)
 
 
 def _step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> np.ndarray:
-    """Levenberg-Marquardt step; columns that change nothing stay, no step is longer than e-fold."""
+    """Levenberg-Marquardt step (value,), limited to +-1; values without an effect are not changed."""
     length = np.linalg.norm(jacobian, axis=0)
     seen = length > 1e-9 * max(float(length.max()), 1e-300)
     out = np.zeros(jacobian.shape[1])

@@ -1,12 +1,12 @@
-"""Where is the position loop closed: in the NC or in the drive (dynamic servo control, DSC)?
+"""Decide whether the position loop is closed in the NC or in the drive (dynamic servo control, DSC).
 
-The NC's speed set point v*(t) and the position x(t) are recorded. Two laws say which speed the axis is commanded to follow:
+The NC's speed set point v*(t) and the position x(t) are recorded. The two laws for the speed command that the axis follows:
 
     closed in the NC      u(T) = v*(T)
     closed in the drive   u(T) = v*(T - Td) - Kv (x(T) - x(T - Td))        the drive uses its newest encoder value
 
-The axis follows u with a lag of the speed loop, v(T) = u(T - lag). Each law is fitted on every second piece of the motion and judged on the
-pieces between them, in turn. At a steady speed the second law gives v* = (1 + Kv Td) v, so Td is known well.
+The axis follows u with the lag of the speed loop, v(T) = u(T - lag). Each law is fitted on the even pieces of the motion and judged on the
+odd ones, then the other way round. At a steady speed the second law gives v* = (1 + Kv Td) v, so Td is well determined.
 """
 
 from __future__ import annotations
@@ -19,43 +19,43 @@ from scipy.optimize import least_squares
 from scipy.signal import firwin
 
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_control import seen_position
+from twin.identify.position_control import loop_position
 from twin.machine.axis import Axis
 from twin.recordings.least_squares import regress
 
 MOST_DELAY_S, MOST_LAG_S = 0.03, 0.03
-"""Longest delay of the drive's position loop and longest lag of the speed loop that are tried [s]."""
+"""Longest delay of the drive's position loop and longest lag of the speed loop tried [s]."""
 
 MOST_CYCLES = 10
-"""Delay and lag are at most so many position cycles."""
+"""Delay and lag are at most this many position cycles."""
 
 PASS_HZ, REACH_S = 50.0, 0.02
-"""Speed and set point are compared below this frequency, through a symmetric window of this half length."""
+"""Speed and set point are compared below this frequency; half length of the symmetric filter window."""
 
 PIECE_S = 0.05
 LEAST_PIECES = 4
 MOVES = 0.05
-"""Pieces in which the axis moves slower than this share of its fastest take no part."""
+"""Pieces in which the axis moves slower than this share of its highest speed are not used."""
 
 MOST_PIECES_READ = 32
-"""So many pieces, evenly spread over the motion, decide; more take time and add nothing."""
+"""Largest number of pieces, evenly spread over the motion; more cost time without changing the result."""
 
 LEAST_DELAY_CYCLES = 0.25
-"""A shorter delay than this part of a position cycle is none: a telegram to a drive takes longer."""
+"""A delay shorter than this share of a position cycle is no evidence for DSC: a telegram to a drive takes longer."""
 
 CLEARER = 1.3
-"""On the pieces left out the drive-side law must leave so many times less than the NC-side law."""
+"""On held-out pieces the residual of the drive-side law must be smaller than that of the NC-side law by this factor."""
 
 MOST_PIECES = 0.75
-"""Share of these pieces on which it must be the better one."""
+"""Share of these pieces on which the drive-side law must be better."""
 
 
 @dataclass(frozen=True)
 class DrivePositionLoop:
     """Result of the comparison: delay Td and lag of the speed loop [s] with standard deviations, and the evidence.
 
-    `left_nc`, `left_drive`: RMS of the followed speed on pieces left out [axis units a second]; `better`: share of these pieces on which
-    the drive-side law is the better one; `closed_in_drive` is the verdict.
+    `left_nc`, `left_drive`: RMS residual of the speed on held-out pieces [axis units a second]; `better`: share of these pieces on which
+    the drive-side law is better; `closed_in_drive` is the verdict.
     """
 
     closed_in_drive: bool
@@ -69,16 +69,16 @@ class DrivePositionLoop:
     better: float
 
     def evidence(self, unit: str, factor: float) -> str:
-        """One line; `factor` turns axis units into `unit`."""
+        """One line of text; `factor` converts axis units a second to `unit`."""
         where = "drive" if self.closed_in_drive else "NC"
         return (
-            f"position loop closed in the {where}: on {self.pieces} pieces left out the followed speed differs by {self.left_drive * factor:.3g} {unit} "
+            f"position loop closed in the {where}: on {self.pieces} held-out pieces the speed differs from its law by {self.left_drive * factor:.3g} {unit} "
             f"(drive) and {self.left_nc * factor:.3g} {unit} (NC)"
         )
 
 
 def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: float) -> DrivePositionLoop | None:
-    """Compare both laws; None where speed set point, position or enough motion lack."""
+    """Compare both laws; None without speed set point, position or enough motion."""
     if runs and runs[0].cycle >= min(MOST_DELAY_S, MOST_LAG_S):  # such samples show no delay of a drive
         return None
     pieces = [p for r in runs for p in _pieces_of(axis, r)]
@@ -93,7 +93,7 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     x = _fitted(pieces, position_gain, cycle, drive=True)
     alone = _fitted(pieces, position_gain, cycle, drive=False)
     left_nc, left_drive = (float(np.sqrt(np.mean(np.concatenate([p.left(v, position_gain) for p in pieces]) ** 2))) for v in (alone, x))
-    if left_nc < CLEARER * left_drive:  # not even where it is fitted: there is nothing to judge
+    if left_nc < CLEARER * left_drive:  # not clearer even on the fitted pieces
         return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), np.inf, left_nc, left_drive, len(pieces), 0.0)
     squares = np.zeros((2, len(pieces)))
     for held_out in (0, 1):
@@ -121,7 +121,7 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
 
 @dataclass(frozen=True)
 class _Piece:
-    """A piece of one run: rows (row,), and what the laws read: times, v*, position and filtered speed of the whole run."""
+    """A piece of one run: rows (row,), and times, v*, position and filtered speed of the whole run."""
 
     rows: slice
     start: np.ndarray
@@ -136,7 +136,7 @@ class _Piece:
         return self.all_speed[self.rows]
 
     def left(self, x: np.ndarray, gain: float) -> np.ndarray:
-        """Followed speed less the law's (row,), for x = (Td, lag)."""
+        """Measured speed minus the law's (row,), for x = (Td, lag)."""
         half = len(self.window) // 2
         # only what the window of the piece sees
         low, high = max(self.rows.start - half, 0), min(self.rows.stop + half, len(self.middle))
@@ -149,7 +149,7 @@ class _Piece:
 
 
 def _pieces_of(axis: Axis, run: AxisRun) -> list[_Piece]:
-    position = seen_position(run, axis)
+    position = loop_position(run, axis)
     if run.speed_setpoint is None or position is None:
         return []
     cycle = run.cycle
@@ -169,7 +169,7 @@ def _pieces_of(axis: Axis, run: AxisRun) -> list[_Piece]:
 
 
 def _fitted(pieces: Sequence[_Piece], gain: float, cycle: float, drive: bool) -> np.ndarray:
-    """(Td, lag) that leave least; Td = 0 where the loop is closed in the NC."""
+    """(Td, lag) with the smallest residual; Td = 0 where the loop is closed in the NC."""
     step = cycle
     delays = np.arange(step, min(MOST_DELAY_S, MOST_CYCLES * cycle), step) if drive else np.zeros(1)
     lags = np.arange(0.0, min(MOST_LAG_S, MOST_CYCLES * cycle), step)

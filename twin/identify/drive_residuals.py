@@ -1,7 +1,7 @@
-"""What the fit of a drive in closed loop changes and compares: values of each axis as codes, the machine with them, residuals and slopes.
+"""Residuals and Jacobian of the closed-loop drive fit, and the coding of its parameters.
 
-The axes are those whose speed controller commands an ideal actuator (structures P/PI and P/P). Position and command count; the command alone
-where nothing shows the gains of the controller: there how far the axis follows says what gains the file has, not what the axis moves.
+It covers axes whose speed controller commands an ideal actuator (structures P/PI and P/P). Position and command are compared. If the
+controller gains are unknown, only the command is compared, because the following error then depends on the gains of the file.
 """
 
 from __future__ import annotations
@@ -24,45 +24,47 @@ from twin.simulation.setpoints import recorded_setpoints
 CLUSTER_S = 0.1
 
 STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "position_delay_s": 2e-5}
-"""Step of the difference quotient where it is not RELATIVE_STEP: of the force as a share of the peak of the command, delays in seconds."""
+"""Steps of the difference quotient other than RELATIVE_STEP: force as a share of the peak command, delays in seconds."""
 
 RELATIVE_STEP = 0.02
 NO_FRICTION, START_FRICTION = 1e-3, 0.03
-"""A file with less Coulomb friction than this share of the largest command starts the search at that share: from next to none it never grows."""
+"""If the file's Coulomb friction is below NO_FRICTION of the largest command, the search starts at START_FRICTION of it. From a start near zero
+the search would not increase it."""
 
 ONE_WAY = 1e-3
-"""An axis whose set point never moves back faster than this share of its fastest moves one way only."""
+"""An axis moves in one direction only if its set point never moves back faster than this share of its highest speed."""
 
 LEAST_RMS = 1e-10
-"""Residuals below this (in units of the signal's range) count as equal."""
+"""Lower bound of the residual RMS, in units of the signal's range."""
 
 
 @dataclass(frozen=True)
 class DriveFit:
-    """Values of one axis by name with standard deviations (SI, at the motor), RMS of each signal after the fit, and what was left alone."""
+    """Values of one axis by name with standard deviations (SI, at the motor), RMS of each signal after the fit, and unidentified values."""
 
     values: dict[str, float]
     deviations: dict[str, float]
     rms: dict[str, float]
-    unseen: tuple[str, ...] = ()
+    unidentified: tuple[str, ...] = ()
 
 
-def is_driven_ideally(axis: Axis) -> bool:
-    """Does this axis belong here: no current loop of its own, so that its numbers may be lumps?"""
+def has_ideal_actuator(axis: Axis) -> bool:
+    """Does the axis have no current loop, so that its values may be lumped?"""
     return not axis.has_current_loop
 
 
-def shows_following(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
-    """Does it say something of the mechanics how far a simulated axis follows? Not with gains of a drive that are tried, never measured.
+def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
+    """Does the position of a simulated axis depend on its mechanics rather than on assumed gains?
 
-    A drive with an integrating speed controller shows its gains between speed set point and command; that of two P controllers is its law.
+    The gains of a drive with an integrating speed controller (P/PI) can be identified only if its speed set point is recorded; without it
+    they are assumed and the position is not informative. The gains of a P/P structure are known.
     """
-    tried = is_driven_ideally(axis) and axis.has_speed_integral and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
+    tried = has_ideal_actuator(axis) and axis.has_speed_integral and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
     return not (tried and any(r.trace.has(axis.name, axis.effort) for r in runs))
 
 
 class DriveResiduals:
-    """What is fitted: axes, names and scales of their values, rows; and how values become a machine and residuals."""
+    """The fitted axes with the names and scales of their values and their rows; converts values to a machine and to residuals."""
 
     def __init__(
         self,
@@ -73,9 +75,9 @@ class DriveResiduals:
         skipped: Collection[str],
     ) -> None:
         self.machine, self.runs = machine, runs
-        self.names = [a.name for a in machine.axes if is_driven_ideally(a) and a.name not in skipped and self._is_seen(a)]
+        self.names = [a.name for a in machine.axes if has_ideal_actuator(a) and a.name not in skipped and self._is_seen(a)]
         self.fields = {n: self._fields_of(machine.axis(n), known) for n in self.names}
-        # the command of an axis that stands still is history: it counts where the set point moves
+        # at standstill the command depends on the history of the motion (friction), so it is compared only while the set point moves
         self.used = {
             (n, s): [r & is_moving(run.trace, machine.axis(n)) if s == machine.axis(n).effort else r for run, r in zip(runs, rows[n])]
             for n in self.names
@@ -91,7 +93,7 @@ class DriveResiduals:
     def signals(self, name: str) -> list[str]:
         """Recorded signals of an axis that are compared."""
         axis = self.machine.axis(name)
-        wanted = ("position", "motor_position", axis.effort) if shows_following(axis, self.runs) else (axis.effort,)
+        wanted = ("position", "motor_position", axis.effort) if position_is_informative(axis, self.runs) else (axis.effort,)
         return [s for s in wanted if any(r.trace.has(name, s) for r in self.runs)]
 
     def _is_seen(self, axis: Axis) -> bool:
@@ -113,8 +115,8 @@ class DriveResiduals:
     def start(self) -> dict[str, np.ndarray]:
         return {n: np.array([self._coded(n, f, self._value(n, f)) for f in self.fields[n]]) for n in self.names}
 
-    def softened(self, x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """A start with half the gains and twice the integral time, for a file whose loops are unstable."""
+    def with_softer_gains(self, x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Initial values with half the gains and twice the integral time, for a machine file whose loops are unstable."""
         out = {}
         for n in self.names:
             changed = x[n].copy()
@@ -145,7 +147,7 @@ class DriveResiduals:
         return max(largest * axis.motor.torque_constant_nm_per_a, 1e-12)
 
     def _coded(self, name: str, field_name: str, value: float) -> float:
-        """Values that cannot be negative as logarithms, the force as a share of the largest command, delays in milliseconds."""
+        """Value as a search variable: force as a share of the largest command, delay in milliseconds, else the logarithm."""
         if field_name == "constant_force":
             return value * self.machine.axis(name).ratio / self._peak(name)
         return 1e3 * value if field_name.endswith("delay_s") else math.log(max(value, 1e-300))
@@ -177,11 +179,11 @@ class DriveResiduals:
         return values, forces
 
     def _inertia(self, name: str, inertia: float) -> dict[str, object]:
-        """The whole inertia at the motor: the rotor takes the change where the file has one, else the moving mass."""
+        """File values for a total inertia at the motor: rotor and load scale together, or the part that the file has changes."""
         axis = self.machine.axis(name)
         load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
         if axis.rotor_inertia_kg_m2 > 0.0 and axis.ratio != 1.0:
-            # keep the shares where the load is known to be part of it
+            # keep the shares of rotor and load if the load is known
             share = load / (load + axis.rotor_inertia_kg_m2) if axis.moving_mass_kg is not None else 0.0
             out: dict[str, object] = {path_of(axis, "rotor_inertia"): inertia * (1.0 - share) if share else max(inertia - load, 1e-12)}
             if share:
@@ -190,7 +192,7 @@ class DriveResiduals:
         return {path_of(axis, "moving_mass"): inertia / axis.ratio**2}
 
     def residuals(self, x: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]] | None:
-        """Measured less simulated on the training rows, by axis and signal, in units of the signal's range; None where it diverges."""
+        """Measured minus simulated on the training rows by axis and signal, in units of the signal's range; None if it diverges."""
         try:
             machine = self.changed(x)
             traces = [
@@ -218,22 +220,22 @@ class DriveResiduals:
                 ]
                 own[s] = np.concatenate(parts)
                 if s != self.machine.axis(n).effort:
-                    own[s] = own[s] - float(np.median(own[s]))  # an encoder's zero is no fault
+                    own[s] = own[s] - float(np.median(own[s]))  # the zero of an encoder is arbitrary
             out[n] = own
         return out
 
     def jacobian(self, x: Mapping[str, np.ndarray], base: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Change of the whitened residuals (row, value) of every axis; one simulation turns the k-th value of all axes."""
+        """Jacobian (row, value) of the whitened residuals of every axis; one simulation perturbs the k-th value of all axes."""
         columns: dict[str, list[np.ndarray]] = {n: [] for n in self.names}
         for k in range(max(len(f) for f in self.fields.values())):
-            turned = {n: x[n].copy() for n in self.names}
+            perturbed = {n: x[n].copy() for n in self.names}
             amount = {}
             for n in self.names:
                 if k < len(self.fields[n]):
                     f = self.fields[n][k]
                     amount[n] = {"constant_force": STEP_OF["constant_force"]}.get(f, 1e3 * STEP_OF[f] if f in STEP_OF else RELATIVE_STEP)
-                    turned[n][k] += amount[n]
-            there = self.residuals(turned)
+                    perturbed[n][k] += amount[n]
+            there = self.residuals(perturbed)
             for n, h in amount.items():
                 level = {s: max(rms_of(v), LEAST_RMS) for s, v in base[n].items()}
                 other = there[n] if there is not None else base[n]
@@ -241,7 +243,7 @@ class DriveResiduals:
         return {n: np.column_stack(c) for n, c in columns.items()}
 
     def clusters(self, name: str) -> np.ndarray:
-        """Cluster of each residual row of an axis; all signals of a piece of time are one cluster."""
+        """Cluster (row,) of each residual row of an axis; all signals of an interval CLUSTER_S form one cluster."""
         out = []
         for s in self.signals(name):
             for i, (run, rows) in enumerate(zip(self.runs, self.used[name, s])):
@@ -250,7 +252,7 @@ class DriveResiduals:
         return np.concatenate(out)
 
     def _moves_one_way(self, name: str) -> bool:
-        """Do the set points of an axis move in one direction only where it is fitted?"""
+        """Do the set points of an axis move in one direction only on its training rows?"""
         moving = zip(self.runs, self.used[name, self.machine.axis(name).effort])
         steps = np.concatenate([np.diff(run.trace.get(name, "setpoint"))[rows[1:]] for run, rows in moving])
         return min(steps.max(initial=0.0), -steps.min(initial=0.0)) <= ONE_WAY * np.abs(steps).max(initial=0.0)
@@ -258,25 +260,25 @@ class DriveResiduals:
     def result(self, n: str, x: np.ndarray, base: Mapping[str, np.ndarray], jacobian: np.ndarray) -> DriveFit:
         """Values of one axis with their deviations."""
         deviation = _deviations(jacobian, whitened(base), self.clusters(n))
-        values, deviations, unseen = {}, {}, []
+        values, deviations, unidentified = {}, {}, []
         for f, code, d in zip(self.fields[n], x, deviation):
             value = self._decoded(n, f, float(code))
             if not math.isfinite(d) or (f not in STEP_OF and d > 1.0):
-                unseen.append(f)
+                unidentified.append(f)
             slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f.endswith("delay_s") else value)
             values[f], deviations[f] = value, float(d * slope)
         if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
-            # what such an axis does at its stops parts friction and load a little, and no law of friction at rest is sure enough for that
-            unseen.append("coulomb_friction_nm")
+            # Only the stops of such an axis separate friction from load, and no model of friction at rest is accurate enough for that.
+            unidentified.append("coulomb_friction_nm")
             deviations["constant_force"] = math.hypot(
                 deviations["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio
             )
         rms = {s: rms_of(v) * self.scale[n, s] for s, v in base.items()}
-        return DriveFit(values, deviations, rms, tuple(unseen))
+        return DriveFit(values, deviations, rms, tuple(unidentified))
 
 
 def _deviations(jacobian: np.ndarray, residual: np.ndarray, clusters: np.ndarray) -> np.ndarray:
-    """Standard deviations (value,) by clusters; infinite where the residual does not answer."""
+    """Standard deviations (value,) by clusters; infinite for values without an effect on the residual."""
     length = np.linalg.norm(jacobian, axis=0)
     seen = length > 1e-9 * max(float(length.max()), 1e-300)
     out = np.full(jacobian.shape[1], np.inf)
@@ -298,12 +300,12 @@ def rms_of(values: np.ndarray) -> float:
 
 
 def whitened(residual: Mapping[str, np.ndarray]) -> np.ndarray:
-    """All signals of an axis in one, each in units of its own RMS."""
+    """Residuals of all signals of an axis concatenated, each in units of its RMS."""
     return np.concatenate([v / max(rms_of(v), LEAST_RMS) for v in residual.values()])
 
 
 def with_constant_forces(machine: Machine, forces: Mapping[str, float]) -> Machine:
-    """The machine with these constant forces [N or Nm at the axis] as its steady loads, in place of effects of that name."""
+    """The machine with these constant forces [N or Nm at the axis]; they replace effects named `constant_force` on these axes."""
     loads = {f"axis.{n}.constant_torque_nm": f * machine.axis(n).ratio for n, f in forces.items()}
     kept = [dict(e) for e in machine.effects if not (e.get("name") == "constant_force" and e.get("axis") in forces)]
     return machine.with_values({**loads, **({"effect": kept} if len(kept) < len(machine.effects) else {})})

@@ -1,4 +1,4 @@
-"""The pictures of an identification: friction law, inertia, table gravity, residuals and their whiteness."""
+"""Figures of the identification report: friction law, inertia, table gravity, residuals and their whiteness."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.identify.axis_run import slides_above
 from twin.identify.direct import Balance
-from twin.identify.drive_balance import EVERY, Rows
+from twin.identify.drive_balance import ROW_STRIDE, Rows
 from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.result import Identification
 from twin.machine.machine import Axis, Machine
@@ -20,11 +20,11 @@ from twin.report.figure import INK, SOFT
 from twin.units import deg_from_rad
 
 STEADY = 0.02
-"""A row counts as constant speed where its acceleration takes less than this share of the largest."""
+"""A row is at constant speed if its acceleration is less than this share of the largest."""
 
 
 def balance_of(result: Identification, axis: str) -> Balance | None:
-    """The balance that holds this axis."""
+    """The torque balance of this axis."""
     return next((b for name, b in result.direct.balance.items() if axis in name.split()), None)
 
 
@@ -49,7 +49,7 @@ def _parts(machine: Machine, balance: Balance, axis: str) -> tuple[Rows, dict[st
 
 
 def friction_points(machine: Machine, balance: Balance, axis: str, count: int = 14) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Speed [rad/s], friction torque [Nm] and its deviation at constant speeds: rows of equal speed in one, both directions."""
+    """Speed [rad/s], friction torque [Nm] and its standard deviation at constant speeds, averaged over rows of equal speed and direction."""
     rows, parts, residual = _parts(machine, balance, axis)
     friction = parts["friction"] + residual
     steady = np.abs(rows.acceleration) < STEADY * max(float(np.abs(rows.acceleration).max()), 1e-9)
@@ -69,7 +69,7 @@ def friction_points(machine: Machine, balance: Balance, axis: str, count: int = 
 
 
 def friction_figure(result: Identification) -> Any:
-    """Friction against speed for every axis: points of constant speed, the law and its 95 % band, the law before."""
+    """Friction against speed for every axis: points of constant speed, identified law with 95 % band, law of the file before."""
     axes = _shown(result, "coulomb_friction", "viscous_friction")
     columns = min(3, max(len(axes), 1))
     figure, panels = new_figure(max(-(-len(axes) // columns), 1), columns, height=2.9)
@@ -104,7 +104,7 @@ def friction_figure(result: Identification) -> Any:
 
 
 def inertia_figure(result: Identification) -> Any:
-    """Torque less friction and gravity against acceleration: the slope is the inertia."""
+    """Torque minus friction and gravity against acceleration; the slope is the inertia."""
     axes = _shown(result, "inertia")
     columns = min(3, max(len(axes), 1))
     figure, panels = new_figure(max(-(-len(axes) // columns), 1), columns, height=2.8)
@@ -134,7 +134,7 @@ def inertia_figure(result: Identification) -> Any:
 
 
 def gravity_figure(result: Identification) -> Any | None:
-    """Gravity torque of the tilting table over its angle, for two positions of C; None without a table."""
+    """Gravity torque of the tilting table over its angle for two positions of C; None without a table."""
     balance = result.direct.balance.get("A C")
     if balance is None:
         return None
@@ -191,14 +191,14 @@ def gravity_figure(result: Identification) -> Any | None:
     return figure
 
 
-ROOM = 120
-"""So many small letters fit above the residuals."""
+LABEL_CHARACTERS = 120
+"""Number of small characters that fit above the residuals."""
 
 
 def residual_figure(result: Identification) -> Any:
-    """Residual of each balance in order of the rows, and its autocorrelation against the band of white noise."""
+    """Residual of each balance row by row, and its autocorrelation with the band of white noise."""
     axes = _shown(result)
-    apart_ms = 1e3 * EVERY * result.before.position_cycle
+    apart_ms = 1e3 * ROW_STRIDE * result.before.position_cycle
     figure, panels = new_figure(len(axes), 2, height=1.6, width=11.0, gridspec_kw={"width_ratios": [3, 1.4]})
     for (trace, white), axis in zip(panels, axes):
         balance = balance_of(result, axis.name)
@@ -210,7 +210,7 @@ def residual_figure(result: Identification) -> Any:
         for e in edges:
             trace.axvline(e, color=SOFT, lw=0.5)
         for start, end in itertools.pairwise([0, *edges, len(residual)]):
-            room = int(ROOM * (end - start) / len(residual))
+            room = int(LABEL_CHARACTERS * (end - start) / len(residual))
             name = str(rows.run[start])
             name = name if len(name) <= room else f"{name[: room - 1]}…" if room > 3 else ""
             trace.text(start, 0.98, f" {name}", transform=trace.get_xaxis_transform(), fontsize=6.5, va="top", color=INK)
@@ -218,7 +218,7 @@ def residual_figure(result: Identification) -> Any:
         correlation, outside = whiteness(residual)
         if not correlation.any():
             white.set_axis_off()
-            white.text(0.5, 0.5, "too few rows to tell", transform=white.transAxes, ha="center", va="center", fontsize=8.5, color=INK)
+            white.text(0.5, 0.5, "too few rows", transform=white.transAxes, ha="center", va="center", fontsize=8.5, color=INK)
             continue
         white.axhspan(-1.96 / np.sqrt(len(residual)), 1.96 / np.sqrt(len(residual)), color=SOFT, alpha=0.3, lw=0)
         white.vlines(np.arange(len(correlation)) * apart_ms, 0.0, correlation, color=colour, lw=1.2)
@@ -229,7 +229,7 @@ def residual_figure(result: Identification) -> Any:
 
 
 def gap_figure(result: Identification) -> Any | None:
-    """Gap over noise on runs left out, before and after, by axis and signal."""
+    """Gap over noise on held-out motion, before and after, by axis and signal."""
     if not result.gaps:
         return None
     stages = list(result.gaps)
@@ -255,6 +255,6 @@ def gap_figure(result: Identification) -> Any | None:
         np.arange(len(keys)), [f"{a}\n{s.replace('motor_position', 'motor').replace('velocity', 'speed')}" for a, s in keys], fontsize=7.5
     )
     panel.set_ylabel("gap / noise")
-    panel.set_title("Gap on the runs left out; 1 is what measuring noise alone makes")
+    panel.set_title("Gap on held-out motion; measuring noise alone gives 1")
     panel.legend(ncols=3, frameon=False)
     return figure

@@ -1,7 +1,7 @@
-"""What is wrong with, or missing from, a recording: said before any number is believed.
+"""Check a recording before identification and report what is wrong or missing.
 
-Flags of the feedforward are checked against the signals, late channels are timed, limits and clipping found, and what a campaign
-cannot identify is named with the run that would.
+Compares the feedforward flags with the signals, measures the skew of late channels, and detects limits and clipping. For each parameter
+that the campaign cannot identify, it names the run that would.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ SIGNALS = {
     "position": "position gain and delays",
     "velocity_setpoint": "feedforward weight, delays and position gain by regression",
     "current": "inertia, friction and gravity",
-    "velocity": "the current between samples, which inertia hangs on",
+    "velocity": "the current between samples, which the inertia depends on",
 }
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One remark: the run and axis it is about ('' for all), and the text with what to do."""
+    """One remark: run and axis ('' for all), and a text that says what to do."""
 
     run: str
     axis: str
@@ -43,12 +43,12 @@ class Finding:
 
 
 def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Finding]:
-    """Signals that no run holds, and what they cost."""
+    """Findings about signals that no run contains and the parameters that need them."""
     out = []
     for axis in machine.axes:
         recorded = [r for r in runs if axis.name in r.trace.axes]
         if not recorded:
-            out.append(Finding("", axis.name, "no run holds this axis; its values stay the machine file's. Record it"))
+            out.append(Finding("", axis.name, "no run contains this axis; the machine file's values are kept. Record it"))
             continue
         for signal, cost in _signals_of(axis).items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):
@@ -57,7 +57,7 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
 
 
 def _signals_of(axis: Axis) -> dict[str, str]:
-    """The signals that an axis of this structure could have, and what each identifies."""
+    """Signals that an axis of this control structure can have -> what each identifies."""
     if axis.has_current_loop:
         return SIGNALS
     motion = "motor_position" if axis.encoder == "motor" else "position"
@@ -67,10 +67,11 @@ def _signals_of(axis: Axis) -> dict[str, str]:
 def checked_flags(
     machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]
 ) -> tuple[list[str | None], list[Finding]]:
-    """The feedforward of each run as the signals show it, and a finding where `campaign.toml` says otherwise.
+    """The feedforward mode of each run as the signals show it, and a finding where `campaign.toml` differs.
 
-    Velocity: what the machine file's position controller leaves of v*, over the feedforward's own; torque: what its speed
-    controller leaves of the current. Each must lie nearer to on than to off on most axes.
+    The weight of the velocity feedforward is the residual of v* after the machine file's position controller, projected on the feedforward;
+    that of the torque feedforward is the residual of the current after the speed controller. A mode is on if the median over the axes
+    exceeds 0.5.
     """
     flags: list[str | None] = []
     out = []
@@ -100,7 +101,7 @@ def checked_flags(
                 Finding(
                     run.name,
                     "",
-                    f"campaign.toml says feedforward '{stated}', the signals show '{seen}' (weights: {shown}); taken as '{seen}', correct the file",
+                    f"campaign.toml has feedforward '{stated}', but the signals show '{seen}' (weights: {shown}); '{seen}' is used, correct the file",
                 )
             )
         flags.append(seen)
@@ -108,9 +109,9 @@ def checked_flags(
 
 
 def _velocity_weight(axis: Axis, run: AxisRun) -> float | None:
-    """Velocity feedforward of one run with the machine file's gain and delays; None where the axis hardly moves."""
+    """Weight of the velocity feedforward in one run with the machine file's gain and delays; None if the axis hardly moves."""
     if run.velocity_feedforward is not None and np.ptp(run.angle) * axis.ratio > 1e-5:
-        return 1.0 if np.ptp(run.velocity_feedforward) > 0.0 else 0.0  # recorded: nothing to guess
+        return 1.0 if np.ptp(run.velocity_feedforward) > 0.0 else 0.0  # the feedforward itself is recorded
     if run.speed_setpoint is None or run.position is None:
         return None
     loops = axis.loops
@@ -122,14 +123,14 @@ def _velocity_weight(axis: Axis, run: AxisRun) -> float | None:
 
 
 def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
-    """Torque feedforward of one run: what the machine file's PI law leaves of the current, on the feedforward's own shape."""
+    """Weight of the torque feedforward in one run: residual of the current after the machine file's PI law, projected on the feedforward."""
     if run.speed_setpoint is None or run.current is None or axis.commissioned_inertia is None:
         return None
-    from twin.identify.speed_control import _columns
+    from twin.identify.speed_control import regressors
 
     loop = fast_loop_of(machine, axis, axis.commissioned_inertia)
     kt = loop.control_torque_constant
-    columns, y = _columns(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
+    columns, y = regressors(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
     kp = axis.loops.speed_gain_nm_s_per_rad
     left = y - columns[:, :2] @ np.array([kp, kp / axis.loops.speed_integral_time_s])
     t = columns[:, 2]
@@ -138,8 +139,8 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
 
 
 @dataclass(frozen=True)
-class Late:
-    """How much later than the scale (current: than the motion) a channel was recorded [s], with its standard deviation."""
+class ChannelSkew:
+    """Delay [s] of a channel against the scale (of the current: against the motion), with its standard deviation."""
 
     axis: str
     signal: str
@@ -147,12 +148,12 @@ class Late:
     deviation: float
 
 
-LATE_S = {"motor_position": 5e-5, "velocity": 1e-4, "velocity_setpoint": 1e-3, "current": 4e-4}
-"""Skew [s] below this is not corrected: an elastic drive train and a current loop off the file make as much (0.1 ms of the current)."""
+LEAST_SKEW_S = {"motor_position": 5e-5, "velocity": 1e-4, "velocity_setpoint": 1e-3, "current": 4e-4}
+"""A smaller skew [s] is not corrected. An elastic drive train, or a current loop that differs from the file, causes as much (current: 0.1 ms)."""
 
 
-def late_channels(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun | None) -> list[Late]:
-    """Skew of motor position, speed, speed set point and current in one run, where the axis moves enough."""
+def channel_skews(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun | None) -> list[ChannelSkew]:
+    """Skew of motor position, speed and current in one run; empty if the axis does not move enough."""
     if seen is None or np.ptp(seen.axis_position) < 1e-3 * (axis.max_velocity / 0.5) or seen.sliding.sum() < 100:
         return []
     out = []
@@ -160,34 +161,34 @@ def late_channels(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun 
     groups = seen.strokes[rows]
     f = seen.filtered
 
-    def late(signal: str, columns: list[np.ndarray], y: np.ndarray, per: float | None = None) -> None:
+    def add_skew(signal: str, columns: list[np.ndarray], y: np.ndarray, per: float | None = None) -> None:
         fit = regress(np.column_stack(columns), y, groups)
         if fit.seen[0] and (per is None or (fit.seen[1] and fit.values[1] > 0.0)):
             scale = -1.0 if per is None else -1.0 / fit.values[1]
-            out.append(Late(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
+            out.append(ChannelSkew(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
 
     speed, acceleration = f(seen.speed)[rows], f(seen.acceleration)[rows]
     ones, sign = np.ones(len(speed)), np.sign(speed)
     if seen.deflection is not None:
-        late("motor_position", [speed * axis.ratio, acceleration, sign, ones], f(seen.deflection)[rows])
+        add_skew("motor_position", [speed * axis.ratio, acceleration, sign, ones], f(seen.deflection)[rows])
     if seen.motor_speed is not None:
-        # the mean of a cycle's samples lies before its middle by half a sample
+        # the mean time of a cycle's samples is half a sample before mid-cycle
         ahead = 0.5 * seen.cycle / seen.samples_per_cycle
-        late("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
+        add_skew("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
     if seen.current is not None:
-        # the mean current of a cycle, with the machine file's saw-tooth, goes with the acceleration in its middle
+        # the mean current of a cycle, corrected with the machine file's saw-tooth, belongs to the acceleration at mid-cycle
         mean_current = MeanCurrent.start(machine, axis, [seen], axis.commissioned_inertia or axis.rotor_inertia_kg_m2).of(seen)
         assert mean_current is not None
         jerk = np.gradient(f(seen.acceleration), seen.cycle)[rows]
         turning = [f(np.cos(seen.axis_position))[rows], f(np.sin(seen.axis_position))[rows]] if axis.kind == "rotary" else []
-        late("current", [jerk, acceleration, sign, speed, ones, *turning], f(mean_current)[rows], per=1.0)
+        add_skew("current", [jerk, acceleration, sign, speed, ones, *turning], f(mean_current)[rows], per=1.0)
     return out
 
 
-def shifted_setpoint(axis: Axis, seen: AxisRun, period: float) -> float:
-    """Whole samples [s] by which the speed set point lies late against set point and scale (0: where it belongs).
+def setpoint_shift(axis: Axis, seen: AxisRun, period: float) -> float:
+    """Delay [s] of the speed set point against set point and scale, a whole number of samples (0: none).
 
-    The position controller's law leaves least where the channels belong together.
+    The residual of the position controller's law is smallest at the correct shift.
     """
     if seen.speed_setpoint is None or seen.position is None:
         return 0.0
@@ -200,15 +201,15 @@ def shifted_setpoint(axis: Axis, seen: AxisRun, period: float) -> float:
         _, residual = linearised(moved, axis, x, on)
         rms[cycles] = float(np.sqrt(np.mean(residual[8:-8] ** 2)))
     best = min(rms, key=lambda c: rms[c])
-    return best * seen.cycle if rms[best] < SHARPER * rms[0] else 0.0
+    return best * seen.cycle if rms[best] < SHIFT_RATIO * rms[0] else 0.0
 
 
-SHARPER = 0.2
-"""A shift counts where it leaves less than this fraction of the law's residual: gains and delays off the file leave more."""
+SHIFT_RATIO = 0.2
+"""A shift is accepted if it reduces the residual below this fraction. Gains and delays that differ from the file leave more."""
 
 
 def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Finding]:
-    """What the runs of one axis do not excite, and which run would."""
+    """Findings about parameters of an axis that its runs do not excite, with the run that would."""
     name = axis.name
     if not runs or max(np.ptp(r.angle) for r in runs) < 0.2 * slides_above(axis):
         return [
@@ -224,17 +225,21 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
             Finding(
                 "",
                 name,
-                f"never slides faster than {slides_above(axis):g} {'m' if axis.drive == 'direct' else 'rad'}/s at the motor: no friction law; add constant speeds ('twin plan')",
+                f"never slides faster than {slides_above(axis):g} {'m' if axis.drive == 'direct' else 'rad'}/s at the motor: the friction law cannot be identified; add constant speeds ('twin plan')",
             )
         ]
     out = []
     share = float(np.mean(sliding > 0))
     if share < 0.02 or share > 0.98:
-        out.append(Finding("", name, "moves in one direction only: Coulomb friction and constant force are one number; add the way back"))
+        out.append(
+            Finding("", name, "moves in one direction only: Coulomb friction and constant force cannot be separated; add the return move")
+        )
     speeds = np.abs(sliding)
     if np.percentile(speeds, 97) < 2.5 * np.percentile(speeds, 10):
         out.append(
-            Finding("", name, "too few speeds: viscous friction hangs on a short lever; add constant speeds up to rapid ('twin plan')")
+            Finding(
+                "", name, "too narrow a range of speeds to identify viscous friction well; add constant speeds up to rapid ('twin plan')"
+            )
         )
     accelerations = np.concatenate([r.filtered(r.acceleration)[r.sliding] for r in runs])
     if np.percentile(np.abs(accelerations), 99) < 0.05 * axis.max_acceleration / axis.ratio:
@@ -245,37 +250,37 @@ def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Find
             Finding(
                 "",
                 name,
-                f"current at its limit or clipped, or another channel clipped, for {limited * 1e3:.0f} ms: those parts are left out",
+                f"current at its limit or clipped, or another channel clipped, for {limited * 1e3:.0f} ms: these parts are not used",
             )
         )
     for signal in dict.fromkeys(s for r in runs for s in r.clipped):
         seconds = sum(r.clipped.get(signal, 0.0) for r in runs)
         stated = (
-            f"{signal} stays on its largest value for {seconds * 1e3:.0f} ms while the axis goes on: clipped; record it with a wider range"
+            f"{signal} stays at its largest value for {seconds * 1e3:.0f} ms while the axis moves on: clipped; record it with a wider range"
         )
         out.append(Finding("", name, stated))
     return out
 
 
-TOO_MUCH = 3.0
-"""A current beyond so many times the motor's peak is no current of this motor."""
+ABOVE_PEAK = 3.0
+"""A recorded current above this multiple of the motor's peak current is implausible."""
 
 
-def _doubt_of_sign(run: MeasuredRun, axis: Axis) -> str:
-    """Why the recorded force of an axis cannot be used with its sign, or ''."""
+def _unsigned_reason(run: MeasuredRun, axis: Axis) -> str:
+    """Why the recorded force of an axis has no usable sign, or ''."""
     if recorded_sign(run, axis.name, axis.effort).unsigned:
         return (
-            f"{axis.effort} is recorded without a sign (its size only): left out, mass and friction cannot be identified; "
+            f"{axis.effort} is recorded without its sign: not used, so mass and friction cannot be identified; "
             f"record {axis.name}.{axis.effort} with its sign"
         )
     return ""
 
 
 def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], Finding]:
-    """Channels (axis, signal) that cannot be what their heading says, with the reason.
+    """Channels (axis, signal) that contradict their heading, with the reason.
 
-    They never change while the axis' set point does, contradict the other signals by a unit or a sign, hold more than the motor can take, or are
-    a force of which only the size is recorded.
+    A channel is unusable if it never changes while the axis' set point does, if its unit or sign contradicts the other signals, if it exceeds
+    what the motor can take, or if it is a force recorded without its sign.
     """
     out: dict[tuple[str, str], Finding] = {}
     for axis in machine.axes:
@@ -283,17 +288,17 @@ def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str
             continue
         for signal in ("position", "motor_position", "velocity", "velocity_setpoint", axis.effort):
             if run.trace.has(axis.name, signal) and np.ptp(run.trace.get(axis.name, signal)) == 0.0:
-                text = f"{signal} never changes while the set point moves: left out; check the recording of this channel"
+                text = f"{signal} never changes while the set point moves: not used; check the recording of this channel"
                 out[axis.name, signal] = Finding(run.name, axis.name, text)
         own = {s: v for (a, s), v in run.trace.signals.items() if a == axis.name and (a, s) not in out}
         for doubt in contradictions(axis.name, own, run.trace.period, axis.kind):
             if doubt.known:
-                out[axis.name, doubt.signal] = Finding(run.name, axis.name, f"{doubt.text}; {doubt.signal} is left out")
-        if (axis.name, axis.effort) not in out and (text := _doubt_of_sign(run, axis)):
+                out[axis.name, doubt.signal] = Finding(run.name, axis.name, f"{doubt.text}; {doubt.signal} is not used")
+        if (axis.name, axis.effort) not in out and (text := _unsigned_reason(run, axis)):
             out[axis.name, axis.effort] = Finding(run.name, axis.name, text)
         peak, unit = axis.motor.peak_current_a, axis.effort_unit
         largest = float(np.abs(run.trace.get(axis.name, axis.effort)).max()) if run.trace.has(axis.name, axis.effort) else 0.0
-        if largest > TOO_MUCH * peak:
-            text = f"{axis.effort} up to {largest:.4g} {unit}, the motor's peak is {peak:g} {unit}: left out; check the unit of the column"
+        if largest > ABOVE_PEAK * peak:
+            text = f"{axis.effort} up to {largest:.4g} {unit}, the motor's peak is {peak:g} {unit}: not used; check the unit of the column"
             out[axis.name, axis.effort] = Finding(run.name, axis.name, text)
     return out

@@ -1,6 +1,7 @@
-"""What no fit sees: the last runs of a campaign, or the last stretch of motion of each axis where there are too few runs.
+"""Divide a campaign into training and held-out motion, and judge machines by their gap on the held-out part.
 
-An identified machine is judged there: it must be no worse than the machine file that it started from.
+Held out are the last runs or, with too few runs, the last part of the motion of each axis. An identified machine must not be worse there
+than the machine file that it started from.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ from twin.simulation.gap import Job as PredictJob
 from twin.simulation.gap import Prediction, SignalGap, gap_of, is_moving, predict_each
 from twin.simulation.setpoints import AT_REST
 
-LEFT_OUT_SHARE = 0.3
-"""Share of the runs, the last ones, or of the motion of an axis, that no fit sees."""
+HELD_OUT_SHARE = 0.3
+"""Share of the runs, or of the motion of an axis, that is held out; it is taken from the end."""
 
 LEAST_SAMPLES = 20
-"""A run in which the motion left out would be shorter than this keeps it: too little to judge anything."""
+"""Least number of held-out samples of a run; with fewer the whole run is used for training."""
 
 Table = dict[str, dict[str, dict[str, float | str]]]
 
 
 @dataclass(frozen=True)
 class Division:
-    """Runs with the rows that may be fitted: `fitted[axis][run]` is (sample,) bool in the order of `runs`; the rest judges.
+    """Runs and their training rows: `fitted[axis][run]` is (sample,) bool in the order of `runs`; the other rows are held out.
 
-    `by_stretch`: axes whose last stretch of motion is left out instead of whole runs.
+    `by_stretch`: axes whose last part of the motion is held out instead of whole runs.
     """
 
     runs: tuple[MeasuredRun, ...]
@@ -41,16 +42,16 @@ class Division:
     by_stretch: tuple[str, ...]
 
     def training(self) -> list[int]:
-        """Runs of which any axis is fitted on any row."""
+        """Runs with training rows of at least one axis."""
         return [i for i in range(len(self.runs)) if any(rows[i].any() for rows in self.fitted.values())]
 
-    def left_out(self) -> list[int]:
-        """Runs of which no axis is fitted."""
+    def held_out(self) -> list[int]:
+        """Runs without training rows."""
         known = set(self.training())
         return [i for i in range(len(self.runs)) if i not in known]
 
     def part(self, axis_runs: Mapping[str, Sequence[AxisRun | None]], fitted: bool) -> dict[str, list[AxisRun | None]]:
-        """The axis runs with the other rows marked as limited; None where no row is left."""
+        """The training or the held-out part of the axis runs: all other rows are marked as limited; None without rows."""
         out: dict[str, list[AxisRun | None]] = {}
         for axis, seen in axis_runs.items():
             out[axis] = []
@@ -66,14 +67,17 @@ class Division:
         return out
 
     def judged(self, axis: str) -> list[tuple[int, np.ndarray]]:
-        """(run, (sample,) bool) of the rows that judge an axis; all rows where nothing could be left out."""
+        """(run, (sample,) bool) of the held-out rows of an axis; all rows if nothing could be held out."""
         kept = [(i, ~rows) for i, rows in enumerate(self.fitted[axis]) if not rows.all()]
         return kept or [(i, rows.copy()) for i, rows in enumerate(self.fitted[axis])]
 
 
-def divided(machine: Machine, runs: Sequence[MeasuredRun]) -> Division:
-    """Leave out whole runs where there are three or more, never the only one with a feedforward setting or most of an axis' motion."""
-    count = max(int(LEFT_OUT_SHARE * len(runs)), 1) if len(runs) >= 3 else 0
+def divide_runs(machine: Machine, runs: Sequence[MeasuredRun]) -> Division:
+    """Hold out whole runs if there are at least three, else the last part of each run's motion.
+
+    The only run with a feedforward setting is never held out. An axis that would lose most of its motion has the last part held out instead.
+    """
+    count = max(int(HELD_OUT_SHARE * len(runs)), 1) if len(runs) >= 3 else 0
     training = list(runs)
     aside: set[str] = set()
     for run in reversed(runs):
@@ -95,17 +99,17 @@ def divided(machine: Machine, runs: Sequence[MeasuredRun]) -> Division:
 
 
 def _stretch(moving: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Rows of each run up to where the last share of its motion begins."""
+    """Training rows of each run: all before the last HELD_OUT_SHARE of its motion."""
     out = []
     for m in moving:
         at = np.flatnonzero(m)
-        last = int(LEFT_OUT_SHARE * len(at))
+        last = int(HELD_OUT_SHARE * len(at))
         out.append(np.arange(len(m)) < at[len(at) - last] if last >= LEAST_SAMPLES else np.ones(len(m), bool))
     return tuple(out)
 
 
-def gap_left_out(machine: Machine, division: Division) -> Table:
-    """Gap of a machine on the rows that judge it: axis -> signal -> RMS, RMS of noise alone, unit. Raises SimulationError where it diverges."""
+def held_out_gap(machine: Machine, division: Division) -> Table:
+    """Gap of a machine on held-out rows: axis -> signal -> RMS, RMS of noise alone, unit. Raises SimulationError if the simulation diverges."""
     asked = sorted({i for a in machine.axis_names for i, _ in division.judged(a)})
     predictions = dict(zip(asked, predict_each([PredictJob(machine, division.runs[i]) for i in asked])))
     squares: dict[str, dict[str, list[tuple[float, float, int, str]]]] = {}
@@ -153,8 +157,8 @@ def score(signals: Mapping[str, Mapping[str, float | str]]) -> float:
 
 
 def gap_or_reason(machine: Machine, division: Division) -> Table | str:
-    """The gap, or one line that says why there is none."""
+    """The gap on held-out rows, or one line with the reason why the simulation failed."""
     try:
-        return gap_left_out(machine, division)
+        return held_out_gap(machine, division)
     except SimulationError as error:
         return " ".join(str(error).split())

@@ -17,7 +17,7 @@ def identify(
     """Friction, inertia, gravity, gains and delays of a machine from its own traces, each with a 95 % interval.
 
     `campaign` is a campaign or its folder; `machine` the machine to start from. `refine` re-simulates in MuJoCo after the regression.
-    The result's `parameters` are in SI, `machine` is the identified machine. Raises InputError where the runs lack the signals needed.
+    In the result, `parameters` are in SI and `machine` is the identified machine. Raises InputError if the runs lack the needed signals.
     """
     machine = machine or load_machine()
     known = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)

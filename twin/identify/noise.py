@@ -1,7 +1,7 @@
-"""Measuring noise per signal, from the parts of a campaign in which all axes stand still.
+"""Measuring noise of each signal, from the parts of a campaign in which the axis stands still.
 
-At rest the control answers its own noise: the current swings by more than its sensor. What an ideal sensor would leave is therefore not
-zero, and the twin at rest with the machine file's noise says how much of a standstill's scatter each sensor makes:
+At standstill the control reacts to the encoder noise, so the current scatters by more than the noise of its sensor. A simulated standstill
+with the machine file's noise shows this scatter, and its ratio to the measured one scales the file's value:
     noise = file's noise x measured scatter / simulated scatter         scatter: of differences from sample to sample
 """
 
@@ -18,10 +18,10 @@ from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
 REST_S = 0.08
-"""Standstill shorter than this is not used."""
+"""Shorter standstills are not used."""
 
 SETTLE_S = 0.05
-"""The first part of each standstill is left out: the loop still settles."""
+"""First part of each standstill that is not used, because the loop still settles."""
 
 KEYS = {
     ("linear", "position"): "linear_scale_noise_m",
@@ -32,13 +32,13 @@ KEYS = {
 
 
 def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
-    """Values of the keys of [measurement], file units; keys without standstill or signal are left out."""
+    """Values for [measurement] by key, in file units; keys without standstill or signal are missing."""
     spread: dict[tuple[str, str], list[float]] = {}
     weight: dict[tuple[str, str], list[int]] = {}
-    reference = _rest_of_the_twin(machine, runs[0].trace.period)
+    reference = _simulated_standstill(machine, runs[0].trace.period)
     for run in runs:
         for axis in machine.axes:
-            for part in rests(run.trace, axis):
+            for part in standstills(run.trace, axis):
                 for signal in ("position", "velocity", "current"):
                     if run.trace.has(axis.name, signal):
                         ratio = _scatter(run.trace.get(axis.name, signal)[part]) / max(_scatter(reference.get(axis.name, signal)), 1e-15)
@@ -54,8 +54,8 @@ def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, f
     return out
 
 
-def rests(trace: Trace, axis: Axis) -> list[slice]:
-    """Stretches in which the set point of the axis stands still, without their first part."""
+def standstills(trace: Trace, axis: Axis) -> list[slice]:
+    """Sample ranges in which the set point of the axis stands still, without their first part."""
     if axis.name not in trace.axes:
         return []
     still = np.diff(trace.get(axis.name, "setpoint"), prepend=np.nan) == 0.0
@@ -68,7 +68,7 @@ def _scatter(values: np.ndarray) -> float:
     return float(np.std(np.diff(values))) if len(values) > 2 else 0.0
 
 
-def _rest_of_the_twin(machine: Machine, period: float) -> Trace:
+def _simulated_standstill(machine: Machine, period: float) -> Trace:
     start = np.array([np.clip(0.0, *axis.travel) for axis in machine.axes])
     setpoints = Setpoints(np.tile(start, (round(1.0 / period), 1)), period)
     return simulate(machine, setpoints, sample_period=period, noise_seed=0).trace

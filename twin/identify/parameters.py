@@ -1,4 +1,4 @@
-"""The table of parameters: every number that was found, at the motor or the axis, with its doubts from both routes and the runs left out."""
+"""The table of identified parameters, each with intervals from the regression, from re-simulation and from the held-out motion."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
 def parameters_of(machine: Machine, direct: Direct, other: Direct, splits: dict[str, Split]) -> list[Parameter]:
     """All parameters in the order of the axes: control, mechanics at the motor, moments of the table at the axes.
 
-    `direct` is the regression on the training runs, `other` that on the runs left out (empty: none).
+    `direct` is the regression on the training rows, `other` that on the held-out rows (empty: none).
     """
     out: list[Parameter] = []
     inertias = home_inertia_at_motor(machine)
@@ -83,7 +83,7 @@ def _control(axis: Axis, direct: Direct, other: Direct) -> list[Parameter]:
 
 
 def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, other: Direct, splits: dict[str, Split]) -> list[Parameter]:
-    """Inertia, friction and gravity of one axis; the moments of a tilting table stand with A. `inertia` is the machine file's."""
+    """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A. `inertia` is the machine file's."""
     key = next((k for k in direct.balance if axis.name in k.split()), None)
     if key is None:
         return []
@@ -98,7 +98,7 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, oth
         aside = None
         if check is not None and check.fit.seen[i] and math.isfinite(check.fit.deviations[i]):
             aside = _around(*(float(x * factor) for x in (check.fit.values[i], check.fit.deviations[i] * check.fit.quantile)))
-        # the value: the product at the most probable torque constant, whose doubt adds
+        # the value is the product at the most probable torque constant; the uncertainty of that constant is added
         split = value * math.exp(kt_log)
         path = path_of(axis, name) if name in FRICTIONS else ""
         out.append(
@@ -113,7 +113,7 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, oth
 def _rows_of(machine: Machine, axis: Axis, inertia: float, paired: bool) -> list[tuple[str, str, str, float, float]]:
     """Name in the fit, name, unit, factor from the fit's unit to that of the table, value of the machine file."""
     r = axis.ratio
-    # the pair's numbers are at the axes, those of an axis by itself at the motor
+    # the values of the tilting pair are at the axes, those of a single axis at the motor
     suffix, once, twice = (f"_{axis.name}", r, r * r) if paired else ("", 1.0, 1.0)
     mass, force, damping = units_of(axis)
     out = [
@@ -132,7 +132,7 @@ def _rows_of(machine: Machine, axis: Axis, inertia: float, paired: bool) -> list
 
 
 def with_refined(parameters: Sequence[Parameter], refined: Machine, deviations: dict[str, float]) -> list[Parameter]:
-    """The parameters with what re-simulation made of them: the same factor as on the machine-file values."""
+    """The parameters with their refined values, taken from the refined machine."""
     inertia = home_inertia_at_motor(refined)
     pair = tilting_pair.pair_numbers(refined) if tilting_pair.has_pair(refined) else np.zeros(10)
     out = []
@@ -151,8 +151,8 @@ def with_refined(parameters: Sequence[Parameter], refined: Machine, deviations: 
         if d is None and f"{p.axis}.loops.{p.name}" in deviations:
             value, d = getattr(axis.loops, p.name), deviations[f"{p.axis}.loops.{p.name}"]
         if value is not None and d is not None:
-            # re-simulation keeps the torque constant of the split: its doubt adds, as it does to the regression's value; and where two
-            # routes through the same data disagree, the law of one of them lacks something: by one standard deviation as far as we know
+            # Re-simulation keeps the torque constant of the split, so its uncertainty is added as for the regression's value. If the two
+            # routes disagree on the same data, one of the models is incomplete: the difference is added as one standard deviation.
             split = math.sqrt(max(p.value.half**2 - p.estimate.half**2, 0.0)) if p.product else 0.0
             p = replace(p, refined=_around(value, math.hypot(1.96 * d, split, 1.96 * (value - p.value.value))))
         out.append(p)
@@ -160,9 +160,9 @@ def with_refined(parameters: Sequence[Parameter], refined: Machine, deviations: 
 
 
 def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFits) -> list[Parameter]:
-    """The parameters with what the fit of drives in closed loop found; it adds those that no regression could see.
+    """The parameters with the values of the closed-loop drive fit, including those that the regression could not identify.
 
-    A number that the residual does not answer to is left out.
+    Values that the drive fit could not identify are skipped.
     """
     out = list(parameters)
     inertias = dict(zip(before.axis_names, home_inertia_at_motor(before)))
@@ -170,7 +170,9 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
         axis = before.axis(name)
         r = axis.ratio
         turned = axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * r * r
-        carried = float(inertias[name]) - turned  # what the bodies of the model have: no number of the file, so the fit leaves it
+        carried = (
+            float(inertias[name]) - turned
+        )  # inertia of the model's bodies: it is not in the machine file, so the fit does not change it
         mass, force, damping = units_of(axis)
         rows = {
             "inertia": ("inertia", mass, float(inertias[name]), 1.0, ""),
@@ -191,7 +193,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             "constant_force": ("constant_torque", force, axis.constant_torque_nm, r, f"axis.{name}.constant_torque_nm"),
         }
         for field, value in fit.values.items():
-            if field in fit.unseen or not math.isfinite(fit.deviations[field]):
+            if field in fit.unidentified or not math.isfinite(fit.deviations[field]):
                 continue
             label, unit, start, factor, path = rows.get(field) or (
                 field,
@@ -202,7 +204,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             )
             half = 1.96 * fit.deviations[field] * factor
             around = _around(value * factor, half)
-            if field not in ("constant_force", "dsc_delay_s"):  # cannot be negative: the interval is one of the logarithm
+            if field not in ("constant_force", "dsc_delay_s"):  # positive values: the interval is that of the logarithm
                 wide = math.exp(min(half / abs(value * factor), 5.0))
                 around = Range(value * factor, value * factor / wide, value * factor * wide)
             if field == "inertia":
@@ -217,15 +219,15 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
     return out
 
 
-def doubts_of(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[str, str], float]:
-    """The regression's standard deviations as the refinement's knobs take them: relative, delays in seconds."""
+def prior_deviations(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[str, str], float]:
+    """Standard deviations of the regression in the units of the refinement's free parameters: relative, delays in seconds."""
     out: dict[tuple[str, str], float] = {}
     for p in parameters:
         d = p.estimate.half / 1.96
         relative = d / abs(p.estimate.value) if p.estimate.value else math.inf
         axis = machine.axis(p.axis)
         if p.name == "inertia":
-            # the rotor carries the change of the whole
+            # the refinement changes the total inertia through the rotor's
             rotor = axis.rotor_inertia_kg_m2
             out[p.axis, TOLERANCED[inertia_of(axis)]] = d / rotor if rotor > 0.0 else relative
         elif p.name in FRICTIONS:
@@ -241,10 +243,10 @@ def doubts_of(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[s
     return out
 
 
-LOOSE = 0.1
-"""A half interval above this fraction of the value counts as not identified."""
+WIDE_INTERVAL = 0.1
+"""A parameter with a wider half interval than this fraction of its value gets a finding."""
 
-CURES = {
+REMEDIES = {
     "velocity_feedforward": "a run with velocity feedforward on",
     "speed_gain_nm_s_per_rad": "runs that stay below the current limit",
     "torque_feedforward": "accelerations with torque feedforward on",
@@ -257,16 +259,16 @@ CURES = {
 }
 """The run that identifies a parameter."""
 
-TOGETHER = {
+PREREQUISITES = {
     "velocity_feedforward": ("position_gain_per_s",),
     "speed_gain_nm_s_per_rad": ("position_gain_per_s", "inertia"),
     "torque_feedforward": ("speed_gain_nm_s_per_rad",),
 }
-"""Where the others are known and the first is not, it is the runs that lack, not the signals."""
+"""If these parameters were identified but the first was not, the runs do not excite it although the signals are recorded."""
 
 
-def impossible(direct: Direct) -> dict[str, Finding]:
-    """Axes whose inertia or Coulomb friction comes out below zero, beyond its interval: their current is none of this motion."""
+def implausible_currents(direct: Direct) -> dict[str, Finding]:
+    """Axes whose inertia or Coulomb friction is significantly negative: their recorded current does not drive this motion."""
     out: dict[str, Finding] = {}
     for key, balance in direct.balance.items():
         fit = balance.fit
@@ -274,26 +276,24 @@ def impossible(direct: Direct) -> dict[str, Finding]:
             for name, quantity in (("inertia", "inertia"), ("coulomb", "Coulomb friction")):
                 i = next(k for k, n in enumerate(balance.names) if n in (name, f"{name}_{axis}"))
                 if fit.seen[i] and fit.values[i] + fit.quantile * fit.deviations[i] < 0.0:
-                    text = (
-                        f"the current gives a negative {quantity}: it runs against the motion and is not used; check the sign of the column"
-                    )
+                    text = f"the current gives a negative {quantity}, so it contradicts the motion and is not used; check the sign of the column"
                     out[axis] = Finding("", axis, text)
     return out
 
 
-def unseen(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
-    """Parameters that the campaign leaves open, with the run that would close them."""
+def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
+    """Findings about parameters that the campaign does not identify well, with the run that would."""
     out = []
     for axis in machine.axes:
         found = {p.name: p for p in parameters if p.axis == axis.name}
-        for name, cure in CURES.items():
+        for name, cure in REMEDIES.items():
             p = found.get(name)
             if p is not None:
                 scale = abs(p.before) or abs(p.estimate.value)
-                if p.estimate.half > LOOSE * scale > 0.0:
+                if p.estimate.half > WIDE_INTERVAL * scale > 0.0:
                     label = f"{name} only within {100 * p.estimate.half / scale:.0f} %; add {cure} ('twin plan')"
                     out.append(Finding("", axis.name, label))
-            elif (name in TOGETHER and set(TOGETHER[name]) <= found.keys()) or (
+            elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)
             ):
                 out.append(Finding("", axis.name, f"no run identifies {name}; add {cure} ('twin plan')"))

@@ -1,14 +1,14 @@
-"""The other way round: a measuring campaign for a machine, and how well each parameter will be known from it.
+"""Plan a measuring campaign for a machine and predict the interval of each parameter.
 
-Every axis gets the same moves, inside its travel and limits, one axis after the other: constant speeds there and back from creeping to
-rapid (friction), accelerated moves with and without feedforward (inertia, weights, gains), and, for a tilting table, slow turns of A over
-its range while C stands in several places and the other way round (first moments). A last run moves all axes at once: it is for checking,
-`identify` leaves it out of the fit.
+Every axis makes the same moves inside its travel and limits, one axis after the other: constant speeds in both directions from creeping to
+rapid (friction), and accelerated moves with and without feedforward (inertia, weights, gains). A tilting table adds slow turns of A over
+its range at several angles of C, and of C at several angles of A (first moments). The last run moves all axes at once; `identify` holds it
+out as a check.
 
-The predicted interval is that of the regression on the planned moves themselves, simulated with the noise of the machine file,
+The predicted interval is that of a regression on the planned moves, simulated with the noise of the machine file. After n rounds it is
     half(n)^2 = law^2 + scatter^2 / n
-after n rounds: scatter shrinks with repeating, what the laws leave open does not. Regressing one round and two separates them. A real
-drive adds cogging and pre-sliding; docs/identify.md says how much wider intervals came out on a plant that has them.
+The scatter decreases with the number of rounds, the error of the laws does not. Regressions on one round and on two separate them. A real
+drive adds cogging and pre-sliding; docs/identify.md shows how much wider the intervals are on a plant that has them.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from twin.simulation.setpoints import Setpoints, check_travel
 from twin.units import AXIS_UNITS
 
 SHARE = 0.9
-"""Share of speed, acceleration and travel that the moves use."""
+"""Share of the permitted speed, acceleration and travel that the moves use."""
 
 LADDER = (0.03, 0.08, 0.2, 0.45, 0.9)
-"""Constant speeds as shares of the highest speed."""
+"""Constant speeds as shares of the permitted speed."""
 
 SPEED_TIME_S = 0.4
 """Time at each constant speed, where the travel allows it."""
@@ -51,7 +51,7 @@ DWELL_S = 0.15
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run: set points, feedforward to switch on, how often to repeat it, and its moves (axis -> (target, speed)) for the part program."""
+    """One run: set points, feedforward mode, number of repeats, and its moves (axis -> (target, speed)) for the part program."""
 
     name: str
     feedforward: str
@@ -66,7 +66,7 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Predicted:
-    """A parameter's predicted relative half interval (95 %) after all rounds, and the part of it that more rounds would not shrink."""
+    """A parameter's predicted relative half interval (95 %) after all rounds, and the part of it that more rounds do not reduce (`law`)."""
 
     axis: str
     name: str
@@ -78,7 +78,7 @@ class Predicted:
 
 @dataclass(frozen=True)
 class Plan:
-    """Runs and what they will identify."""
+    """Planned runs and the predicted interval of each parameter."""
 
     runs: tuple[PlannedRun, ...]
     predicted: tuple[Predicted, ...]
@@ -87,10 +87,10 @@ class Plan:
 def plan_campaign(
     machine: Machine, precision: float = 0.01, longest_s: float = 900.0, progress: Callable[[str], None] | None = None
 ) -> Plan:
-    """Plan runs for every axis of the machine; repeats grow until each parameter is within `precision` or the time is used."""
+    """Plan runs for every axis of the machine, with as many repeats as `precision` needs and `longest_s` [s] allows."""
     if machine.sample_period > DWELL_S:
         raise InputError(
-            f"[measurement]: sample_period_us = {machine.sample_period * 1e6:g}: a plan has dwells of {DWELL_S:g} s; give at most {DWELL_S * 1e6:g}"
+            f"[measurement]: sample_period_us = {machine.sample_period * 1e6:g}: a plan has dwells of {DWELL_S:g} s; use at most {DWELL_S * 1e6:g}"
         )
     runs = [*_friction_runs(machine), *_acceleration_runs(machine), *_table_runs(machine), *_check_runs(machine)]
     if not runs:
@@ -99,9 +99,9 @@ def plan_campaign(
         check_travel(run.setpoints, machine, f"planned run {run.name}")
     total = sum(r.duration for r in runs)
     if total > longest_s:
-        raise InputError(f"one round of the plan takes {total:.0f} s, allowed are {longest_s:.0f} s; allow more with --minutes")
+        raise InputError(f"one round of the plan takes {total:.0f} s, but only {longest_s:.0f} s are allowed; raise --minutes")
     parts = _predict(machine, runs[:-1], progress)
-    # as many rounds as the slowest parameter needs, of those that rounds can bring there
+    # rounds for the least precise parameter, of those that can reach the precision by repeating
     needed = [scatter**2 / (precision**2 - law**2) for _, law, scatter in parts if law < 0.95 * precision]
     repeats = int(np.clip(math.ceil(max(needed, default=1.0)), 1, max(1, int(longest_s // total))))
     final = [Predicted(p.axis, p.name, p.before, p.unit, math.hypot(law, scatter / math.sqrt(repeats)), law) for p, law, scatter in parts]
@@ -117,7 +117,7 @@ def move(distance: float, speed: float, acceleration: float, jerk: float, period
 
 
 def _reach(axis: Axis) -> tuple[float, float]:
-    """Middle and half width of the stretch that moves use: travel, at most 0.45 m or 140 degrees each way."""
+    """Middle and half width of the range of the moves: the travel, at most 0.45 m or 140 degrees each way."""
     low, high = axis.travel
     widest = 0.45 if axis.kind == "linear" else math.radians(140.0)
     if not math.isfinite(low) or not math.isfinite(high):
@@ -126,7 +126,7 @@ def _reach(axis: Axis) -> tuple[float, float]:
 
 
 def _path(machine: Machine, start: dict[str, float], moves: Sequence[tuple[str, float, float]], name: str, feedforward: str) -> PlannedRun:
-    """Moves (axis, target, speed) one after the other with dwells."""
+    """A run of consecutive moves (axis, target, speed) with dwells between them."""
     period = machine.sample_period
     refuse_above(_lasts(machine, start, moves) / period, MOST_SETPOINTS, "set points", "[measurement]: sample_period_us", "lengthen it")
     at = dict(start)
@@ -145,7 +145,7 @@ def _path(machine: Machine, start: dict[str, float], moves: Sequence[tuple[str, 
 
 
 def _lasts(machine: Machine, start: Mapping[str, float], moves: Sequence[tuple[str, float, float]]) -> float:
-    """Time of moves (axis, target, speed) with their dwells [s]."""
+    """Duration of moves (axis, target, speed) with their dwells [s]."""
     at, lasts = dict(start), DWELL_S
     for name, target, speed in moves:
         axis, distance = machine.axis(name), target - at[name]
@@ -159,7 +159,7 @@ def _home(machine: Machine) -> dict[str, float]:
 
 
 def _friction_runs(machine: Machine) -> list[PlannedRun]:
-    """Constant speeds there and back, every axis by itself."""
+    """Constant speeds in both directions, one axis after the other."""
     moves = []
     for axis in machine.axes:
         middle, half = _reach(axis)
@@ -173,7 +173,7 @@ def _friction_runs(machine: Machine) -> list[PlannedRun]:
 
 
 def _acceleration_runs(machine: Machine) -> list[PlannedRun]:
-    """Accelerated moves of two lengths, with feedforward and without."""
+    """Accelerated moves of two lengths, with and without feedforward."""
     moves = []
     for axis in machine.axes:
         middle, half = _reach(axis)
@@ -185,7 +185,7 @@ def _acceleration_runs(machine: Machine) -> list[PlannedRun]:
 
 
 def _table_runs(machine: Machine) -> list[PlannedRun]:
-    """Slow turns of A over its range at several C, and of C at several A."""
+    """Slow turns of A over its range at several angles of C, and of C at several angles of A."""
     if not tilting_pair.has_pair(machine):
         return []
     a, c = machine.axis("A"), machine.axis("C")
@@ -200,7 +200,7 @@ def _table_runs(machine: Machine) -> list[PlannedRun]:
 
 
 def _check_runs(machine: Machine) -> list[PlannedRun]:
-    """All axes at once on straight lines there and back: nothing is learnt from it."""
+    """A run with all axes at once on straight lines, held out as a check."""
     period = machine.sample_period
     at = np.array(list(_home(machine).values()))
     dwell = np.tile(at, (round(DWELL_S / period), 1))
@@ -214,7 +214,7 @@ def _check_runs(machine: Machine) -> list[PlannedRun]:
             for limit in (lambda a: 0.6 * a.max_velocity, lambda a: 0.6 * a.max_acceleration, lambda a: a.max_jerk)
         )
         rows += [at + way * move(1.0, speed, acceleration, jerk, period)[1:, None], np.tile(target, (len(dwell), 1))]
-        # the control's feed is that of the linear axes together, of the first axis where there are none
+        # the feed of the control is the path speed of the linear axes, or the speed of the first axis if there are none
         lead = [d for a, d in zip(machine.axes, way) if a.kind == "linear"] or way[:1]
         blocks.append((dict(zip(machine.axis_names, target.tolist())), float(np.linalg.norm(lead)) * speed))
         at = target
@@ -229,9 +229,9 @@ PREDICTED = (
 
 
 def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[str], None] | None) -> list[tuple[Parameter, float, float]]:
-    """Parameter, relative half interval of the law alone, and that of one round's scatter: from one simulated round and from two."""
+    """Parameter, relative half interval of the law, and that of the scatter of one round, from one and two simulated rounds."""
     seen: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}
-    quiet: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}  # without noise: instruments
+    quiet: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}  # noise-free: the instruments
     halves: list[dict[tuple[str, str], Parameter]] = []
     for rounds in (1, 2):
         for i, run in enumerate(runs):
@@ -256,7 +256,7 @@ def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[s
 
 
 def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
-    """Part programs (Siemens), set points (Parquet), recordings/campaign.toml that waits for the recordings, and plan.json."""
+    """Write part programs (Siemens), set points (Parquet), recordings/campaign.toml for the later recordings, and plan.json."""
     out.mkdir(parents=True, exist_ok=True)
     files = []
     for run in plan.runs:
@@ -266,7 +266,7 @@ def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
         files.append(out / f"{run.name}.parquet")
         write_whole(out / f"{run.name}.mpf", siemens_program(run, machine))
         files.append(out / f"{run.name}.mpf")
-    # a folder that `twin identify` reads as soon as the recordings lie in it
+    # `twin identify` reads this folder once the recordings are in it
     lines = [f'machine = "{machine.path.stem if machine.path else machine.name}"']
     lines += [f'\n[[run]]\nfile = "{run.name}.parquet"\nfeedforward = "{run.feedforward}"' for run in plan.runs]
     write_whole(out / "recordings" / "campaign.toml", "\n".join(lines) + "\n")
@@ -284,7 +284,7 @@ def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
 
 
 def siemens_program(run: PlannedRun, machine: Machine) -> str:
-    """The moves as a part program for a Sinumerik: exact stops, feed of the linear axes in mm/min, else deg/min, dwells between."""
+    """The moves as a part program for a Sinumerik: exact stops, feed in mm/min (linear axes) or deg/min, dwells between moves."""
     words = {"off": "FFWOF", "velocity": "FFWON", "velocity+torque": "FFWON"}
     lines = [
         f"; {run.name}: feedforward '{run.feedforward}' - set the axes' feedforward mode (MD32620) to it before the run",

@@ -1,17 +1,17 @@
-"""The position controller, read from its own signals: gain, feedforward weight and delays.
+"""Identify the position controller from its signals: gain, feedforward weight and delays.
 
-At the start t of every position cycle the NC makes, from the set point s and the position x that the trace holds,
+At the start t of every position cycle the NC computes from the recorded set point s and position x
 
     v* = Kv (s(t - d_pos) - x(t)) + a_v f,    f = (s(t - d_ff) - s(t - d_ff - Tp)) / Tp,  or the recorded feedforward
 
-v* is recorded without noise and x as the control saw it, so the law holds to rounding and to whatever it does not contain.
+v* is recorded without noise and x as the control used it, so the law holds up to rounding and unmodelled terms.
 
-For known delays the law is linear in Kv and a_v. So the delays are tried on a grid of quarter cycles, for set points between the NC's
-samples on a cubic spline and on a straight line (a delay of 1.5 cycles is then the mean of two neighbouring cycles, as a SINUMERIK makes
-it). The best starts are refined by a damped Gauss-Newton search. A machine file that is far off therefore does no harm.
+For known delays the law is linear in Kv and a_v. The delays are therefore searched on a grid of quarter cycles, with cubic and with linear
+interpolation of the set points between the NC's samples (linear: a delay of 1.5 cycles is the mean of two neighbouring cycles, as in a
+SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
-An encoder that has a zero of its own adds Kv times this constant. The law with a constant in each run is taken where it leaves clearly less.
-Where two laws leave about the same, as on a few smooth waves, the intervals hold both.
+An encoder with a different zero adds a constant to v*. A law with a constant in each run is used if its residual is clearly smaller.
+If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
 """
 
 from __future__ import annotations
@@ -33,42 +33,42 @@ NAMES = ("position_gain_per_s", "velocity_feedforward", "position_delay_s", "fee
 
 MOST_DELAY_CYCLES = 12
 STEPS_A_CYCLE = 4
-"""The grid of delays: up to so many position cycles, in steps of a quarter cycle."""
+"""Largest delay of the grid in position cycles, and grid steps per cycle."""
 
 STARTS = 3
-"""So many local minima of the grid are refined."""
+"""Number of local minima of the grid that are refined."""
 
 GRID_ROWS = 4000
-"""The grid reads at most so many cycles; the refinement reads all."""
+"""Largest number of cycles used by the search; the final regression uses all."""
 
-UNTOLD = 3.0
-"""A gain within so many standard deviations of 0 is none."""
+GAIN_SIGNIFICANCE = 3.0
+"""A gain is significant if it exceeds this many standard deviations."""
 
 CLEARLY_LESS = 0.8
-"""The other interpolation counts where it leaves less than this part of what the machine file's leaves."""
+"""Another law replaces the machine file's interpolation if its residual is smaller than this share."""
 
-RIVAL = 2.0
-"""A law that leaves less than so many times the RMS of the best one is not excluded."""
+RIVAL_RATIO = 2.0
+"""Laws with a residual RMS below this multiple of the best one are not excluded; the intervals cover them."""
 
 OUT_OF_LINE = 8.0
-"""Cycles whose residual is beyond so many robust standard deviations are left out: a lost sample, a step of a counter."""
+"""Cycles with a residual beyond this many robust standard deviations are outliers: a lost sample, a step of a counter."""
 
 TRIMMED = 0.97
-"""Starts are compared by this part of the cycles, the ones nearest to the law: a lost sample decides nothing."""
+"""Share of the cycles with the smallest residuals that compares the starts, so that outliers do not matter."""
 
 NOT_RECORDED = "no speed set point is recorded"
 
-EVERY = slice(None)
+ALL_ROWS = slice(None)
 
 FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_delay_s": 1.2e-8, "feedforward_delay_s": 4e-9}
-"""What rounded columns and the splines of the set points leave, as a standard deviation: not random from sample to sample."""
+"""Standard deviations due to rounded columns and the set-point splines; these errors are systematic, not random."""
 
 
 @dataclass(frozen=True)
 class PositionControl:
     """Values of NAMES with their fit, residual RMS of v* [axis units a second], and the feedforward weight of each run.
 
-    `interpolation` is how set points between the NC's samples are made; `from_recorded_feedforward`: f is a recorded signal.
+    `interpolation`: 'cubic' or 'linear' between the NC's set points; `from_recorded_feedforward`: f is a recorded signal.
     """
 
     values: dict[str, float]
@@ -82,16 +82,16 @@ class PositionControl:
 
 
 def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False) -> PositionControl | str:
-    """The law that leaves least of the recorded speed set point; a text that says why where there is none.
+    """The law with the smallest residual of the recorded speed set point, or the reason why none was found.
 
-    `interpolation` is the machine file's, 'cubic' or 'linear': the other one must leave clearly less to be taken
-    (`only`: it is not tried).
+    `interpolation`: the machine file's, 'cubic' or 'linear'. The other one is used only if its residual is clearly smaller (`only`: it is
+    not tried).
     """
     if not any(r.speed_setpoint is not None for r in runs):
         return NOT_RECORDED
-    if not any(seen_position(r, axis) is not None for r in runs):
-        return "the position that the control used is not recorded"
-    runs = [r for r in runs if r.speed_setpoint is not None and seen_position(r, axis) is not None and np.ptp(r.angle) * axis.ratio > 1e-5]
+    if not any(loop_position(r, axis) is not None for r in runs):
+        return "the position feedback of the control is not recorded"
+    runs = [r for r in runs if r.speed_setpoint is not None and loop_position(r, axis) is not None and np.ptp(r.angle) * axis.ratio > 1e-5]
     if not runs:
         return "the axis does not move where its speed set point is recorded"
     ways = sorted(INTERPOLATIONS, key=lambda way: way != interpolation)[: 1 if only else 2]
@@ -102,11 +102,11 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
         if there[1] < CLEARLY_LESS * least:
             law, (x, least, rivals) = other, there
     if not np.all(np.isfinite(x)):
-        return "too few cycles without a limit or a lost sample"
+        return "too few cycles without a limit or an outlier"
     fit, x = law.polished(x)
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
-        return "one speed only: the set point's delay and the position gain are one number; record accelerations"
-    if x[0] <= UNTOLD * fit.deviations[0]:
+        return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
+    if x[0] <= GAIN_SIGNIFICANCE * fit.deviations[0]:
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     values = dict(zip(NAMES, x.tolist()))
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
@@ -116,15 +116,15 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     )
 
 
-def seen_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
-    """Position (cycle,) that closes the position loop, axis units: the scale, or the motor encoder where the machine file says so."""
+def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
+    """Position feedback (cycle,) in axis units: the scale, or the motor encoder if the machine file uses it."""
     if axis.encoder == "motor" and run.motor_at_axis is not None:
         return run.motor_at_axis
     return run.position
 
 
 class _Law:
-    """The rows of all runs for one way of reading set points between samples."""
+    """The law on all runs for one interpolation (`way`); `zeros`: with a free constant in each run."""
 
     def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str, zeros: bool = False) -> None:
         self.axis, self.runs, self.way, self.zeros = axis, runs, way, zeros
@@ -134,18 +134,18 @@ class _Law:
         )
 
     def read(self, run: AxisRun, times: np.ndarray) -> np.ndarray:
-        """Set point of a run at any times, between the NC's cycles as this way has it."""
+        """Interpolated set point of a run at any times."""
         if self.way == "cubic":
             return run.setpoint_at(times)
         return np.interp(times, run.start, run.setpoint_at(run.start))
 
-    def error(self, run: AxisRun, delay: float, rows: np.ndarray | slice = EVERY) -> np.ndarray:
+    def error(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Control error (row,) of one run for a delay of the set point."""
-        position = seen_position(run, self.axis)
+        position = loop_position(run, self.axis)
         assert position is not None
         return self.read(run, run.start[rows] - delay) - position[rows]
 
-    def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = EVERY) -> np.ndarray:
+    def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle."""
         if self.recorded:
             return (run.velocity_feedforward if run.velocity_feedforward is not None else np.zeros(len(run.start)))[rows]
@@ -153,25 +153,25 @@ class _Law:
         return (self.read(run, t) - self.read(run, t - run.cycle)) / run.cycle
 
     def level(self, values: np.ndarray) -> np.ndarray:
-        """(..., row) values of one run without their mean, where each run has a constant of its own."""
+        """(..., row) values of one run, without their mean if each run has a free constant."""
         return values - values.mean(axis=-1, keepdims=True) if self.zeros and values.shape[-1] else values
 
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
-        """v* less the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
+        """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
         out = []
-        for run, on, kept in zip(self.runs, self.on, rows or [EVERY] * len(self.runs)):
+        for run, on, kept in zip(self.runs, self.on, rows or [ALL_ROWS] * len(self.runs)):
             assert run.speed_setpoint is not None
             law = x[0] * self.error(run, x[2], kept) + x[1] * on * self.fed(run, x[3], kept)
             out.append(run.speed_setpoint[kept] * self.axis.ratio - law)
         return out
 
     def usable(self, run: AxisRun) -> np.ndarray:
-        """(cycle,) neither limited nor so near to the beginning that a delayed set point is not recorded."""
+        """(cycle,) True without a limit and late enough in the run that the delayed set point is recorded."""
         early = np.arange(len(run.start)) < min(MOST_DELAY_CYCLES, len(run.start) // 4)
         return ~run.limited & ~early
 
     def search(self) -> tuple[np.ndarray, float, list[np.ndarray]]:
-        """Best values of NAMES, the RMS that they leave, and other laws that leave about as little; from the grid and a damped search."""
+        """Grid and damped search: best values of NAMES, their residual RMS, and other solutions with a similar residual."""
         tp = self.runs[0].cycle
         grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
         keep = [np.flatnonzero(self.usable(r)) for r in self.runs]
@@ -210,10 +210,10 @@ class _Law:
                 ends.append((rms, found.x))
                 if rms < least:
                     best, least = found.x, rms
-        return best, least, [x for rms, x in ends if rms < RIVAL * least]
+        return best, least, [x for rms, x in ends if rms < RIVAL_RATIO * least]
 
     def polished(self, x: np.ndarray) -> tuple[Fit, np.ndarray]:
-        """The regression at the solution, with intervals by strokes and without cycles that are far out of line."""
+        """Regression at the solution, with intervals by strokes and without outliers."""
         fit: Fit | None = None
         usable = [self.usable(r) for r in self.runs]
         for _ in range(4):
@@ -231,7 +231,7 @@ class _Law:
             fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters))
             step = fit.values
             if not np.all(np.isfinite(step)) or abs(step[0]) > 0.1 * abs(x[0]) or np.max(np.abs(step[2:])) > 0.5 * self.runs[0].cycle:
-                break  # what the search has found is kept: the last steps may only polish it
+                break  # keep the result of the search: these steps may only make small corrections
             x = x + step
             if np.all(np.abs(step) < 1e-9):
                 break
@@ -241,7 +241,7 @@ class _Law:
         return fit, x
 
     def _slopes(self, run: AxisRun, on: float, x: np.ndarray) -> np.ndarray:
-        """Columns (cycle, 4): change of the law with each value."""
+        """Columns (cycle, 4): derivatives of the law with respect to NAMES."""
         error, fed = self.error(run, x[2]), on * self.fed(run, x[3])
         h = 1e-3 * run.cycle
         moved = (self.read(run, run.start - x[2] + h) - self.read(run, run.start - x[2] - h)) / (2.0 * h)
@@ -251,7 +251,7 @@ class _Law:
         return np.column_stack([error, fed, -x[0] * moved, -x[1] * change])
 
     def _delay_of_feedforward(self, weight: float) -> float:
-        """Delay [s] that makes the recorded feedforward from the set points; the machine file's where none does."""
+        """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined."""
         tp = self.runs[0].cycle
         grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
         left = np.zeros(len(grid))
@@ -269,7 +269,7 @@ class _Law:
         return float(grid[int(np.argmin(left))]) if power > 0.0 and left.min() < 0.01 * power else self.axis.loops.feedforward_delay_s
 
     def weights(self, x: np.ndarray) -> dict[str, float]:
-        """Feedforward weight of each run alone, the rest as found: about 0 or a_v; NaN where the axis hardly moves."""
+        """Feedforward weight of each run with the other values fixed: about 0 or a_v; NaN if the axis hardly moves."""
         out = {}
         for run in self.runs:
             assert run.speed_setpoint is not None
@@ -288,7 +288,7 @@ def linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.n
 
 
 def _left(errors: np.ndarray, fed: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sum of squares (delay, feedforward delay) that the best gain and weight leave, and these two."""
+    """Residual sum of squares (delay, feedforward delay) with the best gain and weight, and these two."""
     ee, ff, ef = np.sum(errors**2, axis=1)[:, None], np.sum(fed**2, axis=1)[None, :], errors @ fed.T
     ey, fy = (errors @ y)[:, None], (fed @ y)[None, :]
     determinant = ee * ff - ef**2
@@ -301,7 +301,7 @@ def _left(errors: np.ndarray, fed: np.ndarray, y: np.ndarray) -> tuple[np.ndarra
 
 
 def _minima(left: np.ndarray) -> list[tuple[int, int]]:
-    """Places of the local minima of a grid, lowest first."""
+    """Indices of the local minima of a grid, lowest first."""
     padded = np.pad(left, 1, constant_values=np.inf)
     here = np.isfinite(left)
     for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):

@@ -1,13 +1,13 @@
-"""From products with the torque constant to values: what fixes a torque constant, and how far.
+"""Split the identified products with the torque constant into values, with the tolerances of the machine file.
 
-Current and motion give only J/Kt, Fc/Kt, Fv/Kt, m g/Kt: one factor is common to all numbers of a motor, whatever the recording. Only something
-known breaks the tie: a mass on a scale, a torque wrench, the motor's test sheet, or the machine file's tolerance: each parameter lies
-within it of its nominal value, so a factor that all products share is more likely the torque constant's than everyone's. Values are the
-most probable ones under those tolerances and the regression,
+Current and motion determine only J/Kt, Fc/Kt, Fv/Kt and m g/Kt: the scale of all values of a motor remains unknown, whatever the recording.
+Additional knowledge is needed: a weighed mass, a torque wrench, the motor's test sheet, or the tolerance in the machine file. Each parameter
+lies within this tolerance of its nominal value, so a factor common to all products most likely belongs to the torque constant. The values
+are the most probable ones given tolerances and regression,
 
     min  sum_i ((p_i - p_i(x)) / d_i)^2 + sum_j (x_j / t_j)^2,     x: logarithms of factors on the machine file
 
-Where the products contradict the tolerance, the torque constant of the file is kept and all others follow.
+If the products contradict the tolerance, the torque constant of the file is kept and the other values follow from it.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from twin.machine.machine import Machine
 from twin.machine.toleranced import inertia_of, path_of
 
 FLOOR = 2e-4
-"""Relative deviation below which no product is believed: laws hold no better."""
+"""Lower bound of a product's relative standard deviation, for the errors of the laws."""
 
 CONTRADICTS = 3.0
-"""A parameter so many standard deviations off its nominal value says that the tolerance does not hold."""
+"""The tolerance is contradicted if a parameter is off its nominal value by more than this many standard deviations."""
 
 WIDE = 0.3
-"""Standard deviation of the factors on the machine file where its tolerance does not hold."""
+"""Standard deviation of the factors on the machine file if its tolerance is contradicted."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """Factors on machine-file values (log, deviation) by path, for one motor or the pair, and whether the tolerance held."""
+    """Factors on machine-file values (log, standard deviation) by path for one motor or the pair, and whether the tolerance holds."""
 
     factors: dict[str, tuple[float, float]]
     tolerance_holds: bool
 
 
 def split_products(machine: Machine, direct: Direct, torque_constant_tolerance: float | None = None) -> dict[str, Split]:
-    """Most probable factors by path for every balance that was found; tolerances are relative half widths."""
+    """Most probable factors by path for every identified balance; tolerances are relative half widths."""
     out = {}
     for name, balance in direct.balance.items():
         paths = _paths(machine, name)
@@ -70,19 +70,19 @@ def split_products(machine: Machine, direct: Direct, torque_constant_tolerance: 
 
 
 def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
-    """The machine file with the factors on its values."""
+    """The machine with the factors applied to its values."""
     return machine.with_values({p: v for split in splits.values() for p, v in _scaled(machine, split.factors).items()})
 
 
 def _paths(machine: Machine, name: str) -> tuple[str, ...]:
-    """Paths of the machine-file values that the products of a motor hold."""
+    """Paths of the machine-file values that the products of a motor contain."""
     out = []
     for axis in map(machine.axis, name.split()):
         inertia = inertia_of(axis)
-        # the constant of an ideal actuator is what the numbers are counted in
+        # the constant of an ideal actuator is the unit of the values, so it is not split
         known = ["torque_constant"] if axis.has_current_loop else []
         parameters = [*known, inertia, "coulomb_friction", "viscous_friction"]
-        # a weight gives the mass; elsewhere the inertia is one number, and the rotor stands for it
+        # a vertical axis shows its weight and so its mass; elsewhere only the total inertia is known, and the rotor's value takes it
         if is_vertical(machine, axis.name) and inertia != "moving_mass":
             parameters.append("moving_mass")
         out += [path_of(axis, parameter) for parameter in parameters]
@@ -92,7 +92,7 @@ def _paths(machine: Machine, name: str) -> tuple[str, ...]:
 
 
 def _share(machine: Machine, path: str) -> float:
-    """How much more than the tolerance a rotor may be off where it stands for the load's mass, too."""
+    """Factor on the tolerance of a value; above 1 for a rotor whose value also includes the load's mass."""
     table, name, _ = path.split(".", 2)
     axis = machine.axis(name) if table == "axis" else None
     if axis is None or axis.kind != "linear" or path != path_of(axis, "rotor_inertia") or is_vertical(machine, name):
@@ -144,21 +144,21 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
             axis.viscous_friction_nm_s_per_rad * f[viscous],
             weight,
         ]
-        # a horizontal axis has no product with weight: what is constant there is no mass
+        # a horizontal axis has no product with weight: a constant force there is not due to a mass
         return np.array(products) / (1.0 if kt is None else f[kt])
 
     return single
 
 
 def _pair_part(machine: Machine, body: str) -> np.ndarray:
-    """Share of one body in the ten numbers of the pair: they are linear in its mass and inertia together."""
+    """Contribution of one body to the ten PAIR numbers, which are linear in its mass and inertia."""
     table = machine.document["body"][body]
     doubled = {f"body.{body}.mass_kg": 2.0 * table["mass_kg"], f"body.{body}.inertia_kg_m2": [2.0 * i for i in table["inertia_kg_m2"]]}
     return tilting_pair.pair_numbers(machine.with_values(doubled)) - tilting_pair.pair_numbers(machine)
 
 
 def is_vertical(machine: Machine, name: str) -> bool:
-    """Does the weight of a linear axis hang on its drive?"""
+    """Does the drive of this linear axis carry its weight?"""
     axis = machine.axis(name)
     return axis.kind == "linear" and abs(upward(machine, axis)) > 0.5
 
@@ -174,7 +174,7 @@ def _most_probable(
 
 
 def _scaled(machine: Machine, factors: Mapping[str, tuple[float, float]]) -> dict[str, object]:
-    """Values by path; a body's inertia goes with its mass."""
+    """Scaled values by path; a body's inertia scales with its mass."""
     out: dict[str, object] = {}
     for asked, (log_factor, _) in factors.items():
         path = machine.in_file(asked, 0.0)[0]

@@ -1,4 +1,4 @@
-"""A recording before it is believed: every axis on the position cycles, flags of the feedforward checked, late channels taken back."""
+"""Prepare a campaign for identification: drop unusable channels, check feedforward flags, correct late channels, resample to position cycles."""
 
 from __future__ import annotations
 
@@ -10,75 +10,75 @@ import numpy as np
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.findings import (
-    LATE_S,
+    LEAST_SKEW_S,
+    ChannelSkew,
     Finding,
-    Late,
+    channel_skews,
     checked_flags,
     coverage,
-    late_channels,
     missing_signals,
-    shifted_setpoint,
+    setpoint_shift,
     unusable_channels,
 )
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 
 SHORT_S = 0.5
-"""A run shorter than this shows nothing below 20 Hz: it is left out."""
+"""A shorter run has no usable content below 20 Hz and is not used."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Runs with checked flags, each axis of each run on the position cycles (None: no measured motion), findings, skew of each channel."""
+    """Runs with checked flags, their axes on the position cycles (None: no measured motion), findings, skew of each channel."""
 
     runs: list[MeasuredRun]
     axis_runs: dict[str, list[AxisRun | None]]
     findings: list[Finding]
-    late: list[Late]
+    skews: list[ChannelSkew]
 
     def without_current(self, axes: Iterable[str]) -> Recording:
-        """The same as if the current of these axes had not been recorded."""
+        """The recording without the current of these axes."""
         changed = {a: [replace(r, current=None, current_ripple=None) if r else None for r in self.axis_runs[a]] for a in axes}
         return replace(self, axis_runs={**self.axis_runs, **changed})
 
 
-def prepared(machine: Machine, campaign: Campaign) -> Recording:
-    """Read a campaign: flags checked, late channels taken back, everything noticed on the way in `findings`."""
+def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
+    """Read a campaign, check flags and correct late channels; `findings` lists all problems. Raises InputError without a usable run."""
     usable, findings = _usable(machine, campaign)
     findings += missing_signals(machine, usable)
     runs = usable
     correct: dict[str, dict[str, float]] = {}
-    axis_runs = _read(machine, runs, {})
-    late: list[Late] | None = None
+    axis_runs = _axis_runs(machine, runs, {})
+    skews: list[ChannelSkew] | None = None
     said: list[Finding] = []
     for _ in range(FLAG_ROUNDS):
         flags, said = checked_flags(machine, usable, axis_runs)
-        if late is not None and flags == [r.feedforward for r in runs]:
+        if skews is not None and flags == [r.feedforward for r in runs]:
             break
         runs = [replace(r, feedforward=f) for r, f in zip(usable, flags)]
-        late, correct, axis_runs = _taken_back(machine, runs)
+        skews, correct, axis_runs = _without_skew(machine, runs)
     findings += said
-    for item in late or ():
+    for item in skews or ():
         if item.signal in correct.get(item.axis, {}):
-            text = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); taken back"
+            text = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); corrected"
             findings.append(Finding("", item.axis, text))
     for axis in machine.axes:
         seen = [r for r in axis_runs[axis.name] if r is not None]
         findings += coverage(machine, axis, seen)
-    return Recording(runs, axis_runs, findings, late or [])
+    return Recording(runs, axis_runs, findings, skews or [])
 
 
 FLAG_ROUNDS = 2
-"""A late channel looks like another feedforward, and the wrong feedforward like a late channel: flags are checked before and after."""
+"""Rounds of flag check and skew correction. They depend on each other: a late channel looks like another feedforward and vice versa."""
 
 
 def _usable(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], list[Finding]]:
-    """The runs that are long enough, without channels that cannot be what they say, and a finding for each that is left out."""
+    """The runs that are long enough, without unusable channels, and a finding for each excluded run or channel."""
     runs, findings = [], []
     for run in campaign.runs:
         length = float(run.trace.time[-1] - run.trace.time[0])
         if length < SHORT_S:
-            findings.append(Finding(run.name, "", f"only {length:.3g} s long: left out; record at least {SHORT_S:g} s"))
+            findings.append(Finding(run.name, "", f"only {length:.3g} s long: not used; record at least {SHORT_S:g} s"))
             continue
         unusable = unusable_channels(machine, run)
         findings += unusable.values()
@@ -89,43 +89,43 @@ def _usable(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], li
     return runs, findings
 
 
-def _read(machine: Machine, runs: Sequence[MeasuredRun], lateness: dict[str, dict[str, float]]) -> dict[str, list[AxisRun | None]]:
+def _axis_runs(machine: Machine, runs: Sequence[MeasuredRun], lateness: dict[str, dict[str, float]]) -> dict[str, list[AxisRun | None]]:
     return {a.name: [axis_run(machine, a, r, lateness.get(a.name)) if a.name in r.trace.axes else None for r in runs] for a in machine.axes}
 
 
-def _taken_back(
+def _without_skew(
     machine: Machine, runs: Sequence[MeasuredRun]
-) -> tuple[list[Late], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
-    """Skew of each channel, what was taken back of it by axis and signal [s], and the axis runs without it."""
-    axis_runs = _read(machine, runs, {})
-    late = _skew(machine, runs, axis_runs)
+) -> tuple[list[ChannelSkew], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
+    """Skew of each channel, applied correction by axis and signal [s], and the corrected axis runs."""
+    axis_runs = _axis_runs(machine, runs, {})
+    skews = _mean_skews(machine, runs, axis_runs)
     correct: dict[str, dict[str, float]] = {}
     for done in range(SKEW_ROUNDS):
-        # a current that is late by odd samples shows another phase of its saw-tooth, and a late motor angle makes all else look late:
-        # what one round leaves or overdoes, the next finds
-        late, before = _remaining(late, _skew(machine, runs, axis_runs), correct) if done else late, correct
+        # A current that is late by an odd number of samples has another phase of the saw-tooth, and a late motor angle makes all other
+        # channels look late. Further rounds correct the remaining error.
+        skews, before = _total_skews(skews, _mean_skews(machine, runs, axis_runs), correct) if done else skews, correct
         correct = {}
-        for item in late:
-            if abs(item.seconds) > max(LATE_S[item.signal], 4.0 * item.deviation):
-                correct.setdefault(item.axis, {})[item.signal] = _whole(item.seconds, runs[0].trace.period)
+        for item in skews:
+            if abs(item.seconds) > max(LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
+                correct.setdefault(item.axis, {})[item.signal] = _whole_samples(item.seconds, runs[0].trace.period)
         if correct == before:
             break
-        axis_runs = _read(machine, runs, correct)
-    return late, correct, axis_runs
+        axis_runs = _axis_runs(machine, runs, correct)
+    return skews, correct, axis_runs
 
 
 SKEW_ROUNDS = 3
 NEAR_SAMPLE = 0.2
-"""A skew within this fraction of a period from whole samples is taken as whole samples: recorders are late by those."""
+"""A skew within this fraction of a period from a whole number of samples is rounded to it: recorders delay by whole samples."""
 
 
-def _whole(seconds: float, period: float) -> float:
+def _whole_samples(seconds: float, period: float) -> float:
     samples = seconds / period
     return round(samples) * period if abs(samples - round(samples)) < NEAR_SAMPLE else seconds
 
 
-def _remaining(before: Sequence[Late], now: Sequence[Late], correct: dict[str, dict[str, float]]) -> list[Late]:
-    """Skews after a correction: what was taken back and what is left."""
+def _total_skews(before: Sequence[ChannelSkew], now: Sequence[ChannelSkew], correct: dict[str, dict[str, float]]) -> list[ChannelSkew]:
+    """Total skews after a correction: correction plus remaining skew."""
     left = {(c.axis, c.signal): c for c in now}
     out = []
     for item in before:
@@ -135,17 +135,17 @@ def _remaining(before: Sequence[Late], now: Sequence[Late], correct: dict[str, d
     return out
 
 
-def _skew(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]) -> list[Late]:
-    """Skew of each channel over the runs: weighted mean, its deviation from their scatter."""
+def _mean_skews(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]) -> list[ChannelSkew]:
+    """Skew of each channel: weighted mean over the runs, its standard deviation from their scatter."""
     out = []
     for axis in machine.axes:
-        items: dict[str, list[Late]] = {}
+        items: dict[str, list[ChannelSkew]] = {}
         for run, seen in zip(runs, axis_runs[axis.name]):
-            for late in late_channels(machine, axis, run, seen):
-                items.setdefault(late.signal, []).append(late)
+            for skew in channel_skews(machine, axis, run, seen):
+                items.setdefault(skew.signal, []).append(skew)
             if seen is not None and np.ptp(seen.axis_position) > 0.01 * axis.max_velocity:
-                shift = shifted_setpoint(axis, seen, run.trace.period)
-                items.setdefault("velocity_setpoint", []).append(Late(axis.name, "velocity_setpoint", shift, seen.cycle / 20.0))
+                shift = setpoint_shift(axis, seen, run.trace.period)
+                items.setdefault("velocity_setpoint", []).append(ChannelSkew(axis.name, "velocity_setpoint", shift, seen.cycle / 20.0))
         for signal, several in items.items():
             values = np.array([s.seconds for s in several])
             weights = 1.0 / np.array([max(s.deviation, 1e-6) for s in several]) ** 2
@@ -153,5 +153,5 @@ def _skew(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, li
             if signal == "velocity_setpoint":
                 mean = float(np.median(values))
             scatter = float(np.sqrt(np.average((values - mean) ** 2, weights=weights) / max(len(values) - 1, 1)))
-            out.append(Late(axis.name, signal, mean, max(scatter, float(weights.sum() ** -0.5))))
+            out.append(ChannelSkew(axis.name, signal, mean, max(scatter, float(weights.sum() ** -0.5))))
     return out

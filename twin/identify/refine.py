@@ -1,14 +1,14 @@
-"""The second route: Gauss-Newton on the closed-loop gap, every evaluation a simulation of the training runs in MuJoCo.
+"""The second route: refine parameters by Gauss-Newton on the closed-loop gap; every evaluation simulates the training runs in MuJoCo.
 
-    min sum over axis, signal, cycle of (F(measured - simulated) / d)^2,     d: noise of the sensor through F, or what the start leaves
+    min sum over axis, signal, cycle of (F(measured - simulated) / d)^2,     d: sensor noise after F, or the start's residual if larger
 
-Signals are position, motor angle and mean current where the axis slides; F is the window of the regressions. Above it a drive train's
-mode and the saw-tooth between samples answer to what no knob here turns, and at a reversal friction does.
+Signals are position, motor angle and mean current where the axis slides; F is the low-pass of the regressions. Above its band the mode of
+the drive train and the saw-tooth between samples depend on parameters that are not refined here. At reversals, friction does.
 
-X, Y, Z and the pair A, C do not feel each other, so one simulation perturbs one parameter of every axis at once: a dozen simulations a
-step, whatever the number of axes. The simulations are free of noise: with noise in their loop the differences would answer the noise,
-too, and bias what they estimate. The intervals come from clusters of CLUSTER_S, as in the regression. It starts at the regression's machine, and the regression's
-own doubts weigh against what it finds. Both come from the same data: their informations are averaged, not added.
+X, Y, Z and the pair A, C do not affect each other, so one simulation perturbs one parameter of every axis: a dozen simulations a step for
+any number of axes. The simulations have no noise, because noise in the loop would affect the differences and bias the estimates. The
+intervals come from clusters of CLUSTER_S, as in the regression. The search starts at the regression's machine, and the regression's
+standard deviations are its prior. Both use the same data, so their information matrices are averaged, not added.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ import os
 import numpy as np
 
 from twin.errors import SimulationError
-from twin.identify.axis_run import AxisRun, _window, axis_run
+from twin.identify.axis_run import AxisRun, axis_run, low_pass_window
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.direct import Runs
-from twin.identify.drive_balance import EVERY, MeanCurrent, mean_of
+from twin.identify.drive_balance import ROW_STRIDE, MeanCurrent, mean_of
+from twin.identify.products import is_vertical
 from twin.machine.machine import Axis, Machine
 from twin.machine.toleranced import TOLERANCED, field_value, inertia_of, path_of
 from twin.recordings.campaign import MeasuredRun
@@ -37,10 +38,10 @@ from twin.simulation.setpoints import recorded_setpoints
 
 CLUSTER_S = 0.5
 STEPS = 2
-"""Gauss-Newton steps; a start from the regression lies within the linear range."""
+"""Number of Gauss-Newton steps; the start from the regression is close enough for linearisation."""
 
 FLOOR = {"linear": (2e-8, 2e-8, 2e-3), "rotary": (1.2e-7, 1.2e-7, 2e-3)}
-"""Deviation of scale, motor position [m or rad] and current [A] that no law undercuts, added to the sensors' noise."""
+"""Model errors of scale, motor position [m or rad] and current [A] (standard deviations), added to the sensors' noise."""
 
 # field of the axis, its motor or loops, and the step of the difference quotient: relative, delays in seconds
 FIELDS = {
@@ -52,18 +53,18 @@ FIELDS = {
     "position_delay_s": 2e-5,
     "torque_feedforward": 0.01,
 }
-# gain and integral time of the speed loop stay the regression's: in closed loop a drive train's spring passes for them. It passes for the
-# torque feedforward, too; what the regression has read from the control's own signals is no knob
+# Gain and integral time of the speed loop keep the regression's values: in closed loop the fit would take a drive train's spring for them.
+# The same holds for the torque feedforward. Control values that the regression read from the control's own signals are not refined.
 
 
 @dataclass(frozen=True)
-class Knob:
-    """One parameter: of an axis' field ('axis', field), of its moving mass, or of a body's mass; `felt_by` names the axes that answer."""
+class FreeParameter:
+    """One refined parameter: a field of an axis, its moving mass, or the mass of a body; `affects` names the axes whose signals change."""
 
     axis: str
     field: str
     step: float
-    felt_by: tuple[str, ...]
+    affects: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -75,67 +76,61 @@ class Refined:
     misfit: tuple[float, float]
 
 
-def knobs_of(machine: Machine, runs: Sequence[MeasuredRun], known: Collection[tuple[str, str]] = ()) -> list[list[Knob]]:
-    """Slots of knobs that one simulation may turn together: no two in a slot are felt by the same axis.
+def free_parameters(machine: Machine, runs: Sequence[MeasuredRun], known: Collection[tuple[str, str]] = ()) -> list[list[FreeParameter]]:
+    """Batches of parameters that one simulation may perturb together: no two in a batch affect the same axis.
 
     Control values in `known` (axis, field) stay as they are.
     """
     on = {w for r in runs for w in (r.feedforward or "").split("+")}
     moving = [a for a in machine.axes if a.has_current_loop and any(a.name in r.trace.axes and is_moving(r.trace, a).any() for r in runs)]
-    slots = []
+    batches = []
     for field, step in FIELDS.items():
         if (field == "velocity_feedforward" and "velocity" not in on) or (field == "torque_feedforward" and "torque" not in on):
             continue
-        knobs = [Knob(a.name, _own(a, field), step, (a.name,)) for a in moving if _is_knob(machine, a, field, known)]
-        slots += [knobs] if knobs else []
+        parameters = [FreeParameter(a.name, _field_in_use(a, field), step, (a.name,)) for a in moving if _is_free(machine, a, field, known)]
+        batches += [parameters] if parameters else []
     names = [a.name for a in moving]
     weights = [
-        Knob(a.name, "moving_mass_kg", 0.01, (a.name,))
+        FreeParameter(a.name, "moving_mass_kg", 0.01, (a.name,))
         for a in moving
-        if a.rotor_inertia_kg_m2 > 0.0 and a.moving_mass_kg is not None and _weighs(machine, a.name)
+        if a.rotor_inertia_kg_m2 > 0.0 and a.moving_mass_kg is not None and is_vertical(machine, a.name)
     ]
     pair = {"A", "C"} <= set(names) and {b.name for b in machine.bodies} >= {"cradle", "table", "workpiece"}
-    first = weights + ([Knob("A", "body.cradle", 0.01, ("A",))] if pair else [])
+    first = weights + ([FreeParameter("A", "body.cradle", 0.01, ("A",))] if pair else [])
     if first:
-        slots.append(first)
+        batches.append(first)
     if pair:
-        slots += [[Knob("A", f"body.{b}", 0.01, ("A", "C"))] for b in ("table", "workpiece")]
-    return slots
+        batches += [[FreeParameter("A", f"body.{b}", 0.01, ("A", "C"))] for b in ("table", "workpiece")]
+    return batches
 
 
-def _own(axis: Axis, field: str) -> str:
-    """The field of an axis that stands for this one: without a rotor the moving mass is all inertia."""
+def _field_in_use(axis: Axis, field: str) -> str:
+    """The field that the axis uses instead of this one: without a rotor, the moving mass is the inertia."""
     return TOLERANCED[inertia_of(axis)] if field == TOLERANCED["rotor_inertia"] else field
 
 
-def _is_knob(machine: Machine, axis: Axis, field: str, known: Collection[tuple[str, str]]) -> bool:
+def _is_free(machine: Machine, axis: Axis, field: str, known: Collection[tuple[str, str]]) -> bool:
     return _in_file(machine, axis, field) and not (hasattr(axis.loops, field) and (axis.name, field) in known)
 
 
 def _in_file(machine: Machine, axis: Axis, field: str) -> bool:
-    """Has the machine file a place for this field? A delay may be left out."""
+    """Does the machine file contain this field? Optional delays may be missing."""
     return not hasattr(axis.loops, field) or field in machine.document["axis"][axis.name]["loops"]
 
 
-def _weighs(machine: Machine, axis: str) -> bool:
-    from twin.identify.products import is_vertical
-
-    return is_vertical(machine, axis)
-
-
-def turned(machine: Machine, knob: Knob, amount: float) -> Machine:
-    """The machine with one knob turned by `amount` (relative; delays in seconds)."""
-    if knob.field.startswith("body."):
-        name = knob.field[5:]
+def perturbed(machine: Machine, parameter: FreeParameter, amount: float) -> Machine:
+    """The machine with one parameter perturbed by `amount` (relative; delays in seconds)."""
+    if parameter.field.startswith("body."):
+        name = parameter.field[5:]
         return machine.with_body(name, 1.0 + amount)
-    axis = machine.axis(knob.axis)
-    value = float(next(getattr(part, knob.field) for part in (axis, axis.motor, axis.loops) if hasattr(part, knob.field)))
-    changed = max(value + amount, 0.0) if knob.field.endswith("delay_s") else value * (1.0 + amount)
-    # the mass of the vertical axis keeps its inertia with the rotor: weight and inertia are two knobs
-    change = {knob.field: changed}
-    if knob.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 > 0.0:
+    axis = machine.axis(parameter.axis)
+    value = float(next(getattr(part, parameter.field) for part in (axis, axis.motor, axis.loops) if hasattr(part, parameter.field)))
+    changed = max(value + amount, 0.0) if parameter.field.endswith("delay_s") else value * (1.0 + amount)
+    # a change of the vertical axis' mass changes the weight only: the rotor compensates the inertia, which is a parameter of its own
+    change = {parameter.field: changed}
+    if parameter.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 > 0.0:
         change["rotor_inertia_kg_m2"] = axis.rotor_inertia_kg_m2 - (changed - value) * axis.ratio**2
-    return machine.with_axis(knob.axis, **change)
+    return machine.with_axis(parameter.axis, **change)
 
 
 def refined_machine(
@@ -146,25 +141,26 @@ def refined_machine(
     prior: dict[tuple[str, str], float],
     say: Callable[[str], None] | None = None,
 ) -> Refined:
-    """Refine from `machine` on the training runs; `measured` are these on the position cycles, `mean_current` as the regression left it.
+    """Refine `machine` on the training runs.
 
-    `prior`: the regression's standard deviation of each knob by (axis, field), relative (delays in seconds); what it does not know is free.
+    `measured`: the runs on the position cycles; `mean_current`: from the regression. `prior`: the regression's standard deviation by
+    (axis, field), relative (delays in seconds); parameters without one have no prior. Raises SimulationError if the start diverges.
     """
-    slots = knobs_of(machine, runs, prior.keys())
+    batches = free_parameters(machine, runs, prior.keys())
     names = machine.axis_names
     groups = [[n] for n in names if n not in ("A", "C")] + [[n for n in names if n in ("A", "C")]]
-    groups = [g for g in groups if g and any(k.felt_by[0] in g for slot in slots for k in slot)]
+    groups = [g for g in groups if g and any(k.affects[0] in g for batch in batches for k in batch)]
     now, misfits, deviations = machine, [], {}
-    seen = {n: [_seen(r, mean_current.get(n)) if r is not None else None for r in measured[n]] for n in names if n in measured}
-    so_far: dict[Knob, float] = {}
+    seen = {n: [_measured_axis(r, mean_current.get(n)) if r is not None else None for r in measured[n]] for n in names if n in measured}
+    so_far: dict[FreeParameter, float] = {}
     weights: dict[str, np.ndarray] = {}
     for step in range(STEPS + 1):
         last = step == STEPS
-        variants = [now] if last else [now, *(_turn_all(now, slot) for slot in slots)]
+        variants = [now] if last else [now, *(_perturb_all(now, batch) for batch in batches)]
         residuals = _residuals(variants, runs, seen)
         if residuals[0] is None:
             raise SimulationError(
-                "refinement: the identified machine diverges on its own set points; give --no-refine and look at the report"
+                "refinement: the simulation of the identified machine diverges on the recorded set points; use --no-refine and read the report"
             )
         if step == 0:
             weights = {n: _weights(pieces) for n, pieces in residuals[0].items()}
@@ -174,66 +170,68 @@ def refined_machine(
         misfits.append(float(np.sqrt(np.mean(np.concatenate([v for axis in base.values() for v in axis]) ** 2))))
         if last:
             break
-        turns: list[tuple[Knob, float]] = []
+        updates: list[tuple[FreeParameter, float]] = []
         for group in groups:
-            knobs = [(i, k) for i, slot in enumerate(slots) for k in slot if set(k.felt_by) & set(group) and residuals[i + 1] is not None]
+            parameters = [
+                (i, k) for i, batch in enumerate(batches) for k in batch if set(k.affects) & set(group) and residuals[i + 1] is not None
+            ]
             rows = np.concatenate([v for n in group if n in base for v in base[n]])
-            columns = np.zeros((len(rows), len(knobs)))
-            for j, (i, k) in enumerate(knobs):
+            columns = np.zeros((len(rows), len(parameters)))
+            for j, (i, k) in enumerate(parameters):
                 other = residuals[i + 1]
                 assert other is not None
                 parts = [
-                    (o - b) / k.step if n in k.felt_by else np.zeros_like(b) for n in group if n in base for o, b in zip(other[n], base[n])
+                    (o - b) / k.step if n in k.affects else np.zeros_like(b) for n in group if n in base for o, b in zip(other[n], base[n])
                 ]
                 columns[:, j] = np.concatenate(parts)
             clusters = np.concatenate(
                 [np.full(len(v), 1000 * names.index(n) + c) for n in group if n in base for c, v in enumerate(base[n])]
             )
-            turned_by = np.array([so_far.get(k, 0.0) for _, k in knobs])
-            doubt = np.array([prior.get((k.axis, k.field), math.inf) for _, k in knobs])
-            change, spread = _gauss_newton(columns, rows, clusters, turned_by, doubt)
-            turns += [(k, float(change[j])) for j, (_, k) in enumerate(knobs)]
-            deviations.update(_spread_of(now, [k for _, k in knobs], spread))
-        for knob, amount in turns:
-            limit = 2e-4 if knob.field.endswith("delay_s") else 0.1
+            changed_so_far = np.array([so_far.get(k, 0.0) for _, k in parameters])
+            doubt = np.array([prior.get((k.axis, k.field), math.inf) for _, k in parameters])
+            change, spread = _gauss_newton(columns, rows, clusters, changed_so_far, doubt)
+            updates += [(k, float(change[j])) for j, (_, k) in enumerate(parameters)]
+            deviations.update(_spread_of(now, [k for _, k in parameters], spread))
+        for parameter, amount in updates:
+            limit = 2e-4 if parameter.field.endswith("delay_s") else 0.1
             kept = float(np.clip(amount, -limit, limit))
-            now = turned(now, knob, kept)
-            so_far[knob] = so_far.get(knob, 0.0) + kept
+            now = perturbed(now, parameter, kept)
+            so_far[parameter] = so_far.get(parameter, 0.0) + kept
         if say:
             say(f"refinement step {step + 1}: misfit {misfits[-1]:.3f}")
-    return Refined(_possible(now), deviations, (misfits[0], misfits[-1]))
+    return Refined(_without_negative_friction(now), deviations, (misfits[0], misfits[-1]))
 
 
-def _turn_all(machine: Machine, slot: Sequence[Knob]) -> Machine:
-    for knob in slot:
-        machine = turned(machine, knob, knob.step)
+def _perturb_all(machine: Machine, batch: Sequence[FreeParameter]) -> Machine:
+    for parameter in batch:
+        machine = perturbed(machine, parameter, parameter.step)
     return machine
 
 
 @dataclass(frozen=True)
-class Seen:
-    """One axis of one run as it is compared: rows (cycle,), cluster and filtered scale, motor position [axis units], current [A] (k, cycle)."""
+class MeasuredAxis:
+    """Measured signals of one axis in one run: rows (cycle,), and filtered scale, motor position [axis units] and current [A] (k, cycle)."""
 
     rows: np.ndarray
     signals: np.ndarray
     present: tuple[bool, bool, bool]
 
 
-def _seen(run: AxisRun, current: MeanCurrent | None) -> Seen:
-    return Seen(np.flatnonzero(run.sliding)[::EVERY], *_filtered(run, current.of(run) if current is not None else None))
+def _measured_axis(run: AxisRun, current: MeanCurrent | None) -> MeasuredAxis:
+    return MeasuredAxis(np.flatnonzero(run.sliding)[::ROW_STRIDE], *_filtered(run, current.of(run) if current is not None else None))
 
 
 def _filtered(run: AxisRun, current: np.ndarray | None) -> tuple[np.ndarray, tuple[bool, bool, bool]]:
     signals = (run.position, run.angle[:-1], current)
-    # from the start of the run: a filter has no trouble with a constant, the ends of a run do
+    # relative to the start of the run: a constant would disturb the filter at the ends of the run
     filled = [run.filtered(s - s[0]) + s[0] if s is not None else np.zeros(len(run.speed)) for s in signals]
     return np.array(filled), tuple(s is not None for s in signals)  # type: ignore[return-value]
 
 
 def _residuals(
-    machines: Sequence[Machine], runs: Sequence[MeasuredRun], seen: Mapping[str, Sequence[Seen | None]]
+    machines: Sequence[Machine], runs: Sequence[MeasuredRun], seen: Mapping[str, Sequence[MeasuredAxis | None]]
 ) -> list[dict[str, list[np.ndarray]] | None]:
-    """Per machine: axis -> weighted residuals in pieces of CLUSTER_S, all signals of a piece together; None where it diverges."""
+    """For each machine: axis -> weighted residuals in pieces of CLUSTER_S, all signals of a piece together; None if it diverges."""
     inertias = [home_inertia_at_motor(m) for m in machines]
     tasks = [(m, i, k) for m, i in zip(machines, inertias) for k in range(len(runs))]
 
@@ -271,7 +269,7 @@ def _residuals(
     return out
 
 
-def _pieces(reference: Machine, machine: Machine, axis: Axis, twin: MeasuredRun, inertia: float, there: Seen) -> list[np.ndarray]:
+def _pieces(reference: Machine, machine: Machine, axis: Axis, twin: MeasuredRun, inertia: float, there: MeasuredAxis) -> list[np.ndarray]:
     """Weighted residuals of one axis in one run; weights from the reference machine, so that all variants share them."""
     run = axis_run(machine, axis, twin)
     assert run is not None
@@ -279,19 +277,19 @@ def _pieces(reference: Machine, machine: Machine, axis: Axis, twin: MeasuredRun,
     signals, _ = _filtered(run, mean_of(fast_loop_of(machine, axis, inertia), run, weight))
     rows = there.rows[there.rows < signals.shape[1]]
     noise = reference.noise(reference.axis(axis.name))
-    quiet = float(np.sqrt(np.sum(_window(run.cycle) ** 2)))  # what the filter leaves of white noise
+    quiet = float(np.sqrt(np.sum(low_pass_window(run.cycle) ** 2)))  # factor of the filter on white noise
     scale = np.array([1.0, axis.ratio, 1.0])
     d = np.hypot(quiet * np.array([noise.position, noise.position, noise.current]), FLOOR[axis.kind])
     use = np.flatnonzero(there.present)
     left = ((there.signals - signals) * scale[:, None] / d[:, None])[use][:, rows]
-    piece = max(1, round(CLUSTER_S / (EVERY * run.cycle)))
+    piece = max(1, round(CLUSTER_S / (ROW_STRIDE * run.cycle)))
     return [left[:, i : i + piece] for i in range(0, len(rows), piece)]
 
 
 def _weights(pieces: Sequence[np.ndarray]) -> np.ndarray:
-    """Weight (signal, 1) that brings a signal which the regression's machine leaves above its noise down to what it leaves.
+    """Weights (signal, 1) that scale the residual RMS of each signal to 1 where it exceeds the noise at the start.
 
-    What no knob mends (a drive train's spring between motor and scale) must not steer the knobs.
+    Otherwise unmodelled effects, such as the spring between motor and scale, would distort the parameters.
     """
     left = np.sqrt(np.mean(np.concatenate(pieces, axis=1) ** 2, axis=1, keepdims=True))
     return 1.0 / np.maximum(left, 1.0)
@@ -300,11 +298,11 @@ def _weights(pieces: Sequence[np.ndarray]) -> np.ndarray:
 def _gauss_newton(
     columns: np.ndarray, rows: np.ndarray, clusters: np.ndarray, so_far: np.ndarray, prior: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Change of the knobs that takes the residual rows (model minus it) down, and standard deviations, both joined with the regression.
+    """Gauss-Newton change of the parameters and their standard deviations, both combined with the regression.
 
-    `so_far` is what the knobs have been turned from the regression's machine, `prior` the regression's deviations (infinite: unknown).
-    Covariance of the data alone from clusters; the two estimates are weighed by their covariances. Huber's weights keep single
-    pieces (an axis about to stick) from steering.
+    `so_far`: change from the regression's machine up to now; `prior`: the regression's standard deviations (infinite: none). The covariance of
+    the data comes from clusters, and the two estimates are weighted by their covariances. Huber weights limit the influence of single
+    pieces, such as an axis about to stick.
     """
     length = np.linalg.norm(columns, axis=0)
     seen = (length > 0.0) & np.isfinite(length)
@@ -330,36 +328,36 @@ def _gauss_newton(
     return change, spread
 
 
-def _spread_of(machine: Machine, knobs: Sequence[Knob], spread: np.ndarray) -> dict[str, float]:
+def _spread_of(machine: Machine, parameters: Sequence[FreeParameter], spread: np.ndarray) -> dict[str, float]:
     """Standard deviations in the names and units of the parameters."""
     out: dict[str, float] = {}
-    for knob, d in zip(knobs, spread):
-        axis = machine.axis(knob.axis)
-        if knob.field == "rotor_inertia_kg_m2":
-            out[f"{knob.axis}.inertia"] = float(d) * axis.rotor_inertia_kg_m2
-        elif knob.field == "coulomb_friction_nm":
-            out[f"{knob.axis}.coulomb_friction"] = float(d) * axis.coulomb_friction_nm
-        elif knob.field == "viscous_friction_nm_s_per_rad":
-            out[f"{knob.axis}.viscous_friction"] = float(d) * axis.viscous_friction_nm_s_per_rad
-        elif knob.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 == 0.0:
-            out[f"{knob.axis}.inertia"] = float(d) * (axis.moving_mass_kg or 0.0) * axis.ratio**2
-        elif knob.field == "moving_mass_kg":
-            out[f"{knob.axis}.gravity_torque"] = float(d) * (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio
-        elif knob.field.startswith("body."):
-            body = next(b for b in machine.bodies if b.name == knob.field[5:])
+    for parameter, d in zip(parameters, spread):
+        axis = machine.axis(parameter.axis)
+        if parameter.field == "rotor_inertia_kg_m2":
+            out[f"{parameter.axis}.inertia"] = float(d) * axis.rotor_inertia_kg_m2
+        elif parameter.field == "coulomb_friction_nm":
+            out[f"{parameter.axis}.coulomb_friction"] = float(d) * axis.coulomb_friction_nm
+        elif parameter.field == "viscous_friction_nm_s_per_rad":
+            out[f"{parameter.axis}.viscous_friction"] = float(d) * axis.viscous_friction_nm_s_per_rad
+        elif parameter.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 == 0.0:
+            out[f"{parameter.axis}.inertia"] = float(d) * (axis.moving_mass_kg or 0.0) * axis.ratio**2
+        elif parameter.field == "moving_mass_kg":
+            out[f"{parameter.axis}.gravity_torque"] = float(d) * (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio
+        elif parameter.field.startswith("body."):
+            body = next(b for b in machine.bodies if b.name == parameter.field[5:])
             x, y, z = body.centre_of_mass_m
             moments = {"moment_y": y, "moment_z": z} if body.name == "cradle" else {"table_x": x, "table_y": y, "moment_z": z}
             for name, arm in moments.items():
                 key = f"A.{name}"
                 out[key] = math.hypot(out.get(key, 0.0), float(d) * body.mass_kg * arm)
         else:
-            scale = 1.0 if knob.field.endswith("delay_s") else getattr(axis.loops, knob.field)
-            out[f"{knob.axis}.loops.{knob.field}"] = float(d) * scale
+            scale = 1.0 if parameter.field.endswith("delay_s") else getattr(axis.loops, parameter.field)
+            out[f"{parameter.axis}.loops.{parameter.field}"] = float(d) * scale
     return out
 
 
-def _possible(now: Machine) -> Machine:
-    """The refined machine with no friction below zero, checked: a fit may pass through values that no machine file may hold."""
+def _without_negative_friction(now: Machine) -> Machine:
+    """The refined machine with negative friction set to zero, and checked: the search may produce values that no machine file may have."""
     values: dict[str, object] = {}
     for axis in now.axes:
         for name in ("coulomb_friction", "viscous_friction"):

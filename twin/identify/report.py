@@ -1,4 +1,4 @@
-"""The report of an identification: HTML with everything inside, and its pictures as PNG."""
+"""The report of an identification as one HTML file, and its figures as PNG."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.stamp import made_line
 
 CAPTIONS = {
-    "friction": "Friction against speed, both directions. Points: parts of constant speed, the measured torque less inertia and gravity; line and band: the "
-    "law Fc sign(v) + Fv v with its 95 % interval.",
-    "inertia": "Torque less friction and gravity against acceleration, below 20 Hz. The current is the mean over a position cycle, not the sample.",
+    "friction": "Friction against speed in both directions. Points: measured torque at constant speed minus inertia and gravity. Line and band: "
+    "the law Fc sign(v) + Fv v with its 95 % interval.",
+    "inertia": "Torque minus friction and gravity against acceleration, below 20 Hz. The current is the mean over a position cycle.",
     "gravity": "Gravity torque of the table, and its first moments.",
-    "residuals": "What the torque balance leaves, run after run, and its autocorrelation. The filter alone couples rows up to 50 ms apart; what reaches further is why intervals come from whole strokes.",
-    "gap": "Simulated against measured on runs that no fit has seen.",
+    "residuals": "Residual of the torque balance, run after run, and its autocorrelation. The filter alone correlates rows up to 50 ms apart. Longer correlation is why the intervals come from whole strokes.",
+    "gap": "Simulated against measured on held-out motion.",
 }
 
 
 def write_report(result: Identification, path: str | Path) -> list[Path]:
-    """Write the page and, beside it, each picture as PNG; returns all files."""
+    """Write the page and, beside it, each figure as PNG; returns all paths."""
     path = Path(path)
     drawn = {
         "friction": figures.friction_figure(result) if result.direct.balance else None,
@@ -43,7 +43,7 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
         ("Friction", ("friction",)),
         ("Inertia", ("inertia",)),
         ("Tilting table", ("gravity",)),
-        ("What is left", ("residuals",)),
+        ("Residuals", ("residuals",)),
     ):
         shown = [pictures[n] for n in names if n in pictures]
         if shown:
@@ -52,34 +52,34 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
     sections.append(_gap(result, pictures.get("gap")))
     sections += [_caveats(result), _signals(result)]
     axes = ", ".join(a.name for a in result.before.axes)
-    lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; left out: {', '.join(result.left_out) or 'none'}."
-    write_page(path, "Identified from its own traces", lead, sections, made_line(result.before.name, str(result.campaign)))
+    lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}."
+    write_page(path, "Identified from measured traces", lead, sections, made_line(result.before.name, str(result.campaign)))
     return files
 
 
 SHOWN = 12
-"""Changed numbers that are named first; the table has all."""
+"""Number of changed values in the summary; the table has all."""
 
 
 def _summary(result: Identification) -> Section:
-    """What was written, which numbers changed, what is left of the gap."""
+    """What was written, which values changed, and the remaining gap."""
     if any(p.refined for p in result.parameters):
         route = {"refined": "the re-simulation", "control": "the position controllers alone"}.get(result.chosen, result.chosen)
-        chosen = f"{route}: of each axis what leaves the smallest gap on what was left out"
+        chosen = f"{route}: for each axis, those with the smallest gap on held-out motion"
     else:
         chosen = "the regression, without re-simulation"
     moved = _moved(result)
     if moved:
-        count = "1 number of the machine file lies" if len(moved) == 1 else f"{len(moved)} numbers of the machine file lie"
-        found = f"{count} outside the 95 % interval that was identified" + (f"; the {SHOWN} furthest out:" if len(moved) > SHOWN else ":")
+        count = "1 value of the old machine file lies" if len(moved) == 1 else f"{len(moved)} values of the old machine file lie"
+        found = f"{count} outside the identified 95 % interval" + (f"; the {SHOWN} furthest:" if len(moved) > SHOWN else ":")
     else:
-        found = "No number of the machine file lies outside the 95 % interval that was identified."
-    lines = [result.refused or f"The machine file that was written holds the values of {chosen}.", *_gap_lines(result), found]
+        found = "No value of the old machine file lies outside the identified 95 % interval."
+    lines = [result.refused or f"The new machine file contains the values of {chosen}.", *_gap_lines(result), found]
     return Section("In short", lines, items=moved[:SHOWN])
 
 
 def _moved(result: Identification) -> list[str]:
-    """Numbers that were taken and lie outside their interval of the file's value, furthest first."""
+    """Values that were written and whose interval does not contain the file's old value, largest relative change first."""
     moved = []
     for p in result.parameters:
         taken = result.taken(p)
@@ -90,7 +90,7 @@ def _moved(result: Identification) -> list[str]:
 
 
 def _gap_lines(result: Identification) -> list[str]:
-    """The position gap of each axis before and after, beside noise; nothing where it was not simulated."""
+    """Position gap of each axis before and after, with noise; empty if it was not simulated."""
     parts = []
     for axis, signals in result.gaps.get("before", {}).items():
         stage = result.chosen if result.stage_of is None else result.stage_of.get(axis, "")
@@ -98,28 +98,28 @@ def _gap_lines(result: Identification) -> list[str]:
         if "position" in signals and "position" in after:
             before, now = signals["position"], after["position"]
             parts.append(f"{axis} {before['rms']:.3g} to {now['rms']:.3g} {now['unit']} (noise {now['noise']:.3g})")
-    return [f"Gap of position on what was left out, RMS: {'; '.join(parts)}."] if parts else []
+    return [f"Position gap on held-out motion, RMS: {'; '.join(parts)}."] if parts else []
 
 
 def _caveats(result: Identification) -> Section:
-    """What limits the numbers, and what the recording lacks."""
+    """Limits of the result and findings about the recording."""
     times = ", ".join(f"{k} after {v:.0f} s" for k, v in result.seconds.items())
     lines = [
         "Current and motion identify inertia, friction and gravity only as products with each motor's torque constant. "
         + (
-            "Products lie within the machine file's parameter_tolerance and are split by it: values carry that doubt, products do not."
+            "The products agree with the machine file's parameter_tolerance and were split with it. The intervals of the values include this tolerance, those of the products do not."
             if result.tolerance_holds and all(result.tolerance_holds.values())
-            else "They contradict the machine file's parameter_tolerance, so its torque constants were kept and everything else follows. "
-            "A known mass, a torque wrench or the motor's test sheet would fix them."
+            else "They contradict the machine file's parameter_tolerance, so its torque constants were kept and the other values follow from them. "
+            "A known mass, a torque wrench or the motor's test sheet would determine them."
         ),
         f"Time: {times}.",
     ]
-    findings = [str(f) for f in (*result.findings, *result.notes)] or ["Nothing was found wrong with the recording."]
-    return Section("What to keep in mind", lines, items=findings)
+    findings = [str(f) for f in (*result.findings, *result.notes)] or ["No problem was found in the recording."]
+    return Section("Limits and findings", lines, items=findings)
 
 
-BLUNT = 20.0
-"""Runs left out that identify a parameter so many times less sharply do not judge it."""
+WIDER_INTERVAL = 20.0
+"""A parameter is not compared with its held-out value if the interval of that is wider by more than this factor."""
 
 
 def _parameters(result: Identification) -> Section:
@@ -134,14 +134,14 @@ def _parameters(result: Identification) -> Section:
         "95 %",
         "re-simulated",
         "95 %",
-        "on runs left out",
+        "held out",
         "condition",
         "at bound",
     ]
     rows, marked = [], set()  # type: ignore[var-annotated]
     for p in result.parameters:
-        judges = p.left_out is not None and p.left_out.half < BLUNT * p.estimate.half
-        off = judges and p.left_out is not None and (p.left_out.low > p.estimate.high or p.left_out.high < p.estimate.low)
+        judges = p.held_out is not None and p.held_out.half < WIDER_INTERVAL * p.estimate.half
+        off = judges and p.held_out is not None and (p.held_out.low > p.estimate.high or p.held_out.high < p.estimate.low)
         if off or p.at_bound:
             marked.add(len(rows))
         rows.append(
@@ -156,14 +156,14 @@ def _parameters(result: Identification) -> Section:
                 _half(p.estimate) if p.product else "",
                 _number(p.refined),
                 _half(p.refined),
-                _aside(p),
+                _held_out_cell(p),
                 f"{p.condition:.0f}" if math.isfinite(p.condition) else "",
                 "yes" if p.at_bound else "",
             ]
         )
     note = (
-        "Product: the number at the machine file's torque constant, all that current and motion give. Value: after the split. Marked rows: the runs left out "
-        "disagree beyond both intervals, or the value lies at its bound. Condition: of the scaled regressors."
+        "Product: the value at the machine file's torque constant, as determined by current and motion. Value: after the split. Marked rows: the interval "
+        "from held-out motion does not overlap, or the value lies at its bound. Condition: condition number of the scaled regressors."
     )
     shown_columns = [i for i in range(len(heading)) if i < 6 or any(row[i] for row in rows)]
     heading, rows = [heading[i] for i in shown_columns], [[row[i] for i in shown_columns] for row in rows]
@@ -171,7 +171,7 @@ def _parameters(result: Identification) -> Section:
 
 
 def _number(r: Range | None) -> str:
-    """A value with the digits that its interval leaves standing, at least two and at most six."""
+    """A value with as many digits as its interval justifies, at least two and at most six."""
     if r is None:
         return ""
     standing = abs(r.value) / max(r.half, 1e-5 * abs(r.value), 1e-300)
@@ -185,8 +185,8 @@ def _half(r: Range | None) -> str:
     return f"± {100 * half / abs(r.value):.2g} %" if abs(r.value) > 20.0 * half else f"± {half:.2g}"
 
 
-def _aside(p: Parameter) -> str:
-    return f"{_number(p.left_out)} {_half(p.left_out)}" if p.left_out else ""
+def _held_out_cell(p: Parameter) -> str:
+    return f"{_number(p.held_out)} {_half(p.held_out)}" if p.held_out else ""
 
 
 def _gap(result: Identification, picture: Figure | None) -> Section:
@@ -212,7 +212,7 @@ def _gap(result: Identification, picture: Figure | None) -> Section:
 
 
 def _signals(result: Identification) -> Section:
-    rows = [[c.axis, c.signal, f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.late]
+    rows = [[c.axis, c.signal, f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.skews]
     before, after = (m.document.get("measurement", {}) for m in (result.before, result.machine))
     noise = [[k, f"{before[k]:.4g}", f"{after[k]:.4g}"] for k in before if "noise" in k]
     return Section(

@@ -1,4 +1,4 @@
-"""What an identification hands on: parameters with their doubts, findings, the machine, gaps."""
+"""The result of an identification: parameters with intervals, findings, the identified machine, gaps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twin.identify.direct import Direct
-from twin.identify.findings import Finding, Late
+from twin.identify.findings import ChannelSkew, Finding
 from twin.machine.machine import Machine
 
 
@@ -24,7 +24,7 @@ class Range:
         return 0.5 * (self.high - self.low)
 
     def holds(self, value: float) -> bool:
-        """Does the interval hold this value?"""
+        """Does the interval contain this value?"""
         return bool(self.low <= value <= self.high)
 
 
@@ -32,8 +32,8 @@ class Range:
 class Parameter:
     """One identified number.
 
-    `estimate` is what the regression found; with `product` it stands for value x (file's Kt / true Kt). `value` is what the machine file
-    gets after products are split; `left_out` the same regression on the runs left out; `refined` the re-simulated one.
+    `estimate`: result of the regression; with `product` it equals value x (file's Kt / true Kt). `value`: after the split of the products.
+    `held_out`: the same regression on held-out motion. `refined`: result of the re-simulation.
     """
 
     axis: str
@@ -46,33 +46,33 @@ class Parameter:
     condition: float
     at_bound: bool
     path: str = ""
-    left_out: Range | None = None
+    held_out: Range | None = None
     refined: Range | None = None
 
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything about one campaign: the machine before and after, parameters, direct fits of training runs, and gaps on runs left out."""
+    """Identification of one campaign: machine before and after, parameters, findings, direct fits, and gaps on held-out motion."""
 
     before: Machine
     machine: Machine
     parameters: tuple[Parameter, ...]
     findings: tuple[Finding, ...]
-    late: tuple[Late, ...]
+    skews: tuple[ChannelSkew, ...]
     direct: Direct
     training: tuple[str, ...]
-    left_out: tuple[str, ...]
+    held_out: tuple[str, ...]
     campaign: str
     tolerance_holds: dict[str, bool]
     gaps: dict[str, Any] = field(default_factory=dict)  # 'before', 'regression', 'refined' -> axis -> signal -> {rms, noise, unit}
     seconds: dict[str, float] = field(default_factory=dict)
     chosen: str = "regression"
     refused: str = ""  # why no machine file is to be written
-    stage_of: dict[str, str] | None = None  # axis -> stage that was taken; None: `chosen` for all; an axis that is missing keeps its file
-    notes: tuple[Finding, ...] = ()  # what was found besides parameters
+    stage_of: dict[str, str] | None = None  # axis -> chosen stage; None: `chosen` for all; a missing axis keeps the file's values
+    notes: tuple[Finding, ...] = ()  # further results that need no action
 
     def taken(self, p: Parameter) -> Range | None:
-        """The range of a parameter that the machine file gets; None where the axis keeps the number of the file before."""
+        """The range of a parameter as written to the machine file; None if the axis keeps the old value."""
         stage = self.chosen if self.stage_of is None else self.stage_of.get(p.axis, "")
         control = p.name.endswith(("delay_s", "gain_per_s", "velocity_feedforward"))
         if stage == "refined" and p.refined is not None:
@@ -80,5 +80,5 @@ class Identification:
         return p.value if stage in ("refined", "regression") or (stage == "control" and control) else None
 
     def parameter(self, axis: str, name: str) -> Parameter:
-        """The parameter of that axis and name."""
+        """The parameter with this axis and name."""
         return next(p for p in self.parameters if (p.axis, p.name) == (axis, name))

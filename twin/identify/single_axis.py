@@ -1,10 +1,10 @@
-"""An axis by itself under another control: P position, P speed on a drive voltage, one encoder, no current loop (the EMPS benchmark).
+"""Identify a single axis with another control: P position, P speed on a drive voltage, one encoder, no current loop (EMPS benchmark).
 
     qf(k) = (q(k) + q(k-1)) / 2,  dq(k) = (qf(k) - qf(k-1)) / Ts,  u = clip(kv (kp (s - q) - dq), +-u_max)
     g u = m dv/dt + Fv v + Fc sign(v) + offset                       g: drive gain [N/V]
 
-Regression: both sides through a zero-phase fourth-order Butterworth, intervals by strokes. Re-simulation: one compiled loop, exact between
-samples while the axis slides, sticking where the force cannot break it loose. Kept apart from the five-axis cascade on purpose.
+Regression: both sides filtered with a zero-phase fourth-order Butterworth, intervals by strokes. Re-simulation: one compiled loop, exact
+between samples while the axis slides; the axis sticks while the force is below the friction. It is independent of the five-axis cascade.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from twin.recordings.least_squares import Fit, regress, whiteness
 NAMES = ("mass", "viscous", "coulomb", "offset")
 BAND_HZ = 50.0
 SETTLED_SAMPLES = 60
-"""Samples after which a re-simulation is scored: the record starts in motion, its state between samples is not recorded."""
+"""First samples that do not count in the score: the record starts in motion, and the state between samples is unknown."""
 
 VOLTAGE_LIMIT = 10.0
 
 
 @dataclass(frozen=True)
 class Record:
-    """One run: time [s], set point and position [m], drive voltage [V], gains kp [1/s], kv [V s/m], drive gain [N/V]."""
+    """One run: time [s], set point and position [m], drive voltage [V]; gains kp [1/s], kv [V s/m], drive gain [N/V]."""
 
     time: np.ndarray
     setpoint: np.ndarray
@@ -85,12 +85,12 @@ def read_emps(path: str | Path) -> Record:
 
 
 def low_passed(values: np.ndarray, period: float, band_hz: float = BAND_HZ) -> np.ndarray:
-    """Fourth-order Butterworth, forwards and backwards."""
+    """Fourth-order Butterworth low-pass, forwards and backwards."""
     return sosfiltfilt(butter(4, band_hz, fs=1.0 / period, output="sos"), values)
 
 
 def fit_single_axis(record: Record, band_hz: float = BAND_HZ) -> SingleFit:
-    """Regression of the force on acceleration, speed, sign of the speed and 1; all columns through the same filter."""
+    """Regression of the force on acceleration, speed, sign of the speed and 1; all columns have the same filter."""
     period = record.period
 
     def slope(x: np.ndarray) -> np.ndarray:
@@ -108,7 +108,7 @@ def fit_single_axis(record: Record, band_hz: float = BAND_HZ) -> SingleFit:
 
 
 def resimulate(record: Record, values: np.ndarray, initial_speed: float | None = None) -> Resimulated:
-    """Simulate the axis on the record's set points from its measured position and speed; scored after SETTLED_SAMPLES."""
+    """Simulate the axis on the record's set points from its measured position and speed; the score starts after SETTLED_SAMPLES."""
     v0 = float(np.polyfit(record.time[:12] - record.time[0], record.position[:12], 2)[1]) if initial_speed is None else initial_speed
     mass, viscous, coulomb, offset = (float(v) for v in values)
     position, voltage = _advance(
@@ -122,7 +122,7 @@ def resimulate(record: Record, values: np.ndarray, initial_speed: float | None =
 
 
 def refine_single_axis(record: Record, start: np.ndarray) -> np.ndarray:
-    """The second route: values that leave the smallest closed-loop gap of the force (voltage) below the band."""
+    """The second route: values with the smallest closed-loop gap of the force (voltage) below the band."""
 
     def residual(factors: np.ndarray) -> np.ndarray:
         voltage = resimulate(record, start * factors).voltage
@@ -132,8 +132,8 @@ def refine_single_axis(record: Record, start: np.ndarray) -> np.ndarray:
     return start * found.x
 
 
-def leftovers(fit: SingleFit, period: float, lead: float = 0.0) -> dict[str, float]:
-    """What the residual still contains, each as share of its variance: regression on one more shape at a time."""
+def residual_shapes(fit: SingleFit, period: float, lead: float = 0.0) -> dict[str, float]:
+    """Shapes that remain in the residual -> share of its variance, from a regression on one additional shape at a time."""
     v, q = fit.speed, fit.position
     shapes: dict[str, list[np.ndarray]] = {
         "Stribeck excess (5 mm/s)": [np.exp(-((v / 5e-3) ** 2)) * np.sign(v)],
@@ -147,7 +147,7 @@ def leftovers(fit: SingleFit, period: float, lead: float = 0.0) -> dict[str, flo
     base, _ = np.linalg.qr(np.column_stack([np.gradient(v, period), v, np.sign(v), np.ones_like(v)]))
 
     def beside(x: np.ndarray) -> np.ndarray:
-        """What of x lies outside the law's own columns."""
+        """Component of x orthogonal to the columns of the law."""
         return x - base @ (base.T @ x)
 
     unexplained = beside(fit.residual)
@@ -174,7 +174,7 @@ def _forces(record: Record, voltage: np.ndarray, kept: slice) -> list[tuple[np.n
 
 @compiled(allocates=True)
 def _advance(s, h, kp, kv, g, mass, viscous, coulomb, offset, q0, v0, limit):  # type: ignore[no-untyped-def]
-    """Positions and voltages at the samples; between them the force is held and the axis slides by the exact solution, or sticks."""
+    """Positions and voltages at the samples. Between samples the force is held, and the axis follows the exact solution or sticks."""
     n = len(s)
     position, voltage = np.empty(n), np.empty(n)
     q, v = q0, v0
@@ -203,7 +203,7 @@ def _advance(s, h, kp, kv, g, mass, viscous, coulomb, offset, q0, v0, limit):  #
                 q += final * left + (v - final) * (1.0 - decay) / rate
                 v = ahead
                 break
-            # it stops within the step: move to the stop, then decide again
+            # the axis stops within the step: advance to the stop, then decide again
             stop = math.log((v - final) / (-final)) / rate
             q += final * stop + (v - final) * (1.0 - math.exp(-rate * stop)) / rate
             v = 0.0

@@ -1,16 +1,16 @@
-"""The speed controller, read from speed set point, motor angle and current: gain, integral time, torque feedforward.
+"""Identify the speed controller from speed set point, motor angle and current: gain, integral time, torque feedforward.
 
     Kt_c i* = Kp e + Kp/Tn E + a_t T_ff,    e = w* - w,  E = integral of e
     i* - i  = T_i di/dt + Tni/Kpi s (L di/dt + R i + Ke w) / (1 + Tni s)
 
-all taken as means over a position cycle, which the angles at its ends give exactly (mean w = difference of angles over Tp). The last
-part is what the current loop's integrator lags behind a growing voltage; T_i stands for what is left of delays. The speed loop's
-integrator also sums the speed noise of ticks that no trace holds: a slow random walk that a high-pass takes off both sides. The loop
-feeds the unseen noise back into e and i, so e is not free of the residual: the regression takes the same signals of a noise-free
-simulation as instruments (they follow the set points, not the noise).
+All are means over a position cycle, which follow exactly from the angles at its ends (mean w = difference of angles over Tp). The last
+term is the lag of the current loop's integrator behind a growing voltage; T_i covers the remaining delays. The speed loop's integrator
+also sums the speed noise of ticks that are not recorded. This gives a slow random walk, which a high-pass removes from both sides. The
+loop feeds the unrecorded noise back into e and i, so e correlates with the residual. The regression therefore uses the same signals of a
+noise-free simulation as instruments; they follow the set points, not the noise.
 
-With feedforward on, the error e is a hundredth of the current: small parts that the columns lack weigh on the gain. The same regression
-on that simulation, whose gains are known, shows how much, and it is taken back.
+With feedforward on, the error e is a hundredth of the current, so small unmodelled terms bias the gain. The same regression on that
+simulation, whose gains are known, gives the bias, which is then corrected.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from twin.recordings.least_squares import regress
 NAMES = ("speed_gain_nm_s_per_rad", "speed_integral_time_s", "torque_feedforward")
 PASS_HZ = (1.0, 25.0)
 REMEMBERED_S = 0.4
-"""So far from a limit of the current, on either side, the high-pass carries what was cut off there."""
+"""Rows within this time of a current limit are not used: the high-pass spreads the error of the clipped current so far."""
 
-LAW_DOUBT = 0.002
-"""How well the law above holds after that, as a relative standard deviation of gain and integral time (docs/identify.md)."""
+LAW_DEVIATION = 0.002
+"""Relative standard deviation of gain and integral time due to the remaining error of the law (docs/identify.md)."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,11 @@ def fit_speed_control(
     simulated: Sequence[AxisRun | None] = (),
     known: FastLoop | None = None,
 ) -> SpeedControl | None:
-    """`mean_current` (cycle,) [A] of each run; `loop` with the winding as it was found, `delay` of the feedforward [s];
-    `simulated` the same runs without noise (empty: no instruments), from a machine file with the loop `known`.
-    None where speed set point or current lack."""
+    """Fit the speed controller; None without speed set point or current.
+
+    `mean_current` (cycle,) [A] of each run; `loop` with the identified winding; `delay` of the feedforward [s]. `simulated`: the same runs
+    without noise (empty: no instruments), simulated with the loop `known`.
+    """
     twins = simulated or [None] * len(runs)
     kept = [
         (r, i, z) for r, i, z in zip(runs, mean_current, twins) if r.speed_setpoint is not None and i is not None and np.ptp(r.angle) > 1.0
@@ -69,10 +71,10 @@ def fit_speed_control(
     kt = loop.control_torque_constant
     rows, y, clusters, instruments = [], [], [], []
     for k, (run, current, twin) in enumerate(kept):
-        columns, values = _columns(axis, loop, run, current, delay)
+        columns, values = regressors(axis, loop, run, current, delay)
         free = columns
         if twin is not None and twin.current is not None:
-            free, _ = _columns(axis, loop, twin, twin.current, delay)
+            free, _ = regressors(axis, loop, twin, twin.current, delay)
             free = np.vstack([free, np.zeros((max(len(values) - len(free), 0), 4))])[: len(values)]
         if run.feedforward in ("off", "velocity"):
             columns[:, 2], free[:, 2] = 0.0, 0.0
@@ -90,7 +92,7 @@ def fit_speed_control(
     spread = tn * np.sqrt((d[0] / kp) ** 2 + (d[1] / ki) ** 2 - 2.0 * fit.covariance[0, 1] / (kp * ki)) if fit.seen[1] else np.inf
     weights = {}
     for run, current, _ in kept:
-        columns, values = _columns(axis, loop, run, current, delay)
+        columns, values = regressors(axis, loop, run, current, delay)
         left = values - columns[:, [0, 1, 3]] @ np.array([kp, ki, lag])
         power = float(columns[:, 2] @ columns[:, 2])
         weights[run.run] = float(columns[:, 2] @ left / power) if np.sqrt(power / len(left)) > 0.05 * kt else float("nan")
@@ -100,8 +102,8 @@ def fit_speed_control(
             zip(
                 NAMES,
                 (
-                    float(np.hypot(d[0], LAW_DOUBT * kp)),
-                    float(np.hypot(spread, LAW_DOUBT * tn)),
+                    float(np.hypot(d[0], LAW_DEVIATION * kp)),
+                    float(np.hypot(spread, LAW_DEVIATION * tn)),
                     float(d[2]) if fit.seen[2] else float("inf"),
                 ),
             )
@@ -114,12 +116,12 @@ def fit_speed_control(
 
 
 def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | None]) -> np.ndarray:
-    """True over estimated (4,) for Kp, Kp/Tn, a_t and the lag (1), from a noise-free simulation with the machine file's gains."""
+    """Ratio of true to estimated (4,) Kp, Kp/Tn, a_t and lag (1), from a noise-free simulation with the machine file's gains."""
     rows, y = [], []
     for twin in twins:
         current = mean_of(known, twin, axis.loops.torque_feedforward) if twin is not None and known is not None else None
         if twin is not None and known is not None and current is not None:
-            columns, values = _columns(axis, known, twin, current, axis.loops.feedforward_delay_s)
+            columns, values = regressors(axis, known, twin, current, axis.loops.feedforward_delay_s)
             if twin.feedforward in ("off", "velocity"):
                 columns[:, 2] = 0.0
             rows.append(columns)
@@ -136,24 +138,24 @@ def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | No
 
 
 LAW_HOLDS = 0.15
-"""Where the regression misses a known gain by more than this, it is not the law's small parts: nothing is taken back."""
+"""If the regression misses a known gain by more than this, the cause is not a small unmodelled term, and no correction is made."""
 
 
-def _columns(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
+def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
     """Filtered columns e, E, T_ff at weight 1, kt di/dt (cycle, 4) and kt i (cycle,)."""
     tp, kt = run.cycle, loop.control_torque_constant
     assert run.speed_setpoint is not None
     turned = np.diff(run.angle)
-    # the control sums speeds at its ticks: each stands for the tick after it, half a tick early while the axis accelerates
+    # the control sums speeds sampled at the beginning of its ticks, so the sum is half a tick early while the axis accelerates
     early = 0.5 * loop.tick
     error = run.speed_setpoint - turned / tp + early * np.gradient(turned / tp, tp)
-    # integral of w* - w from the start of the run to the middle of a cycle on average: staircase exact, angle by the cycle's ends
+    # integral of w* - w from the start of the run, mean over a cycle: exact for the staircase, from the angles at the cycle's ends
     before = np.concatenate([[0.0], np.cumsum(run.speed_setpoint * tp)[:-1]])
     mean_angle = 0.5 * (run.angle[1:] + run.angle[:-1]) - np.gradient(turned / tp, tp) * tp**2 / 12.0 - run.angle[0]
     integral = before + 0.5 * tp * run.speed_setpoint - mean_angle + early * run.speed
     s = [run.setpoint_at(run.start - delay - k * tp) for k in range(3)]
     feedforward = (axis.commissioned_inertia or 0.0) * (s[0] - 2.0 * s[1] + s[2]) / tp**2 / axis.ratio
-    # what the current loop's integrator lags behind the voltage: s / (1 + Tni s), trapezoidal
+    # lag of the current loop's integrator behind the voltage: s / (1 + Tni s), trapezoidal rule
     change = np.gradient(current, tp)
     voltage = loop.inductance * np.gradient(change, tp) + loop.resistance * change + loop.back_emf * run.acceleration
     tni = loop.current_integral_time

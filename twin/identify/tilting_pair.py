@@ -1,13 +1,13 @@
-"""Balance of torques of the tilting pair A, C: inertias, first moments, friction, as the data alone give them.
+"""Torque balance of the tilting pair A, C: inertias, first moments and friction from the data alone.
 
-With A about x, C about the table's normal z, moments of all that turns with C taken in the table frame about the point where C meets A:
+A turns about x, C about the table's normal z. Moments of all that turns with C are in the table frame, about the intersection of C and A:
 
     A: Maa A" + Mac C" + Maa' A' C' + Mac' C'^2 + g (cos A (gy + mx sin C + my cos C) - sin A gz) + friction = Kt i / r
     C: Mcc C" + Mac A" - 1/2 Maa' A'^2 + g sin A (mx cos C - my sin C) + friction = Kt i / r
     Maa = Maa0 + b (cos 2C - 1) + s sin 2C,   Mac = -zx cos C + zy sin C,   ' = d/dC
 
-(the derivation stands in twin.exam.plant.tilting_pair; the twin itself takes all this from the bodies). Everything is linear in the ten
-inertial numbers PAIR, the four of friction and two of skew; one regression on the rows of both motors finds them, each row in units of its scatter.
+twin.exam.plant.tilting_pair contains the derivation; the twin itself simulates the bodies. The balance is linear in the ten inertial
+values PAIR, four values of friction and two of skew. One regression on the rows of both motors, weighted by their scatter, finds them.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from dataclasses import replace
 import numpy as np
 
 from twin.identify.axis_run import AxisRun
-from twin.identify.drive_balance import MeanCurrent, Rows, _kept, stacked
+from twin.identify.drive_balance import MeanCurrent, Rows, sliding_rows, stacked
 from twin.machine.machine import Body, Machine
 from twin.recordings.least_squares import Fit, regress
 
 PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
 FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")
 NAMES = (*PAIR, *FRICTION, "skew_A", "skew_C")
-"""inertia: of all at the axis, rotor included, at A = C = 0 [kg m2]; moment_y, _z: first moments about A at C = 0 of what does not
-turn about C's normal [kg m]; table_x, _y: first moments about C [kg m]; unequal, deviation: second moments [kg m2]; friction at the axis;
-skew: inertia times what current and motion lie apart in time, see drive_balance [kg m2 s]."""
+"""inertia: total at the axis, rotor included, at A = C = 0 [kg m2]; moment_y, _z: first moments about A at C = 0 of the parts that do not
+turn with C [kg m]; table_x, _y: first moments about C [kg m]; unequal, deviation: second moments [kg m2]; friction at the axis;
+skew: inertia times the time skew between current and motion, see drive_balance [kg m2 s]."""
 
 
 def has_pair(machine: Machine) -> bool:
@@ -36,7 +36,7 @@ def has_pair(machine: Machine) -> bool:
 
 
 def pair_numbers(machine: Machine) -> np.ndarray:
-    """The ten PAIR numbers of a machine file (10,): closed form from its bodies and rotors."""
+    """The ten PAIR values (10,) of a machine, in closed form from its bodies and rotors."""
     bodies = {b.name: b for b in machine.bodies}
     oy, oz = (float(machine.geometry.get(f"a_axis_to_c_axis_{k}_m", 0.0)) for k in "yz")
 
@@ -86,16 +86,16 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
         own[2 * k], own[2 * k + 1], own[4 + k] = sign, (va, vc)[k], run.jerk[:n] * axis.ratio
         f = run.filtered
         torque = currents[k][:n] * axis.motor.torque_constant_nm_per_a / axis.ratio
-        if run.outside is not None:
-            torque = torque + run.outside[:n] / axis.ratio
-        out.append(_kept(_cut(run, n), np.column_stack([f(x) for x in (*columns, *own)]), f(torque)))
+        if run.known_load is not None:
+            torque = torque + run.known_load[:n] / axis.ratio
+        out.append(sliding_rows(_cut(run, n), np.column_stack([f(x) for x in (*columns, *own)]), f(torque)))
     return out[0], out[1]
 
 
 def fit_pair(
     machine: Machine, runs: Sequence[tuple[AxisRun, AxisRun]], current: tuple[MeanCurrent, MeanCurrent]
 ) -> tuple[Fit, tuple[Rows, Rows]] | None:
-    """All NAMES from the rows of both motors; scatter of each motor's rows weighs them. None without usable rows."""
+    """Fit NAMES on the rows of both motors, weighted by the scatter of each motor's rows. None without usable rows."""
     parts_a, parts_c = [], []
     for a, c in runs:
         currents = current[0].of(a), current[1].of(c)
@@ -106,7 +106,7 @@ def fit_pair(
     if not parts_a or sum(len(p.y) for p in (*parts_a, *parts_c)) < 50:
         return None
     rows = stacked(parts_a), stacked(parts_c)
-    # both motors weigh by their scatter, found from each alone
+    # weight the motors by their scatter, from a fit of each alone
     weight = []
     for one in rows:
         alone = regress(one.columns, one.y, one.clusters) if len(one.y) > 30 else None
@@ -127,5 +127,5 @@ def _cut(run: AxisRun, n: int) -> AxisRun:
     if n == len(run.speed):
         return run
     names = ("start", "middle", "axis_position", "speed", "acceleration", "limited")
-    outside = None if run.outside is None else run.outside[:n]
-    return replace(run, **{k: getattr(run, k)[:n] for k in names}, outside=outside)
+    outside = None if run.known_load is None else run.known_load[:n]
+    return replace(run, **{k: getattr(run, k)[:n] for k in names}, known_load=outside)

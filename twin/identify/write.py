@@ -1,4 +1,4 @@
-"""The identified machine as a machine file, and the whole result as JSON."""
+"""Write the identified machine as a machine file, and the result as JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.machine.machine import Machine, write_machine
 
 
 def machine_comments(result: Identification) -> dict[str, str]:
-    """Comment behind each identified value: grade, interval, campaign."""
+    """Path -> comment of each identified value: grade, interval, campaign."""
     name = Path(result.campaign).name
     out = {}
     changed = _changed(result.before, result.machine)
@@ -38,7 +38,7 @@ def _final(p: Parameter, result: Identification) -> Range:
 
 
 def _changed(before: Machine, after: Machine) -> list[str]:
-    """Paths of values that differ."""
+    """Paths of values that differ between two machine files."""
     out: list[str] = []
 
     def walk(a: Any, b: Any, path: str) -> None:
@@ -54,7 +54,7 @@ def _changed(before: Machine, after: Machine) -> list[str]:
 
 
 def write_identified(result: Identification, path: str | Path) -> None:
-    """Write the machine file: rounded to what the interval carries, each value with its grade, the table [identified] with the source."""
+    """Write the machine file: values rounded to their interval, each with its grade as a comment, and a table [identified] with the source."""
     values = {}
     for where in _changed(result.before, result.machine):
         value: Any = result.machine.document
@@ -66,17 +66,17 @@ def write_identified(result: Identification, path: str | Path) -> None:
         "campaign": Path(result.campaign).name,
         "route": result.chosen,
         "fitted_runs": list(result.training),
-        "left_out_runs": list(result.left_out),
-        "torque_constants": "only products are known from current and motion; split within parameter_tolerance"
+        "left_out_runs": list(result.held_out),
+        "torque_constants": "current and motion determine only products; split within parameter_tolerance"
         if all(result.tolerance_holds.values())
-        else "only products are known from current and motion; the file's torque constants were kept where the tolerance is contradicted",
+        else "current and motion determine only products; the file's torque constants were kept where the products contradict parameter_tolerance",
     }
     machine = replace(machine, document={**machine.document, "identified": table})
     write_machine(machine, path, machine_comments(result))
 
 
 def _rounded(value: Any) -> Any:
-    """Numbers with seven digits, also inside lists and tables; words as they are."""
+    """Round numbers to seven digits, also inside lists and tables; strings stay unchanged."""
     if isinstance(value, dict):
         return {k: _rounded(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -85,7 +85,7 @@ def _rounded(value: Any) -> Any:
 
 
 def as_json(result: Identification) -> dict[str, Any]:
-    """Machine-readable result: parameters, findings, skew, gaps, times."""
+    """The result for JSON: parameters, findings, skew, gaps, times."""
 
     def range_table(r: Range | None) -> dict[str, float] | None:
         return None if r is None else {"value": r.value, "low": r.low, "high": r.high}
@@ -95,13 +95,13 @@ def as_json(result: Identification) -> dict[str, Any]:
         "route": result.chosen,
         "refused": result.refused,
         "fitted_runs": list(result.training),
-        "left_out_runs": list(result.left_out),
+        "left_out_runs": list(result.held_out),
         "parameters": [
             {
                 "axis": p.axis, "name": p.name, "unit": p.unit, "path": p.path, "before": p.before,
                 **(range_table(_final(p, result)) or {}),
                 "product_at_file_torque_constant": range_table(p.estimate) if p.product else None,
-                "regression": range_table(p.value), "refined": range_table(p.refined), "left_out": range_table(p.left_out),
+                "regression": range_table(p.value), "refined": range_table(p.refined), "left_out": range_table(p.held_out),
                 "taken": result.taken(p) is not None,
                 "condition": p.condition if math.isfinite(p.condition) else None, "at_bound": p.at_bound,
             }
@@ -109,7 +109,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         ],
         "findings": [{"run": f.run, "axis": f.axis, "text": f.text} for f in result.findings],
         "notes": [{"axis": f.axis, "text": f.text} for f in result.notes],
-        "late_channels": [{"axis": c.axis, "signal": c.signal, "seconds": c.seconds, "low": c.seconds - 1.96 * c.deviation, "high": c.seconds + 1.96 * c.deviation} for c in result.late],
+        "late_channels": [{"axis": c.axis, "signal": c.signal, "seconds": c.seconds, "low": c.seconds - 1.96 * c.deviation, "high": c.seconds + 1.96 * c.deviation} for c in result.skews],
         "gap": result.gaps,
         "tolerance_holds": result.tolerance_holds,
         "seconds": result.seconds,

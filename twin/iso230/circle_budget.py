@@ -1,4 +1,4 @@
-"""The effect of each diagnosed effect on a circle.
+"""Change of a circle (ISO 230-4) by each diagnosed effect.
 
 The corrected machine runs the circle, then again without one of its effects at a time. The difference is the share of that effect:
 

@@ -1,8 +1,8 @@
-"""APT / CL data (.apt .cls .ncl .aptsource) into moves: what CATIA, NX and Creo write between CAM system and postprocessor.
+"""Read APT / CL data (.apt .cls .ncl .aptsource), the output of CATIA, NX and Creo between CAM system and postprocessor.
 
 CL data describe the tool tip and the tool axis in the part frame, so everything runs under TRAORI with corner rounding (G642).
 A line that ends in `$` continues on the next, `$$` starts a comment. RAPID holds for the next move only; a GOTO with three
-values keeps the tool axis of TLAXIS or of the GOTO before. MSYS and CSYS place what follows in the part frame.
+values keeps the tool axis of TLAXIS or of the GOTO before. MSYS and CSYS set the frame of the following points in the part frame.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from twin.program.source import Source
 
 UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
 LONGEST_STATEMENT = 20_000
-"""Characters of one statement over all its lines."""
+"""Largest number of characters of one statement over all its lines."""
 
 OFF_AXIS = 1e-3
-"""A frame whose axes are further from a right angle or from unit length than this is no frame."""
+"""Largest deviation of the axes of a frame from right angles and unit length."""
 
 
 def read_apt(path: Path, machine: Machine) -> mv.Program:
@@ -39,7 +39,7 @@ def read_apt(path: Path, machine: Machine) -> mv.Program:
 
 
 class AptReader:
-    """The state of the tool while statements are read."""
+    """Tool, frames and feeds while statements are read."""
 
     def __init__(self, path: Path, machine: Machine) -> None:
         self.source = Source(path)
@@ -56,7 +56,7 @@ class AptReader:
         self.rotation = np.eye(3)  # part frame from the frame of the data
         self.shift = np.zeros(3)
         self.arc: tuple[np.ndarray, np.ndarray, float | None, float | None] | None = None  # centre, axis, radius [m], angle [rad]
-        self.world = False  # points stand in the part frame whatever CSYS says
+        self.world = False  # True: points are in the part frame, independent of CSYS
         self.direction: tuple[str, np.ndarray] | None = None
         self.cycle: Cycle | None = None
         self.ended = False
@@ -88,7 +88,7 @@ class AptReader:
                 break
 
     def _statements(self) -> Iterator[tuple[int, str]]:
-        """First line and text of each statement; one that the end of the file cuts off after its '$' ends there."""
+        """First line and text of each statement; a statement whose '$' is the last of the file ends there."""
         text, first, remark = "", 0, False
         for number, raw in enumerate(self.source.lines, start=1):
             part = raw.split("$$")[0].upper().rstrip()
@@ -102,7 +102,7 @@ class AptReader:
                 yield first, text.strip()
                 text, first = "", 0
             elif len(text) > LONGEST_STATEMENT:
-                raise self.out.fail(first, -1, "a statement goes on over too many lines; remove the '$' at their ends")
+                raise self.out.fail(first, -1, "a statement continues over too many lines; remove the '$' at their ends")
             else:
                 text += " "
         yield first, text.strip()
@@ -121,19 +121,19 @@ class AptReader:
         if word in self.words:
             self.words[word](word, values)
         elif moves_nothing(word, values):
-            self.out.notes[f"{word}/0,0,0: a shift by nothing"] = None
+            self.out.notes[f"{word}/0,0,0: a shift by zero"] = None
         elif word in NOT_SIMULATED or first in NOT_SIMULATED:
             raise self._fail(f"{word}/ is not simulated: {NOT_SIMULATED.get(word) or NOT_SIMULATED[first]}")
         elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in FREE_TEXT:
             self.out.notes[f"{word}: understood, no effect on the motion"] = None
         elif "_" in word:
-            self.out.notes[
-                f"{word}: a word of the CAM system that the standard of CL data does not have, taken as without effect on the motion"
-            ] = None
+            self.out.notes[f"{word}: a word of the CAM system outside the standard of CL data, assumed to have no effect on the motion"] = (
+                None
+            )
         else:
             hint = nearest(word, {*WITHOUT_EFFECT, *self.words})
             if not hint.startswith("did you"):
-                hint = "let the CAM system put out points (GOTO) instead, or remove it if it moves nothing"
+                hint = "let the CAM system output points (GOTO) instead, or remove it if it moves nothing"
             raise self._fail(f"statement '{word}' is not known; {hint}")
 
     def _numbers(self, values: str, word: str, counts: tuple[int, ...]) -> list[float]:
@@ -205,14 +205,16 @@ class AptReader:
             self.spindle = float(numbers[0])
             if self.turn_feed:
                 self.feed = self._feed_of(*self.turn_feed)
-        self.out.notes["SPINDL: the speed counts for feeds per revolution only"] = None
+        self.out.notes["SPINDL: the speed is used for feeds per revolution only"] = None
 
     def _compensation(self, word: str, values: str) -> None:
         if values.strip() in ("OFF", ""):
             return
         if self.on_profile:
             raise self._fail(f"{word}/{values[:30]} is not supported, since the points are those of the profile: {NO_RADIUS_COMPENSATION}")
-        self.out.notes[f"{word}: the points are those of the tool centre, the compensation is that of wear, which counts as 0"] = None
+        self.out.notes[
+            f"{word}: the points are those of the tool centre, so the compensation is only for wear, which is assumed to be 0"
+        ] = None
 
     def _part_surface(self, word: str, _values: str) -> None:
         self.out.notes[f"{word}: understood, no effect on the motion"] = None
@@ -369,11 +371,11 @@ class AptReader:
         if kind in ("ON", "INIT"):
             return
         if kind not in CYCLES:
-            raise self._fail(f"{word}/{kind} is not simulated; let the CAM system put out points (GOTO) instead")
+            raise self._fail(f"{word}/{kind} is not simulated; let the CAM system output points (GOTO) instead")
         self.cycle = cycle_of(kind, parts, self.unit, self.feed, lambda feed: self._feed_of(feed, word))
         if self.cycle is None:
             raise self._fail(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance")
-        self.out.notes[f"CYCLE/{kind}: one straight stroke to the depth; pecks and dwells are left out"] = None
+        self.out.notes[f"CYCLE/{kind}: one straight stroke to the depth; pecks and dwells are omitted"] = None
 
     def _drill(self, hole: np.ndarray) -> None:
         assert self.cycle

@@ -5,7 +5,7 @@ MOVARC/ x,y,z,i,j,k,r,ANGLE,a    the same; of the two senses the one that the an
 INDIRV/ i,j,k                    direction in which the tool leaves (CATIA); INDIRP/ x,y,z: the point it leaves towards
 TLON,GOFWD/ (CIRCLE/ x,y,z,r),ON,[n,INTOF,](LINE/ x1,y1,z1,x2,y2,z2)
                                  along the circle about the tool axis to its first (n-th) meeting with the line;
-                                 CIRCLE/CANON,x,y,z,i,j,k,r has an axis of its own, (PLANE/ i,j,k,d) stands for a line
+                                 CIRCLE/CANON,x,y,z,i,j,k,r gives another axis, (PLANE/ i,j,k,d) replaces the line
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def arc_to(
 ) -> Arc:
     """The arc from start to end about an axis; equal places are a full circle.
 
-    Without `radius` [m] it is that of the start. With `sweep` [rad] the sense is the one whose angle is that: the older post of
-    Fusion writes the axis of a clockwise arc as that of a counter-clockwise one.
+    Without `radius` [m] the radius is that of the start. With `sweep` [rad] the direction is the one that gives this angle, because the
+    older post of Fusion writes the axis of a clockwise arc as that of a counter-clockwise one.
     """
     arms = [_arm(p, centre, normal) for p in (start, end)]
     radius = float(np.linalg.norm(arms[0])) if radius is None else radius
@@ -59,7 +59,7 @@ def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis:
     """The arc of TLON,GOFWD and its end point (3,) [m]; `direction` (3,) is that of the start, `unit` [m] of the numbers."""
     parts = {m[1]: m[2] for m in _PART.finditer(values)}
     if "CIRCLE" not in parts or not {"LINE", "PLANE"} & parts.keys():
-        raise ArcError("TLON,GOFWD needs (CIRCLE/ ..) and (LINE/ ..) or (PLANE/ ..); let the CAM system put out points instead")
+        raise ArcError("TLON,GOFWD needs (CIRCLE/ ..) and (LINE/ ..) or (PLANE/ ..); let the CAM system output points instead")
     circle = parts["CIRCLE"].removeprefix("CANON").lstrip(" ,")
     numbers = _numbers(circle, "CIRCLE")
     if len(numbers) == 4:

@@ -1,4 +1,4 @@
-"""Drilling cycles of CL data (CYCLE/): what their words say, and the strokes at each hole."""
+"""Drilling cycles of CL data (CYCLE/): their parameters, and the moves at each hole."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CYCLES = (
     "TAP",
     "TAPR",
 )
-"""Drilling cycles: one stroke at feed to the depth; MecSoft numbers its kinds."""
+"""Drilling cycles: one stroke at feed to the depth; MecSoft uses numbers for the kinds."""
 
 
 class Cycle(NamedTuple):
@@ -49,7 +49,7 @@ class Cycle(NamedTuple):
 
 
 def cycle_of(kind: str, parts: list[str], unit: float, feed: float, feed_of: Callable[[list[str]], float]) -> Cycle | None:
-    """The cycle that `parts` say; None without depth or feed. `feed` is that in force, `feed_of` reads a value with its unit."""
+    """The cycle given by `parts`; None without depth or feed. `feed`: the active one; `feed_of` reads a value with its unit."""
     feed_units = {**PER_MINUTE, **PER_REVOLUTION}
     named: dict[str, float] = {}
     plain: list[float] = []

@@ -1,6 +1,6 @@
-"""The statements of CL data that move nothing here, those that do and are not simulated, and the parts of a statement.
+"""Statements of CL data that have no effect here or are not simulated, and functions that split a statement.
 
-Words are those of the CL data standard (ISO 4343) and of what CATIA, NX and Creo write beside it.
+The words are those of the CL data standard (ISO 4343) and additional ones of CATIA, NX and Creo.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 import re
 
 FREE_TEXT = ("PARTNO", "PPRINT", "PPWORD", "COMMENT", "TPRINT", "INSERT", "REMARK", "LETTER", "TITLES", "DISPLY", "PROGRAM")
-"""Statements whose rest is text for people."""
+"""Statements followed by text for the operator."""
 
 WITHOUT_EFFECT = frozenset({
     "AIR", "ARCSLP", "AUTOPS", "AUXFUN", "BREAK", "CHECK", "CLAMP", "CLEARP", "CLRSRF", "COOLNT", "COUPLE", "CUTTER", "DEBUG", "DELETE",
@@ -20,7 +20,7 @@ WITHOUT_EFFECT = frozenset({
     "OFSTNO", "OSETNO", "PARTID", "CATCHR", "BARFED", "TLSTCK", "OVRIDE", "ADJUST", "LIMIT", "OPTION", "PRINT", "PUNCH", "CHUCK", "BLANK",
     "TOOL", "STOCK", "FIXTUR", "REGEN", "NOPOST", "TOOLST", "TLSPEC", "RESET", "TYPE", "MODEL",
 })  # fmt: skip
-"""Statements that are read and move nothing here; each is a note."""
+"""Statements that have no effect here; each gives a note."""
 
 NOT_SIMULATED = {
     **dict.fromkeys(
@@ -41,23 +41,23 @@ NOT_SIMULATED = {
             "SCON",
             "THRUST",
         ),
-        "let the CAM system put out points (GOTO) instead",
+        "let the CAM system output points (GOTO) instead",
     ),
     **dict.fromkeys(
         ("TRACUT", "COPY", "TRANS", "ORIGIN", "ROTABL", "ROTATE", "ROTHED", "TRANTO"),
-        "let the CAM system put out the transformed points",
+        "let the CAM system output the transformed points",
     ),
     **dict.fromkeys(("RETRCT", "RETURN"), "give the place as a GOTO"),
     **dict.fromkeys(("CALSUB", "CALLSUB"), "it calls a subprogram that this file does not hold; put its points out here"),
     "THREAD": "threads cut with a turning spindle are not simulated",
 }
-"""Statements that move the tool in a way that is not simulated: what to do instead."""
+"""Statements with a motion that is not simulated -> what to do instead."""
 
 _STATEMENT = re.compile(r"\s*([A-Z][A-Z0-9_-]*(?:\s+[A-Z-]+)*(?:\s*,\s*[A-Z]+)*)\s*(?:/\s*(.*?))?\s*\Z", re.S | re.A)
 
 
 def word_and_values(text: str) -> tuple[str, str] | None:
-    """Major words of a statement ('TLON,GOFWD') and what stands behind its '/'; None for what is no statement."""
+    """Major words of a statement ('TLON,GOFWD') and the text after its '/'; None if it is not a statement."""
     for word in FREE_TEXT:
         if text.startswith(word):
             return word, text[len(word) :].lstrip(" /")
@@ -66,7 +66,7 @@ def word_and_values(text: str) -> tuple[str, str] | None:
 
 
 def moves_nothing(word: str, values: str) -> bool:
-    """Whether a shift of the part (ORIGIN/, TRANS/) is by nothing."""
+    """Whether a shift of the part (ORIGIN/, TRANS/) is zero."""
     try:
         return word in ("ORIGIN", "TRANS") and len(listed(values)) == 3 and not any(map(float, listed(values)))
     except ValueError:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 CHORD = 0.5e-6
-"""Distance of the chords of a spline from it [m]."""
+"""Largest distance of the chords from a spline [m]."""
 MOST_CHORDS = 10_000
 CLOSING_TOLERANCE = 10e-6
 """Radii at start and end of an arc may differ by this [m]; the difference is spread along the arc. Chosen."""
@@ -18,7 +18,7 @@ PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 
 
 class ArcError(Exception):
-    """An arc that cannot be; the reader adds the place."""
+    """A geometrically impossible arc; the reader adds the place."""
 
 
 def from_centre(
@@ -55,13 +55,13 @@ def from_centre(
 
 
 def iso_tolerance(unit: float) -> Callable[[float], float]:
-    """What the radii of an arc may differ by in ISO programs, by the radius [m]: LinuxCNC's rule, 28 um or a thousandth, at most 2.8 mm."""
+    """Largest difference between the radii of an arc in ISO programs [m], LinuxCNC's rule: 28 um or a thousandth, at most 2.8 mm."""
     least = 2.0 * math.sqrt(2.0) * (1e-5 if unit == 1e-3 else 1e-3 * unit)
     return lambda radius: min(max(least, 1e-3 / (1.0 - 1e-3) * radius), 100.0 * least)  # of the larger radius
 
 
 def centre_from_radius(start: np.ndarray, end: np.ndarray, radius: float, plane: int, clockwise: bool) -> np.ndarray:
-    """Centre of an arc by its radius: less than half a circle for a positive radius, more for a negative one."""
+    """Centre of an arc from its radius: a positive radius gives less than half a circle, a negative one more."""
     a, b, _ = PLANES[plane]
     chord = np.array([end[a] - start[a], end[b] - start[b]])
     half = 0.5 * math.hypot(*chord)
@@ -92,14 +92,14 @@ def through(start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> tuple[np.
 
 
 def tangential(start: np.ndarray, direction: np.ndarray, end: np.ndarray, plane: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Centre, normal and angle of the arc that goes on in a direction (3,) to the end, in the plane (CT)."""
+    """Centre, normal and angle of the arc in the plane that starts tangent to a direction (3,) (CT)."""
     a, b, c = PLANES[plane]
     t = np.array([direction[a], direction[b]])
     chord = np.array([end[a] - start[a], end[b] - start[b]])
     left = np.array([-t[1], t[0]])
     side = float(chord @ left)
     if math.hypot(*t) < 1e-9 or abs(side) < 1e-12:
-        raise ArcError("the arc that goes on smoothly would be a line; use G1")
+        raise ArcError("the tangent arc would be a line; use G1")
     radius = float(chord @ chord) * math.hypot(*t) / (2.0 * side)
     centre, normal = start.copy(), np.zeros(3)
     centre[[a, b]] = np.array([start[a], start[b]]) + radius * left / math.hypot(*t)

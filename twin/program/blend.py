@@ -1,9 +1,9 @@
-"""From the programmed curve to one that drives can follow: corners and short chords become a spline within the tolerance.
+"""Smooth the programmed curve: corners and short chords become a cubic spline within the tolerance, which the drives can follow.
 
 The curve w(u) (lines, arcs) is turned into a cubic B-spline S(u) = sum_i P_i B_i(u) whose control points are taken from the
 curve at the knot averages, P_i = w((t_i+1 + t_i+2 + t_i+3) / 3) (Schoenberg's variation diminishing spline). It is continuous to the second
 derivative, lies on lines exactly, overshoots nowhere, and departs from a corner of slope step D by |D| h / 6, from a
-smooth curve by w'' h^2 / 6, where h is the local knot distance. So h is what the tolerance decides:
+smooth curve by w'' h^2 / 6, where h is the local knot distance. The tolerance therefore determines h:
 
 - at a corner between long blocks a knot lies on the corner and h = 6 tolerance / |D|, at most 0.45 of the shorter block;
 - in polylines of short chords (CAM) h is the largest for which the mean of the curve over +-h stays within the tolerance: h
@@ -27,12 +27,12 @@ from twin.program.elements import ARC
 GROWTH = 0.3
 LONGEST_SHARE = 0.45  # of the shorter block beside a corner: two blends never meet
 CORNER = 0.3  # slope step above which a corner is always a corner, never a facet
-WITHIN = 0.9  # share of the tolerance that is planned, the rest is for what the plan neglects
+WITHIN = 0.9  # share of the tolerance used in planning; the rest covers neglected terms
 ARC_STEP = 0.06  # knot distance on an arc in rad
 END_ERROR = 5e-8  # m, error of an arc near an exact stop
 ACCEPTED = 0.98  # of the tolerance, measured at the same parameter
 REFINEMENTS = 12
-LONGEST_SPAN = 5e-3  # m, knot distance on lines far from everything
+LONGEST_SPAN = 5e-3  # m, knot distance on lines far from corners
 
 
 class Spline(NamedTuple):

@@ -1,4 +1,4 @@
-"""Error budget of a program: what the interpolator (level 1) and what the drives (level 2) do to the part, along the path.
+"""Error budget of a program along its path: errors of the interpolator (level 1) and of the drives (level 2).
 
 All errors are distances of the tool tip in the part frame [m]:
 
@@ -6,9 +6,9 @@ All errors are distances of the tool tip in the part frame [m]:
     chord       set points of the interpolation cycle joined by straight lines: sagitta              level 1
     following   actual position to set point at the same time                                        level 2
     drives      actual position to the path of the set points                                        level 2
-    contour     actual position to the programmed curve: what the part sees                          both
+    contour     actual position to the programmed curve: the error on the part                       both
 
-`following` runs along the path for the most part and does no harm there; `contour` is what remains across it.
+`following` is mostly along the path, where it does not affect the part; `contour` is the error across the path.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from twin.program.moves import Program
 from twin.recordings.trace import PROGRAM, Trace
 
 SEARCH_BACK, SEARCH_AHEAD = 15e-3, 3e-3
-"""The actual position is looked for this far behind and ahead of its set point along the path [m]: more than any following error."""
+"""Search range for the actual position along the path, before and after its set point [m]; larger than any following error."""
 
 QUANTITIES = {
     "rounding": (1, "set point to programmed curve"),
@@ -98,8 +98,8 @@ class ErrorBudget:
 def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: Machine) -> ErrorBudget:
     """Errors of both levels along the path of a program.
 
-    `setpoints` as `interpolate` made them; `followed` has `<axis>.position` of the run; axes that it lacks count as
-    following exactly. Both start at the same time.
+    `setpoints`: the result of `interpolate`; `followed`: `<axis>.position` of the run. Missing axes are assumed to follow exactly. Both
+    start at the same time.
     """
     if not setpoints.has(PROGRAM, "line"):
         raise InputError("error budget: the set points carry no program.line; make them with `twin interpolate`")
@@ -127,7 +127,7 @@ def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: M
     chord = np.zeros(count)
     if count > 2 * every:
         middle = np.linalg.norm(tip_wanted[2 * every :] - 2.0 * tip_wanted[every:-every] + tip_wanted[: -2 * every], axis=1) / 8.0
-        # of the second difference only what is across the path is a sagitta
+        # only the component of the second difference across the path is a sagitta
         way = tip_wanted[2 * every :] - tip_wanted[: -2 * every]
         size = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
         bend = tip_wanted[2 * every :] - 2.0 * tip_wanted[every:-every] + tip_wanted[: -2 * every]
@@ -139,7 +139,7 @@ def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: M
 
 
 def _tips(program: Program, axes: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tip and tool axis in the part frame, with the tool that each line works with."""
+    """Tip and tool axis in the part frame, with the tool of each line."""
     m = program.moves
     lengths = np.unique(m.tool_length)
     if len(lengths) == 1:

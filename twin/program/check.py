@@ -1,4 +1,4 @@
-"""Check a folder of programs: what is understood, fits the machine and keeps its limits, one result a program."""
+"""Check a folder of programs: whether each is understood, fits the machine and keeps its limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from twin.simulation.setpoints import setpoints_of
 from twin.units import AXIS_UNITS
 
 NO_PROGRAM = (".md", ".txt.md", ".py", ".json", ".toml", ".png", ".pdf", ".html", ".xml", ".c", ".h", ".sh", ".ini", ".hal", ".log")
-"""Endings that are passed over in a folder; of a file named by itself any ending is read."""
+"""File endings that are skipped in a folder; a file that is named directly may have any ending."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Checked:
 
 
 def programs_in(path: Path) -> list[Path]:
-    """The programs of a folder and the folders below, or the one that is named."""
+    """The programs in a folder and its subfolders, or the named file."""
     if path.is_file():
         return [path]
     if not path.is_dir():

@@ -1,8 +1,8 @@
-"""Collects what a reader understands, move by move, and turns it into a checked `Program`.
+"""Collect the moves of a reader and turn them into a checked `Program`.
 
-Readers append one row per move: coordinates as programmed in SI, tool axis or angles, the modes in force. `finish` works on
-columns: it finds A and C for all tool axes (nearest solution, shortest way), the feed in m/s or rad/s, the stops, and
-reports what the machine cannot do with file, line and block.
+Readers append one row per move: programmed coordinates in SI, tool axis or angles, active modes. `finish` computes A and C for all tool
+axes (nearest solution, shortest way), the feed in m/s or rad/s, and the stops. It reports moves that the machine cannot make with file,
+line and block.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from twin.program.place import OutsideTravel
 from twin.units import AXIS_UNITS, rad_from_deg
 
 DEFAULT_TOLERANCE = 10e-6
-"""Corner rounding of G64 and G642 without another word [m]; chosen, the paper does not say."""
+"""Default tolerance of corner rounding for G64 and G642 [m]; chosen, the paper gives no value."""
 DEFAULT_ANGLE_TOLERANCE = rad_from_deg(0.05)
 """The same for A and C [rad]."""
-NO_RADIUS_COMPENSATION = "cutter radius compensation is not simulated; let the CAM system put out the path of the tool centre"
+NO_RADIUS_COMPENSATION = "cutter radius compensation is not simulated; let the CAM system output the path of the tool centre"
 RAPID_TOLERANCE_FACTOR = 3.0
-"""Between two rapid moves the tolerance is this much larger (STOLF on the control)."""
+"""Factor on the tolerance between two rapid moves (STOLF on the control)."""
 SETTLING = {"G601": 3.0, "G602": 1.0, "G603": 0.0}
-"""Wait at an exact stop in time constants 1 / Kv of the slowest axis: until the window is reached; G603 does not wait."""
+"""Dwell at an exact stop until the window is reached, in time constants 1 / Kv of the slowest axis; G603 does not wait."""
 
 
 @dataclass(frozen=True)
 class Modes:
-    """What is in force for a move; readers share one record among all moves until a word changes it."""
+    """Active modes of a move; consecutive moves share one record until a word changes it."""
 
     traori: bool = False
     workpiece_orientation: bool = True  # ORIWKS: great circle; ORIMKS: A and C linear
@@ -84,7 +84,7 @@ class Collector:
 
     @property
     def own_axes(self) -> str:
-        """The axes of the machine, as messages name them."""
+        """The axes of the machine for messages."""
         return " ".join(letter for letter, name in zip(self.kinematics.letters, self.kinematics.names) if name)
 
     def fail(self, line: int, block: int, text: str, column: int | None = None) -> InputError:
@@ -92,7 +92,7 @@ class Collector:
         return InputError(f"{mv.place_of(self.path, line, block, column)}: {text}")
 
     def set_modes(self, modes: Modes) -> None:
-        """Modes from here on."""
+        """Set the modes of the following moves."""
         if modes != self.modes:
             self.modes = modes
             self.all_modes.append(modes)
@@ -184,7 +184,7 @@ class Collector:
             pause[row] = max(pause[row], settling[row]) + extra
         for row, time in self.pauses.items():
             pause[row] = time
-        # what cannot be blended: a change of transformation, tool or acceleration mode, the moves beside a dwell, the end
+        # no blending at a change of transformation, tool or acceleration mode, at a dwell, and at the end
         traori, brisk = column("traori", bool), column("brisk", bool)
         length = np.where(traori, column("tool_length", float), column("spindle_tool_length", float))
         change = (traori[1:] != traori[:-1]) | (brisk[1:] != brisk[:-1]) | (length[1:] != length[:-1])
@@ -232,12 +232,12 @@ class Collector:
         program = mv.Program(self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes), tuple(self.messages))
         if not len(moves) or not np.any((np.abs(program.starts() - moves.target) > 1e-12).any(axis=1) | (moves.kind == mv.ARC)):
             raise InputError(
-                f"{self.path}: the program moves no axis from its start; a first rapid move is taken as the start, add a move behind it"
+                f"{self.path}: the program moves no axis from its start; a first rapid move defines the start, so add a move after it"
             )
         return program
 
     def _feeds(self, program: mv.Program, mode: np.ndarray, unit: np.ndarray, spindle: np.ndarray) -> None:
-        """F words to m/s of the tip, or rad/s where only A and C move (in place: the program is not out yet)."""
+        """Convert F words to m/s of the tip, or rad/s if only A and C move (in place)."""
         moves = program.moves
         mode, unit, spindle = (v[-len(moves) :] for v in (mode, unit, spindle))
         way = moves.target - program.starts()
@@ -262,7 +262,7 @@ class Collector:
             raise self.fail(int(moves.line[row]), int(moves.block[row]), text)
 
     def _stop_at_reversals(self, program: mv.Program) -> None:
-        """A corner that turns straight back is an exact stop: there is no curve within a tolerance round it."""
+        """Make exact reversals exact stops, because no curve can round them within a tolerance."""
         moves = program.moves
         way = moves.target - program.starts()
         length = np.linalg.norm(way, axis=1)
@@ -272,7 +272,7 @@ class Collector:
         moves.stop[:-1] |= back
 
     def _check_travel(self, program: mv.Program) -> None:
-        """Every block end within travel (what lies between is checked on the set points)."""
+        """Check every block end against the travel; the motion between block ends is checked on the set points."""
         moves = program.moves
         axes = moves.target.copy()
         for length in np.unique(moves.tool_length[moves.traori]):

@@ -2,7 +2,7 @@
 
 Each element is moved sideways by the radius. At an outside corner the tool goes round the corner on an arc (G450, and
 ISO) or to the point where the moved elements meet (G451); at an inside corner both are cut where they meet. An inside corner
-that the tool cannot reach is an error, not a gouge. Moves without a way in the plane happen where the tool stands.
+that the tool cannot reach is an error, so nothing is gouged. Moves without motion in the plane are made where the tool stands.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 TINY = 1e-9
-"""Lengths below this are none [m]."""
+"""Shorter lengths count as zero [m]."""
 SMOOTH = 1e-6
 """Elements whose directions differ by less than this join smoothly [rad]."""
 GOUGE = 1e-6
-"""A corner that exists only because the numbers of the program are rounded: depth to which the tool may cut into an inside corner, and
-length of an arc about an outside corner that is left out [m]."""
+"""Tolerance for corners that are due to rounded numbers in the program [m]: largest cut into an inside corner, and shortest arc about an
+outside corner."""
 BACK = 0.05
-"""At a corner closer than this to a full reversal the second element may cross the first, and so change sides [rad]."""
+"""At a corner closer than this to a full reversal, the second element may cross the first and change sides [rad]."""
 
 
 class CompensationError(Exception):
@@ -33,8 +33,8 @@ class CompensationError(Exception):
 class Element:
     """One move in program coordinates: `a`, `b` in the plane [m], `low`, `high` across it; `centre` and `sense` (1 ccw) of an arc.
 
-    `move` is what the reader needs to put the move out; `behind` are moves without a way in the plane that follow; `whole` is
-    a full circle, which ends where it begins.
+    `move`: data that the reader needs to emit the move; `behind`: following moves without motion in the plane; `whole`: a full circle,
+    which ends at its start.
     """
 
     a: np.ndarray
@@ -62,7 +62,7 @@ def _left(t: np.ndarray) -> np.ndarray:
 
 
 def moved(e: Element, offset: float) -> Element:
-    """The element `offset` to its left."""
+    """The element shifted by `offset` to its left."""
     a, b = (p + offset * _left(e.direction(end)) for p, end in ((e.a, False), (e.b, True)))
     if e.centre is not None and np.hypot(*(e.a - e.centre)) - e.sense * offset < TINY:
         raise CompensationError("the radius of the arc is smaller than that of the tool on its inside; use a smaller tool")
@@ -70,7 +70,7 @@ def moved(e: Element, offset: float) -> Element:
 
 
 class Compensation:
-    """The elements between G41 or G42 and G40; `emit` puts out a finished element."""
+    """The elements between G41 or G42 and G40; `emit` is called with each finished element."""
 
     def __init__(
         self, radius: float, left: bool, *, along_next: bool, corners_meet: bool, emit: Callable[[Element], None], tool_radius: float
@@ -84,7 +84,7 @@ class Compensation:
         self.before: list[Any] = []
 
     def add(self, e: Element) -> None:
-        """The next element of the contour; the first is the way to it."""
+        """Add the next element of the contour; the first one is the approach."""
         if np.hypot(*(e.b - e.a)) < TINY and e.centre is None:
             (self.last.behind if self.last is not None else self.before).append(e)
             return
@@ -104,7 +104,7 @@ class Compensation:
         self.last, self.shifted = e, new
 
     def finish(self) -> np.ndarray | None:
-        """Put out the last element in full; returns the position of the tool in the plane."""
+        """Emit the last element at full length; returns the position of the tool in the plane."""
         if self.shifted is None:
             return None
         if self.entry and self.along_next:
@@ -122,7 +122,7 @@ class Compensation:
         """The corner between two elements; returns the second with its start."""
         t1, t2 = last.direction(True), e.direction(False)
         turn = math.atan2(t1[0] * t2[1] - t1[1] * t2[0], float(t1 @ t2))
-        short = turn * self.offset < 0.0 and abs(turn * self.offset) < GOUGE  # an arc about this outside corner would be no way
+        short = turn * self.offset < 0.0 and abs(turn * self.offset) < GOUGE  # an arc about this outside corner would have no length
         if abs(turn) < SMOOTH or short:
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
@@ -145,10 +145,10 @@ class Compensation:
         self.emit(Element(shifted.b, new.a, (last.across[1],) * 2, last.b.copy(), -1 if self.offset > 0 else 1, 0, new.move))
 
     def _inside(self, last: Element, shifted: Element, new: Element, turn: float) -> None:
-        """An inside corner of `turn` [rad]: both elements end where they meet, which must lie on both.
+        """An inside corner of `turn` [rad]: both elements end at their intersection, which must lie on both.
 
-        A program with rounded numbers makes inside corners of elements that were meant to be tangent. Where these meet nowhere,
-        or only beyond their ends, the second begins where the first ends, at most `GOUGE` inside the contour.
+        Rounded numbers turn tangent elements into inside corners. If these do not intersect, or only beyond their ends, the second
+        begins at the end of the first, at most `GOUGE` inside the contour.
         """
         for point in _meet(shifted, new, last.b):
             if _holds(shifted, point) and _holds(new, point):
@@ -159,7 +159,7 @@ class Compensation:
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
             return
-        raise CompensationError("the tool cannot reach an inside corner without gouging; use a smaller tool or mend the contour")
+        raise CompensationError("the tool cannot reach an inside corner without gouging; use a smaller tool or correct the contour")
 
 
 def _holds(e: Element, p: np.ndarray) -> bool:
@@ -176,9 +176,9 @@ def _holds(e: Element, p: np.ndarray) -> bool:
 
 
 def _reversal(last: Element, e: Element, turn: float) -> tuple[float, bool]:
-    """The turn [rad] at a corner where the second element may lead back along the first; True if it leads back on it.
+    """The turn [rad] at a corner, and True if the second element leads back on the first.
 
-    Where it is tangent to the first, or crosses it right behind the corner, the side on which it goes on is that of its curvature.
+    If the second element is tangent to the first or crosses it right after the corner, its curvature determines the side.
     """
     from_full = math.pi - abs(turn)
     bend = sum(k.sense / float(np.hypot(*(k.b - k.centre))) for k in (last, e) if k.centre is not None)  # > 0: to the right of the first
@@ -193,7 +193,7 @@ def _reversal(last: Element, e: Element, turn: float) -> tuple[float, bool]:
 
 
 def _meet(one: Element, two: Element, near: np.ndarray) -> list[np.ndarray]:
-    """Where two moved elements, thought on, meet; nearest to the corner first."""
+    """Intersections of two shifted and extended elements, nearest to the corner first."""
     if one.centre is None and two.centre is None:
         u, v = one.b - one.a, two.b - two.a
         cross = u[0] * v[1] - u[1] * v[0]
@@ -208,9 +208,9 @@ def _meet(one: Element, two: Element, near: np.ndarray) -> list[np.ndarray]:
 
 
 def _radius(arc: Element) -> float:
-    """Radius [m] of the circle on which an arc is cut: through its end, since what is left of it leads there.
+    """Radius [m] of the circle of an arc, taken from its end point, as LinuxCNC does.
 
-    Centre and ends of a program are rounded, so that the start often lies some micrometres beside it. LinuxCNC cuts there, too.
+    Centre and end points of a program are rounded, so the start may be some micrometres off this circle.
     """
     assert arc.centre is not None
     return float(np.hypot(*(arc.b - arc.centre)))

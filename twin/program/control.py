@@ -1,6 +1,6 @@
-"""The moves of the control that both languages act on: where a block goes, arcs, stops, cycles, the path beside the contour.
+"""Moves of the control, used by both languages: targets of blocks, arcs, stops, cycles, radius compensation.
 
-Moves go out to the collector in machine coordinates; `twin.program.control_state` holds what is in force.
+Moves are passed to the collector in machine coordinates; `twin.program.control_state` has the modal state.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SpaceArc = tuple[np.ndarray, np.ndarray, float]
 
 
 class Programmed(NamedTuple):
-    """What a block gives for its move besides X Y Z; `mode` is the number of the modes in force."""
+    """Data of a block's move besides X Y Z; `mode` is the number of the active modes."""
 
     kind: int
     angles: list[float]
@@ -43,14 +43,14 @@ class Programmed(NamedTuple):
 
 
 class Control(ControlState):
-    """Takes the moves of blocks, one after the other."""
+    """Makes the moves of the blocks one after the other."""
 
     # ------------------------------------------------------------------ moves
 
     def target(self, words: dict[str, Item], suppress: bool, start: np.ndarray | None = None) -> tuple[np.ndarray, list[float]]:
-        """Where a block goes: program coordinates (3,), or machine coordinates if `suppress`; A and C, NaN where not programmed.
+        """Target of a block: program coordinates (3,), or machine coordinates if `suppress`; A and C, NaN if not programmed.
 
-        `start` (3,) is where the way begins; without one that is where the tool is.
+        `start` (3,): start of the move; default: position of the tool.
         """
         out = self.out
         if any(n in words and (words[n].how not in ("", "AC") or not self.absolute) for n in ROTARY):
@@ -89,7 +89,7 @@ class Control(ControlState):
         return point, angles
 
     def move_other(self, name: str, value: float) -> None:
-        """An axis that this machine lacks: fine at zero, reported at the end elsewhere."""
+        """Record an axis that this machine lacks; a value other than zero is reported at the end."""
         self.other_axes[name] = value
         if value and "other" not in self.out.missing:
             self.out.missing["other"] = (self.line, self.block, next((n for n, slot in self.slot_of.items() if slot == name), name))
@@ -135,7 +135,7 @@ class Control(ControlState):
         suppress: bool = False,
         space_arc: SpaceArc | None = None,
     ) -> None:
-        """Hand a move to the collector, in machine coordinates."""
+        """Pass a move to the collector, in machine coordinates."""
         kind, angles, vector, feed, line, block, mode, tolerance = said
         out = self.out
         goal = point if suppress else self.to_machine(point)
@@ -160,7 +160,7 @@ class Control(ControlState):
             out.position[3:] = [math.nan, math.nan]
 
     def _turned(self, circle: SpaceArc) -> SpaceArc:
-        """An arc in machine coordinates; a mirror turns its sense round."""
+        """An arc in machine coordinates; a mirror reverses its direction."""
         centre, normal, angle = circle
         if self.matrix is not None:
             gram = self.matrix.T @ self.matrix
@@ -196,12 +196,12 @@ class Control(ControlState):
             self.out.stops[len(self.out.kinds) - 1] = pause
 
     def dwell(self, seconds: float) -> None:
-        """A pause where the tool stands."""
+        """A dwell at the current position."""
         if not 0.0 <= seconds <= LONGEST_DWELL:
             raise WordError(f"a dwell of {seconds:g} s is out of range; give 0 to 3600 s", 1)
         out = self.out
         if self.comp is not None:
-            out.notes["G4 inside G41 or G42 is left out: the tool does not rest on the contour"] = None
+            out.notes["G4 inside G41 or G42 is omitted: the tool does not dwell on the contour"] = None
             return
         out.pauses[len(out.kinds)] = seconds
         out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.line, self.block)
@@ -236,7 +236,7 @@ class Control(ControlState):
         if side and radius:
             if self.out.modes.traori and not self._stands_across():
                 raise WordError(
-                    "G41 and G42 need a tool that stands across the plane G17, G18 or G19; let the CAM system put out the tool centre", 1
+                    "G41 and G42 need a tool perpendicular to the plane G17, G18 or G19; let the CAM system output the tool centre", 1
                 )
             self.programmed = self.here()
             self.comp = Compensation(
@@ -250,7 +250,7 @@ class Control(ControlState):
         self.settle_plain()
 
     def _scale(self) -> float:
-        """Factor of the frame in the plane in force (SCALE, G51): it scales the contour, not the radius of the tool."""
+        """Scale of the frame in the active plane (SCALE, G51); it scales the contour, not the radius of the tool."""
         if self.matrix is None:
             return 1.0
         first, second = (float(np.linalg.norm(self.matrix[:, i])) for i in arcs.PLANES[self.plane][:2])
@@ -259,7 +259,7 @@ class Control(ControlState):
         return first
 
     def _stands_across(self) -> bool:
-        """Under a transformation: whether the tool stands along the normal of the plane in force."""
+        """Whether the tool is along the normal of the active plane; relevant under a transformation."""
         normal = np.eye(3)[arcs.PLANES[self.plane][2]]
         if self.matrix is not None:
             normal = self.matrix @ normal
@@ -281,7 +281,7 @@ class Control(ControlState):
         self.settle_plain()
 
     def _beside(self, said: Programmed, start: np.ndarray, point: np.ndarray, arc: Arc | None, space_arc: SpaceArc | None) -> None:
-        """Queue a move of the contour that the tool follows at a distance."""
+        """Queue a move of the contour for radius compensation."""
         assert self.comp is not None
         if space_arc is not None or said.vector is not None or not all(math.isnan(v) for v in said.angles):
             raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before", 1)
@@ -307,7 +307,7 @@ class Control(ControlState):
             raise WordError(str(error), 1) from None
 
     def _emit(self, e: Element) -> None:
-        """Put out a finished element of the compensation."""
+        """Emit a finished element of the compensation."""
         a, b, c = arcs.PLANES[self.plane]
         comp, self.comp = self.comp, None
         after, self.after_compensation = self.after_compensation, False

@@ -1,7 +1,7 @@
 """The modal state of the control, for both languages: frames, modes, units, tools.
 
 Program coordinates x become machine coordinates by the frame: M x + offset (`matrix`, `offset`; the matrix turns, mirrors and
-scales). Lengths are in m and rad from here on; a front end converts what is programmed.
+scales). Lengths are in m and rad; a front end converts the programmed values.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
 
 
 class ControlState:
-    """The modal state while blocks run; the module docstring defines the frames."""
+    """The modal state while blocks are executed; the module docstring defines the frames."""
 
     iso = False
     after_compensation = False  # the next move leads from the compensated path and must be straight
@@ -99,7 +99,7 @@ class ControlState:
         return way if self.matrix is None else np.linalg.solve(self.matrix, way)
 
     def to_machine(self, point: np.ndarray) -> np.ndarray:
-        """Program coordinates (3,) as machine coordinates."""
+        """Program coordinates (3,) converted to machine coordinates."""
         turned = point if self.matrix is None else self.matrix @ point
         return turned + self.offset[:3]
 
@@ -108,7 +108,7 @@ class ControlState:
         return rad_from_deg(value) if name in ("A", "B", "C") else value * self.unit
 
     def plain_place(self, x: str | None, y: str | None, z: str | None, a: str | None, c: str | None) -> tuple[float, float]:
-        """The tool moves to the words of a plain block, as they are written; A and C [rad], NaN where not programmed."""
+        """Position of the tool after a plain block of coordinates; A and C [rad], NaN if not programmed."""
         position, frame, unit = self.out.position, self.offset, self.unit
         if x is not None:
             position[0] = float(x) * unit + frame[0]
@@ -124,7 +124,7 @@ class ControlState:
         return tilt, turn
 
     def set_frame(self, matrix: np.ndarray | None, offset: np.ndarray) -> None:
-        """The frame from here on, (3, 3) or None and (5,)."""
+        """Set the frame of the following blocks: matrix (3, 3) or None, and offset (5,)."""
         if self.comp is not None:
             raise WordError("the zero offset changes inside G41 or G42; write G40 and a move before", 1)
         self.matrix = None if matrix is None or np.array_equal(matrix, np.eye(3)) else matrix
@@ -132,7 +132,7 @@ class ControlState:
         self.settle_plain()
 
     def settle_plain(self) -> None:
-        """Whether the fast way of plain blocks may be taken."""
+        """Whether plain blocks of coordinates may be read by the fast method."""
         self.plain = self.absolute and self.matrix is None and self.comp is None and self.fixed_axis is None and not self.after_compensation
 
     def to_part(self) -> np.ndarray:
@@ -160,7 +160,7 @@ class ControlState:
     # ------------------------------------------------------------------ modes
 
     def set_feed(self, value: float, column: int = 1) -> None:
-        """The F word, in the units in force."""
+        """The F word in the active units."""
         if not 0.0 <= value < 1e9:
             raise WordError(f"F{value:g} is not a feed; give a number above 0", column)
         self.feed = value
@@ -184,7 +184,7 @@ class ControlState:
         self.unit = unit
 
     def round_corners(self, **changes: object) -> None:
-        """The modes of corner rounding from the G code in force and its words."""
+        """The modes of corner rounding from the active G code and its parameters."""
         by_distance = self.rounding == 641
         adis, adispos = (self.adis or math.inf, self.adispos or math.inf) if by_distance else (math.inf, math.inf)
         wide = by_distance and self.adis > 0.0
@@ -199,17 +199,17 @@ class ControlState:
         self.out.set_modes(replace(modes, **changes))  # type: ignore[arg-type]
 
     def set_frames(self) -> None:
-        """Bring the frames of the language into force; each front end has its own."""
+        """Apply the frames of the language; each front end implements it."""
 
     def _swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
-        """A tilted plane from here on: TRAORI on, the tool across the plane."""
+        """Start a tilted plane: TRAORI on, the tool perpendicular to the plane."""
         self._unswivel()
         self.swivelled = matrix, origin, not self.out.modes.traori
         self.transform(True)
         self.set_frames()
 
     def _unswivel(self) -> None:
-        """Back to the plane before, and TRAORI off where the plane had switched it on."""
+        """Restore the plane before, and switch TRAORI off if the tilted plane had switched it on."""
         if self.swivelled is not None:
             _, _, switched = self.swivelled
             self.swivelled = None
@@ -218,7 +218,7 @@ class ControlState:
             self.set_frames()
 
     def transform(self, on: bool) -> None:
-        """TRAORI and its end."""
+        """Switch TRAORI on or off."""
         if self.comp is not None:
             raise WordError("the transformation changes inside G41 or G42; write G40 and a move before", 1)
         if self.out.modes.traori != on:

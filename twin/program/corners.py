@@ -1,4 +1,4 @@
-"""Corners between two lines: RND, RNDM, CHF and CHR of SINUMERIK, ,R and ,C of ISO hold a move back until the next one is known."""
+"""Rounded and chamfered corners between two lines: RND, RNDM, CHF, CHR (SINUMERIK), ,R and ,C (ISO). A move waits until the next is known."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Move(NamedTuple):
 
 
 class Held(NamedTuple):
-    """A move from `start` (3,) that waits for the next one: the word of its corner and its size [m]."""
+    """A move from `start` (3,) that waits for the next one, with the word of its corner and its size [m]."""
 
     word: str
     size: float
@@ -45,11 +45,11 @@ class Held(NamedTuple):
 
 
 CUT_OFF = ("CHR", ",C")
-"""Words that say how far from the corner a chamfer begins; CHF is its length."""
+"""Words that give the distance of the chamfer from the corner; CHF gives the length of the chamfer."""
 
 
 class Corners(Control):
-    """Moves that go out at once, or wait for their corner."""
+    """Moves that are emitted at once, or wait for their corner."""
 
     def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
@@ -58,11 +58,11 @@ class Corners(Control):
         self.held: Held | None = None  # RND, CHF or CHR that waits for the next move
 
     def _from(self) -> np.ndarray:
-        """Where the next move begins (3,): where the tool will be when the held move is out."""
+        """Start of the next move (3,): position of the tool after the waiting move."""
         return self.held.move.point.copy() if self.held is not None else self.here()
 
     def _queue(self, move: Move, corner: tuple[str, float] | None) -> None:
-        """Put a move out, or hold it until the next move defines its corner; `corner` is the word and the size [m]."""
+        """Emit a move, or hold it until the next move defines its corner; `corner`: word and size [m]."""
         if self.every_corner and corner is None and move.kind == mv.LINE:
             corner = "RNDM", self.every_corner
         if self.held is not None:
@@ -73,7 +73,7 @@ class Corners(Control):
         self._go(move)
 
     def _go(self, move: Move) -> None:
-        """Put a move out with its own feed and line; keep the direction at its end for CT."""
+        """Emit a move with its feed and line; keep the direction at its end for CT."""
         kind, point, angles, vector, arc, space, suppress, feed, line, block = move
         now = self.feed, self.line, self.block
         self.feed, self.line, self.block = feed, line, block
@@ -89,7 +89,7 @@ class Corners(Control):
         self.feed, self.line, self.block = now
 
     def _release(self) -> None:
-        """Put out in full a move that was held for its corner."""
+        """Emit a waiting move at full length."""
         if self.held is not None:
             what, _, move, _ = self.held
             self.held = None
@@ -98,7 +98,7 @@ class Corners(Control):
             self._go(move)
 
     def _cut_corner(self, held: Held, following: Move) -> None:
-        """The held move, then the chamfer or rounding between it and the following one."""
+        """Emit the waiting move, then the chamfer or rounding before the following one."""
         what, size, before, start = held
         self.held = None
         corner = before.point

@@ -11,9 +11,9 @@ from twin.program import moves as mv
 from twin.program.moves import Program
 
 SAGITTA = 1e-8
-"""Arcs are divided so that their chords miss them by this [m]."""
+"""Largest distance of the chords from an arc [m]."""
 TURN_STEP = np.radians(0.1)
-"""Moves of A and C without TRAORI bend the path in the part frame: points at this distance."""
+"""Spacing of points on moves of A and C without TRAORI, whose path is curved in the part frame."""
 MOST_POINTS = 20_000  # per move
 
 
@@ -26,7 +26,7 @@ class Curve(NamedTuple):
 
 
 def programmed_curve(program: Program) -> Curve:
-    """What the program asks for, before any rounding of corners."""
+    """The programmed curve before rounding of corners."""
     m, starts = program.moves, program.starts()
     turn = np.abs(m.target[:, 3:] - starts[:, 3:]).max(axis=1)
     bent = (m.kind == mv.ARC) | (~m.traori & (turn > 1e-12))
@@ -61,7 +61,7 @@ def _in_part(program: Program, points: np.ndarray, row: int) -> np.ndarray:
 
 
 def _bent_points(program: Program, start: np.ndarray, row: int) -> np.ndarray:
-    """Points (n, 5) of an arc or of a move with turning axes, without its start."""
+    """Points (n, 5) of an arc or of a move with rotary axes, without its start."""
     m = program.moves
     end = m.target[row]
     parts = np.abs(end[3:] - start[3:]).max() / TURN_STEP if not m.traori[row] else 1.0

@@ -1,7 +1,7 @@
 """Drilling cycles of both languages as moves along the tool axis of the plane.
 
 One cycle is a list of steps at one place: heights along the tool axis [program units], by rapid or at feed, and dwells.
-`drill` gives the steps behind the arrival over the hole; the reader moves there and carries them out.
+`drill` returns the steps after the arrival over the hole; the reader moves there and makes them.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ from dataclasses import dataclass
 import math
 
 CHIP_BREAK = 0.254
-"""How far G73 backs off, and how far above the last depth G83 comes back [mm]; LinuxCNC's value, a parameter on other controls."""
+"""Retract of G73, and distance above the last depth at which G83 resumes feed [mm]; LinuxCNC's value, a parameter on other controls."""
 MOST_PECKS = 2000
 
 RAPID, FEED, DWELL, ASIDE, BACK = "rapid", "feed", "dwell", "aside", "back"
 
 
 class CycleError(Exception):
-    """A cycle that cannot be; the reader adds the place."""
+    """An impossible cycle; the reader adds the place."""
 
 
 @dataclass(frozen=True)
 class Drilling:
     """One drilling cycle: heights and depths in program units, dwells in s.
 
-    `retract` is where the tool leaves the hole to (RTP, or the R plane), `safe` where feed begins, `depth` the bottom.
-    `peck` above 0 drills in steps of it, `levels` are the steps one by one; `break_chip` does not leave the hole. `out` is how it leaves.
+    `retract`: final height (RTP, or the R plane); `safe`: start of the feed; `depth`: bottom. `peck` above 0: drilling in steps of this
+    size; `levels`: individual steps; `break_chip`: short retracts inside the hole; `out`: how the tool leaves the hole.
     """
 
     safe: float
@@ -47,7 +47,7 @@ class Drilling:
 
 
 def drill(c: Drilling) -> list[tuple[str, float, float]]:
-    """Steps (what, height or time, share of the feed) from `safe` down and out again; ASIDE and BACK move by `aside`, too."""
+    """Steps (kind, height or time, share of the feed) from `safe` down and out again; ASIDE and BACK also move by `aside`."""
     at, down = c.safe, -1.0 if c.depth <= c.safe else 1.0
     steps: list[tuple[str, float, float]] = []
 

@@ -5,7 +5,7 @@ runs over an interval of the path parameter u [m] with constant speed of all its
 
     du^2 = |d(x y z)|^2 + r^2 (dA^2 + dC^2),     r = REFERENCE_RADIUS
 
-so that a pure turn has a length too. An arc (or helix) is centre + cos(phi) e1 + sin(phi) e2 + pitch phi / angle, phi = 0 .. angle.
+so that a pure rotation also has a length. An arc (or helix) is centre + cos(phi) e1 + sin(phi) e2 + pitch phi / angle, phi = 0 .. angle.
 """
 
 from __future__ import annotations

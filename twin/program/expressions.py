@@ -16,11 +16,11 @@ from typing import Any
 Value = float | str
 
 DEEPEST = 60
-"""Brackets inside each other; Python itself allows not many more."""
+"""Largest number of nested brackets; Python allows hardly more."""
 
 
 class WordError(Exception):
-    """A fault in a block: what, and at which column (from 1)."""
+    """A fault in a block: text, and column (from 1)."""
 
     def __init__(self, message: str, column: int) -> None:
         super().__init__(message)
@@ -28,7 +28,7 @@ class WordError(Exception):
 
 
 class Null(float):
-    """The value of an ISO variable that was never set: 0 in sums, equal only to another one."""
+    """The value of an unset ISO variable: 0 in sums, equal only to another unset one."""
 
 
 def nearest_integer(x: float) -> float:
@@ -92,7 +92,7 @@ def _text(value: Value) -> str:
 
 @dataclass(frozen=True)
 class Grammar:
-    """What one language writes: brackets, operators with their level (a higher one binds more tightly), functions."""
+    """Grammar of one language: brackets, operators with their precedence, functions."""
 
     opening: str
     closing: str
@@ -179,7 +179,7 @@ class Expression:
     """One evaluation of a text in one grammar.
 
     `variable(expression, name, column)` gives the value of a name; it may read an index with `arguments`.
-    `hash_sign(expression, column)` reads what stands behind a `#`.
+    `hash_sign(expression, column)` reads the text after a `#`.
     """
 
     def __init__(
@@ -207,7 +207,7 @@ class Expression:
         return value
 
     def value(self, level: int = 1) -> Value:
-        """The value up to the first thing that does not continue it."""
+        """The value up to the first character that does not continue the expression."""
         left = self.atom()
         while (operator := self._operator()) and self.grammar.operators[operator[0]][0] >= level:
             name, end = operator
@@ -256,7 +256,7 @@ class Expression:
         return float(result)
 
     def atom(self) -> Value:
-        """A number, a variable, a function or what stands in brackets, with its sign."""
+        """A number, a variable, a function or an expression in brackets, with its sign."""
         self.depth += 1
         if self.depth > DEEPEST:
             raise self.fail("expression is nested too deeply")

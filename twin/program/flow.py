@@ -1,6 +1,7 @@
-"""The order in which the blocks of a program run: labels, jumps, loops, conditions, calls. One machinery for both languages.
+"""Execution order of the blocks of a program: labels, jumps, loops, conditions, calls, for both languages.
 
-A front end says what a line is (`twin.program.structures.Statement`); this file follows it. Nothing runs for ever: blocks, jumps and calls are counted.
+A front end classifies each line (`twin.program.structures.Statement`), and `Flow` executes it. Limits on blocks, jumps and calls prevent
+endless programs.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from twin.program.structures import Statement, loop_around, partners, structures
 MOST_BLOCKS = 2_000_000  # that run, with repeats
 MOST_JUMPS = 100_000
 MOST_SAME_JUMPS = 10_000
-"""Jumps in a row during which nothing changes that a condition reads: the program goes round for ever."""
+"""Number of consecutive jumps without a change of any value in a condition, after which the loop counts as endless."""
 DEEPEST_CALL = 40
 
 
@@ -38,7 +39,7 @@ class Frame:
 
 
 class FrontEnd(Protocol):
-    """What the flow needs from a language."""
+    """Interface of a language for the flow."""
 
     line: int
     block: int
@@ -57,7 +58,7 @@ class FrontEnd(Protocol):
 
 
 class Flow:
-    """Runs the blocks of a program in their order."""
+    """Executes the blocks of a program."""
 
     def __init__(self, unit: Unit, front: FrontEnd) -> None:
         self.front = front
@@ -68,11 +69,11 @@ class Flow:
 
     @property
     def frame(self) -> Frame:
-        """What runs now."""
+        """The running program or subprogram."""
         return self.frames[-1]
 
     def run(self) -> None:
-        """All blocks until the program ends."""
+        """Execute all blocks until the program ends."""
         front = self.front
         fast = front.fast
         while not self.ended and self.frames:
@@ -94,7 +95,7 @@ class Flow:
                 self.back("end")
 
     def _run_line(self, frame: Frame, at: int, text: str) -> None:
-        """One line; it moves `frame.at` unless it is a call, whose end does."""
+        """Execute one line and advance `frame.at`, except at a call, which advances it at its end."""
         known = frame.unit.statements.get(at)
         if known is None:
             known = frame.unit.statements[at] = self._statement(text)
@@ -114,7 +115,7 @@ class Flow:
         return self.front.statement(clean) or clean
 
     def advance(self, frame: Frame) -> None:
-        """To the next line, or back to the start of a repeated part at its end."""
+        """Advance to the next line, or back to the start of a repeated part at its end."""
         self._count()
         at = frame.at
         while frame.repeats and frame.repeats[-1][0] == at:
@@ -141,7 +142,7 @@ class Flow:
     def call(
         self, unit: Unit, at: int, *, times: int = 1, name: str = "", style: str = "", shared: bool = False, column: int = 1
     ) -> Frame | None:
-        """Run a subprogram from line `at` on; the caller goes on behind its block."""
+        """Run a subprogram from line `at`; the caller continues after its block."""
         if len(self.frames) > DEEPEST_CALL:
             raise WordError(f"more than {DEEPEST_CALL} calls inside each other; {name or unit.name} calls itself without end", column)
         if times <= 0:
@@ -173,7 +174,7 @@ class Flow:
     # ------------------------------------------------------------------ structures
 
     def _follow(self, frame: Frame, at: int, s: Statement) -> None:
-        """Carry out a statement of the flow."""
+        """Execute a statement of the flow."""
         front, kind = self.front, s.kind
         if kind == "if":
             self._branch(frame, at, s)
@@ -249,14 +250,14 @@ class Flow:
         return value
 
     def decided(self, text: str, by: tuple) -> None:
-        """A decision was taken by these values; values that differ from those at the last time show that the program gets on."""
+        """Record the values of a decision; values that differ from the last time show that the loop makes progress."""
         key = (self.frame.unit.path, self.frame.unit.name, self.frame.at, text)
         if self._seen.get(key) != by:
             self._seen[key] = by
             self.same_jumps = 0
 
     def _branch(self, frame: Frame, at: int, s: Statement) -> None:
-        """IF: the first branch whose condition holds; a branch is left at the next ELSE."""
+        """IF: go to the first branch whose condition is true; a branch ends at the next ELSE."""
         if self._value(s.text, s.column):
             self._partners(frame, at, s)
             self.advance(frame)
@@ -269,14 +270,14 @@ class Flow:
                 return
 
     def _behind(self, frame: Frame, place: int) -> None:
-        """Behind a line; a repeated part that ends among the skipped lines ends there."""
+        """Continue after a line; a repeated part that ends among the skipped lines is finished."""
         if frame.repeats and frame.at <= frame.repeats[-1][0] < place:
             place = frame.repeats[-1][0]
         frame.at = place
         self.advance(frame)
 
     def _loop(self, frame: Frame, opener: int, again: bool, column: int) -> None:
-        """The end of a loop: back behind its start, or on."""
+        """The end of a loop: back to its start, or continue."""
         if again:
             self._jump(column)
             frame.at = opener + 1
@@ -319,7 +320,7 @@ class Flow:
         self.jump_to(frame, s)
 
     def jump_to(self, frame: Frame, s: Statement) -> None:
-        """Go on at the target of a jump."""
+        """Continue at the target of a jump."""
         _, direction, target = s.rest
         self._jump(s.column)
         place = frame.first if direction == "S" else self.place(frame, target, direction, s.column)
@@ -327,7 +328,7 @@ class Flow:
         frame.at = place
 
     def place(self, frame: Frame, target: str, direction: str, column: int) -> int:
-        """Line of a label or block number; `direction` F: further on, B: before, C: the program goes on where there is none."""
+        """Line of a label or block number; `direction` F: forwards, B: backwards, C: a missing target is ignored."""
         if target.startswith("="):  # a block number by an expression
             target = f"N{int(self.front.number_of(target[1:], column))}"
         if frame.unit.labels is None:

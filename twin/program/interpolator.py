@@ -2,9 +2,9 @@
 
     moves -> stretches between stops -> spline within the tolerance -> time law -> set points at each position cycle
 
-A stretch starts on an interpolation cycle, so that every interpolation cycle is a position cycle too; between two interpolation
-cycles the set points lie on the path itself. The differences of the set points are checked against every limit; where
-the jerk between two nodes of the time law lies above, the law is planned anew with less there.
+A stretch starts on an interpolation cycle, so every interpolation cycle is also a position cycle; between two interpolation
+cycles the set points lie on the path. The differences of the set points are checked against every limit. Where a limit is exceeded
+between two nodes of the time law, the law is planned again with a lower limit there.
 """
 
 from __future__ import annotations
@@ -27,25 +27,27 @@ from twin.program.stretches import Stretch, great_circle_rows, stretch_of, stret
 from twin.recordings.trace import PROGRAM, Trace, joined
 
 MOST_WRITTEN = 100_000_000
-"""Set points of one program that is written as it is made: 28 hours at 1 kHz, 10 GB of disk."""
+"""Largest number of set points of a program written to disk block by block: 28 hours at 1 kHz, 10 GB."""
 BLOCK = 131_072
-"""Set points that are made at once: 13 MB."""
+"""Number of set points computed at once: 13 MB."""
 REST = 0.1
 """Time [s] at rest after the last move."""
 LIMIT_TOLERANCE = 1e-4
-"""By this fraction the set points may be too fast: a speed limit is exceeded by it, acceleration by twice, jerk by three times it."""
+"""Tolerated excess: a speed limit may be exceeded by this fraction, acceleration by twice and jerk by three times it."""
 WORTH_PLANNING, ATTEMPTS = 2e-3, 8
-"""An excess up to the first makes the stretch slower as a whole; above, it is planned anew, at most so many times."""
+"""An excess up to the first value slows the whole stretch; a larger one causes a new plan, at most this many times."""
 FAR_ABOVE = 1.1
-"""A place with this share of a limit between two nodes gets a limit that is lower by its square: what comes out there falls by less."""
+"""If a value between two nodes exceeds its limit by more than this factor, the limit there is divided by the square of the excess, because
+the result decreases by less than the limit."""
 NO_LIMIT = 1e9
-"""Limit of an axis that the machine lacks, which never moves."""
+"""Limit of a missing axis, which never moves."""
 
 Progress = Callable[[float], None]
 
 
 def limits_of(machine: Machine, brisk: bool = False, kinematics: Kinematics | None = None) -> lookahead.Limits:
-    """Limits of X Y Z, tilting and turning axis; under BRISK the acceleration is reached within one interpolation cycle, not by the jerk."""
+    """Limits of X Y Z, tilting and turning axis. Under BRISK the jerk limit is replaced by one that allows a full change of acceleration in one
+    interpolation cycle."""
     names = (kinematics or kinematics_of(machine, sites_needed=False)).names
     axes = [machine.axis(name) if name in machine.axis_names else None for name in names]
     acceleration = np.array([axis.max_acceleration if axis else NO_LIMIT for axis in axes])
@@ -74,7 +76,7 @@ def set_point_blocks(
     gap: float = timelaw.GAP,
     most: float = MOST_WRITTEN,
 ) -> Iterator[Trace]:
-    """The same set points in traces of about BLOCK samples that follow each other: what is held does not grow with the time of the motion."""
+    """The same set points in consecutive traces of about BLOCK samples, so that memory does not grow with the length of the program."""
     period = machine.position_cycle
     every = max(1, round(machine.interpolation_cycle / period))
     columns = _Columns(program, machine, period, every if cycle == "interpolation" else 1)
@@ -121,7 +123,7 @@ def _pieces(
 
 
 class _Piece(NamedTuple):
-    """Set points that follow each other: axes (sample, 5), row of the moves (sample,), path speed (sample,), tip speed (sample,)."""
+    """Consecutive set points: axes (sample, 5), row of the moves (sample,), path speed (sample,), tip speed (sample,)."""
 
     axes: np.ndarray
     row: np.ndarray
@@ -150,7 +152,7 @@ class _Samples(NamedTuple):
 def _sampled(
     spline: blend.Spline, frames: axis_path.Frames, law: lookahead.Law, times: np.ndarray, slower: float, period: float, count: int
 ) -> Iterator[_Samples]:
-    """The set points of a stretch, at most BLOCK at once; the start itself is the last sample of what came before."""
+    """The set points of a stretch, at most BLOCK at once; its start is the last sample of the previous stretch."""
     for begin in range(0, count, BLOCK):
         n = min(BLOCK, count - begin)
         out = _Samples(np.empty((n, 5)), np.empty(n), np.empty(n), np.empty(n))
@@ -194,13 +196,13 @@ def _stretch_pieces(
         inside = lookahead.excess(spline, frames, limits, law)
         attempt += 1
         if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and inside.max() > 1.0:
-            # too much between two nodes: plan anew with less there
+            # a limit is exceeded between two nodes: plan again with a lower limit there
             ease /= np.where(inside > 1.0, inside * 1.001, 1.0) ** np.where(inside > FAR_ABOVE, 2, 1)
             law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (law, ease), windows)
         else:
             slower *= excess * (1.0 + 1e-5)
     if count > BLOCK:
-        blocks = _sampled(spline, frames, law, times, slower, period, count)  # once measured, they are made again rather than kept
+        blocks = _sampled(spline, frames, law, times, slower, period, count)  # compute them again instead of keeping all in memory
     for block in blocks:
         row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, block.u, side="right") - 1, len(stretch.row) - 1)]
         _check_travel(program, block.axes, row)
@@ -241,7 +243,7 @@ def _check_travel(program: Program, axes: np.ndarray, row: np.ndarray) -> None:
 
 
 class _Columns:
-    """Makes traces of pieces, one after the other; keeps where the last one ended."""
+    """Makes consecutive traces of pieces and keeps the end of the last one."""
 
     def __init__(self, program: Program, machine: Machine, period: float, every: int) -> None:
         self.program, self.machine, self.period, self.every = program, machine, period, every

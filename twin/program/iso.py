@@ -1,7 +1,7 @@
-"""ISO programs: Fanuc and the many controls like it, LinuxCNC. The words of a block and what they do; expressions, O-words, macros.
+"""Reader of ISO programs (Fanuc and similar controls, LinuxCNC): words of a block, expressions, O-words, macros.
 
-LinuxCNC and Fanuc write the same letters and mean some of them differently; `linuxcnc` says which is read (a file .ngc, or
-one with O-words or named parameters). Where they differ the note says what was taken.
+Some words mean different things on LinuxCNC and Fanuc. `linuxcnc` selects the dialect: a file .ngc, or one with O-words or named
+parameters. Where the dialects differ, a note gives the chosen meaning.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ALIKE: tuple[set[float], ...] = (
     {0, 1, 2, 3, *CYCLES}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {20, 21, 70, 71}, {40, 41, 42, 41.1, 42.1}, {61, 61.1, 64}, {98, 99},
     {54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3},
 )  # fmt: skip
-"""Codes of which a block takes one: LinuxCNC refuses two, on a Fanuc the last counts."""
+"""Groups of codes of which a block may have one: LinuxCNC refuses two, a Fanuc uses the last."""
 _AXES = (*LINEAR, *ROTARY, *OTHER)
 
 
@@ -70,7 +70,7 @@ class Iso(IsoModes):
             self.out.messages.append(message_text(message, self.number_of))
 
     def parse(self, text: str) -> tuple[list[tuple[float, int]], list[tuple[float, int]], dict[str, Item]]:
-        """G codes, M codes and the other words of a block; variables that it sets are set behind it."""
+        """G codes, M codes and the other words of a block; assigned variables are set after the block is read."""
         g: list[tuple[float, int]] = []
         m: list[tuple[float, int]] = []
         words: dict[str, Item] = {}
@@ -82,7 +82,7 @@ class Iso(IsoModes):
                 e.at += 1
                 key = self._key(e)
                 if e.peek() != "=":
-                    raise e.fail("a variable stands alone; give it a value with '='")
+                    raise e.fail("a variable without an assignment; give it a value with '='")
                 e.at += 1
                 later.append((key, e.number(), column))
                 continue
@@ -124,7 +124,7 @@ class Iso(IsoModes):
         return g, m, words
 
     def fast(self, text: str, line: int) -> bool:
-        """Take a plain block of coordinates; False if it must be read word by word."""
+        """Execute a plain block of coordinates; False if it must be read word by word."""
         if not self.plain or self.cycle is not None or self.polar or self.modal_macro is not None or self.held is not None:
             return False
         match = self.plain_block.match(text)
@@ -157,7 +157,7 @@ class Iso(IsoModes):
         self.plain = self.plain and self.out.modes.feed_mode != 93
 
     def execute(self, g: list[tuple[float, int]], m: list[tuple[float, int]], words: dict[str, Item]) -> None:
-        """The words of a block in the order in which the control takes them; what nothing has used is an error."""
+        """Execute the words of a block in the order of the control; an unused word is an error."""
         g = [self._known_g(number, column) for number, column in g]
         m_codes = [self._known_m(number, column) for number, column in m]
         self.with_m19 = 19 in m_codes

@@ -36,7 +36,7 @@ class IsoCalls(IsoMotion, ABC):
 
     @abstractmethod
     def execute(self, g: list[tuple[float, int]], m: list[tuple[float, int]], words: dict[str, Item]) -> None:
-        """The words of a block in the order in which the control takes them."""
+        """Execute the words of a block in the order of the control."""
 
     def other(self, s: Statement, frame: Frame) -> None:
         """O-words of calls, program numbers, IF .. THEN."""
@@ -113,7 +113,7 @@ class IsoCalls(IsoMotion, ABC):
         return False
 
     def _block_place(self, number: int, column: int) -> tuple[Unit, int]:
-        """Where block N.. of this program begins, for M97 of a Haas."""
+        """Line of block N.. of this program, for M97 of a Haas."""
         unit = self.flow.frame.unit
         found = self.labels(unit).get(f"N{number}")
         if not found:
@@ -121,7 +121,7 @@ class IsoCalls(IsoMotion, ABC):
         return unit, found[0]
 
     def _program_place(self, number: int, column: int) -> tuple[Unit, int] | None:
-        """Unit and line where program O.. begins, in this file or in the folder; None if the machine file lists it as moving no axis."""
+        """Unit and line of program O.., in this file or in the folder; None if the machine file lists it as a call without motion."""
         wrong = False
         for unit in dict.fromkeys((self.flow.frame.unit, self.unit_read)):
             for at, line in enumerate(unit.lines):
@@ -217,7 +217,7 @@ class IsoCalls(IsoMotion, ABC):
         self.flow.back("return")
 
     def returned(self, frame: Frame) -> None:
-        """The end of a subprogram: values stay, modes too."""
+        """The end of a subprogram; variables and modes are kept."""
 
     def runs_into(self, what: str, column: int) -> None:
         """The main program reaches a subprogram or the end of the file; one with a name O.. must have ended before."""

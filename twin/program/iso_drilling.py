@@ -16,12 +16,12 @@ from twin.program.iso_variables import IsoVariables
 
 CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89}
 USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 87, 88, 89}, "Q": {73, 76, 83, 87}, "I": {76, 87}, "J": {76, 87}}
-"""The cycles that a word acts in; it is kept for those that follow."""
+"""Word -> cycles that use it; its value is modal."""
 MOST_REPEATS = 10_000
 
 
 class IsoDrilling(IsoVariables):
-    """Drilling cycles and the words that they keep."""
+    """Drilling cycles and their modal words."""
 
     def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine, linuxcnc=linuxcnc)
@@ -86,7 +86,7 @@ class IsoDrilling(IsoVariables):
             aside = (abs(self.sticky.get("Q", 0.0)), 0.0)
             self.note("G76, G87: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
         if number == 88:
-            self.note("G88: the halt at the bottom is left out")
+            self.note("G88: the halt at the bottom is omitted")
         pause = self.sticky.get("P", 0.0) if number in USED_BY["P"] else 0.0
         if not self.linuxcnc:
             pause /= 1000.0

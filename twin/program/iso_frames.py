@@ -21,7 +21,7 @@ NESTING = ("mirror", "scale", "turn")
 
 
 class IsoFrames(IsoLines):
-    """Frames and what changes them."""
+    """Frames and the words that change them."""
 
     def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine)
@@ -38,7 +38,7 @@ class IsoFrames(IsoLines):
         self.plane_matrix, self.plane_offset = np.eye(3), np.zeros(3)  # all of `maps`
 
     def set_frames(self) -> None:
-        """The frame in force: system and its turn, G92, then the local frames."""
+        """The active frame: zero offset and its rotation, G92, then the local frames."""
         turn = rotation(2, self.turned[self.system])
         matrix = turn @ self.plane_matrix
         base, shift = self.systems[self.system], self.shift if self.shift_on else np.zeros(5)
@@ -179,7 +179,7 @@ class IsoFrames(IsoLines):
     def _map(self, number: float, w: dict[str, Item], column: int) -> None:
         """G51.1 and G101 (mirror), G51 (scale), G68 (turn) and the codes that end them."""
         if self.shift_on and np.any(self.shift):
-            self.note("G68, G51: the point they are about counts before G92")
+            self.note("G68, G51: their centre is in the coordinates before G92")
         places = {i: w.pop(n).value * self.unit for i, n in enumerate(LINEAR) if n in w}
         if number in (51.1, 101):
             if number == 101 and any(places.values()):
@@ -200,7 +200,7 @@ class IsoFrames(IsoLines):
         self.set_frames()
 
     def _inside(self, outermost: str) -> Map:
-        """The map from program coordinates to those outside of one of the maps."""
+        """The map from the inner to the outer coordinates of one of the maps."""
         matrix, offset = np.eye(3), np.zeros(3)
         for name in reversed(NESTING[NESTING.index(outermost) :]):
             outer, shift = self.maps.get(name, (np.eye(3), np.zeros(3)))
@@ -208,7 +208,7 @@ class IsoFrames(IsoLines):
         return matrix, offset
 
     def _centre(self, name: str, places: dict[int, float]) -> np.ndarray:
-        """The centre (3,) of a map in the coordinates outside of it: as programmed, otherwise where the tool stands."""
+        """The centre (3,) of a map in its outer coordinates: as programmed, else the position of the tool."""
         matrix, offset = self._inside(name)
         here = matrix @ self.here() + offset
         return np.array([places.get(i, here[i]) for i in range(3)])
@@ -229,11 +229,11 @@ class IsoFrames(IsoLines):
         i, j, k = (w.pop(n).value if n in w else 0.0 for n in "IJK")
         matrix = rotation(2, i) @ rotation(0, j) @ rotation(2, k)
         self._swivel(matrix, origin)
-        self.note("G68.2: the tool stands across the plane at once; A and C turn with the next move")
+        self.note("G68.2: the tool is perpendicular to the plane at once; A and C turn with the next move")
 
 
 def _about(matrix: np.ndarray, centre: np.ndarray) -> Map:
-    """The map that leaves a centre (3,) where it is."""
+    """The map with a fixed centre (3,)."""
     return matrix, centre - matrix @ centre
 
 

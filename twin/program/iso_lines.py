@@ -1,4 +1,4 @@
-"""The lines of ISO programs: what is comment, what the flow must know, where blocks and subprograms begin."""
+"""Lines of ISO programs: comments, statements of the flow, and the start of blocks and subprograms."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class IsoLines(Corners):
     iso = True
 
     def clean(self, text: str) -> str:
-        """The block in capitals without comments; what a comment prints stands behind a separator."""
+        """The block in capitals without comments; text that a comment prints follows a separator."""
         messages: list[str] = []
 
         def comment(match: re.Match[str]) -> str:
@@ -71,7 +71,7 @@ class IsoLines(Corners):
         return text + "".join(SEPARATOR + m for m in messages)
 
     def statement(self, text: str) -> Statement | None:
-        """What the flow must know of a line."""
+        """The statement of the flow in a line."""
         body = text.split(SEPARATOR)[0]
         if match := OWORD.match(body):
             return _oword(match)

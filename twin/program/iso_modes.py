@@ -1,4 +1,4 @@
-"""What the words of an ISO block switch: G and M codes, feeds, tools, the modes that M70 to M73 of LinuxCNC keep."""
+"""Modes set by the words of an ISO block: G and M codes, feeds, tools, and M70 to M73 of LinuxCNC, which store modes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22:
 
 
 _MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
-"""What M70 and M73 of LinuxCNC keep besides unit and feed."""
+"""Modes that M70 and M73 of LinuxCNC store besides unit and feed."""
 
 
 class IsoModes(IsoCalls, ABC):
@@ -83,7 +83,7 @@ class IsoModes(IsoCalls, ABC):
         if 44 in codes:
             if self.out.modes.traori:
                 raise WordError("G44 under G43.4 is not supported; use G43 with a negative length", 1)
-            self.note("G44: taken as G43; without G43.4 X Y Z are positions of the axes whatever the length")
+            self.note("G44: treated as G43; without G43.4 X Y Z are positions of the axes for any length")
         if codes & {43, 43.4, 43.5, 44, 234}:
             tool["G43"] = 43.0, 1
         if 49 in codes:
@@ -98,7 +98,7 @@ class IsoModes(IsoCalls, ABC):
             raise WordError("E has no use in this block; remove it", w["E"].column)
 
     def _g(self, number: float, column: int, w: dict[str, Item], codes: set[float]) -> bool:
-        """A G code that is no motion."""
+        """A G code without motion."""
         kind, meaning = ISO_G[number]
         if kind == NOTE:
             self.note(f"G{number:g}: {meaning}")
@@ -106,7 +106,7 @@ class IsoModes(IsoCalls, ABC):
                 w.pop(name, None)
         elif number == 5:
             if "P" not in w or w.keys() & set("XYZIJQ"):
-                raise WordError("G5 is not supported: splines; let the CAM system put out lines or arcs", column)
+                raise WordError("G5 is not supported: splines; let the CAM system output lines or arcs", column)
             w.pop("P")
             self.note("G5 P: high-speed mode of the control, understood, no effect on the motion")
         elif number in (17, 18, 19):
@@ -161,7 +161,7 @@ class IsoModes(IsoCalls, ABC):
         elif number == 43.1:
             for name in LINEAR:
                 w.pop(name, None)
-            self.note("G43.1: its length counts as that of the tool in the spindle")
+            self.note("G43.1: its length is used as that of the tool in the spindle")
         return False
 
     def _m_before(self, m: list[int], w: dict[str, Item]) -> float | None:
@@ -169,7 +169,7 @@ class IsoModes(IsoCalls, ABC):
         for number in m:
             entry = ISO_M.get(number)
             if number in (0, 1, 6, 60):
-                self.note(f"M{number}: the program goes on after an exact stop")
+                self.note(f"M{number}: the program continues after an exact stop")
                 pause = 0.0
             elif number in (2, 30):
                 continue
@@ -184,7 +184,7 @@ class IsoModes(IsoCalls, ABC):
         return pause
 
     def _modes(self, number: int) -> None:
-        """M70 stores the modes, M71 forgets them, M72 brings them back; M73 does so at the end of the subprogram."""
+        """M70 stores the modes, M71 discards them, M72 restores them; M73 restores them at the end of the subprogram."""
         frame = self.flow.frame
         stored = [getattr(self, n) for n in _MODES], self.unit, self.out.modes.feed_mode, self.feed
 

@@ -38,7 +38,7 @@ class IsoMotion(IsoDrilling):
         self.edge: Item | None = None  # D, which a Fanuc keeps
         self.splines = dict.fromkeys((5, 5.1), "spline") if linuxcnc else {}
         self.spline_arm = 0.0, 0.0  # P and Q of the last G5 [m]
-        self.between: tuple[np.ndarray, list[float]] | None = None  # the point of G28 or G30, through which G29 comes back
+        self.between: tuple[np.ndarray, list[float]] | None = None  # the point of G28 or G30, through which G29 returns
 
     def _move_words(self, codes: set[float], w: dict[str, Item]) -> None:
         coordinates = {n: w.pop(n) for n in (*LINEAR, *ROTARY, *OTHER) if n in w}
@@ -65,7 +65,7 @@ class IsoMotion(IsoDrilling):
         in_plane = {n: w.pop(n) for n in "IJK" if n in w and self.motion in (2, 3)}
         if self.motion is None and coordinates and not self.linuxcnc and not self.any_motion:
             self.motion = 0
-            self.note("coordinates before any G0 or G1 are taken as rapid; a parameter of the control decides this")
+            self.note("coordinates before any G0 or G1 are rapid moves; a parameter of the control decides this")
         self.any_motion = self.any_motion or self.motion is not None
         moves = bool(coordinates or vector or (self.motion in (2, 3) and (in_plane or "R" in w)))
         if codes & {2, 3} and not moves:
@@ -112,7 +112,7 @@ class IsoMotion(IsoDrilling):
                 frame.variables = dict(variables)
 
     def _radius_and_angle(self, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
-        """@ and ^ of LinuxCNC: radius and angle about the program zero; the one that is missing stays, with G91 they are added."""
+        """@ and ^ of LinuxCNC: radius and angle about the program zero; a missing one is kept, with G91 they are added."""
         a, b = (LINEAR[i] for i in arcs.PLANES[self.plane][:2])
         item = next(iter(w[n] for n in POLAR if n in w))
         if self.plane != 17 or a in coordinates or b in coordinates:
@@ -181,7 +181,7 @@ class IsoMotion(IsoDrilling):
         self.go(mv.RAPID, goal, none, suppress=True)
 
     def _spline(self, number: float, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
-        """G5 and G5.1 of LinuxCNC: a cubic or quadratic Bezier curve in the plane XY, as chords."""
+        """G5 and G5.1 of LinuxCNC: a cubic or quadratic Bezier curve in the XY plane, as chords."""
         if self.plane != 17 or coordinates.keys() - {"X", "Y"} or self.comp is not None or math.isnan(self.feed) or not self.feed:
             raise WordError(f"G{number:g} moves X and Y under G17 with a feed, outside G41 and G42; correct the block", 1)
         needed = "IJPQ" if number == 5 else "IJ"
@@ -202,7 +202,7 @@ class IsoMotion(IsoDrilling):
         self.motion, self.spline_arm = (5, (given["P"], given["Q"])) if number == 5 else (None, (0.0, 0.0))
 
     def _thread(self, number: float, coordinates: dict[str, Item], w: dict[str, Item]) -> None:
-        """G33 and G33.1 of LinuxCNC: a line of K a turn of the spindle; G33.1, a tap, comes back the same way."""
+        """G33 and G33.1 of LinuxCNC: a line with K per turn of the spindle; G33.1 (tapping) returns along it."""
         speed = self.out.modes.spindle
         if "K" not in w or not speed > 0.0:
             raise WordError(f"G{number:g} needs K, the pitch, and a spindle speed S; add them", 1)
@@ -222,7 +222,7 @@ class IsoMotion(IsoDrilling):
         seconds = item.value
         if name == "P" and not self.linuxcnc and self._written_whole(item):
             seconds /= 1000.0
-            self.note("G4 P without a decimal point counts in ms, as on a Fanuc; write P1.5 or a .ngc file for seconds")
+            self.note("G4 P without a decimal point is in ms, as on a Fanuc; write P1.5 or a .ngc file for seconds")
         self.dwell(seconds)
 
     def _written_whole(self, item: Item) -> bool:
@@ -240,7 +240,7 @@ class IsoMotion(IsoDrilling):
             self.tolerance = p * self.unit if p > 0.0 else DEFAULT_TOLERANCE
             if "Q" in w:
                 w.pop("Q")
-                self.note("G64 Q: merging of collinear blocks; the rounding here does that by itself")
+                self.note("G64 Q: merging of collinear blocks, which the rounding here always does")
         if number == 61.1 and not self.linuxcnc:
             self.note("G61.1: high accuracy of Mazak and Mitsubishi, corners are rounded as under G64; in .ngc files an exact stop")
         self.rounding = 60 if number == (61.1 if self.linuxcnc else 61) else 64
@@ -250,7 +250,7 @@ class IsoMotion(IsoDrilling):
         self.round_corners()
 
     def _radius_of(self, d: Item) -> float:
-        """Radius [m] that a D word of a Fanuc names; D0 has none."""
+        """Radius [m] selected by a D word of a Fanuc; D0 selects none."""
         return 0.0 if d.value == 0 else self.tools.radius(f"{d.value:g}", d.column)
 
     def _other_radius(self, d: Item) -> None:

@@ -14,9 +14,9 @@ from twin.program.flow import Flow
 from twin.program.iso_frames import IsoFrames
 
 _TOOL_TABLE = {10: ("length", True), 11: ("length", False), 12: ("radius", True), 13: ("radius", False)}
-"""What #10001, #11001, #12001 and #13001 of a Fanuc and on hold of the tools 1 and on: the quantity, and whether it is its wear."""
+"""Tool data of a Fanuc from #10001, #11001, #12001 and #13001 on: the quantity, and whether it is its wear."""
 _TOOLS_OTHERWISE = range(2001, 2801)
-"""Tool tables that Fanuc and Haas number in different ways."""
+"""Tool tables with different numbers on Fanuc and Haas."""
 
 
 class IsoVariables(IsoFrames):
@@ -62,7 +62,7 @@ class IsoVariables(IsoFrames):
         raise expression.fail(f"'{name}' is not a value; a number, #variable or [expression] is needed", at)
 
     def _key(self, expression: Expression) -> int | str:
-        """The parameter behind a #: its number or name."""
+        """The parameter after a #: its number or name."""
         if expression.peek() == "<":
             end = expression.text.find(">", expression.at)
             if end < 0:
@@ -204,7 +204,7 @@ class IsoVariables(IsoFrames):
         return None
 
     def _modal_value(self, key: int) -> float | None:
-        """What #4001 to #4120 of a Fanuc say of the codes in force."""
+        """Values of #4001 to #4120 of a Fanuc: the active codes."""
         modes = self.out.modes
         values: dict[int, float] = {
             4001: float(self.motion or 0), 4002: float(self.plane), 4003: 90.0 + (not self.absolute), 4005: float(modes.feed_mode),

@@ -1,7 +1,7 @@
 """Look-ahead: the limits at the nodes of the time law, and long stretches in overlapping windows.
 
-A stretch of any length is planned in windows of at most WINDOW nodes, each from rest to rest; neighbours overlap by twice the
-way that their invented stop and start can be felt, and are joined in the middle of the overlap, where both agree.
+A stretch of any length is planned in windows of at most WINDOW nodes, each from rest to rest. Neighbours overlap by twice the
+distance over which the artificial stop and start affect the speed, and are joined in the middle of the overlap, where both agree.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from twin.program.elements import Elements
 from twin.program.nodes import Feeds, Limits, along, grid, run_ups
 
 WINDOW = 20_000  # nodes planned at once
-FELT = 6.0  # run-ups to feed that an invented stop is felt
-MUCH_LONGER = 4.0  # a run-up so many times as long as those behind it begins a new stretch
+FELT = 6.0  # distance over which an artificial stop affects the speed, in run-ups to feed
+MUCH_LONGER = 4.0  # a run-up longer than the following ones by this factor begins a new stretch
 JOIN = 64  # nodes over which two windows are joined
 MOST_THREADS = 4  # windows planned at the same time, each of which needs memory
 SPEED_MARGIN, ACCELERATION_MARGIN, JERK_MARGIN = 0.9998, 0.9995, 0.999
-"""Limits are planned with these factors, since between two nodes they may be exceeded a little."""
+"""Factors on the limits in planning, because limits may be exceeded slightly between two nodes."""
 
 
 class Law(NamedTuple):
@@ -40,7 +40,7 @@ class Law(NamedTuple):
 
 
 Span = tuple[int, int, int]
-"""First and last node of a window, and the node from which on it takes over from the window before."""
+"""First and last node of a window, and the node from which on it replaces the previous window."""
 
 Windows = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 """First and last node of each window planned so far -> the factors on its limits, its coefficients."""
@@ -86,7 +86,7 @@ def rest_bounds(q1, q2, q3, h, limit_j):
         alpha = 1e12
         for k in range(q1.shape[1]):
             inner, outer = (1, 0) if side == 0 else (n - 1, n)
-            # backwards in u every odd derivative changes its sign
+            # reversed in u, every odd derivative changes its sign
             sign = 1.0 if side == 0 else -1.0
             rest = abs(2.0 / 9.0 * q1[outer, k])
             moved = abs(2.0 / 9.0 * sign * q1[inner, k] + 2.0 * q2[inner, k] * h[i] + sign * q3[i, 1 - side, k] * h[i] ** 2)
@@ -109,7 +109,7 @@ def node_values(h, c):
 
 
 class Way(NamedTuple):
-    """What a law is planned along: the spline of the path, the elements it was made of, the frames of the axes along it."""
+    """Input of a time law: the spline of the path, the elements that it is made of, the transformation of the axes."""
 
     spline: Spline
     elements: Elements
@@ -147,8 +147,8 @@ def plan(
 ) -> Law:
     """The time law of a stretch; `progress` is called with the share done.
 
-    `eased` is an earlier law and the factors (2, interval) on its acceleration and jerk limits with which it is planned anew; of its windows
-    those in `kept` are taken again whose factors are still the same.
+    `eased`: an earlier law, and factors (2, interval) on its acceleration and jerk limits for the new plan. Windows in `kept` whose factors
+    are unchanged are reused.
     """
     if eased is None:
         nodes, piece, _ = grid(s, e, f, limits, feeds)
@@ -165,10 +165,10 @@ def plan(
 
 @compiled(allocates=True)
 def felt_to(nodes, piece, way, first, last):
-    """The node from which on, going back from `last`, a stop at `last` is not felt any more (-1: it is felt beyond `first`).
+    """The last node before `last` that a stop at `last` does not affect (-1: none after `first`).
 
-    It is forgotten over FELT run-ups of a stretch in which no run-up is longer. A rapid move close to the stop does not count
-    where such a stretch of slow moves lies before it.
+    The effect ends after FELT run-ups of a stretch in which no run-up is longer. A rapid move close to the stop does not count
+    if such a stretch of slow moves precedes it.
     """
     from_node = last  # end of the stretch that is looked at
     longest = -1.0  # nothing of it yet
@@ -196,7 +196,7 @@ def _plan_long(
     progress: Callable[[float], None] | None,
     kept: Windows,
 ) -> np.ndarray:
-    """Windows, each planned by itself on a thread of its own, joined where both keep clear of their invented stops."""
+    """Windows, each planned on its own thread, joined where the artificial stops have no effect."""
     total = len(piece)
     c = np.zeros(total + 2)
 
@@ -246,7 +246,7 @@ def _spans(nodes: np.ndarray, piece: np.ndarray, way: np.ndarray) -> list[Span]:
 
 @compiled(allocates=True)
 def excess(s, f, limits, law):
-    """Greatest acceleration and jerk within each interval as shares of their limits (2, interval), looked at between the nodes."""
+    """Largest acceleration and jerk within each interval, between the nodes, as shares of their limits (2, interval)."""
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     n = law.piece.shape[0]
     out = np.zeros((2, n))

@@ -1,4 +1,4 @@
-"""The table [program] of the machine file, which every reader of programs uses."""
+"""The table [program] of the machine file, used by all readers of programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A program as typed moves: what the reader makes of any language, and all that the interpolator needs.
+"""A program as typed moves: the result of every reader and the input of the interpolator.
 
 The moves are kept as columns, one row per move, so that a program of 100 000 blocks is a few arrays; `Program.move(i)`
 gives one of them as a record. Coordinates are x y z A C in m and rad: under TRAORI x y z is the tool tip in the part frame,
@@ -80,10 +80,10 @@ def place_of(path: Path, line: int, block: int, column: int | None = None) -> st
 
 @dataclass(frozen=True)
 class Program:
-    """A part program, read once: where the axes start (5,), the moves, and what the program switched.
+    """A part program: start of the axes (5,), moves, and modes that the program set.
 
-    `feedforward` is what FFWON or FFWOF said first (None if neither: the machine file decides). `notes` are one line
-    each for words that were understood and have no effect here (spindle, coolant), `messages` the texts of MSG.
+    `feedforward`: set by the first FFWON or FFWOF (None if neither: the machine file decides). `notes`: one line for each word
+    without an effect here (spindle, coolant); `messages`: the texts of MSG.
     """
 
     path: Path
@@ -98,7 +98,7 @@ class Program:
         return len(self.moves)
 
     def place(self, i: int) -> str:
-        """Where move i stands, for messages: file, line and block."""
+        """Place of move i for messages: file, line and block."""
         return place_of(self.path, int(self.moves.line[i]), int(self.moves.block[i]))
 
     def move(self, i: int) -> Move:
@@ -120,11 +120,11 @@ class Program:
         )
 
     def starts(self) -> np.ndarray:
-        """Where each move starts (row, 5), in the coordinates of that move."""
+        """Start of each move (row, 5), in the coordinates of that move."""
         before = np.vstack([self.start[None], self.moves.target[:-1]])
         traori = np.concatenate([[False], self.moves.traori[:-1]])
         length = np.concatenate([self.moves.tool_length[:1], self.moves.tool_length[:-1]])
-        # a change of the transformation or of the tool keeps the axes where they are and renames the point
+        # a change of transformation or tool does not move the axes but changes the coordinates of the point
         changed = (traori != self.moves.traori) | ((length != self.moves.tool_length) & self.moves.traori)
         for i in np.flatnonzero(changed):
             axes = before[i]

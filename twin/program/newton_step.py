@@ -16,7 +16,7 @@ _FAST = {"contract", "arcp", "reassoc"}
 
 @compiled(allocates=True)
 def least_slack(c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
-    """The smallest slack of all limits (negative: one is broken); only its sign has a meaning."""
+    """The smallest slack of all limits (negative: a limit is exceeded); only its sign has a meaning."""
     intervals = h.shape[0]
     least = np.inf
     left = c[1] + (c[2] - c[1]) * h[0] / (h[0] + h[1])
@@ -199,7 +199,7 @@ def assemble(
 def dual_steps(
     c, step, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, mu, dual_top, dual_c, dual_a, dual_j, move_top, move_c, move_a, move_j
 ):
-    """Changes of all multipliers (into the move arrays), and how far primal and dual may go before a limit or zero.
+    """Changes of all multipliers (written to the move arrays), and the largest steps of primal and dual before a limit or zero.
 
     The linearised slack is the safe side of the true one, so the ratio test keeps every limit.
     """
@@ -272,7 +272,7 @@ def dual_steps(
 
 @compiled(allocates=True)
 def tie_ends(ties, gradient, diagonal, beside, apart):
-    """Take coefficient 1 (= tie * coefficient 2) and the last but one at the end out of the equations."""
+    """Eliminate coefficient 1 (= tie * coefficient 2) and the last but one from the equations."""
     t = ties[0]
     gradient[2] += t * gradient[1]
     diagonal[2] += t * t * diagonal[1] + 2.0 * t * beside[1]

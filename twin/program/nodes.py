@@ -1,4 +1,4 @@
-"""The nodes on which the time law is planned: close where the speed may change, far apart where the feed alone decides it.
+"""The nodes of the time law: dense where the speed may change, sparse where only the feed limits it.
 
 They are the breaks of the spline, divided near stops and slow corners. From there the distance of the nodes grows by DIVIDE per
 length; the first node lies 1/1000 of the run-up to feed from the stop.
@@ -60,7 +60,7 @@ def along(w, feed, rotary):
 
 @compiled(allocates=True)
 def _at_ease(s, j, f, limits, feed, rotary):
-    """Whether all axes follow piece j at its feed within the share AT_EASE of every limit; the feed alone then decides the speed."""
+    """Whether all axes follow piece j at its feed within the share AT_EASE of every limit; then only the feed limits the speed."""
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     step = 0.5 * (s.t[j + 1] - s.t[j])
     a = np.empty(3)
@@ -85,7 +85,7 @@ def _at_ease(s, j, f, limits, feed, rotary):
 
 @compiled(allocates=True)
 def _slope_change(s, j):
-    """How much the direction of the path changes within piece j (rad, for small changes)."""
+    """Change of direction of the path within piece j (rad, for small changes)."""
     h = s.t[j + 1] - s.t[j]
     square = 0.0
     for d in range(5):
@@ -125,7 +125,7 @@ def grid(s, e, f, limits, feeds):
         if bent or feeds.speed[i] != feeds.speed[before]:
             far[j] = 0.0
             far[j + 1] = 0.0
-    # the first and last interval have a law of their own; beside them the steps grow in proportion to the way from rest
+    # the first and last interval have constant jerk; next to them the steps grow in proportion to the distance from rest
     first_step, last_step = way[0] / 1000.0, way[pieces - 1] / 1000.0
     step[0] = DIVIDE * first_step
     step[pieces] = DIVIDE * last_step

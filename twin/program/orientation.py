@@ -1,9 +1,9 @@
-"""Which A and C bring the tool axis where the program wants it: both solutions, travel, shortest way of C, singularity.
+"""Angles of A and C for a programmed tool axis: both solutions, travel, shortest way of C, singularity.
 
-Each direction has two solutions (tilt to either side, table half a turn apart). Along a program the one is taken that is
-within travel and nearest to where the axes are, measured by the larger of the two turns; C goes the shortest way. Where
-the tool axis lies along the turning axis, C keeps its angle. A turning axis with stops may have to rewind by whole turns:
-this is reported, and left to the caller, since it is harmless in a rapid move and ruins a cut.
+Each direction has two solutions (tilt to either side, table half a turn apart). The solution within travel that is nearest to the current
+angles is chosen, measured by the larger of the two rotations; C takes the shortest way. If the tool axis is parallel to the turning axis,
+C keeps its angle. A turning axis with stops may have to rewind by whole turns. This is reported to the caller, because it is harmless in a
+rapid move but ruins a cut.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def choose_angles(
 ) -> ChosenAngles:
     """A and C along a sequence of tool axes (sample, 3) in the part frame, beginning at `start` (2,).
 
-    A tool axis of NaN asks for the angles `fixed` (sample, 2); what is NaN there too stays as it was. With `check` a
-    direction that cannot be reached raises InputError; otherwise the status says so and the angles stay.
+    For a tool axis of NaN the angles are `fixed` (sample, 2); an angle that is NaN there is not changed. With `check` an unreachable
+    direction raises InputError; otherwise the status reports it and the angles are not changed.
     """
     tool_axis, start = np.atleast_2d(tool_axis), np.asarray(start, float)
     fixed = np.full((len(tool_axis), 2), np.nan) if fixed is None else fixed
@@ -55,10 +55,10 @@ def choose_angles(
 def _walked(
     kinematics: Kinematics, tool_axis: np.ndarray, fixed: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same directions with steps in between where they lie far apart, and which rows are the original ones.
+    """The directions with intermediate steps where they are far apart, and the rows of the original ones.
 
-    Over a large step the nearest solution may be the one on the other side of the turning axis, to which no continuous motion
-    leads; walked along the great circle the choice is that of the motion.
+    Over a large step the nearest solution may be on the other side of the turning axis, which no continuous motion reaches. With steps
+    along the great circle the choice follows the motion.
     """
     first = kinematics.forward(np.array([0.0, 0.0, 0.0, *start]))[1]
     before = np.vstack([first, tool_axis[:-1]])
@@ -86,7 +86,7 @@ def inverse(kinematics: Kinematics, tip: np.ndarray, tool_axis: np.ndarray, star
 
 
 def unreachable_text(kinematics: Kinematics, tool_axis: np.ndarray, status: int) -> str:
-    """Why a tool axis cannot be had, and what to do."""
+    """Why a tool axis cannot be reached, and what to do."""
     i, j, k = tool_axis
     low, high = np.degrees(kinematics.travel[3])
     a, c = kinematics.label[3:]

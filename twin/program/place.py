@@ -1,10 +1,10 @@
-"""Where a part must lie so that its program fits the travel of a machine: a shift of the part frame, found as a linear program.
+"""Place a part so that its program fits the travel of a machine: the smallest shift of the part frame, from a linear program.
 
 With the part shifted by d on the table, the linear axes of a move at table angles (A, C) go to
 
     axes = axes without shift + R(A, C) d,      low <= axes <= high for every move
 
-and of all d that fit the one with the least |dx| + |dy| + |dz| is taken.
+and the feasible d with the smallest |dx| + |dy| + |dz| is chosen.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from twin.geometry.kinematics import Kinematics
 from twin.program.moves import ARC, Program
 
 KEEP = 1e-4
-"""Distance that is kept from the ends of the travel [m]."""
+"""Clearance from the ends of the travel [m]."""
 
 ALONG_ARC = 16
-"""Points of an arc that must fit beside its end: it bulges beyond both ends."""
+"""Points of an arc that must fit in addition to its end, because it may extend beyond both ends."""
 
 
 class OutsideTravel(InputError):
-    """A program that leaves the travel of the machine; `program` is what was understood of it."""
+    """A program that leaves the travel of the machine; `program` is the program as read."""
 
     def __init__(self, message: str, program: Program) -> None:
         super().__init__(message)
@@ -88,14 +88,14 @@ def _along_arcs(program: Program) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rotations(kinematics: Kinematics, angles: np.ndarray) -> np.ndarray:
-    """What a shift of the part is at the linear axes: matrices (row, 3, 3) for table angles (row, 2)."""
+    """Matrices (row, 3, 3) from a shift of the part to a shift of the linear axes, for table angles (row, 2)."""
     at_zero = kinematics.linear_axes(np.zeros((len(angles), 3)), angles)
     columns = [kinematics.linear_axes(np.tile(unit, (len(angles), 1)), angles) - at_zero for unit in np.eye(3)]
     return np.stack(columns, axis=2)
 
 
 def _least_shift(axes: np.ndarray, turned: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray | None:
-    """The smallest shift (3,) that brings all axes into the travel; None where there is none."""
+    """The smallest shift (3,) that brings all axes into the travel; None if there is none."""
     rows = turned.reshape(-1, 3)
     bound = np.eye(3)
     # d and its size t: R d <= high - axes, -R d <= axes - low, +-d <= t
@@ -106,7 +106,7 @@ def _least_shift(axes: np.ndarray, turned: np.ndarray, low: np.ndarray, high: np
 
 
 def _too_long(axes: np.ndarray, low: np.ndarray, high: np.ndarray) -> str:
-    """The axis whose motion is longest against its travel."""
+    """The axis with the longest motion relative to its travel."""
     span = np.ptp(axes, axis=0)
     worst = int(np.argmax(span / (high - low)))
     return f"axis {'XYZ'[worst]} moves over {span[worst] * 1e3:.1f} mm, its travel is {(high - low)[worst] * 1e3:.1f} mm"

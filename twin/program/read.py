@@ -1,4 +1,4 @@
-"""One door to all program formats, chosen by what the file holds; its ending decides where that is open."""
+"""Read a program in any format. The content selects the reader; the file ending decides if the content is ambiguous."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ ISO_ENDINGS = (
 )
 APT = (".apt", ".cls", ".cl", ".aptsource", ".ncl", ".cldata", ".cld")
 PROGRAM_ENDINGS = (*SINUMERIK_ENDINGS, *ISO_ENDINGS, *APT)
-"""What a file that is a part program often ends in; `read_program` takes any."""
+"""Common file endings of part programs; `read_program` accepts any."""
 
 SNIFFED_LINES = 3000
 _SINUMERIK = re.compile(
@@ -65,7 +65,7 @@ _BOTH = (
     (re.compile(r"^%\d", re.M), re.compile(r"\bG7[79]\s*[HN]|\bER-?\d|\bG0*[01]\s+G52\s*[XYZ]"), "a NUM program"),
     (re.compile(r"^\s*M1(?:04|09|40)\s+S\d", re.M), re.compile(r"^\s*G[01]\b[^\n;]*\bE-?[\d.]", re.M), "a program of a 3-D printer"),
 )
-"""Languages that two marks together show."""
+"""Languages recognised by two marks together."""
 _FADAL = re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M)
 """A length of the tool that is called without G43."""
 
@@ -100,7 +100,7 @@ def dialect(source: Source) -> str:
 
 
 def understand(path: str | Path, machine: Machine) -> Collector:
-    """The moves of a G-code program before they are checked against the machine."""
+    """The moves of a G-code program, not yet checked against the machine."""
     path = Path(path)
     return _understand(Source(path), machine)
 

@@ -1,4 +1,4 @@
-"""From the time law to set points: when each node is passed, and where the axes are at each position cycle.
+"""From the time law to set points: the time of each node, and the positions of the axes at each position cycle.
 
 Within an interval a(u) is a quadratic, so u(t) solves u'' = y0 + k (u - u0) with k = a''/2, in closed form:
 
@@ -21,7 +21,7 @@ SMALL = 1e-4  # |k| t^2 below which the series is used
 
 @compiled(allocates=True)
 def _moved(x0, y0, k, t):
-    """Way, speed and acceleration after the time t in an interval."""
+    """Distance, speed and acceleration after the time t in an interval."""
     z = k * t * t
     if abs(z) < SMALL:
         s1 = t * (1.0 + z / 6.0 * (1.0 + z / 20.0 * (1.0 + z / 42.0)))

@@ -1,4 +1,4 @@
-"""SINUMERIK programs: the words of a block and what they do; variables, subprograms, frames, cycles."""
+"""Reader of SINUMERIK programs: words of a block, variables, subprograms, frames, cycles."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Sinumerik(SinumerikModes):
         return self.out
 
     def fast(self, text: str, line: int) -> bool:
-        """Take a plain block of coordinates; False if it must be read word by word."""
+        """Execute a plain block of coordinates; False if it must be read word by word."""
         if not self.plain or self.mcall is not None or self.held is not None or self.every_corner or self.override != 1.0:
             return False
         match = self.plain_block.match(text)
@@ -125,7 +125,7 @@ class Sinumerik(SinumerikModes):
                     raise WordError(f"{axis} occurs twice in the block; keep one", word.column)
                 block.coordinates[axis] = self._item(word)
                 if name.startswith("POS"):
-                    self.note("POS, POSA: the axis moves with the others of the block, at rapid where it stands alone")
+                    self.note("POS, POSA: the axis moves with the others of the block, and at rapid if it is alone")
                     block.extra["POS"] = Item(1.0, "", word.column)
             elif name in ("I", "J", "K"):
                 block.centre[name] = self._item(word)
@@ -158,7 +158,7 @@ class Sinumerik(SinumerikModes):
         self._carry_out(block)
 
     def _carry_out(self, block: Block) -> None:
-        """What the words of a block do, in the order in which the control takes them."""
+        """Execute the words of a block in the order of the control."""
         numbers, extra, names, calls = block.numbers, block.extra, block.names, block.calls
         for number, word in block.g:
             entry = SINUMERIK_G.get(number)

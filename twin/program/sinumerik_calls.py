@@ -28,7 +28,7 @@ _PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
 
 
 class SinumerikCalls(SinumerikMotion):
-    """Calls, and statements that move nothing."""
+    """Calls, and statements without motion."""
 
     def __init__(self, path: Path, machine: Machine, units: list[Unit]) -> None:
         super().__init__(path, machine)
@@ -110,7 +110,7 @@ class SinumerikCalls(SinumerikMotion):
             frame.on_return = self._at_return(written, kept) if written else kept
 
     def _at_return(self, written: list[tuple[str, dict, int]], kept: Callable[[], None] | None) -> Callable[[], None]:
-        """VAR values that are an R parameter or an element of an array get back what the subprogram left in them."""
+        """Copy VAR values back to the R parameters or array elements that were passed."""
 
         def restore() -> None:
             if kept:
@@ -133,7 +133,7 @@ class SinumerikCalls(SinumerikMotion):
         return own
 
     def _kept_modes(self) -> Callable[[], None]:
-        """What PROC .. SAVE brings back at the end of the subprogram: the modal G codes and the programmable frame."""
+        """State that PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
         names = (
             "motion", "plane", "absolute", "rounding", "chosen", "program_matrix", "program_offset", "fine", "corners_meet", "angles_are_rpy",
             "tolerance", "angle_tolerance", "adis", "adispos",
@@ -192,7 +192,7 @@ class SinumerikCalls(SinumerikMotion):
         return {}, 0
 
     def returned(self, frame: Frame) -> None:
-        """The end of a subprogram; a last corner or compensation goes on in the caller."""
+        """The end of a subprogram; a last corner or compensation continues in the caller."""
 
     def runs_into(self, what: str, column: int) -> None:
         """The end of the file ends a program like M30."""

@@ -29,7 +29,7 @@ POSITIONS = 9
 
 
 class Layout(NamedTuple):
-    """Where the later arguments of a drilling cycle stand, counted from 0; None where it has none.
+    """Positions of the later arguments of a drilling cycle, counted from 0; None if it has none.
 
     `gmode` 1: the depth is that of the shank, not of the tip. `amode`: its second digit 2 gives the dwell in turns. `axis`: the tool
     axis, 1 or 2 for the first or second geometry axis. `pitch_unit`: 2 threads an inch, 3 inches, 4 modules.
@@ -55,7 +55,7 @@ _ORDERS = {1: 0, 2: 1, 3: 2}
 
 
 def values_of(control: SinumerikCalls, word: Word) -> list[float | str | None]:
-    """The arguments of a cycle; None where one is left out."""
+    """The arguments of a cycle; None for a missing one."""
     out: list[float | str | None] = []
     for text, at in split_arguments(word.text or ""):
         if not text:
@@ -68,7 +68,7 @@ def values_of(control: SinumerikCalls, word: Word) -> list[float | str | None]:
 
 
 def carry_out(control: SinumerikCalls, word: Word) -> None:
-    """One cycle call, at once or as what MCALL repeats."""
+    """One cycle call, made at once or repeated by MCALL."""
     name = word.name
     arguments = values_of(control, word)
     if name == "CYCLE832":
@@ -93,7 +93,7 @@ def _number(arguments: list, k: int, default: float | None = None) -> float:
 
 
 def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callable[[], None]:
-    """A drilling cycle as a function that carries it out where the tool stands."""
+    """A drilling cycle as a function that makes its moves at the current position."""
     rtp, rfp, sdis = _number(a, 0), _number(a, 1, 0.0), abs(_number(a, 2, 0.0))
     given = len(a) > 3 and a[3] is not None
     relative = _number(a, 4, 0.0)
@@ -106,7 +106,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
         raise WordError(f"{name} needs the depth DP or DPR; add it", word.column)
     if relative and given and abs(depth - (rfp + down * abs(relative))) > 1e-9:
         depth = rfp + down * abs(relative)  # the control takes DPR where both are given
-        control.note(f"{name}: DP and DPR differ, DPR counts")
+        control.note(f"{name}: DP and DPR differ, DPR is used")
     safe = rfp - down * sdis
     if (depth - safe) * down <= 0.0:
         raise WordError(f"{name}: the depth {depth:g} does not lie below the reference plane {rfp:g}; correct one", word.column)
@@ -149,7 +149,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
         aside = _number(a, 7, 0.0), _number(a, 8, 0.0)
         cycle = Drilling(safe, depth, rtp, dwell=time(5), aside=aside, lift=abs(_number(a, 9, 0.0)))
     elif name in ("CYCLE87", "CYCLE88"):
-        control.note(f"{name}: the halt at the bottom is left out")
+        control.note(f"{name}: the halt at the bottom is omitted")
         cycle = Drilling(safe, depth, rtp, dwell=time(5) if name == "CYCLE88" else 0.0)
     elif name == "CYCLE89":
         cycle = Drilling(safe, depth, rtp, dwell=time(5), out=FEED)
@@ -172,7 +172,7 @@ def drilling(control: SinumerikCalls, name: str, a: list, word: Word) -> Callabl
 
 
 def _later_arguments(control: SinumerikCalls, name: str, a: list, layout: Layout, word: Word) -> None:
-    """What stands behind the classic arguments and has an effect on the control: noted or refused."""
+    """Arguments after the classic ones that have an effect on the control: noted or refused."""
     given = {key: int(_number(a, k, 0.0)) for key, k in layout._asdict().items() if k is not None}
     if given.get("gmode", 0) == 1:
         control.note(f"{name}: its depth is that of the shank (_GMODE 1); here the tip goes to it, since the angle of the tip is not known")
@@ -180,7 +180,7 @@ def _later_arguments(control: SinumerikCalls, name: str, a: list, layout: Layout
     if given.get("axis", 0) in (1, 2) and given["axis"] != across:
         raise WordError(f"{name} along geometry axis {given['axis']} is not supported; select its plane with G17, G18 or G19", word.column)
     if given.get("pecks", 0):
-        control.note(f"{name}: one stroke to its depth; the strokes between (_VARI) are left out")
+        control.note(f"{name}: one stroke to its depth; intermediate strokes (_VARI) are omitted")
 
 
 def _lead(control: SinumerikCalls, pitch: float, unit: int) -> float:
@@ -245,7 +245,7 @@ def holes(control: SinumerikCalls, name: str, a: list, word: Word) -> None:
     if control.mcall is None:
         raise WordError(f"{name} needs a modal cycle; add MCALL CYCLE81(..) before it", word.column)
     if any(isinstance(v, str) and "1" in v for v in a):
-        raise WordError(f"{name} with places left out (_HIDE) is not supported; write the places", word.column)
+        raise WordError(f"{name} with omitted places (_HIDE) is not supported; write the places", word.column)
     x, y, _ = arcs.PLANES[control.plane]
     places: list[tuple[float, float]] = []
     if name == "HOLES1":
@@ -289,7 +289,7 @@ def _count(value: float) -> int:
 
 
 def swivel(control: SinumerikCalls, a: list, word: Word) -> None:
-    """CYCLE800(_FR,_TC,_ST,_MODE,_X0,_Y0,_Z0,_A,_B,_C,_X1,_Y1,_Z1,..): a plane by its turns; without arguments it ends."""
+    """CYCLE800(_FR,_TC,_ST,_MODE,_X0,_Y0,_Z0,_A,_B,_C,_X1,_Y1,_Z1,..): a plane by its rotations; without arguments it ends."""
     numbers = [_number(a, k, 0.0) for k in range(4, min(13, len(a)))]
     numbers += [0.0] * (9 - len(numbers))
     mode = int(_number(a, 3, 57.0))
@@ -321,7 +321,7 @@ def swivel(control: SinumerikCalls, a: list, word: Word) -> None:
 
 
 def smooth(control: SinumerikCalls, a: list, word: Word) -> None:
-    """CYCLE832(tolerance, machining, orientation tolerance): G642 with that tolerance, SOFT and FFWON; 0 or nothing switches off.
+    """CYCLE832(tolerance, machining, orientation tolerance): G642 with this tolerance, SOFT and FFWON; 0 or no argument switches it off.
 
     The last digit 0 of `machining` switches off, too; its second digit 1 or a name _ORI_.. says that the third value is the tolerance
     of the orientation [deg], which otherwise is a number of the version (Programming Manual 12/2019, CYCLE832).
@@ -336,7 +336,7 @@ def smooth(control: SinumerikCalls, a: list, word: Word) -> None:
     control.tolerance = tolerance * control.unit or DEFAULT_TOLERANCE
     oriented = name.startswith("_ORI") or number // 10 % 10 == 1
     if not oriented and len(a) > 2 and a[2] not in (None, 1.0):
-        control.note("CYCLE832: its third value is a tolerance only behind _ORI_.. or a second value with 1 in its tens; left out")
+        control.note("CYCLE832: its third value is a tolerance only after _ORI_.. or a second value with 1 in its tens; ignored")
     angle = a[2] if oriented and len(a) > 2 and isinstance(a[2], float) else 0.0
     control.angle_tolerance = rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE
     control.rounding = 642 if tolerance else 64

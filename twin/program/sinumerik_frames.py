@@ -15,7 +15,7 @@ from twin.program.words import Word
 
 
 class SinumerikFrames(SinumerikLines):
-    """Frames and what changes them."""
+    """Frames and the words that change them."""
 
     def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
@@ -49,10 +49,10 @@ class SinumerikFrames(SinumerikLines):
         self.set_frame(matrix, offset)
 
     def swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
-        """CYCLE800: the plane from here on; the tool stands across it."""
+        """CYCLE800: start a tilted plane, with the tool perpendicular to it."""
         self._swivel(matrix, origin)
         self.note(
-            "CYCLE800: A and C turn with the next move to the nearest solution; its retraction (_FR) and direction (_DIR) are left out"
+            "CYCLE800: A and C turn with the next move to the nearest solution; its retraction (_FR) and direction (_DIR) are ignored"
         )
 
     def unswivel(self) -> None:
@@ -99,7 +99,7 @@ class SinumerikFrames(SinumerikLines):
         elif values:
             raise WordError(f"{name} is not supported: a turn by angles in space; use ROT with X Y Z", 1)
         if not name.endswith("TRANS") and shift is None and set(values) & set(ROTARY):
-            raise WordError(f"{name} of A or C is not supported; let the CAM system put out the final coordinates", 1)
+            raise WordError(f"{name} of A or C is not supported; let the CAM system output the final coordinates", 1)
         self.program_offset = np.concatenate(
             [self.program_offset[:3] + self.program_matrix @ shifted[:3], self.program_offset[3:] + shifted[3:]]
         )

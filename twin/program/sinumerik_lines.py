@@ -1,4 +1,4 @@
-"""The lines of SINUMERIK programs: comments, labels and block numbers, and what the flow must know."""
+"""Lines of SINUMERIK programs: comments, labels, block numbers, and statements of the flow."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class SinumerikLines(Corners):
         return " " * start + text[start:], int(number[1]) if number else -1
 
     def statement(self, text: str) -> Statement | None:
-        """What the flow must know of a line."""
+        """The statement of the flow in a line."""
         body, _ = self._body(text)
         if not body.strip():
             return Statement("label")
@@ -95,7 +95,7 @@ class SinumerikLines(Corners):
             return Statement(word.lower(), text=rest, column=match.end(1) + 1)
         if word in ("ELSE", "ENDIF", "ENDWHILE", "ENDFOR", "LOOP", "ENDLOOP"):
             if rest.strip():
-                raise WordError(f"{word} stands alone in its block; write the rest in the next one", column)
+                raise WordError(f"{word} must be alone in its block; write the rest in the next one", column)
             return Statement(word.lower(), column=column)
         if word == "FOR":
             parts = _FOR.match(body)

@@ -1,4 +1,4 @@
-"""What the words of a SINUMERIK block switch: G and M codes, names of modes, feeds and tolerances, cycles by MCALL."""
+"""Modes set by the words of a SINUMERIK block: G and M codes, names of modes, feeds and tolerances, cycles by MCALL."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WITHOUT_VALUE = frozenset(
         "BRISK",
     ]
 )
-"""Names of modes: a value behind one would change nothing."""
+"""Names of modes, which take no value."""
 
 
 class SinumerikModes(SinumerikCalls):
@@ -116,7 +116,7 @@ class SinumerikModes(SinumerikCalls):
         for number in numbers:
             entry = SINUMERIK_M.get(number)
             if number in (0, 1, 6):
-                self.note(f"M{number}: the program goes on after an exact stop")
+                self.note(f"M{number}: the program continues after an exact stop")
                 pause = 0.0
             elif number not in (2, 17, 30):
                 self.note(f"M{number}: {entry[1] if entry else 'a code of the machine builder, without effect on the motion'}")
@@ -177,7 +177,7 @@ class SinumerikModes(SinumerikCalls):
             raise WordError(f"{name} needs a value, e.g. {name}=1", word.column)
 
     def _modal(self, calls: list[Word], cycle: Word | None) -> None:
-        """MCALL: a cycle or subprogram behind each block that moves; alone it ends."""
+        """MCALL: a cycle or subprogram after each block with motion; without arguments it ends."""
         if cycle is not None:
             self.mcall = cycles.drilling(self, cycle.name, cycles.values_of(self, cycle), cycle)
             return

@@ -23,7 +23,7 @@ _ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
 
 @dataclass
 class Block:
-    """The words of one block by their use; each step takes out what it used, so that what stays is an error."""
+    """The words of one block by their use; each step removes the words that it used, so a remaining word is an error."""
 
     coordinates: dict[str, Item] = field(default_factory=dict)
     centre: dict[str, Item] = field(default_factory=dict)  # I J K
@@ -124,7 +124,7 @@ class SinumerikMotion(SinumerikVariables):
             return None, arcs.through(start, middle, point)
         if by_name == "CT":
             if self.tangent is None:
-                raise WordError("CT goes on from the direction of the move before; there is none, use CIP or G2", 1)
+                raise WordError("CT needs a move before it, whose direction it continues; use CIP or G2", 1)
             return None, arcs.tangential(start, self.tangent, point, self.plane)
         clockwise = self.motion == 2
         if "AR" in extra:
@@ -150,7 +150,7 @@ class SinumerikMotion(SinumerikVariables):
         return (self.arc_centre(start, point, centre, radius), clockwise, turns), None
 
     def _tap(self, numbers: set[float], centre: dict[str, Item]) -> None:
-        """G331, G332: along the thread; the feed is pitch times speed. G63 takes the feed in force."""
+        """G331, G332: along the thread; the feed is pitch times speed. G63 uses the active feed."""
         if 63 in numbers:
             return
         across = "IJK"[arcs.PLANES[self.plane][2]]
@@ -213,7 +213,7 @@ class SinumerikMotion(SinumerikVariables):
         self.pole = base
 
     def _fixed_point(self, number: int, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
-        """G74, G75: the axes named go to their zero, or to [frame.G75], at rapid."""
+        """G74, G75: rapid move of the named axes to their zero, or to [frame.G75]."""
         self._release()
         extra.pop("FP", None)
         home = self.frame_table(f"G{number}")
@@ -232,7 +232,7 @@ class SinumerikMotion(SinumerikVariables):
 
     def _dwell(self, numbers: set[float], extra: dict[str, Item], more: bool) -> None:
         if more or numbers - {4} or extra.keys() not in ({"F"}, {"S"}):
-            raise WordError("G4 stands alone in its block with one time, e.g. G4 F<seconds>; give the rest a block of its own", 1)
+            raise WordError("G4 must be alone in its block with one time, e.g. G4 F<seconds>; write the rest in another block", 1)
         self._release()
         if "S" in extra:
             if not self.out.modes.spindle:

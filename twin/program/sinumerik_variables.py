@@ -178,7 +178,7 @@ class SinumerikVariables(SinumerikFrames):
         return None
 
     def assign(self, name: str, value: Value, column: int, index: tuple = ()) -> None:
-        """Give a variable a value."""
+        """Assign a value to a variable."""
         if "[" in name:
             name, _, inner = name.partition("[")
             index = tuple(self._value_of(t, column) for t, _ in split_arguments(inner.rstrip("]")))
@@ -213,7 +213,7 @@ class SinumerikVariables(SinumerikFrames):
         return word.value
 
     def _item(self, word: Word) -> Item:
-        """A coordinate and how it counts."""
+        """A coordinate and its mode (absolute, incremental, ...)."""
         if word.assigned and (match := _WRAPPED.match(word.text or "")):
             return Item(self.number_of(match[2], word.text_column + match.start(2)), match[1], word.column)
         if word.text is not None and not word.assigned:

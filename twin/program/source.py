@@ -53,7 +53,7 @@ class Source:
             lines.append(text)
 
     def _readable(self, text: str, number: int) -> str:
-        """The line without what the punched tape left; a control character in a program is an error."""
+        """The line without relics of punched tape; other control characters are an error."""
         for column, char in enumerate(text, start=1):
             # tabs, end marks, soft hyphens, and the C1 range that old code pages use for letters in comments
             if not char.isprintable() and char not in "\t\r\xa0\x1a\xad\x00\x12\x14\ufeff\u200b" and not 0x7F <= ord(char) <= 0x9F:
@@ -87,7 +87,7 @@ def plain_name(name: str) -> str:
 
 
 def units_of(source: Source) -> list[Unit]:
-    """The programs in one file: an archive of a SINUMERIK holds several, each behind its line %_N_NAME_MPF."""
+    """The programs in one file; an archive of a SINUMERIK has several, each after its line %_N_NAME_MPF."""
     heads = [(i, m) for i, line in enumerate(source.lines) if line.startswith("%") and (m := _HEAD.match(line))]
     own = plain_name(source.path.stem)
     if not heads:

@@ -1,7 +1,7 @@
-"""A program cut at its stops: each stretch between two standstills becomes elements for the blend and the time law.
+"""Divide a program at its stops: each stretch between two standstills becomes elements for blending and the time law.
 
-Under TRAORI with ORIWKS the tool axis turns in the plane between its two directions (great circle), not with A and C
-linear. Where both differ by more than GREAT_CIRCLE_ERROR, the move is divided into parts that follow the great circle.
+Under TRAORI with ORIWKS the tool axis turns in the plane of its two directions (great circle), while A and C are not linear. If the
+difference to linear A and C exceeds GREAT_CIRCLE_ERROR, the move is divided into parts that follow the great circle.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from twin.program import moves as mv
 from twin.program.orientation import choose_angles
 
 GREAT_CIRCLE_ERROR = 1e-4
-"""Tool axis between two programmed directions may leave their plane by this [rad]."""
+"""Largest deviation of the tool axis from the plane of two programmed directions [rad]."""
 MOST_PARTS = 2000
 LEAVES_THE_CIRCLE = 0.02
-"""Direction error [rad] that no division takes away: A reached the end of its travel, and A and C swung over to their other solution."""
+"""Direction error [rad] that remains for any division if A reaches the end of its travel and both axes switch to their other solution."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def stretch_of(program: mv.Program, starts: np.ndarray, first: int, last: int, g
         normal = m.normal[rows]
         arm = start[:, :3] - centre
         radius1 = np.where(arc[:, None], arm - normal * np.einsum("ni,ni->n", arm, normal)[:, None], 0.0)
-        # the centre at the height of the start: what is left of the way is the pitch
+        # the centre at the height of the start, so the rest of the motion is the pitch
         centre = np.where(arc[:, None], start[:, :3] - radius1, centre)
         radius2 = np.cross(normal, radius1)
         rise = np.einsum("ni,ni->n", end[:, :3] - start[:, :3], normal)
@@ -134,7 +134,7 @@ def _divided(program: mv.Program, fields: list[np.ndarray], great_circle: np.nda
 
 
 def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
-    """A and C (part + 1, 2) along the great circle between two poses; None where its solutions do not lead to the end.
+    """A and C (part + 1, 2) along the great circle between two poses; None if the solutions do not lead to the end.
 
     Raises:
         InputError: A and C cannot follow it to its end without a swing to their other solution.

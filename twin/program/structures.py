@@ -1,4 +1,4 @@
-"""The structures of a program: which lines begin, divide and end a loop, a condition or a subprogram.
+"""Control structures of a program: the lines that begin, divide and end a loop, a condition or a subprogram.
 
 SINUMERIK nests IF .. ENDIF by position, LinuxCNC and Fanuc name both ends of a structure (O100, DO1): the `key`.
 """
@@ -23,9 +23,9 @@ Table = dict[int, tuple[int, ...]]
 
 @dataclass(frozen=True)
 class Statement:
-    """What a line is for the flow.
+    """Statement of the flow in a line.
 
-    `text` is a condition, a target or arguments, which starts at `column`; `rest` what `kind` needs beside.
+    `text` is a condition, a target or arguments, starting at `column`; `rest`: further data for this `kind`.
     """
 
     kind: str

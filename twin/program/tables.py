@@ -1,7 +1,7 @@
-"""What each word means here: the tables that the readers look words up in and that docs/programs.md is printed from.
+"""Meaning of each program word: tables used by the readers and printed in docs/programs.md.
 
-ACTS: it changes the motion or what later words mean. NOTE: understood, without effect on what is simulated, said once.
-REFUSED: known and not simulated; the text says what to do.
+ACTS: it changes the motion or the meaning of later words. NOTE: understood, without effect on the simulation, noted once.
+REFUSED: known but not simulated; the text says what to do.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ ISO_G: dict[float, tuple[str, str]] = {
     0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, or R; P turns"),
     3: (ACTS, "arc counter-clockwise"), 4: (ACTS, "dwell: P in s (LinuxCNC, or with a decimal point) or ms; X, U in s"),
     5: (ACTS, "LinuxCNC: cubic spline; others: P alone, high-speed mode, noted"), 5.1: (NOTE, "LinuxCNC: quadratic spline; others: look-ahead of the control"),
-    5.2: (REFUSED, "NURBS; let the CAM system put out lines or arcs"), 5.3: (REFUSED, "NURBS; let the CAM system put out lines or arcs"),
+    5.2: (REFUSED, "NURBS; let the CAM system output lines or arcs"), 5.3: (REFUSED, "NURBS; let the CAM system output lines or arcs"),
     7: (REFUSED, "diameters are programmed on lathes; this machine mills"), 8: (NOTE, "radius or look-ahead, " + NOTHING),
     9: (ACTS, "exact stop in this block"), 10: (ACTS, "L2 and L20 set a zero offset, L10 to L13 (LinuxCNC: L1) a tool"), 11: (ACTS, "end of G10"), 10.9: (ACTS, "X0: radii, as here"),
     12: (REFUSED, "circular pockets; write the arcs"), 13: (REFUSED, "circular pockets; write the arcs"),
@@ -31,7 +31,7 @@ ISO_G: dict[float, tuple[str, str]] = {
     42: (ACTS, "cutter to the right of the contour"), 41.1: (ACTS, "as G41, D is the diameter"), 42.1: (ACTS, "as G42, D is the diameter"),
     43: (ACTS, "tool length of H"), 43.1: (ACTS, "tool length in the block"), 43.2: (REFUSED, "a second tool length is not simulated"),
     43.4: (ACTS, "tool centre point control: five-axis transformation on"), 43.5: (ACTS, "as G43.4, tool axis by I J K"),
-    44: (ACTS, "as G43: without G43.4 X Y Z are positions of the axes whatever the length"), 49: (ACTS, "tool length and G43.4 off"),
+    44: (ACTS, "as G43: without G43.4 X Y Z are positions of the axes for any length"), 49: (ACTS, "tool length and G43.4 off"),
     50: (ACTS, "scaling off"), 50.1: (ACTS, "mirror off"), 51: (ACTS, "scaling P or I J K about a point"), 51.1: (ACTS, "mirror about X Y Z"),
     52: (ACTS, "local shift"), 53: (ACTS, "machine coordinates in this block"), 53.1: (NOTE, "A and C turn with the next move"),
     53.6: (NOTE, "A and C turn with the next move"),
@@ -52,13 +52,13 @@ ISO_G: dict[float, tuple[str, str]] = {
     93: (ACTS, "F is 1/min of the block"), 94: (ACTS, "F per minute"), 95: (ACTS, "F per turn of the spindle"),
     96: (REFUSED, "constant cutting speed is not simulated; use G97"), 97: (NOTE, NOTHING), 98: (ACTS, "cycles retract to the start"), 99: (ACTS, "cycles retract to R"),
     100: (ACTS, "end of G101; with T (Brother) a tool change, then rapid"), 101: (ACTS, "mirror about the zero of X Y Z (Haas)"),
-    103: (NOTE, "look-ahead in blocks, " + NOTHING), 60: (NOTE, "approach from one side: the overshoot is left out"),
-    **dict.fromkeys((7.1, 12.1, 107, 112), (REFUSED, "cylinders and polar axes of other machines; let the CAM system put out X Y Z")), 13.1: (NOTE, NOTHING),
-    **dict.fromkeys((35, 36, 37), (REFUSED, "probing is not simulated")), 47: (REFUSED, "engraving; let the CAM system put out the moves"),
-    **dict.fromkeys((6.2, 5.4), (REFUSED, "NURBS; let the CAM system put out lines or arcs")), 54.2: (REFUSED, "offsets that turn with the table are not simulated; use G43.4"),
-    **dict.fromkeys((68.3, 68.4), (REFUSED, "tilted planes by the tool axis; use G68.2")), **dict.fromkeys((41.2, 42.2, 141), (REFUSED, "cutter radius in space; let the CAM system put out the tool centre")),
+    103: (NOTE, "look-ahead in blocks, " + NOTHING), 60: (NOTE, "approach from one side: the overshoot is omitted"),
+    **dict.fromkeys((7.1, 12.1, 107, 112), (REFUSED, "cylinders and polar axes of other machines; let the CAM system output X Y Z")), 13.1: (NOTE, NOTHING),
+    **dict.fromkeys((35, 36, 37), (REFUSED, "probing is not simulated")), 47: (REFUSED, "engraving; let the CAM system output the moves"),
+    **dict.fromkeys((6.2, 5.4), (REFUSED, "NURBS; let the CAM system output lines or arcs")), 54.2: (REFUSED, "offsets that turn with the table are not simulated; use G43.4"),
+    **dict.fromkeys((68.3, 68.4), (REFUSED, "tilted planes by the tool axis; use G68.2")), **dict.fromkeys((41.2, 42.2, 141), (REFUSED, "cutter radius in space; let the CAM system output the tool centre")),
     143: (REFUSED, "use G43.4"), 154: (ACTS, "additional zero offset P"), **dict.fromkeys(range(110, 112), (ACTS, "additional zero offset")), **dict.fromkeys(range(114, 130), (ACTS, "additional zero offset")),
-    150: (REFUSED, "pocket cycles; let the CAM system put out the moves"), 187: (NOTE, "smoothness of the control, " + NOTHING),
+    150: (REFUSED, "pocket cycles; let the CAM system output the moves"), 187: (NOTE, "smoothness of the control, " + NOTHING),
     234: (ACTS, "as G43.4"), 254: (REFUSED, "dynamic zero offsets are not simulated; use G43.4"), 255: (NOTE, NOTHING),
 }  # fmt: skip
 """G codes of ISO programs."""
@@ -69,7 +69,7 @@ ISO_M: dict[int, tuple[str, str]] = {
     **dict.fromkeys((3, 4, 5, 19, 29), (NOTE, "spindle, " + NOTHING)), **dict.fromkeys((7, 8, 9), (NOTE, "coolant, " + NOTHING)),
     **dict.fromkeys((48, 49, 50, 51, 52, 53), (NOTE, "override, " + NOTHING)),
     **dict.fromkeys((62, 63, 64, 65, 67, 68), (NOTE, "inputs and outputs, " + NOTHING)),
-    66: (NOTE, "waits for an input, which is taken as there"), 61: (ACTS, "tool number"),
+    66: (NOTE, "waits for an input, which is assumed to be present"), 61: (ACTS, "tool number"),
     70: (ACTS, "LinuxCNC: keeps the modes"), 71: (ACTS, "LinuxCNC: forgets them"), 72: (ACTS, "LinuxCNC: brings back the modes"), 73: (ACTS, "LinuxCNC: keeps the modes for the end of the subprogram"),
     128: (REFUSED, "use G43.4"), 97: (ACTS, "call of a block N of this program with P, L times (Haas)"),
 }  # fmt: skip
@@ -86,7 +86,7 @@ SINUMERIK_G: dict[float, tuple[str, str]] = {
     42: (ACTS, "cutter to the right of the contour"),
     43: (REFUSED, "use T and D with a table [tool] in the machine file; G43 H is for .ngc files"), 49: (NOTE, NOTHING), 80: (NOTE, NOTHING), 53: (ACTS, "machine coordinates in this block"), 153: (ACTS, "machine coordinates in this block"),
     54: (ACTS, "settable frame [frame.G54]"), 55: (ACTS, "settable frame"), 56: (ACTS, "settable frame"), 57: (ACTS, "settable frame"),
-    58: (ACTS, "programmable shift, absolute"), 59: (ACTS, "programmable shift beside G58"), 500: (ACTS, "no settable frame"),
+    58: (ACTS, "programmable shift, absolute"), 59: (ACTS, "programmable shift in addition to G58"), 500: (ACTS, "no settable frame"),
     **dict.fromkeys(range(505, 600), (ACTS, "settable frame")),
     60: (ACTS, "exact stop"), 64: (ACTS, "rounding by 10 um"), 641: (ACTS, "rounding by ADIS"), 642: (ACTS, "rounding within CTOL"),
     643: (ACTS, "rounding within CTOL"), 644: (ACTS, "rounding within CTOL"), 645: (ACTS, "rounding within CTOL"), 646: (ACTS, "rounding within CTOL"),
@@ -98,7 +98,7 @@ SINUMERIK_G: dict[float, tuple[str, str]] = {
     971: (NOTE, NOTHING), 110: (ACTS, "pole from the last position"), 111: (ACTS, "pole in the work coordinates"), 112: (ACTS, "pole from the last pole"),
     147: (REFUSED, "soft approach; write the moves"), 148: (REFUSED, "soft approach; write the moves"), 247: (REFUSED, "soft approach; write the moves"),
     248: (REFUSED, "soft approach; write the moves"), 347: (REFUSED, "soft approach; write the moves"), 348: (REFUSED, "soft approach; write the moves"),
-    290: (NOTE, "the language of SINUMERIK"), 291: (REFUSED, "ISO blocks inside a SINUMERIK program; write them in a file of their own"),
+    290: (NOTE, "the language of SINUMERIK"), 291: (REFUSED, "ISO blocks inside a SINUMERIK program; write them in another file"),
     450: (ACTS, "round outside corners on an arc"), 451: (ACTS, "outside corners to the point where the paths meet"),
     **dict.fromkeys((140, 141, 142, 143, 340, 341, 62), (NOTE, "of soft approaches and corners, " + NOTHING)),
     461: (NOTE, NOTHING), 462: (NOTE, NOTHING), 460: (NOTE, NOTHING), 621: (NOTE, NOTHING), 810: (NOTE, NOTHING), 820: (NOTE, NOTHING),
@@ -152,7 +152,7 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(ACTS, "holes on a line, a circle, a grid, at places", "HOLES1 HOLES2 CYCLE801 CYCLE802"),
     **_group(ACTS, "a cycle or subprogram behind each move", "MCALL"),
     **_group(ACTS, "subprogram by a name in a text", "CALL PCALL EXTCALL"), **_group(ACTS, "end of a subprogram", "RET ENDPROC"),
-    **_group(ACTS, "arc through I1= J1= K1=, arc that goes on smoothly", "CIP CT"),
+    **_group(ACTS, "arc through I1= J1= K1=, tangent arc", "CIP CT"),
     **_group(ACTS, "words of arcs, lines and corners", "CR AR TURN AP RP RPL ANG CHF CHR RND RNDM ADIS ADISPOS CTOL OTOL I1 J1 K1 FP"),
     **_group(ACTS, "tool axis as a vector, or by angles", "A3 B3 C3 A2 B2 C2"),
     **_group(ACTS, "an axis by a variable of type AXIS, e.g. AX[_X]=10", "AX"),
@@ -160,26 +160,26 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(NOTE, "compensation begins and ends across the contour", "KONT KONTC KONTT"),
     **_group(NOTE, "G91 and the length of the tool: as G90 of a mill", "DIAMCYCOF"),
     **_group(REFUSED, "diameters are programmed on lathes; this machine mills", "DIAMON DIAM90 DIAMONA DIAM90A"),
-    **_group(REFUSED, "splines and polynomials; let the CAM system put out lines or arcs", "SD PW ASPLINE BSPLINE CSPLINE POLY POLYPATH SPLINEPATH INVCW INVCCW OEMIPO1 OEMIPO2"),
-    **_group(REFUSED, "a transformation of other machines; let the CAM system put out X Y Z", "TRACYL TRANSMIT TRAANG TRACON TRAFOON"),
+    **_group(REFUSED, "splines and polynomials; let the CAM system output lines or arcs", "SD PW ASPLINE BSPLINE CSPLINE POLY POLYPATH SPLINEPATH INVCW INVCCW OEMIPO1 OEMIPO2"),
+    **_group(REFUSED, "a transformation of other machines; let the CAM system output X Y Z", "TRACYL TRANSMIT TRAANG TRACON TRAFOON"),
     **_group(NOTE, "surface normals, which only CUT3D and ORIPATH use", "A4 B4 C4 A5 B5 C5"),
-    **_group(REFUSED, "which way these angles turn the tool is set by the machine builder; let the CAM system put out A3= B3= C3=", "ORIPATH ORIPATHS LEAD TILT"),
-    **_group(REFUSED, "the orientation is given by a law of its own; use A3= B3= C3= or ORIWKS", (
+    **_group(REFUSED, "which way these angles turn the tool is set by the machine builder; let the CAM system output A3= B3= C3=", "ORIPATH ORIPATHS LEAD TILT"),
+    **_group(REFUSED, "the orientation follows a special law; use A3= B3= C3= or ORIWKS", (
         "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIROTA ORIROTR ORIROTT ORIROTC THETA PHI PSI XH YH ZH A6 B6 C6 A7 B7 C7")),
-    **_group(REFUSED, "cutter radius in space; let the CAM system put out the tool centre", "CUT3DC CUT3DCC CUT3DCCD CUT3DCD CUT3DF CUT3DFS CUT3DFF CUT3DFD"),
-    **_group(REFUSED, "a milling or turning cycle; let the CAM system put out the moves", (
+    **_group(REFUSED, "cutter radius in space; let the CAM system output the tool centre", "CUT3DC CUT3DCC CUT3DCCD CUT3DCD CUT3DF CUT3DFS CUT3DFF CUT3DFD"),
+    **_group(REFUSED, "a milling or turning cycle; let the CAM system output the moves", (
         "POCKET1 POCKET2 POCKET3 POCKET4 SLOT1 SLOT2 LONGHOLE CYCLE60 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE70 CYCLE71 CYCLE72 CYCLE73 CYCLE74 CYCLE75 CYCLE76 CYCLE77 CYCLE78 "
         "CYCLE79 CYCLE90 CYCLE92 CYCLE93 CYCLE94 CYCLE95 CYCLE96 CYCLE97 CYCLE98 CYCLE99 CYCLE899 CYCLE930 CYCLE940 CYCLE950 CYCLE951 CYCLE952 CYCLE4071 "
         "CYCLE4072 CYCLE4073 CYCLE4074 CYCLE4075 CYCLE4077 CYCLE4078 CYCLE4079 E_LAB_A_IN F_ROU_Z")),
     **_group(REFUSED, "this place gets new coordinates; use TRANS or a settable frame", "PRESETON PRESETONS"),
     **_group(REFUSED, "point-to-point motion of the axes is not simulated; use CP", "PTP STAT TU"),
     **_group(REFUSED, "tangential and table-coupled axes are not simulated", "TANG TANGON CTABDEF CTABEND"),
-    **_group(REFUSED, "contours in tables are not simulated; let the CAM system put out the moves", "CONTPRON CONTDCON EXECUTE INTERSEC CALCDAT"),
+    **_group(REFUSED, "contours in tables are not simulated; let the CAM system output the moves", "CONTPRON CONTDCON EXECUTE INTERSEC CALCDAT"),
     **_group(REFUSED, "axes are exchanged or renamed by this; write the program for the axes of the machine", "GEOAX AXCTSWE AXCTSWED AXTOCHAN"),
     **_group(REFUSED, "measuring is not simulated; remove the call", (
         "CYCLE971 CYCLE973 CYCLE974 CYCLE976 CYCLE977 CYCLE978 CYCLE979 CYCLE982 CYCLE994 CYCLE995 CYCLE996 CYCLE997 CYCLE998 CYCLE961 MEAS MEAW MEASA MEAWA MEAC")),
     **_group(REFUSED, "synchronised actions are not simulated; remove them if they move no axis", "ID IDS WHEN WHENEVER EVERY FROM DO SYNFCT"),
-    **_group(REFUSED, "a frame along the tool or from the hand wheel; let the CAM system put out the final coordinates", "TOROT TOFRAME TOROTX TOROTY TOROTZ PAROT TOFRAMEX TOFRAMEY TOFRAMEZ"),
+    **_group(REFUSED, "a frame along the tool or from the hand wheel; let the CAM system output the final coordinates", "TOROT TOFRAME TOROTX TOROTY TOROTZ PAROT TOFRAMEX TOFRAMEY TOFRAMEZ"),
     **_group(REFUSED, "text that is run as a program; write the blocks", "EXECSTRING EXECTAB ISOCALL"),
     **_group(REFUSED, "coupled axes are not simulated", "TRAILON COUPON COUPDEF EGON EGDEF LEADON MASLON GANTRY"),
     **_group(REFUSED, "soft approach; write the moves", "DISCL DISR DISRP FAD"),

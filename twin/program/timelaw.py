@@ -1,4 +1,4 @@
-"""The time law: the fastest motion along a path from rest to rest with speed, acceleration and jerk of every axis kept.
+"""The time law: the fastest motion along a path from rest to rest within the speed, acceleration and jerk limits of every axis.
 
 Along the path q(u) the square of the path speed, a(u) = (du/dt)^2, is a quadratic spline (so that acceleration is continuous);
 with ' = d/du,
@@ -7,11 +7,11 @@ with ' = d/du,
     acceleration  q' a'/2 + q'' a
     jerk          (q' a''/2 + 3/2 q'' a' + q^(3) a) sqrt(a)
 
-Speed and acceleration limits are linear in a; the jerk limit |f(a)| <= J / sqrt(a) becomes so by its tangent, which lies on
-the safe side. The time T = int du / sqrt(a) is convex in a. It is minimised by a primal-dual interior point method: Newton
-steps on the optimality conditions, every iterate strictly inside all limits at the nodes, so that the result is too; the
-Hessian has five diagonals, so a step costs linear time. At rest the law is that of constant jerk, a = alpha u^(4/3), over
-the first and the last interval. After the speed-squared formulation of Verscheure et al. 2009, with jerk added.
+Speed and acceleration limits are linear in a. The jerk limit |f(a)| <= J / sqrt(a) is linearised by its tangent, which is on
+the safe side. The time T = int du / sqrt(a) is convex in a. A primal-dual interior point method minimises it with Newton
+steps on the optimality conditions. Every iterate is strictly inside all limits at the nodes, and so is the result. The
+Hessian has five diagonals, so a step takes linear time. In the first and last interval the jerk is constant, a = alpha u^(4/3).
+The speed-squared formulation is that of Verscheure et al. 2009, extended by jerk.
 
 Arrays: node n = 0 .. N, interval i = 0 .. N - 1, `q1` `q2` (node, axis), `q3` (interval, left and right end, axis).
 Coefficient i of the spline belongs to the middle of interval i - 1: node i lies between the coefficients i and i + 1.
@@ -37,7 +37,7 @@ TO_THE_WALL = 0.98  # share of the way to the nearest limit that a step may go
 
 @compiled(allocates=True)
 def first_guess(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
-    """Node values of a that are about reachable: local limits, then growth from every low place as under constant jerk."""
+    """Approximately reachable node values of a: local limits, then growth from every minimum as under constant jerk."""
     intervals = h.shape[0]
     a = np.empty(intervals + 1)
     growth = np.empty(intervals)
@@ -87,7 +87,7 @@ def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
         c[i] = 0.5 * (guess[i - 1] + guess[i])
     c[1] = ties[0] * c[2]
     c[n - 2] = ties[1] * c[n - 3]
-    # shrink until strictly inside: slow enough keeps every limit
+    # shrink until strictly inside; a motion that is slow enough keeps every limit
     inside = False
     for _ in range(200):
         if least_slack(c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j) > 0.0:
@@ -170,6 +170,6 @@ def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
         dual_j += go_dual * move_j
         worse = min(go_primal, go_dual)
         settled = worse > 0.6
-        # the bolder the last step, the more the multipliers are asked to fall
+        # the larger the last step, the more the multipliers are reduced
         mu = gap / rows * max(0.3, 1.0 - worse) if steps > 1 else mu
     return c, time, MAX_STEPS, STALLED

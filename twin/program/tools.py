@@ -1,4 +1,4 @@
-"""Which tool is in the spindle, which length TRAORI works with, which radius G41 takes: T, D, H, M6, G43 and G49."""
+"""The active tool: tool in the spindle, length for TRAORI and radius for G41, from T, D, H, M6, G43 and G49."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from twin.program.expressions import Value, WordError
 class Tools:
     """Tool changes of a program; lengths and radii are those of the table [tool] of the machine file.
 
-    T changes the tool at once; from the first M6 on it prepares the tool that the next M6 brings. The Sinumerik takes
-    D1 with a tool and no length with D0; the ISO dialect takes a length with G43 and none with G49.
+    T changes the tool at once; from the first M6 on it selects the tool for the next M6. The Sinumerik uses D1 with a tool, and no length
+    with D0; the ISO dialect uses a length with G43 and none with G49.
     """
 
     def __init__(self, out: Collector, machine: Machine, iso: bool) -> None:
@@ -28,7 +28,7 @@ class Tools:
         self.written: dict[tuple[str, str, bool], float] = {}  # by the program itself [m]: tool, radius or length, whether it is wear
 
     def block(self, words: Mapping[str, tuple[Value, int]]) -> None:
-        """The words T, D, H, M6, G43, G49 of one block as value and column: tool and length from here on.
+        """The words T, D, H, M6, G43, G49 of one block as value and column; they set the active tool and length.
 
         Raises:
             WordError: a tool or an edge that the machine file does not know, or H without G43.
@@ -68,7 +68,7 @@ class Tools:
 
     def _iso(self, words: Mapping[str, tuple[Value, int]], spindle: float) -> float:
         if "G43" in words:
-            self.out.notes["G43: its length counts under TRAORI or G43.4; without it X Y Z are positions of the axes"] = None
+            self.out.notes["G43: its length is used under TRAORI or G43.4; without it X Y Z are positions of the axes"] = None
             return self._length(words["H"]) if "H" in words else spindle
         if "G49" in words:
             return 0.0

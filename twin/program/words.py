@@ -36,7 +36,7 @@ class Word:
 
 
 def split_words(line: str) -> list[Word]:
-    """The words of a line in capitals, comment already taken off."""
+    """The words of a line in capitals, without comment."""
     words: list[Word] = []
     at = _BLANK.match(line).end()  # type: ignore[union-attr]
     while at < len(line):
@@ -84,7 +84,7 @@ def _assignment(line: str, at: int) -> tuple[Word, int] | None:
 
 
 def closing(line: str, at: int) -> int:
-    """Position of the bracket that closes the one at `at`; texts in quotes are passed over."""
+    """Position of the bracket that closes the one at `at`; quoted texts are skipped."""
     depth, quoted = 0, False
     for i in range(at, len(line)):
         if line[i] == '"':
@@ -99,7 +99,7 @@ def closing(line: str, at: int) -> int:
 
 
 def split_arguments(text: str) -> list[tuple[str, int]]:
-    """Arguments between commas, each with where it starts; an empty text has none."""
+    """Arguments between commas, each with its start; an empty text has none."""
     if not text.strip():
         return []
     parts, begin, depth, quoted = [], 0, 0, False
@@ -115,7 +115,7 @@ def split_arguments(text: str) -> list[tuple[str, int]]:
 
 
 def end_of_expression(line: str, at: int) -> int:
-    """Where an expression that starts at `at` ends: at the first thing that cannot continue it."""
+    """End of an expression that starts at `at`: the first character that cannot continue it."""
     operand = True  # an operand is due, not an operator
     while True:
         behind = _BLANK.match(line, at).end()  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""What every reader returns: named signals, each with its own times, as in the file. The map adds units and axes.
+"""Result of every reader of recordings: named signals, each with its own times, as in the file. The map adds units and axes.
 
 A new format is one module with `read(path, options) -> Recording` and one line in `formats.READERS`.
 """

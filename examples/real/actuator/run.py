@@ -1,14 +1,14 @@
-"""A ball screw actuator at 25 Hz with a current that has no sign: its load, and what such a record cannot show.
+"""Estimate load and friction of a ball screw actuator from a current recorded at 25 Hz without its sign.
 
     python examples/real/actuator/run.py normal.csv OTHER.csv ...
 
 The files are those of the data set for fault detection of linear actuators (Cranfield University), in the form of the project RAVEN, and are not
-part of this repository. On stretches of constant speed the current is
+part of this repository. At constant speed the current is
 
-    |i| = (friction -+ load) / K         less where the load helps the motion, more where it hinders
+    |i| = (friction -+ load) / K         - if the load supports the motion, + if it opposes it
 
-so half the difference of both directions is the load, half the sum the friction, both in ampere. One trial of a known load (the first of the
-first file) tells K.
+so half the difference of the two directions is the load, half their sum the friction, both in ampere. One trial with a known load (the first
+of the first file) gives K.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from twin.errors import InputError
 from twin.simulation.summary import table
 
 STEADY = 0.8
-"""A sample is steady where the set point moves faster than this share of its highest speed."""
+"""A sample is at constant speed if the set point moves faster than this share of its highest speed."""
 
 
 class Trial(NamedTuple):
-    """One trial: its load as the file says [kgf], and the currents [A] that load and friction take."""
+    """One trial: load given in the file [kgf], and currents [A] for load and friction."""
 
     load: float
     run: str
@@ -40,7 +40,7 @@ class Trial(NamedTuple):
 
 
 def read_trials(path: Path) -> list[Trial]:
-    """Trials of a file; InputError where it is none of this kind."""
+    """Trials of a file; InputError if it is not a file of this data set."""
     strokes: dict[tuple[float, str, str], list[tuple[float, float, float]]] = defaultdict(list)
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -65,7 +65,7 @@ def read_trials(path: Path) -> list[Trial]:
         forth, back = np.mean(pairs, axis=0)
         trials.append(Trial(load, run, 0.5 * (back - forth), 0.5 * (back + forth)))
     if not trials:
-        raise InputError(f"{path}: no stroke with constant speed in both directions; nothing can be said")
+        raise InputError(f"{path}: no stroke with constant speed in both directions; load and friction cannot be estimated")
     return trials
 
 
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summary_lines(trials: dict[str, list[Trial]]) -> list[str]:
-    """Load of every state, from the current of one trial with a known load, and what is not said."""
+    """Estimated load and friction by file and load, calibrated on one trial with a known load, and what the record cannot show."""
     first = next(iter(trials.values()))[0]
     k = first.by_load / first.load
     rows = []
@@ -101,13 +101,13 @@ def summary_lines(trials: dict[str, list[Trial]]) -> list[str]:
     return [
         f"calibrated on trial {first.run} with {first.load:g} kgf: {1e3 * k:.2f} mA/kgf",
         table(heading, rows, left=1),
-        *friction_told(trials),
-        "backlash, wear, stiffness: cannot be seen at 25 Hz with a current that has no sign; the gap of a screw closes between two samples.",
+        *friction_lines(trials),
+        "backlash, wear and stiffness cannot be seen at 25 Hz with an unsigned current: the screw crosses its backlash between two samples.",
     ]
 
 
-def friction_told(trials: dict[str, list[Trial]]) -> list[str]:
-    """How the friction of the other files differs from the first one's at equal load; a cause is not named."""
+def friction_lines(trials: dict[str, list[Trial]]) -> list[str]:
+    """Friction of the other files relative to the first one at equal load, without naming a cause."""
     names = list(trials)
     out = []
     for name in names[1:]:
@@ -117,7 +117,7 @@ def friction_told(trials: dict[str, list[Trial]]) -> list[str]:
             if here and there:
                 parts.append(f"{100 * (np.mean(here) / np.mean(there) - 1.0):+.0f} % at {load:g} kgf")
         out.append(
-            f"friction of {name} against {names[0]}: {', '.join(parts)}. What one load shows and another does not is no proof of a cause: none is named"
+            f"friction of {name} against {names[0]}: {', '.join(parts)}. No cause is named: a difference at some loads only does not prove one"
         )
     return out
 

@@ -1,11 +1,11 @@
-"""A robot with two encoders on each axis, KUKA KR300: axes 1 to 3 from the authors' numbers to a corrected machine.
+"""Identify axes 1 to 3 of a robot with two encoders on each axis (KUKA KR300), starting from published parameters.
 
     python examples/real/kr300/run.py FF_A.mat FF_B.mat [--out out/kr300] [--diagnose]
 
 The recordings are those of the MIT-licensed project Robot_Identification (J. Weigand and others); they are not part of this repository.
-The first one is fitted, the others are left out of every fit. The robot's position controller is not known: the twin follows the path that
-the motors took, and the torque that this takes is compared, and where the second encoder is. What gravity, the other axes and the change of
-inertia ask of an axis is given by the authors' model along the way: it is taken off the recorded torque.
+The first one is fitted, the others are held out. The robot's position controller is unknown, so the twin follows the measured path of the
+motors, and torque and second encoder are compared. Gravity, coupling with other axes and the change of inertia are given by the authors'
+model along the path as a known load.
 """
 
 from __future__ import annotations
@@ -33,26 +33,24 @@ from twin.simulation.summary import table
 
 AXES = ("1", "2", "3")
 SMOOTHED = 15
-"""Samples over which the path of a motor is smoothed before the twin follows it."""
+"""Number of samples over which the path of a motor is smoothed before the twin follows it."""
 
 KNOWN_HZ = 28.0
-"""The smoothed path holds nothing above: what the recorded torque does there no machine file can explain."""
+"""The smoothed path has no content above this frequency, so no machine file can explain the recorded torque there."""
 
 FOLLOWED_S = 0.5e-3
-"""Cycle of the twin's own control, and of the record as it is fitted (on a spline): a command that is held for the 4 ms of the record puts a saw-tooth
-on the torque, as large as what inertia takes."""
+"""Cycle of the twin's control, and of the record after resampling (spline). A command that is constant for the 4 ms of the record would cause a
+saw-tooth in the torque as large as the torque of the inertia."""
 
 LAG_S = 4e-3
-"""Lag of the speed loop with which the twin follows that path."""
+"""Lag of the twin's speed loop on this path [s]."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument(
-        "recordings", type=Path, nargs="+", metavar="FF_A.mat", help="recordings; all but the first are left out of the fit"
-    )
+    parser.add_argument("recordings", type=Path, nargs="+", metavar="FF_A.mat", help="recordings; all but the first are held out")
     parser.add_argument("--out", type=Path, default=Path("out/kr300"), metavar="DIR", help="folder for all results")
-    parser.add_argument("--diagnose", action="store_true", help="ask what is left, too")
+    parser.add_argument("--diagnose", action="store_true", help="also diagnose the remaining gap")
     args = parser.parse_args(arguments)
     if missing := [str(f) for f in args.recordings if not f.is_file()]:
         print(f"run.py: {missing[0]}: no such file; skipped. Give the recordings of the project Robot_Identification", file=sys.stderr)
@@ -92,14 +90,14 @@ def write_campaign(folder: Path, runs: Sequence[MeasuredRun], machine: str) -> N
 
 @dataclass(frozen=True)
 class Model:
-    """The authors' numbers of axes 1 to 3: parameters (axis,), and along the way (axis, sample) at the joint [Nm, kg m2]."""
+    """The authors' model of axes 1 to 3: parameters (axis,), and inertia and load along the path (axis, sample) at the joint [kg m2, Nm]."""
 
     ratio: np.ndarray
     rotor: np.ndarray
     coulomb: np.ndarray
     viscous: np.ndarray
     inertia: np.ndarray
-    load: np.ndarray  # gravity, Coriolis torque and what the other axes' accelerations press
+    load: np.ndarray  # gravity, Coriolis torque and torque by the other axes' accelerations
 
 
 def model_of(file: Path) -> Model:
@@ -112,7 +110,7 @@ def model_of(file: Path) -> Model:
 
 
 def following(run: MeasuredRun, model: Model) -> MeasuredRun:
-    """The run with the path of each motor as its set point, and the authors' loads along the way, less mean inertia and friction, as known ones."""
+    """The run with the path of each motor as its set point, and the authors' loads beyond mean inertia and friction as known loads."""
     signals = {}
     for a, name in enumerate(AXES):
         path = savgol_filter(run.trace.get(name, "motor_position"), SMOOTHED, 3)
@@ -132,7 +130,7 @@ def following(run: MeasuredRun, model: Model) -> MeasuredRun:
 def machine_text(model: Model) -> str:
     """A machine file: three rotary axes whose drives take a torque."""
     lines = [
-        'name = "KR300, axes 1 to 3"\nmodel = "axes.xml"\ngravity_m_per_s2 = 0.0   # given along the way\nparameter_tolerance = 0.05',
+        'name = "KR300, axes 1 to 3"\nmodel = "axes.xml"\ngravity_m_per_s2 = 0.0   # given along the path\nparameter_tolerance = 0.05',
         f'axis_order = ["1", "2", "3"]\n[control]\nspeed_cycle_us = {FOLLOWED_S * 1e6:g}\nposition_cycle_us = {FOLLOWED_S * 1e6:g}',
     ]
     for a, name in enumerate(AXES):
@@ -165,7 +163,7 @@ velocity_feedforward = 1.0""")
 
 
 def model_xml(model: Model) -> str:
-    """Three hinges side by side, each with the mean inertia that its joint has along the way."""
+    """Three independent hinges, each with the mean inertia of its joint along the path."""
     bodies = "".join(
         f'<body name="body{n}" pos="0 {a} 0"><inertial pos="0 0 0" mass="1" diaginertia="{j:.6g} {j:.6g} {j:.6g}"/>'
         f'<joint name="{n}" type="hinge" axis="0 0 1"/></body>'
@@ -175,13 +173,13 @@ def model_xml(model: Model) -> str:
 
 
 def gaps_text(machines: Mapping[str, Machine], runs: Sequence[MeasuredRun]) -> str:
-    """RMS gap of torque [Nm at the motor], all of it and below KNOWN_HZ, and of the second encoder [arcsec], where the axes move."""
+    """RMS gap of torque [Nm at the motor], total and below KNOWN_HZ, and of the second encoder [arcsec], where the axes move."""
     rows = []
     for number, run in enumerate(runs):
         simulated = {label: predict(machine, run, realisations=1).trace for label, machine in machines.items()}
         known = butter(4, KNOWN_HZ, fs=1.0 / run.trace.period, output="sos")
         for name in AXES:
-            row = [run.name, "fitted" if number == 0 else "left out", name]
+            row = [run.name, "fitted" if number == 0 else "held out", name]
             for signal, factor, slow in (("torque", 1.0, False), ("torque", 1.0, True), ("position", np.degrees(1.0) * 3600.0, False)):
                 for label, machine in machines.items():
                     off = run.trace.get(name, signal) - simulated[label].get(name, signal)

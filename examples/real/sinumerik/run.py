@@ -1,10 +1,10 @@
-"""A production machine under a SINUMERIK 840D sl: from its recording to a simulated axis, in one command.
+"""Identify a production machine with a SINUMERIK 840D sl from its recording, and compare the simulated axes with it.
 
     python examples/real/sinumerik/run.py recording.json [--out out/sinumerik]
 
 `recording.json` is a recording of SINUMERIK Edge ("Capture4Analysis") as published with the MIT-licensed project CaptureDataParser; it is not
-part of this repository. The script imports it, makes a machine with lumped parameters (there is no data sheet), identifies it on all but the
-last part of each axis' motion, and prints what the axis does there: measured against simulated.
+part of this repository. The script imports it, makes a machine with lumped parameters (there is no data sheet), identifies it without the last
+part of each axis' motion, and compares measurement and simulation on this held-out part.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from twin.cli.parser import show_and_run
 from twin.errors import TwinError
-from twin.identify.held_out import Division, divided
+from twin.identify.held_out import Division, divide_runs
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
 from twin.simulation.added_feedforward import added_feedforward
@@ -30,7 +30,7 @@ from twin.simulation.summary import table
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("recording", type=Path, metavar="recording.json", help="the recording of the control")
-    parser.add_argument("--diagnose", action="store_true", help="hold the recording against the identified machine, too")
+    parser.add_argument("--diagnose", action="store_true", help="also diagnose the recording against the identified machine")
     parser.add_argument("--out", type=Path, default=Path("out/sinumerik"), metavar="DIR", help="folder for all results")
     args = parser.parse_args(arguments)
     if not args.recording.is_file():
@@ -62,17 +62,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summary_text(machine: Machine, campaign: Campaign) -> str:
-    """Gap of each axis on the part of its motion that was left out, in parts of following error and range of the current."""
-    division = divided(machine, campaign.runs)
+    """Gap of each axis on its held-out motion, as share of the following error and of the range of the current."""
+    division = divide_runs(machine, campaign.runs)
     predictions = {run.name: predict(machine, run).trace for run in campaign.runs}
     rows, pulses = [], []
     for axis in machine.axes:
         gap, lag, current, late = [], [], [], []
         delay = best_delay(division, axis.name)
         whole = [run.trace.get(axis.name, "current") for run in campaign.runs]
-        for i, left_out in division.judged(axis.name):
+        for i, held_out in division.judged(axis.name):
             run = division.runs[i]
-            moving = left_out & is_moving(run.trace, axis)
+            moving = held_out & is_moving(run.trace, axis)
             simulated = predictions[run.name]
             gap.append((run.trace.get(axis.name, "position") - simulated.get(axis.name, "position"))[moving])
             lag.append((run.trace.get(axis.name, "position") - run.trace.get(axis.name, "setpoint"))[moving])
@@ -92,13 +92,13 @@ def summary_text(machine: Machine, campaign: Campaign) -> str:
         frequency = strongest(whole_gap, campaign.runs[0].trace.period)
         span = float(np.ptp(np.concatenate(whole)))
         rows.append([axis.name, f"{f * 1e6:.1f}", f"{e * 1e6:.2f}", f"{100 * e / f:.2f} %", f"{100 * share:.2f} %", f"{i:.3f}", f"{100 * i / span:.1f} %", f"{100 * d / f:.0f} %", f"{rms(standing) * 1e6:.2f}", f"{frequency:.0f}"])  # fmt: skip
-    heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "of it in all motion", "gap of the current [A RMS]", "of its range", "a pure delay leaves", "gap at rest [um RMS]", "strongest at [Hz]"]  # fmt: skip
-    said = f"\nlargest pulse of the recorded feedforward beside the slope of the set points: axis {', axis '.join(pulses)}"
-    return "\non the motion that no fit has seen:\n" + table(heading, rows, left=1) + said
+    heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "of it in all motion", "gap of the current [A RMS]", "of its range", "residual of a pure delay", "gap at rest [um RMS]", "strongest at [Hz]"]  # fmt: skip
+    said = f"\nlargest pulse of the recorded feedforward in addition to the slope of the set points: axis {', axis '.join(pulses)}"
+    return "\non the held-out motion:\n" + table(heading, rows, left=1) + said
 
 
 def best_delay(division: Division, axis: str) -> float:
-    """The delay [s] by which the set point comes nearest to the position on the motion that was fitted: what no simulation is needed for."""
+    """Delay [s] of the set point that fits the position best on the training motion, as a reference without a simulation."""
     delays = np.arange(0.0, 0.03, 1e-4)
     left = np.zeros(len(delays))
     for run, fitted in zip(division.runs, division.fitted[axis]):
@@ -108,7 +108,7 @@ def best_delay(division: Division, axis: str) -> float:
 
 
 def strongest(parts: Sequence[np.ndarray], period: float) -> float:
-    """Frequency [Hz] at which most of the parts' motion lies."""
+    """Frequency [Hz] of the largest component in the longest part."""
     longest = max(parts, key=len)
     spectrum = np.abs(np.fft.rfft((longest - longest.mean()) * np.hanning(len(longest))))
     return float(np.fft.rfftfreq(len(longest), period)[int(np.argmax(spectrum))])

@@ -11,7 +11,7 @@ import pytest
 
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.law.closed_loop import ClosedLoop, state_of, unknowns_of
-from twin.diagnose.law.laws import MOST_PROBABLE_IN_ONE_RUN, _from, _has_size, _named_instead, laws_of
+from twin.diagnose.law.laws import MOST_PROBABLE_IN_ONE_RUN, _is_significant, _replace_laws_by_effects, _search_from, laws_of
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import in_turn
@@ -175,8 +175,8 @@ def test_an_effect_is_preferred_to_an_equivalent_law():
     group = observe_once(runs_of([wave]))
     loop = ClosedLoop(group, ("X",), folds_of(len(group.views)), in_turn)
     start = state_of(X, X, ("X",), group.thresholds)
-    assert _from(loop, start, "X", X, lambda _: None).laws
-    both = _from(loop, start, "X", X, lambda _: None, back=there)
+    assert _search_from(loop, start, "X", X, lambda _: None).laws
+    both = _search_from(loop, start, "X", X, lambda _: None, restorable=there)
     assert both.laws == []
     assert [s.effect.name for s in both.fitted.state.settings] == ["cyclic_error"]
 
@@ -193,7 +193,7 @@ def test_a_single_run_is_predicted_half_by_half():
     before, columns = rng.standard_normal(group.size), rng.standard_normal((group.size, 40))
     left = before - columns @ np.linalg.lstsq(columns, before, rcond=None)[0]
     nothing = np.zeros(40)
-    fitted = loop._judged(state, [], left, columns, 0.5 * float(left @ left), nothing, nothing)
+    fitted = loop._cross_validated(state, [], left, columns, 0.5 * float(left @ left), nothing, nothing)
     assert fitted.loss < 0.5 * float(before @ before) < fitted.held_out
     assert fitted.without(0) == state  # the machine file is fitted to all samples
 
@@ -204,7 +204,7 @@ class _State:
 
 
 @pytest.mark.parametrize(("left_by_effect", "named"), [(103.0, ["backlash"]), (140.0, ["law"])])
-def test_a_law_that_leaves_noise_stays_where_the_effect_leaves_more(left_by_effect, named):
+def test_an_effect_replaces_a_law_only_if_it_predicts_as_well(left_by_effect, named):
     """Play of a scale explains almost as much of the gap (1000 here) as a backlash, but the difference is large against noise (100)."""
     play, backlash = (SimpleNamespace(key=name) for name in ("law", "backlash"))
     left = {("law",): 100.0, ("backlash",): left_by_effect, (): 1000.0}
@@ -214,14 +214,16 @@ def test_a_law_that_leaves_noise_stays_where_the_effect_leaves_more(left_by_effe
 
     loop = SimpleNamespace(fit=fit, expected=100.0)
     fitted = fit(_State((play,)))
-    assert [s.key for s in _named_instead(loop, fitted, [SimpleNamespace(setting=play)], [backlash], 0.01).state.settings] == named
+    assert [
+        s.key for s in _replace_laws_by_effects(loop, fitted, [SimpleNamespace(setting=play)], [backlash], 0.01).state.settings
+    ] == named
 
 
 def test_a_fit_with_the_slopes_of_another_has_the_same_result(monkeypatch):
     loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
     simulated = []
-    left = loop.left_by_each
-    monkeypatch.setattr(loop, "left_by_each", lambda states: simulated.extend(states) or left(states))
+    left = loop.residuals_of_each
+    monkeypatch.setattr(loop, "residuals_of_each", lambda states: simulated.extend(states) or left(states))
 
     def fitted(height, like=None):
         simulated.clear()
@@ -256,4 +258,4 @@ def test_a_law_with_an_insignificant_height_is_removed(height, kept):
     fitted = loop.fit(state, X.parameter_tolerance, steps=0)
     assert fitted is not None
     fitted = replace(fitted, deviations=np.full(len(fitted.unknowns), 0.1 if kept else 1e6))
-    assert _has_size(fitted, 0) is kept
+    assert _is_significant(fitted, 0) is kept

@@ -7,7 +7,7 @@ import pytest
 
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.laws import LEAST_PREDICTS
-from twin.diagnose.law.residual import Passed, Samples
+from twin.diagnose.law.residual import ControllerRun, Samples
 from twin.effects.law import Law, cycle_of
 from twin.effects.law_filters import RING, filter_row, filtered
 from twin.effects.law_shapes import SHAPES
@@ -35,7 +35,7 @@ def passed_by(block: str, name: str | None, numbers: dict[str, float], gain: flo
             shape = SHAPES[name]
             row, state = np.array(filter_row(shape, numbers, cycle)), np.zeros(RING + 1)
             given = np.repeat([filtered(shape.code, u, row, state, i == 0) for i, u in enumerate(wanted[::every])], every)
-        runs.append(Passed(variable[0], wanted[::steps], gain * given[::steps] + rng.normal(0.0, NOISE, COUNT), NOISE, period))
+        runs.append(ControllerRun(variable[0], wanted[::steps], gain * given[::steps] + rng.normal(0.0, NOISE, COUNT), NOISE, period))
     nothing = np.zeros(3)
     return Samples("X", block, nothing, NOISE, nothing, nothing, nothing.astype(int), {}, {}, tuple(runs))
 
@@ -53,7 +53,7 @@ def test_a_filter_is_recognised_beside_a_gain(block: str, name: str, numbers: di
         assert best.numbers[key] == pytest.approx(value, rel=0.03), key
 
 
-def test_a_gain_is_no_filter():
+def test_a_gain_is_not_recognised_as_a_filter():
     assert all(f.predicts < LEAST_PREDICTS for f in filters_of(passed_by("speed controller", None, {}, gain=1.1), MACHINE))
 
 

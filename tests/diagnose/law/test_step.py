@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose.law import step
-from twin.diagnose.law.laws import MOST_EFFECTS, _settings
+from twin.diagnose.law.laws import MOST_EFFECTS, _settings_of
 from twin.effects import EFFECTS, Setting
 
 
@@ -18,7 +18,7 @@ def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None):
     monkeypatch.setattr(step, "laws_of", lambda groups, machine, corrected, axes, *rest: asked.append(axes))
     monkeypatch.setattr(step, "fitted_without", lambda *_: mikron)
     found = [replace(found_of(group), unknown=unknown)]
-    list(step.laws_beside(found, before or levels, levels, loudest, mikron, mikron, [[0]], map, print))
+    list(step.find_unlisted_laws(found, before or levels, levels, loudest, mikron, mikron, [[0]], map, print))
     return asked
 
 
@@ -41,15 +41,15 @@ def test_many_effects_that_leave_only_noise_are_a_result():
     group = group_of([np.full(50, 3.0)], "X")
     effects = [Setting(EFFECTS[name], "X", {}) for name in list(EFFECTS)[: MOST_EFFECTS + 1]]
     many, few = (SimpleNamespace(group=group, fit=SimpleNamespace(settings=some)) for some in (effects, effects[:3]))
-    assert step.explained_by_many(many, {"X": 90.0}, {"X": 1.1})
-    assert not step.explained_by_many(many, {"X": 90.0}, {"X": 1.6})
-    assert not step.explained_by_many(few, {"X": 90.0}, {"X": 1.1})
-    assert not step.explained_by_many(many, {"X": 1.0}, {"X": 1.0})
+    assert step.many_effects_explain(many, {"X": 90.0}, {"X": 1.1})
+    assert not step.many_effects_explain(many, {"X": 90.0}, {"X": 1.6})
+    assert not step.many_effects_explain(few, {"X": 90.0}, {"X": 1.1})
+    assert not step.many_effects_explain(many, {"X": 1.0}, {"X": 1.0})
 
 
 def test_the_length_of_a_play_is_its_height(mikron):
     law = {"name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line"}
     law |= {"height": -8e-6, "reach": 1.0, "length": 2e-6}
     proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))
-    starts = [s.parameters["length"] for _, _, s in _settings([(proposal, None)], "X", mikron)]
+    starts = [s.parameters["length"] for _, _, s in _settings_of([(proposal, None)], "X", mikron)]
     assert starts == [8e-6]

@@ -94,14 +94,14 @@ def factor_of(samples: Samples, candidate: Candidate, axis: Axis) -> np.ndarray 
     return -1.0 if candidate.block == "measurement" else 1.0
 
 
-def from_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
+def zeroed_at_run_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
     """Columns (sample, n) of a displacement, zero at the start of each run."""
     return columns - columns[samples.first]
 
 
-def in_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.ndarray) -> np.ndarray:
+def contribution_to_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.ndarray) -> np.ndarray:
     """Contribution (sample, n) of values of a law to the residual."""
     if samples.through is not None:
         return samples.through.current(columns, samples.first)
     acting = columns * (factor if np.isscalar(factor := factor_of(samples, candidate, axis)) else np.asarray(factor)[:, None])
-    return from_start(samples, acting) if candidate.output == "displacement" else acting
+    return zeroed_at_run_start(samples, acting) if candidate.output == "displacement" else acting

@@ -156,7 +156,7 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
     return found
 
 
-def _name(unknown: Unknown, state: State) -> Name:
+def _identity(unknown: Unknown, state: State) -> Name:
     """Identity of an unknown, independent of its index in the state."""
     if unknown.nuisance is not None:
         return unknown.nuisance
@@ -164,7 +164,7 @@ def _name(unknown: Unknown, state: State) -> Name:
     return state.settings[unknown.setting].key, unknown.name
 
 
-def _is_in_proportion(unknown: Unknown, state: State) -> bool:
+def _is_proportional(unknown: Unknown, state: State) -> bool:
     """Whether the response is proportional to an unknown. Its step is then unlimited and may change the sign."""
     if unknown.setting is None:
         return True
@@ -198,7 +198,7 @@ class Fitted:
     @property
     def slopes(self) -> dict[Name, np.ndarray]:
         """Slopes (row,) by identity of the unknown, per unit instead of per step."""
-        return {_name(u, self.state): self.columns[:, i] / u.step for i, u in enumerate(self.unknowns)}
+        return {_identity(u, self.state): self.columns[:, i] / u.step for i, u in enumerate(self.unknowns)}
 
     def without(self, fold: int) -> State:
         """The state fitted to the other folds."""
@@ -254,9 +254,9 @@ class ClosedLoop:
 
     def left(self, state: State) -> np.ndarray:
         """Weighted residual (row,) of a state on the measured runs, without the encoder zeros of each run."""
-        return all_or_raise(self.left_by_each([state]))[0]
+        return all_or_raise(self.residuals_of_each([state]))[0]
 
-    def left_by_each(self, states: Sequence[State]) -> list[np.ndarray | TwinError]:
+    def residuals_of_each(self, states: Sequence[State]) -> list[np.ndarray | TwinError]:
         """Residuals of several states, or the error of a state that cannot be simulated. All states have slip, or none."""
         # slip needs simulations with noise in the loop
         creeps = any(s.axis in self.axes and s.effect.normal == "slip" for s in states[0].settings)
@@ -283,7 +283,7 @@ class ClosedLoop:
         except TwinError:
             return None
         known = like.slopes if like else {}
-        names = [_name(u, state) for u in unknowns]
+        names = [_identity(u, state) for u in unknowns]
         columns = np.zeros((len(self.rows), len(unknowns)), order="F")
         for i, name in enumerate(names):
             columns[:, i] = known[name] * unknowns[i].step if name in known else 0.0
@@ -299,7 +299,7 @@ class ClosedLoop:
             columns[:, asked] = self._slopes(state, unknowns, asked, left)
             taken_here |= set(asked)
             asked = sorted(bent - taken_here)
-            better = self._better(state, unknowns, columns, left, prior, offset)
+            better = self._improving_step(state, unknowns, columns, left, prior, offset)
             if better is None and asked:
                 continue  # no improvement with slopes from another state: compute them here
             if better is None:
@@ -312,7 +312,7 @@ class ClosedLoop:
             if gained < CONVERGED * loss and (holds or not asked):
                 break
             taken_here, asked = set(), [] if holds else sorted(bent)
-        return self._judged(state, unknowns, left, columns, loss, prior, offset)
+        return self._cross_validated(state, unknowns, left, columns, loss, prior, offset)
 
     def _slopes(self, state: State, unknowns: Sequence[Unknown], asked: Sequence[int], left: np.ndarray) -> np.ndarray:
         """Slopes (row, asked) of some unknowns by a forward step, or a backward step if the forward step has no effect or fails."""
@@ -320,19 +320,19 @@ class ClosedLoop:
         missing = list(range(len(asked)))
         for side in (1.0, -1.0):
             moved = [state.moved(unknowns, side * np.eye(len(unknowns))[asked[j]]) for j in missing]
-            for j, rest in zip(missing, self.left_by_each(moved) if moved else []):
+            for j, rest in zip(missing, self.residuals_of_each(moved) if moved else []):
                 if not isinstance(rest, TwinError):
                     slopes[:, j] = (left - rest) * side
             missing = [j for j in missing if not slopes[:, j].any()]
         return slopes
 
-    def _better(  # type: ignore[no-untyped-def]
+    def _improving_step(  # type: ignore[no-untyped-def]
         self, state: State, unknowns: Sequence[Unknown], columns: np.ndarray, left: np.ndarray, prior: np.ndarray, offset: np.ndarray
     ):
         """State, residual and move of one Levenberg-Marquardt step that decreases the loss, or None."""
         before = 0.5 * float(left @ left) + 0.5 * float(prior @ offset**2)
         normal, slope = columns.T @ columns, columns.T @ left - prior * offset
-        limits = np.array([math.inf if _is_in_proportion(u, state) else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
+        limits = np.array([math.inf if _is_proportional(u, state) else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
         for damping in DAMPINGS:
             move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + np.diag(prior), slope)
             move = np.clip(move, -limits, limits)
@@ -345,7 +345,7 @@ class ClosedLoop:
                 return tried, after, move
         return None
 
-    def _judged(self, state, unknowns, left, columns, loss, prior, offset) -> Fitted:  # type: ignore[no-untyped-def]
+    def _cross_validated(self, state, unknowns, left, columns, loss, prior, offset) -> Fitted:  # type: ignore[no-untyped-def]
         normal = columns.T @ columns + np.diag(prior)
         slope = columns.T @ left - prior * offset
         moves, held_out = {}, 0.0

@@ -44,7 +44,7 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
         x = np.linspace(curve.x[0], curve.x[-1], 500)
         formula = table.values(x, law.setting.parameters, axis)
         # level and, over a speed, slope belong to the nominal machine: fit both curves to the same ones
-        weight = np.sqrt(_driven(law, curve.x))
+        weight = np.sqrt(_sample_density(law, curve.x))
         apart = curve.y - np.interp(curve.x, x, formula)
         y = (
             curve.y
@@ -65,7 +65,7 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
     return figure
 
 
-def _driven(law: Law, at: np.ndarray) -> np.ndarray:
+def _sample_density(law: Law, at: np.ndarray) -> np.ndarray:
     """Fraction of the samples closest to each point (point,)."""
     x = variable_of(law.samples, law.measured.candidate)
     period = law.measured.candidate.period or (2.0 * math.pi if law.measured.candidate.variable == "turn" else 0.0)

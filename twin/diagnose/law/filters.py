@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 
 from twin.diagnose.law.candidates import Candidate
 from twin.diagnose.law.measure import Curve
-from twin.diagnose.law.residual import Passed, Samples
+from twin.diagnose.law.residual import ControllerRun, Samples
 from twin.diagnose.law.shapes import Described
 from twin.effects.law import Law, cycle_of
 from twin.effects.law_filters import RING, response
@@ -61,7 +61,7 @@ of the library."""
 
 
 @dataclass(frozen=True)
-class _Lines:
+class _SpectralSums:
     """Sums over one run in each band: |U|^2 / S, conj(U) Y / S, |Y|^2 / S."""
 
     own: np.ndarray
@@ -78,17 +78,17 @@ def filters_of(samples: Samples, machine: Machine) -> list[Described]:
         if output == "received_speed":
             highest = min(highest, HIGHEST_IN_STEPS / machine.position_cycle)
         bands = np.arange(1, max(int(highest / BAND_HZ), 3))
-        runs = [lines for p in passed if len(p.wanted) * p.period > LEAST_S and (lines := _lines(p, bands)) is not None]
+        runs = [lines for p in passed if len(p.wanted) * p.period > LEAST_S and (lines := _spectral_sums(p, bands)) is not None]
         if len(runs) < 2:
             continue
         for candidate, names in PLACES[output]:
             for name in names:
                 law = Law(candidate.block, candidate.output, candidate.variable, SHAPES[name])
-                found.append(_fitted(samples, candidate, law.shape, cycle_of(law, machine), runs, (bands + 0.5) * BAND_HZ))
+                found.append(_fit_filter(samples, candidate, law.shape, cycle_of(law, machine), runs, (bands + 0.5) * BAND_HZ))
     return sorted(found, key=lambda d: -d.predicts)
 
 
-def _lines(passed: Passed, bands: np.ndarray) -> _Lines | None:
+def _spectral_sums(passed: ControllerRun, bands: np.ndarray) -> _SpectralSums | None:
     """Transforms of one run, summed in bands; None if the block had no input."""
     count = len(passed.wanted)
     u, y = (np.fft.rfft(values - passed.wanted[0]) for values in (passed.wanted, passed.given))
@@ -102,10 +102,10 @@ def _lines(passed: Passed, bands: np.ndarray) -> _Lines | None:
         return np.bincount(of[keep] - bands[0], (values / power)[keep], len(bands))
 
     cross = np.conj(u) * y
-    return _Lines(summed(np.abs(u) ** 2), summed(cross.real) + 1j * summed(cross.imag), summed(np.abs(y) ** 2))
+    return _SpectralSums(summed(np.abs(u) ** 2), summed(cross.real) + 1j * summed(cross.imag), summed(np.abs(y) ** 2))
 
 
-def _loss(runs: Sequence[_Lines], f: np.ndarray) -> tuple[float, float]:
+def _loss(runs: Sequence[_SpectralSums], f: np.ndarray) -> tuple[float, float]:
     """Residual of a filter (frequency,) with its optimal gain, and that gain."""
     cross = sum(float(np.sum((np.conj(f) * r.cross).real)) for r in runs)
     own = sum(float(np.sum(np.abs(f) ** 2 * r.own)) for r in runs)
@@ -113,12 +113,14 @@ def _loss(runs: Sequence[_Lines], f: np.ndarray) -> tuple[float, float]:
     return sum(float(r.given.sum()) for r in runs) - gain * cross, gain
 
 
-def _left(run: _Lines, f: np.ndarray, gain: float) -> float:
+def _run_loss(run: _SpectralSums, f: np.ndarray, gain: float) -> float:
     """Residual of a filter with a gain in one run."""
     return float(np.sum(run.given - 2.0 * gain * (np.conj(f) * run.cross).real + gain**2 * np.abs(f) ** 2 * run.own))
 
 
-def _fitted(samples: Samples, candidate: Candidate, shape: Shape, cycle: float, runs: Sequence[_Lines], frequency: np.ndarray) -> Described:
+def _fit_filter(
+    samples: Samples, candidate: Candidate, shape: Shape, cycle: float, runs: Sequence[_SpectralSums], frequency: np.ndarray
+) -> Described:
     """One filter, fitted to all runs and cross-validated run by run."""
     names = [n.name for n in shape.numbers]
     starts, low, high = _starts(shape, cycle, frequency)
@@ -126,7 +128,7 @@ def _fitted(samples: Samples, candidate: Candidate, shape: Shape, cycle: float, 
     def of(logs: np.ndarray) -> np.ndarray:
         return response(shape, dict(zip(names, np.exp(np.clip(logs, low, high)))), cycle, frequency)
 
-    def fit(some: Sequence[_Lines], start: np.ndarray) -> np.ndarray:
+    def fit(some: Sequence[_SpectralSums], start: np.ndarray) -> np.ndarray:
         simplex = np.vstack([start, start + 0.2 * np.eye(len(names))])
         options = {"initial_simplex": simplex, "maxfev": 80 * len(names), "xatol": 1e-4}
         found = minimize(lambda logs: _loss(some, of(logs))[0], start, method="Nelder-Mead", options=options)
@@ -138,12 +140,12 @@ def _fitted(samples: Samples, candidate: Candidate, shape: Shape, cycle: float, 
     for i, run in enumerate(runs):
         others = [*runs[:i], *runs[i + 1 :]]
         logs = fit(others, best)
-        of_run[i] = _left(run, of(logs), _loss(others, of(logs))[1])
-        base[i] = _left(run, through, _loss(others, through)[1])
+        of_run[i] = _run_loss(run, of(logs), _loss(others, of(logs))[1])
+        base[i] = _run_loss(run, through, _loss(others, through)[1])
     predicts = 1.0 - of_run.sum() / max(base.sum(), 1e-300)
     better = float(base[of_run < base].sum() / max(base.sum(), 1e-300))
     numbers = {n: float(math.exp(v)) for n, v in zip(names, best)}
-    curve = _curve(candidate, runs, frequency, predicts, better)
+    curve = _measured_response(candidate, runs, frequency, predicts, better)
     return Described(candidate, shape.name, numbers, predicts, curve, np.zeros(len(samples)))
 
 
@@ -161,7 +163,7 @@ def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.
     return [np.log([t]) for t in times], np.log([0.1 * cycle]), np.log([longest])
 
 
-def _curve(candidate: Candidate, runs: Sequence[_Lines], frequency: np.ndarray, predicts: float, better: float) -> Curve:
+def _measured_response(candidate: Candidate, runs: Sequence[_SpectralSums], frequency: np.ndarray, predicts: float, better: float) -> Curve:
     """Magnitude of the measured response over frequency [Hz] in bands above noise. The standard deviation includes noise and the scatter between
     runs."""
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, RESPONSE_POINTS + 1)

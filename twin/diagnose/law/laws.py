@@ -125,14 +125,14 @@ def laws_of(
                 corrected, *without = (with_effects(m, [*settings_of(m), jitter.setting]) for m in (corrected, *without))
                 left[axis] = 1.0 - jitter.explained
                 continue
-            best = _of_axis(group, machine, corrected, axis, folds, mapper, say)
+            best = _search_axis(group, machine, corrected, axis, folds, mapper, say)
             left[axis] = best.left
             if not best.laws or best.fitted is None:
                 continue
             laws += best.laws
             fitted = best.fitted
             corrected = fitted.state.corrected()
-            without = [_taken_over(m, fitted.without(i), axis) for i, m in enumerate(without)]
+            without = [_with_axis_of(m, fitted.without(i), axis) for i, m in enumerate(without)]
     return Laws(tuple(laws), corrected, tuple(without), left)
 
 
@@ -146,25 +146,25 @@ def _jitter(group: Group, machine: Machine, corrected: Machine, axis: str, mappe
     return None
 
 
-def _taken_over(machine: Machine, state: State, axis: str) -> Machine:
+def _with_axis_of(machine: Machine, state: State, axis: str) -> Machine:
     """A machine with the values and effects of one axis taken from a state."""
     whole = state.corrected()
     document = {**machine.document}
     document["axis"] = {**document["axis"], axis: whole.document["axis"][axis]}
     effects = [e for e in machine.effects if e["axis"] != axis] + [e for e in whole.effects if e["axis"] == axis]
-    return machine.with_values({f"axis.{axis}.{k}": v for k, v in _leaves(whole.document["axis"][axis])} | {"effect": effects})
+    return machine.with_values({f"axis.{axis}.{k}": v for k, v in _numbers_in(whole.document["axis"][axis])} | {"effect": effects})
 
 
-def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+def _numbers_in(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
     for key, value in table.items():
         if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{key}.")
+            yield from _numbers_in(value, f"{prefix}{key}.")
         elif isinstance(value, int | float) and not isinstance(value, bool):
             yield f"{prefix}{key}", value
 
 
 @dataclass(frozen=True)
-class _OfAxis:
+class _AxisLaws:
     """Laws of one axis from one start, their fit, and the remaining fraction of the gap above noise."""
 
     laws: list[Law]
@@ -172,9 +172,9 @@ class _OfAxis:
     left: float
 
 
-def _of_axis(
+def _search_axis(
     group: Group, machine: Machine, corrected: Machine, axis: str, folds: Sequence[Sequence[int]], mapper: Mapper, say: Say
-) -> _OfAxis:
+) -> _AxisLaws:
     """Laws of one axis in addition to its effects, or instead of them if that predicts clearly better.
 
     A search without the law may find effects that do not exist. The search for laws therefore also starts without the effects of the axis
@@ -185,8 +185,8 @@ def _of_axis(
     loop = loop.halving_its_only_loud_fold(loop.left(state))
     own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
     if not own or len(own) > MOST_EFFECTS:
-        return _from(loop, state, axis, machine, say)
-    beside = _from(loop, state, axis, machine, say, idle=own)
+        return _search_from(loop, state, axis, machine, say)
+    beside = _search_from(loop, state, axis, machine, say, removable=own)
     say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own)}")
     bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
     starts = [as_in_the_file(state, axis), bare]
@@ -194,8 +194,8 @@ def _of_axis(
         starts += [with_law(with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     best = beside
     for start in starts:
-        alone = _from(loop, start, axis, machine, say, own)
-        if alone.fitted is not None and alone.laws and (best.fitted is None or _clearly_better(loop, alone.fitted, best.fitted)):
+        alone = _search_from(loop, start, axis, machine, say, own)
+        if alone.fitted is not None and alone.laws and (best.fitted is None or _predicts_clearly_better(loop, alone.fitted, best.fitted)):
             best = alone
             if best.left < LITTLE_LEFT:
                 break
@@ -211,7 +211,7 @@ def as_in_the_file(state: State, axis: str) -> State:
     return replace(state, values=values, settings=tuple(s for s in state.settings if s.axis != axis))
 
 
-def _clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
+def _predicts_clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
     """Whether a fit predicts runs left out better by the margin that each additional effect or law requires. With equal numbers of them, the
     new fit needs the margin once."""
     more = len(new.state.settings) - len(old.state.settings)
@@ -219,32 +219,38 @@ def _clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
     return new.held_out + margin < old.held_out
 
 
-def _from(
-    loop: ClosedLoop, state: State, axis: str, machine: Machine, say: Say, back: Sequence[Setting] = (), idle: Sequence[Setting] = ()
-) -> _OfAxis:
-    """Laws of one axis from a start state, added one by one while each reduces the gap enough. Then effects in `back` are restored if they
-    reduce the gap, and effects in `idle` are removed if they no longer do."""
+def _search_from(
+    loop: ClosedLoop,
+    state: State,
+    axis: str,
+    machine: Machine,
+    say: Say,
+    restorable: Sequence[Setting] = (),
+    removable: Sequence[Setting] = (),
+) -> _AxisLaws:
+    """Laws of one axis from a start state, added one by one while each reduces the gap enough. Then effects in `restorable` are restored if they
+    reduce the gap, and effects in `removable` are removed if they no longer do."""
     tolerance = machine.parameter_tolerance
     first = loop.fit(state, tolerance, steps=2)
     if first is None:
-        return _OfAxis([], None, 1.0)
+        return _AxisLaws([], None, 1.0)
     only = loop.halved if loop.has_more_folds else None
     fitted = first
     laws: list[Law] = []
-    while len(laws) < MOST_LAWS and _above(loop, fitted) > LITTLE_LEFT * _above(loop, first):
-        proposals = _proposals(loop.group, fitted.state if laws else state, axis, loop.mapper)
+    while len(laws) < MOST_LAWS and _loss_above_noise(loop, fitted) > LITTLE_LEFT * _loss_above_noise(loop, first):
+        proposals = _propose_laws(loop.group, fitted.state if laws else state, axis, loop.mapper)
         if not proposals:
             break
-        say(f"{axis}: {', '.join(_named(d) for d, _ in proposals)} in closed loop")
+        say(f"{axis}: {', '.join(_label(d) for d, _ in proposals)} in closed loop")
         tried = [
             (loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
-            for d, x, s in _settings(proposals, axis, machine)
+            for d, x, s in _settings_of(proposals, axis, machine)
         ]
         best = min(((f, d, x) for f, d, x in tried if f is not None), key=lambda t: t[0].held_out, default=None)
-        if best is None or not _earned(loop, fitted.held_out, best[0].held_out, LEAST_OF_ALL * _above(loop, first)):
+        if best is None or not _justifies_a_law(loop, fitted.held_out, best[0].held_out, LEAST_OF_ALL * _loss_above_noise(loop, first)):
             break
         new, description, samples = best
-        share = (fitted.held_out - new.held_out) / max(_above(loop, first), 1e-300)
+        share = (fitted.held_out - new.held_out) / max(_loss_above_noise(loop, first), 1e-300)
         certain = 1.0 - np.exp(-(fitted.held_out - new.held_out) / _inflation(loop, new.held_out) / LEAST_EVIDENCE)
         laws.append(
             Law(
@@ -259,12 +265,12 @@ def _from(
         )
         fitted = new
     if laws:
-        fitted = _with_those_that_earn(loop, fitted, back, tolerance, LEAST_OF_ALL * _above(loop, first))
+        fitted = _restore_effects(loop, fitted, restorable, tolerance, LEAST_OF_ALL * _loss_above_noise(loop, first))
         # prefer an effect to a law that predicts no better
-        fitted = _named_instead(loop, fitted, laws, back, tolerance)
-        least = LEAST_BESIDE * _above(loop, first)
-        fitted = _without_idle(loop, fitted, [*idle, *(law.setting for law in laws)], tolerance, least)
-        fitted = _without_slip(loop, fitted, axis, tolerance)
+        fitted = _replace_laws_by_effects(loop, fitted, laws, restorable, tolerance)
+        least = LEAST_BESIDE * _loss_above_noise(loop, first)
+        fitted = _remove_settings_that_add_nothing(loop, fitted, [*removable, *(law.setting for law in laws)], tolerance, least)
+        fitted = _remove_needless_slip(loop, fitted, axis, tolerance)
         kept = {s.key for s in fitted.state.settings}
         laws = [law for law in laws if law.setting.key in kept]
     # all sizes are those of the last fit
@@ -272,17 +278,17 @@ def _from(
     at = [settings[law.setting.key] for law in laws]
     doubt = loop.group.thresholds.model_error
     laws = [replace(law, setting=fitted.state.settings[i], deviations=_deviations(fitted, i, doubt)) for law, i in zip(laws, at)]
-    unexplained = _above(loop, fitted) / max(_above(loop, first), 1e-300)
-    return _OfAxis(laws, fitted, float(min(max(unexplained, 0.0), 1.0)))
+    unexplained = _loss_above_noise(loop, fitted) / max(_loss_above_noise(loop, first), 1e-300)
+    return _AxisLaws(laws, fitted, float(min(max(unexplained, 0.0), 1.0)))
 
 
-def _with_those_that_earn(loop: ClosedLoop, fitted: Fitted, back: Sequence[Setting], tolerance: float, least: float) -> Fitted:
-    """The fit with those of the effects `back` that reduce the gap on runs left out, best first."""
-    waiting = list(back)
+def _restore_effects(loop: ClosedLoop, fitted: Fitted, restorable: Sequence[Setting], tolerance: float, least: float) -> Fitted:
+    """The fit with those of the effects `restorable` that reduce the gap on runs left out, best first."""
+    waiting = list(restorable)
     while waiting:
         tried = [(loop.fit(with_law(fitted.state, s), tolerance, steps=2, like=fitted), s) for s in waiting]
         best = min(((f, s) for f, s in tried if f is not None), key=lambda t: t[0].held_out, default=None)
-        if best is None or not _earned(loop, fitted.held_out, best[0].held_out, least):
+        if best is None or not _justifies_a_law(loop, fitted.held_out, best[0].held_out, least):
             break
         waiting.remove(best[1])
         if is_plausible(best[0].state.settings[-1], fitted.state.machine):
@@ -290,7 +296,7 @@ def _with_those_that_earn(loop: ClosedLoop, fitted: Fitted, back: Sequence[Setti
     return fitted
 
 
-def _named_instead(loop: ClosedLoop, fitted: Fitted, laws: Sequence[Law], effects: Sequence[Setting], tolerance: float) -> Fitted:
+def _replace_laws_by_effects(loop: ClosedLoop, fitted: Fitted, laws: Sequence[Law], effects: Sequence[Setting], tolerance: float) -> Fitted:
     """The fit with an effect instead of each law that predicts runs left out hardly better: by less than LEAST_CLOSED of the loss that the law
     removes and of the loss that remains."""
     for law in laws:
@@ -307,14 +313,16 @@ def _named_instead(loop: ClosedLoop, fitted: Fitted, laws: Sequence[Law], effect
     return fitted
 
 
-def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tolerance: float, least: float) -> Fitted:
-    """The fit without those of the `idle` settings that no longer reduce the gap enough, or whose size is implausible or not significant, the
+def _remove_settings_that_add_nothing(
+    loop: ClosedLoop, fitted: Fitted, removable: Sequence[Setting], tolerance: float, least: float
+) -> Fitted:
+    """The fit without those of the `removable` settings that no longer reduce the gap enough, or whose size is implausible or not significant, the
     least important first."""
-    waiting = {s.key for s in idle}
+    waiting = {s.key for s in removable}
     small = {
         s.key
         for i, s in enumerate(fitted.state.settings)
-        if s.key in waiting and not (is_plausible(s, fitted.state.machine) and _has_size(fitted, i))
+        if s.key in waiting and not (is_plausible(s, fitted.state.machine) and _is_significant(fitted, i))
     }
     while waiting:
         tried = []
@@ -331,7 +339,7 @@ def _without_idle(loop: ClosedLoop, fitted: Fitted, idle: Sequence[Setting], tol
     return fitted
 
 
-def _without_slip(loop: ClosedLoop, fitted: Fitted, axis: str, tolerance: float) -> Fitted:
+def _remove_needless_slip(loop: ClosedLoop, fitted: Fitted, axis: str, tolerance: float) -> Fitted:
     """The fit without slip before break-away if that predicts runs left out better; the slip was fitted without the laws."""
     kept = tuple(s for s in fitted.state.settings if s.axis != axis or s.effect.normal != "slip")
     if len(kept) == len(fitted.state.settings):
@@ -345,12 +353,12 @@ def _inflation(loop: ClosedLoop, loss: float) -> float:
     return max(1.0, loss / max(loop.expected, 1e-300))
 
 
-def _above(loop: ClosedLoop, fitted: Fitted) -> float:
+def _loss_above_noise(loop: ClosedLoop, fitted: Fitted) -> float:
     """Loss above noise on runs left out."""
     return max(fitted.held_out - loop.expected, 0.0)
 
 
-def _earned(loop: ClosedLoop, before: float, after: float, least: float) -> bool:
+def _justifies_a_law(loop: ClosedLoop, before: float, after: float, least: float) -> bool:
     """Whether the decrease of the loss on runs left out justifies a law."""
     gain = before - after
     return gain > least and gain > LEAST_CLOSED * max(before - loop.expected, 0.0) and gain / _inflation(loop, after) > LEAST_EVIDENCE
@@ -366,7 +374,7 @@ def _deviations(fitted: Fitted, index: int, model_error: float = 0.0) -> dict[st
     return out
 
 
-def _has_size(fitted: Fitted, index: int) -> bool:
+def _is_significant(fitted: Fitted, index: int) -> bool:
     """Whether the 95 % interval of the size of a setting excludes neutral."""
     setting = fitted.state.settings[index]
     size = setting.effect.size
@@ -374,11 +382,11 @@ def _has_size(fitted: Fitted, index: int) -> bool:
     return deviation is None or abs(size.deviation(setting.parameters[size.name])) > 1.96 * deviation
 
 
-def _named(d: Described) -> str:
+def _label(d: Described) -> str:
     return f"{d.candidate.output} over {d.candidate.variable}{f' of {d.candidate.source}' if d.candidate.source else ''}"
 
 
-def _proposals(group: Group, state: State, axis: str, mapper: Mapper) -> list[tuple[Described, Samples]]:
+def _propose_laws(group: Group, state: State, axis: str, mapper: Mapper) -> list[tuple[Described, Samples]]:
     """The laws that predict best in the blocks of an axis that are furthest from noise, as formulas, filters or tables."""
     samples = [s for s in residuals_of(group.views, state.machine_of, (axis,), mapper) if excess(s) > NOISY]
     own = state.machine.axis(axis)
@@ -396,7 +404,7 @@ def _proposals(group: Group, state: State, axis: str, mapper: Mapper) -> list[tu
     return [(d, s) for _, d, s in found[:TRIED]]
 
 
-def _settings(proposals: Sequence[tuple[Described, Samples]], axis: str, machine: Machine) -> list[tuple[Described, Samples, Setting]]:
+def _settings_of(proposals: Sequence[tuple[Described, Samples]], axis: str, machine: Machine) -> list[tuple[Described, Samples, Setting]]:
     """Proposals as settings. The length of a play is its height, which is measured better."""
     out = []
     for d, s in proposals:

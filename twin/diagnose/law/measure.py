@@ -14,7 +14,14 @@ import math
 import numpy as np
 from scipy.interpolate import BSpline
 
-from twin.diagnose.law.candidates import LENGTH_PER_RAD, Candidate, candidates_of, from_start, in_residual, variable_of
+from twin.diagnose.law.candidates import (
+    LENGTH_PER_RAD,
+    Candidate,
+    candidates_of,
+    contribution_to_residual,
+    variable_of,
+    zeroed_at_run_start,
+)
 from twin.diagnose.law.residual import MECHANICS, SPRING, Samples
 from twin.machine.machine import Axis
 from twin.recordings.roughness import robust_deviation
@@ -56,7 +63,7 @@ def nuisances_in(samples: Samples) -> np.ndarray:
         v = samples.motion["velocity"]
         return np.column_stack([ones, np.sign(v), v, samples.motion["acceleration"]])
     if samples.block == "transmission":
-        return from_start(samples, np.column_stack([samples.motion["position"], samples.motion["time"]]))
+        return zeroed_at_run_start(samples, np.column_stack([samples.motion["position"], samples.motion["time"]]))
     if samples.block == SPRING:
         return np.column_stack([ones, samples.motion["windup"], samples.motion["acceleration"]])
     return ones[:, None]
@@ -136,10 +143,10 @@ class Curve:
     @property
     def free(self) -> np.ndarray:
         """Part of the curve that belongs to the nominal machine (point, n): a level, and over a speed a slope, its viscous friction."""
-        return machines_own(self.x, self.candidate.variable)
+        return nominal_shapes(self.x, self.candidate.variable)
 
 
-def machines_own(x: np.ndarray, variable: str) -> np.ndarray:
+def nominal_shapes(x: np.ndarray, variable: str) -> np.ndarray:
     """Curves over a variable (point, n) due to toleranced parameters."""
     level = np.ones((len(x), 1))
     return np.column_stack([level, x / max(float(np.abs(x).max()), 1e-300)]) if variable in ("speed", "velocity", "windup") else level
@@ -167,7 +174,7 @@ def huber(values: np.ndarray, scale: float) -> np.ndarray:
     return np.where(u <= HUBER, 0.5 * u**2, HUBER * (u - 0.5 * HUBER))
 
 
-def left_out_loss(
+def cross_validated_loss(
     samples: Samples, columns: np.ndarray, scale: float, penalty: np.ndarray | None = None, weights: np.ndarray | None = None
 ) -> Loss:
     """Cross-validated loss of a fit of these columns (sample, n) with a penalty (n, n) on their coefficients.
@@ -211,7 +218,7 @@ def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixe
     basis = basis_of(x, candidate.variable, candidate.period)
     if basis is None:
         return None
-    columns = in_residual(samples, candidate, axis, basis.columns(x))
+    columns = contribution_to_residual(samples, candidate, axis, basis.columns(x))
     used = np.any(np.abs(columns) > 1e-12, axis=0)
     if not used.any():
         return None
@@ -220,16 +227,16 @@ def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixe
     roughness = np.zeros((count, count))
     roughness[count - own :, count - own :] = basis.penalty(columns.shape[1])[np.ix_(used, used)]
     stiff = len(samples) / own * roughness
-    best = left_out_loss(samples, all_columns, scale, PENALTIES[0] * stiff)
+    best = cross_validated_loss(samples, all_columns, scale, PENALTIES[0] * stiff)
     for weight in PENALTIES[1:]:
-        best = min(best, left_out_loss(samples, all_columns, scale, weight * stiff, best.weights), key=lambda loss: loss.total)
+        best = min(best, cross_validated_loss(samples, all_columns, scale, weight * stiff, best.weights), key=lambda loss: loss.total)
     low, high = np.quantile(x, [RANGE, 1.0 - RANGE])
-    at = np.linspace(0.0, basis.period, 49) if basis.period else _spaced(low, high, basis)
+    at = np.linspace(0.0, basis.period, 49) if basis.period else _curve_points(low, high, basis)
     shown = basis.columns(at)[:, used]
     coefficients, covariance = best.coefficients[count - own :], best.covariance[count - own :, count - own :]
     y = shown @ coefficients
     # the band covers the shape only, without the part that belongs to the nominal machine
-    own_curves = machines_own(at, candidate.variable)
+    own_curves = nominal_shapes(at, candidate.variable)
     centred = shown - own_curves @ np.linalg.lstsq(own_curves, shown, rcond=None)[0]
     band = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", centred, covariance, centred), 0.0))
     better = base.of_part - best.of_part
@@ -243,7 +250,7 @@ def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixe
     )
 
 
-def _spaced(low: float, high: float, basis: Basis) -> np.ndarray:
+def _curve_points(low: float, high: float, basis: Basis) -> np.ndarray:
     """Points of a curve, spaced like its splines."""
     if basis.quantiles is not None:
         return np.interp(np.linspace(0.0, 1.0, 41), np.linspace(0.0, 1.0, len(basis.quantiles)), basis.quantiles)
@@ -257,9 +264,9 @@ def _spaced(low: float, high: float, basis: Basis) -> np.ndarray:
 def measured_laws(samples: Samples, axis: Axis, fixed: np.ndarray | None = None) -> list[Curve]:
     """Curves of all candidates of a block that improve the prediction, best first; `fixed` columns represent laws already found."""
     columns = nuisances_in(samples) if fixed is None else np.column_stack([nuisances_in(samples), fixed])
-    first = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    first = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
-    base = left_out_loss(samples, columns, scale)
+    base = cross_validated_loss(samples, columns, scale)
     left = samples.y - columns @ base.coefficients
     candidates = [*candidates_of(samples, axis), *sines_of(samples, left, axis)]
     curves = [measure(samples, candidate, axis, base, columns, scale) for candidate in candidates]
@@ -287,11 +294,11 @@ def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candida
         first = OVERSAMPLED * LEAST_WAVES
         if len(spectrum) > first:
             period = OVERSAMPLED * span / (first + int(np.argmax(spectrum[first:])))
-            if not _is_of_turn(period, span, axis):
+            if not _is_harmonic_of_turn(period, span, axis):
                 yield Candidate(block, output, "position", period=period)
 
 
-def _is_of_turn(period: float, span: float, axis: Axis) -> bool:
+def _is_harmonic_of_turn(period: float, span: float, axis: Axis) -> bool:
     """Whether a period over the position is a harmonic of the motor turn, within the resolution of the measured range."""
     each_turn = 2.0 * math.pi * axis.ratio / period
     turns = span / (2.0 * math.pi * axis.ratio)
@@ -315,6 +322,6 @@ LEAST_WAVES = 3
 def excess(samples: Samples, columns: np.ndarray | None = None) -> float:
     """Power of the residual after a fit of the columns over that of noise; 1 for noise only."""
     columns = nuisances_in(samples) if columns is None else columns
-    loss = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     left = samples.y - columns @ loss.coefficients
     return float(np.mean(left**2)) / samples.sigma**2

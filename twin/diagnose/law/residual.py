@@ -66,7 +66,7 @@ CURRENT_LOOP = "current loop"
 
 
 @dataclass(frozen=True)
-class Passed:
+class ControllerRun:
     """Output of a control block in one run (sample,): `wanted` by its law, `given` as recorded, every `period` [s]; `noise` of `given`.
 
     `output` names the signal: the output of the block, or its received input.
@@ -98,7 +98,7 @@ class Samples:
     first: np.ndarray
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
-    passed: tuple[Passed, ...] = ()
+    passed: tuple[ControllerRun, ...] = ()
     through: VoltageToCurrent | None = None
 
     def __len__(self) -> int:
@@ -110,12 +110,12 @@ _Block = Callable[[RunView, Axis, Trace], tuple[np.ndarray, np.ndarray] | None]
 
 def residuals_of(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: Sequence[str], mapper: Mapper) -> list[Samples]:
     """Residuals of all blocks of these axes; `machine_of` turns the nominal machine of a run into the corrected one."""
-    runs = mapper(functools.partial(_of_run, views, machine_of, tuple(axes)), range(len(views)))
+    runs = mapper(functools.partial(_residuals_of_run, views, machine_of, tuple(axes)), range(len(views)))
     found: dict[tuple[str, str], list[_Piece]] = {}
     for pieces in runs:
         for piece in pieces:
             found.setdefault((piece.axis, piece.block), []).append(piece)
-    return [_joined(axis, block, pieces) for (axis, block), pieces in found.items()]
+    return [_concatenate(axis, block, pieces) for (axis, block), pieces in found.items()]
 
 
 @dataclass(frozen=True)
@@ -127,11 +127,11 @@ class _Piece:
     noise: np.ndarray
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]]
-    passed: tuple[Passed, ...] = ()
+    passed: tuple[ControllerRun, ...] = ()
     through: VoltageToCurrent | None = None
 
 
-def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
+def _concatenate(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
     """The pieces of all runs joined. Up to three runs are divided into stretches for cross-validation, and so is a run with almost all of the
     residual: a law that acts in one run only is predicted from the other stretches of that run."""
     power = np.array([float(np.sum(np.square(p.y - np.median(p.y)))) for p in pieces])
@@ -172,7 +172,7 @@ def _joined(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
     )
 
 
-def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: tuple[str, ...], r: int) -> list[_Piece]:
+def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: tuple[str, ...], r: int) -> list[_Piece]:
     """All blocks of these axes in one run."""
     view = views[r]
     pieces: list[_Piece] = []
@@ -185,7 +185,9 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
         axis = actual.machine.axis(name)
         motion = _motion(view, name, axis)
         others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
-        cut = functools.cache(functools.partial(_cut, actual, axis, (view.trace, twin.without_noise, noisy)))  # two blocks share a law
+        cut = functools.cache(
+            functools.partial(_residual_of_block, actual, axis, (view.trace, twin.without_noise, noisy))
+        )  # two blocks share a law
         for block, law, period in (
             (MECHANICS, _forces, FORCE_PERIOD_S),
             ("transmission", _displacement, OTHER_PERIOD_S),
@@ -204,24 +206,24 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
             index = np.arange(len(measured[0]))[:MOST_IN_A_ROW] if block == CURRENT_LOOP else index[:: max(1, len(index) // MOST_SAMPLES)]
             if len(index) < LEAST_SAMPLES:
                 continue
-            beside = measured[0] - expected[0]
+            difference = measured[0] - expected[0]
             noise = (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
             level = max(float(np.sqrt(np.mean(noise**2))), 1e-12)
-            passed: tuple[Passed, ...] = ()
+            passed: tuple[ControllerRun, ...] = ()
             if block == "position controller":
-                passed = (_passed_by_position_controller(view, motion, beside, level),)
+                passed = (_position_controller_run(view, motion, difference, level),)
             elif block == "speed controller":
-                passed = _passed_by_speed_controller(actual, axis, twin.without_noise, beside, level)
+                passed = _speed_controller_run(actual, axis, twin.without_noise, difference, level)
             own = motion
             if block == CURRENT_LOOP:  # at rest, current noise around zero would switch the sign of a voltage
                 moving = view.reference(name)[2]
-                own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], _window(view)))}
+                own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], _smoothing_window(view)))}
             pieces.append(
                 _Piece(
                     r,
                     name,
                     block,
-                    beside[index],
+                    difference[index],
                     noise,
                     {key: values[index] for key, values in own.items()},
                     {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
@@ -232,21 +234,21 @@ def _of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], 
     return pieces
 
 
-def _cut(view: RunView, axis: Axis, traces: Sequence[Trace], law: _Block) -> list[tuple[np.ndarray, np.ndarray]] | None:
+def _residual_of_block(view: RunView, axis: Axis, traces: Sequence[Trace], law: _Block) -> list[tuple[np.ndarray, np.ndarray]] | None:
     """Residual (sample,) of a block in each of the traces and where it is valid; None if a signal is missing."""
     found = [off for trace in traces if (off := law(view, axis, trace)) is not None]
     return found if len(found) == len(traces) else None
 
 
-def _passed_by_position_controller(view: RunView, motion: dict[str, np.ndarray], beside: np.ndarray, noise: float) -> Passed:
-    """Nominal and recorded output of a position controller at its cycles; `beside` (sample,) is their difference."""
+def _position_controller_run(view: RunView, motion: dict[str, np.ndarray], difference: np.ndarray, noise: float) -> ControllerRun:
+    """Nominal and recorded output of a position controller at its cycles; `difference` (sample,): recorded minus nominal."""
     every = max(1, round(view.machine.position_cycle / view.trace.period))
     wanted = motion["speed_setpoint"][::every]
-    return Passed("speed", wanted, wanted + beside[::every], noise, every * view.trace.period)
+    return ControllerRun("speed", wanted, wanted + difference[::every], noise, every * view.trace.period)
 
 
-def _passed_by_speed_controller(view: RunView, axis: Axis, twin: Trace, beside: np.ndarray, noise: float) -> tuple[Passed, ...]:
-    """Nominal and recorded output of a speed controller, whose difference is `beside` (sample,), and its sent and received set point.
+def _speed_controller_run(view: RunView, axis: Axis, twin: Trace, difference: np.ndarray, noise: float) -> tuple[ControllerRun, ...]:
+    """Nominal and recorded output of a speed controller, with their `difference` (sample,), and its sent and received set point.
 
     The received set point is reconstructed from the residual by the inverse PI law, e = (T - I) / Kp, I += Kp T / Tn e. The current limit is
     not applied, because the law with the sent set point may exceed it.
@@ -260,12 +262,12 @@ def _passed_by_speed_controller(view: RunView, axis: Axis, twin: Trace, beside: 
     error = lfilter([1.0, -1.0], [1.0, -(1.0 - rate)], to_speed * (apart - of_twin))
     sent = trace.get(axis.name, "velocity_setpoint")
     return (
-        Passed("current", wanted, wanted + beside, noise, trace.period),
-        Passed("received_speed", sent, sent + error, to_speed * noise, trace.period),
+        ControllerRun("current", wanted, wanted + difference, noise, trace.period),
+        ControllerRun("received_speed", sent, sent + error, to_speed * noise, trace.period),
     )
 
 
-def _window(view: RunView) -> int:
+def _smoothing_window(view: RunView) -> int:
     return max(7, round(view.thresholds.smooth_s / view.trace.period) | 1)
 
 
@@ -279,10 +281,10 @@ def _speed(trace: Trace, axis: Axis) -> np.ndarray:
 
 def _forces(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Force on the load beyond the model, towards +q (sample,), and where the axis slides."""
-    driven = _driven(view, axis, trace)
+    driven = _force_and_acceleration(view, axis, trace)
     if driven is None:
         return None
-    window = _window(view)
+    window = _smoothing_window(view)
     drive, acceleration = driven
     v = savgol_filter(_speed(trace, axis), window, 2)
     inertia, bias = inertia_and_bias(view, axis, len(trace.time))
@@ -292,9 +294,9 @@ def _forces(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nda
     return inertia * acceleration + friction + bias - drive, sliding
 
 
-def _driven(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+def _force_and_acceleration(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Motor force at the axis and acceleration (sample,) with equal smoothing; None without current or for a run that is too short."""
-    window = _window(view)
+    window = _smoothing_window(view)
     if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
         return None
     acceleration = savgol_filter(_speed(trace, axis), window, 2, deriv=1, delta=trace.period)
@@ -320,7 +322,7 @@ def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, 
 
 def transmitted_force(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     """Transmitted force of the drive train: motor force minus inertia force of the rotor (sample,); None without current."""
-    driven = _driven(view, axis, trace)
+    driven = _force_and_acceleration(view, axis, trace)
     return None if driven is None else np.asarray(driven[0] - axis.reflected_inertia * driven[1])
 
 
@@ -331,9 +333,9 @@ def deflection_of(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     The encoders have no common zero, and under a weight a run begins with a deflected drive train.
     """
     displaced = _displacement(view, axis, trace)
-    if displaced is None or len(trace.time) < 2 * _window(view):
+    if displaced is None or len(trace.time) < 2 * _smoothing_window(view):
         return None
-    deflection = np.asarray(savgol_filter(displaced[0], _window(view), 2))
+    deflection = np.asarray(savgol_filter(displaced[0], _smoothing_window(view), 2))
     force = transmitted_force(view, axis, trace)
     return deflection - (displaced[0][0] if force is None else zero_force_offset(deflection, force))
 
@@ -357,7 +359,7 @@ def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nd
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:
     """Measured variables of laws (sample,): all of them with `axis`, otherwise only those that can act on another axis."""
-    trace, window = view.trace, _window(view)
+    trace, window = view.trace, _smoothing_window(view)
     own = axis or view.machine.axis(name)
     signal = next((s for s in ("position", "motor_position") if trace.has(name, s)), "setpoint")
     position = trace.get(name, signal)

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from twin.diagnose.law.candidates import Candidate, in_residual, variable_of
-from twin.diagnose.law.measure import Curve, Loss, huber, left_out_loss, nuisances_in, scale_of
+from twin.diagnose.law.candidates import Candidate, contribution_to_residual, variable_of
+from twin.diagnose.law.measure import Curve, Loss, cross_validated_loss, huber, nuisances_in, scale_of
 from twin.diagnose.law.residual import Samples
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
@@ -86,11 +86,11 @@ class Described:
 def described(samples: Samples, curve: Curve, axis: Axis, fixed: np.ndarray | None = None) -> Described:
     """The curve as the formula with the best prediction, or as a table."""
     columns = nuisances_in(samples) if fixed is None else np.column_stack([nuisances_in(samples), fixed])
-    first = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    first = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
-    base = left_out_loss(samples, columns, scale)
+    base = cross_validated_loss(samples, columns, scale)
     names = ("sine",) if curve.candidate.period else SUITS.get(curve.candidate.variable, ())
-    found = [f for name in names if (f := _fitted(samples, curve, axis, SHAPES[name], columns, base, scale))]
+    found = [f for name in names if (f := _fit_shape(samples, curve, axis, SHAPES[name], columns, base, scale))]
     best = max(found, key=lambda d: d.predicts - PER_NUMBER * len(d.numbers), default=None)
     if best is None or best.predicts < curve.predicts - TABLE_BETTER:
         return _as_table(samples, curve, axis)
@@ -104,12 +104,12 @@ def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
     period = curve.candidate.period or (2.0 * math.pi if curve.candidate.variable == "turn" else 0.0)
     y = np.interp(np.mod(x, period) if period else x, curve.x, curve.y)
     level = curve.y[-1] if curve.candidate.variable == "speed" else float(np.mean(y))
-    column = in_residual(samples, curve.candidate, axis, (y - level)[:, None])[:, 0]
+    column = contribution_to_residual(samples, curve.candidate, axis, (y - level)[:, None])[:, 0]
     points = tuple((float(curve.x[i]), float(curve.y[i] - level)) for i in places)
     return Described(curve.candidate, None, {"scale": 1.0}, curve.predicts, curve, column, points)
 
 
-class _Problem:
+class _ShapeFit:
     """One shape of one candidate on the samples: its linear columns as a function of its nonlinear parameters."""
 
     def __init__(self, samples: Samples, curve: Curve, axis: Axis, shape: Shape) -> None:
@@ -134,7 +134,7 @@ class _Problem:
             own = np.column_stack([np.sin(angle), np.cos(angle)])
         else:
             own = values_of(self.shape, x, row_of(self.shape, {**numbers, self.height: 1.0}, self.gain))[:, None]
-        return in_residual(self.samples, self.candidate, self.axis, own)
+        return contribution_to_residual(self.samples, self.candidate, self.axis, own)
 
     @property
     def height(self) -> str:
@@ -191,8 +191,8 @@ def _search_space(
     return ["limit"], [tuple((low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98]))], [False], {}
 
 
-def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.ndarray, base: Loss, scale: float) -> Described | None:
-    problem = _Problem(samples, curve, axis, shape)
+def _fit_shape(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.ndarray, base: Loss, scale: float) -> Described | None:
+    problem = _ShapeFit(samples, curve, axis, shape)
     weights = base.weights
     orthogonal, _ = np.linalg.qr(fixed * np.sqrt(weights)[:, None])
 
@@ -217,7 +217,7 @@ def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.
 
     values = min(itertools.product(*problem.starts), key=loss)
     if problem.free:
-        values = _polished(loss, values, problem.logarithmic)
+        values = _refine(loss, values, problem.logarithmic)
     numbers = dict(zip(problem.free, values))
     driven = float(np.ptp(problem.x))
     if not math.isfinite(loss(values)) or max(numbers.get("width", 0.0), numbers.get("scale", 0.0)) > driven:
@@ -227,10 +227,10 @@ def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.
     columns = problem.columns(values)
     if problem.is_characteristic:
         moved = Samples(**{**samples.__dict__, "y": samples.y - columns[:, 0]})
-        judged = left_out_loss(moved, fixed, scale)
+        judged = cross_validated_loss(moved, fixed, scale)
         heights, column = np.ones(1), columns[:, 0]
     else:
-        judged = left_out_loss(samples, np.column_stack([fixed, columns]), scale)
+        judged = cross_validated_loss(samples, np.column_stack([fixed, columns]), scale)
         heights = judged.coefficients[fixed.shape[1] :]
         column = columns @ heights
     numbers = {**problem.given, **{n: float(v) for n, v in zip(problem.free, values)}}
@@ -244,7 +244,7 @@ def _fitted(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.
     return Described(curve.candidate, shape.name, numbers, 1.0 - judged.total / max(base.total, 1e-300), curve, column)
 
 
-def _polished(loss: Callable[[Sequence[float]], float], values: Sequence[float], logarithmic: Sequence[bool]) -> tuple[float, ...]:
+def _refine(loss: Callable[[Sequence[float]], float], values: Sequence[float], logarithmic: Sequence[bool]) -> tuple[float, ...]:
     """Parameters near `values` with minimum loss, by a simplex."""
     scale = [abs(v) if log else max(abs(v), 1e-9) for v, log in zip(values, logarithmic)]
 

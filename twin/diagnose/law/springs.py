@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.diagnose.law.closed_loop import State
-from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, left_out_loss, nuisances_in, scale_of
+from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, cross_validated_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, deflection_of, transmitted_force
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.view import RunView
@@ -36,7 +36,7 @@ def with_fitted_spring(state: State, axis: str, law: Described, samples: Samples
     if law.candidate.variable != "windup":
         return state
     columns = np.column_stack([nuisances_in(samples), law.column])
-    loss = left_out_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     more = float(loss.coefficients[WINDUP_SLOPE])
     changed = []
     for s in state.settings:

@@ -36,33 +36,33 @@ HARDLY_LOUD = 2.0
 """Gap over noise on runs left out above which a law is sought if effects explain less than half of the gap."""
 
 
-def keeps_its_gap(before: float, after: float) -> bool:
+def gap_remains(before: float, after: float) -> bool:
     """Whether a considerable gap of an axis remains after correction.
 
     `before`, `after`: gap over noise on runs left out, before and after correction. True above LOUD with more than a tenth of the gap left, or
     above HARDLY_LOUD with more than half of it left.
     """
-    left = share_left(before, after)
+    left = unexplained_share(before, after)
     return (after > LOUD and left > ALL_BUT) or (after > HARDLY_LOUD and left > 0.5)
 
 
-def share_left(before: float, after: float) -> float:
+def unexplained_share(before: float, after: float) -> float:
     """Fraction of the squared gap above noise that correction leaves; `before`, `after`: gap over noise."""
     return max(after**2 - 1.0, 0.0) / max(before**2 - 1.0, 1e-300)
 
 
-def explained_by_many(found: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+def many_effects_explain(found: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
     """Whether more than MOST_EFFECTS effects of each loud axis of a group explain the runs left out down to noise.
 
     A missing small effect changes the fitted sizes of the others. Sizes that differ between runs are then no evidence of a law.
     """
     loud = [axis for axis in found.group.axes if before.get(axis, 0.0) > QUIET]
     return bool(loud) and all(
-        after.get(axis, 0.0) <= QUIET and before[axis] > LOUD and _effects(found, axis) > MOST_EFFECTS for axis in loud
+        after.get(axis, 0.0) <= QUIET and before[axis] > LOUD and _effect_count(found, axis) > MOST_EFFECTS for axis in loud
     )
 
 
-def laws_beside(
+def find_unlisted_laws(
     found: Sequence[GroupState],
     before: Mapping[str, float],
     after: Mapping[str, float],
@@ -78,15 +78,15 @@ def laws_beside(
     `machine` is the nominal machine. `before` and `after` are the gaps over noise by axis on runs left out, `loudest` that of the loudest
     signal of each axis after correction.
     """
-    few = [axis for f in found for axis in _recorded(f) if _effects(f, axis) <= MOST_EFFECTS]
+    few = [axis for f in found for axis in _recorded_axes(f) if _effect_count(f, axis) <= MOST_EFFECTS]
 
     def is_loud(axis: str) -> bool:
         was, now = before.get(axis, 0.0), after.get(axis, 0.0)
-        one_is = loudest.get(axis, 0.0) > LOUD_SIGNAL and share_left(was, now) > NEXT_TO_NOTHING
-        return now > LOUD or keeps_its_gap(was, now) or one_is
+        one_is = loudest.get(axis, 0.0) > LOUD_SIGNAL and unexplained_share(was, now) > NEXT_TO_NOTHING
+        return now > LOUD or gap_remains(was, now) or one_is
 
     loud = [axis for axis in few if is_loud(axis)]
-    axes = [axis for f in found for axis in _recorded(f) if f.unknown or axis in loud]
+    axes = [axis for f in found for axis in _recorded_axes(f) if f.unknown or axis in loud]
     if not axes:
         return
     without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
@@ -97,16 +97,16 @@ def laws_beside(
                 yield laws_of(groups, machine, corrected, asked, folds, without, mapper, say)
 
 
-def _recorded(found: GroupState) -> list[str]:
+def _recorded_axes(found: GroupState) -> list[str]:
     """Axes of a group with recorded signals besides set points."""
     return [axis for axis in found.group.axes if any(channel.axis == axis for channel in found.group.channels)]
 
 
-def _effects(found: GroupState, axis: str) -> int:
+def _effect_count(found: GroupState, axis: str) -> int:
     return sum(s.axis == axis for s in found.fit.settings)
 
 
-def predictions_with(
+def predictions_with_laws(
     laws: Laws,
     held_out: HeldOut,
     runs: Sequence[MeasuredRun],

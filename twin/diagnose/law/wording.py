@@ -23,7 +23,7 @@ BAND = 1.96
 """Half width of a 95 % interval in standard deviations."""
 
 
-def known(law: Law) -> tuple[Known, ...]:
+def matching_causes(law: Law) -> tuple[Known, ...]:
     """Known physical causes that match a law."""
     c = law.measured.candidate
     height = next((v for k, v in law.setting.parameters.items() if k in ("height", "amplitude")), 0.0)
@@ -35,7 +35,7 @@ def _value(law: Law, name: str, axis: Axis, source: Axis, signed: bool = False) 
     value, deviation = law.setting.parameters[name], law.deviations.get(name, 0.0)
     parameter = law.setting.effect.parameter(name)
     unit = parameter.unit(axis)
-    quantity, factor = _shown(law, name, axis, source) or (unit, 1.0)
+    quantity, factor = _display_unit(law, name, axis, source) or (unit, 1.0)
     value = value if signed else abs(value)
     if not deviation:
         return readable(value, unit) if factor == 1.0 else f"{factor * value:.3g} {quantity}"
@@ -43,7 +43,7 @@ def _value(law: Law, name: str, axis: Axis, source: Axis, signed: bool = False) 
     return f"({factor * value:.{digits}f} +- {BAND * factor * deviation:.{digits}f}) {quantity}".removesuffix(" 1").rstrip()
 
 
-def _shown(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
+def _display_unit(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
     """Display unit and factor of a parameter of the shape."""
     described = law_in(law.setting)
     of = next((n.of for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
@@ -122,6 +122,6 @@ def entry(law: Law, machine: Machine) -> dict[str, Any]:
         "probability": law.probability,
         "explained": law.explained,
         "sentence": sentence(law, machine),
-        "looks_like": [{"name": k.name, "sentence": k.sentence, "to_be_sure": k.to_be_sure} for k in known(law)],
+        "looks_like": [{"name": k.name, "sentence": k.sentence, "to_be_sure": k.to_be_sure} for k in matching_causes(law)],
         "measured": {"x": curve.x.tolist(), "y": curve.y.tolist(), "deviation": curve.band.tolist(), "predicts": law.measured.predicts},
     }

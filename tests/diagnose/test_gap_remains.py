@@ -8,9 +8,9 @@ from twin.diagnose.diagnosis import Diagnosis
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "keeps"),
+    ("before", "after", "remains"),
     [(20.0, 8.0, True), (40.0, 3.5, False), (3.5, 2.9, True), (8.0, 2.5, False), (2.2, 1.9, False), (1.0, 1.0, False)],
 )
-def test_an_axis_keeps_its_gap(before: float, after: float, keeps: bool) -> None:
+def test_a_gap_remains_if_it_is_large_or_mostly_unexplained(before: float, after: float, remains: bool) -> None:
     levels = {"before": before, "after": after}
-    assert Diagnosis.keeps_its_gap(SimpleNamespace(axis_level=lambda which, axis: levels[which]), "X") is keeps
+    assert Diagnosis.gap_remains(SimpleNamespace(axis_level=lambda which, axis: levels[which]), "X") is remains

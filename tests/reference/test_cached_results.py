@@ -50,15 +50,15 @@ def test_another_offset_of_the_table_has_another_inertia(mikron: Machine, offset
         assert loads.bias[0, a] == pytest.approx(torque, rel=1e-9)
 
 
-def test_the_numbers_of_a_fresh_process(mikron: Machine) -> None:
-    """With the C axis 0.1 m beside the A axis: 19.55 kg m2 and 197.7 Nm, also after the nominal machine was asked."""
+def test_results_equal_those_of_a_new_process(mikron: Machine) -> None:
+    """With the C axis 0.1 m beside the A axis: 19.55 kg m2 and 197.7 Nm, also after the nominal machine was evaluated."""
     assert load_inertia(mikron, mikron.axis("A")) == pytest.approx(17.70, abs=0.005)
     other = mikron.with_values({"geometry.a_axis_to_c_axis_y_m": 0.1})
     assert load_inertia(other, other.axis("A")) == pytest.approx(19.55, abs=0.005)
     assert held_force(other, other.axis("A")) == pytest.approx(197.7, abs=0.05)
 
 
-def test_the_same_motion_does_not_remember_another_machine(mikron: Machine) -> None:
+def test_the_same_motion_of_another_machine_is_computed_again(mikron: Machine) -> None:
     motion = resting(mikron)
     first, second = (loads_along(Change(m), motion).inertia[0, 3] for m in (mikron, mikron.with_values(OFFSET)))
     assert second != pytest.approx(first, rel=0.01)
@@ -96,5 +96,5 @@ def test_another_content_of_the_model_file_is_another_machine(mikron: Machine, t
         ({"driven_axes": ["X", "Y"]}, False),
     ],
 )
-def test_what_counts_for_the_key(mikron: Machine, values: dict[str, object], same: bool) -> None:
+def test_the_cache_key_depends_on_values_that_change_the_result(mikron: Machine, values: dict[str, object], same: bool) -> None:
     assert (inertial_key(mikron) == inertial_key(mikron.with_values(values))) is same
