@@ -109,9 +109,14 @@ def test_a_law_that_makes_one_signal_worse_is_refused(monkeypatch, law, accepted
 
 
 def test_a_law_is_judged_by_relative_changes_of_its_axes_only():
-    """One random stiction that grows from 2.2 to 3.0 x noise does not outweigh a current explained down to noise; other axes do not count."""
-    without = {("Z", "motor_position"): 2.2, ("Z", "current"): 2.2, ("A", "position"): 40.0}
-    with_law = {("Z", "motor_position"): 3.0, ("Z", "current"): 0.9, ("A", "position"): 40.0}
-    assert corrected.log_gap(with_law, {"Z"}) < 0.75 * corrected.log_gap(without, {"Z"})
-    assert corrected.log_gap({("Z", "position"): 0.5}, {"Z"}) == 0.0
+    """One random stiction that grows from 2.2 to 2.6 x noise does not outweigh a current explained down to noise; other axes do not count."""
+    without = {("Z", "motor_position"): 2.2, ("Z", "current"): 2.0, ("Z", "position"): 0.9, ("A", "position"): 40.0}
+    with_law = {("Z", "motor_position"): 2.6, ("Z", "current"): 0.7, ("Z", "position"): 0.8, ("A", "position"): 50.0}
+    assert corrected.remaining_share(without, with_law, {"Z"}) == pytest.approx(2.6 / (2.2 * 2.0))
+    assert corrected.remaining_share(without, without, {"Z"}) == 1.0
+    assert corrected.remaining_share({("Z", "position"): 0.5}, {("Z", "position"): 0.6}, {"Z"}) == 1.0
+    # a fifth of a large gap, and of a small one
+    for level in (100.0, 10.0):
+        of = {("Z", "position"): level}
+        assert corrected.remaining_share(of, {("Z", "position"): 0.8 * level}, {"Z"}) == pytest.approx(0.64)
     assert corrected.loudest(without) == {"Z": 2.2, "A": 40.0}

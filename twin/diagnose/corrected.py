@@ -119,13 +119,16 @@ def loudest(levels: Mapping[tuple[str, str], float]) -> dict[str, float]:
     return {axis: max(level for (of, _), level in levels.items() if of == axis) for axis, _ in levels}
 
 
-def log_gap(levels: Mapping[tuple[str, str], float], axes: Collection[str]) -> float:
-    """Sum of ln(gap over noise) over the signals of these axes, 0 where a gap is within noise; `levels` by axis and signal.
+def remaining_share(before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float], axes: Collection[str]) -> float:
+    """Geometric mean over the signals of these axes of (after / before)^2: gaps over noise by axis and signal, at least 1.
 
-    The logarithm compares relative changes. In a sum of squares, the random duration of one stiction could outweigh a signal that a law
-    explains completely.
+    The geometric mean compares relative changes. In a sum of squares, the random duration of one stiction could outweigh a signal that a law
+    explains completely. Signals within noise before and after do not count; 1 if there is no other.
     """
-    return sum(math.log(max(1.0, level)) for (axis, _), level in levels.items() if axis in axes)
+    changes = [
+        math.log(max(1.0, after[key]) / max(1.0, level)) for key, level in before.items() if key[0] in axes and max(level, after[key]) > 1.0
+    ]
+    return math.exp(2.0 * float(np.mean(changes))) if changes else 1.0
 
 
 def worse_signals(

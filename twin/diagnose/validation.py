@@ -11,7 +11,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
 
-from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, is_worse, log_gap, loudest, uncorrected, worse_signals
+from twin.diagnose.corrected import (
+    HeldOut,
+    corrected_machine,
+    held_out_gaps,
+    is_worse,
+    loudest,
+    remaining_share,
+    uncorrected,
+    worse_signals,
+)
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
 from twin.diagnose.law.laws import LEAST_CLOSED, Laws
 from twin.diagnose.law.step import ALL_BUT, find_unlisted_laws, many_effects_explain, predictions_with_laws
@@ -103,7 +112,7 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
                 # the encoder zeros are as free without the laws as with them
                 runs, runs_without = records.aligned(nominal, predicted, axes), records.aligned(nominal, held_out, axes)
                 with_them, without = predicted.signal_levels(machine, runs), held_out.signal_levels(machine, runs_without)
-                share = log_gap(with_them, axes) / max(log_gap(without, axes), 1e-300)
+                share = remaining_share(without, with_them, axes)
                 if worse_signals(without, with_them, setup.thresholds) or share > min(1.0 - LEAST_CLOSED, best):
                     continue
                 best = share
