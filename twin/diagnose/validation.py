@@ -22,7 +22,8 @@ from twin.diagnose.corrected import (
     worse_signals,
 )
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
-from twin.diagnose.law.laws import LEAST_CLOSED, Laws
+from twin.diagnose.law.acceptance import LEAST_CLOSED
+from twin.diagnose.law.laws import Laws
 from twin.diagnose.law.step import ALL_BUT, find_unlisted_laws, many_effects_explain, predictions_with_laws
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
@@ -82,41 +83,43 @@ def validated(setup: Setup, records: Records, states: list[GroupState]) -> Valid
 
 
 def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated:
-    """The correction with unlisted laws. A law is accepted if it reduces the held-out gap by more than its encoder zeros do."""
+    """The correction with those unlisted laws that leave the smallest held-out gap, if they close enough of it."""
     if setup.quick:
         return validated
-    machine, nominal, held_out = setup.machine, setup.nominal, validated.held_out
-    levels = held_out.signal_levels(machine, validated.runs)
-    accepted = validated
+    best, least_share = validated, 1.0 - LEAST_CLOSED
     with ThreadPoolExecutor(setup.threads) as workers:
-        proposals = find_unlisted_laws(
+        for laws in find_unlisted_laws(
             validated.states,
             validated.before,
             validated.after,
-            loudest(levels),
-            nominal,
+            loudest(validated.held_out.signal_levels(setup.machine, validated.runs)),
+            setup.nominal,
             validated.corrected,
             setup.folds,
             on_threads(workers),
             setup.progress,
-        )
-        best = math.inf
-        for laws in proposals:
-            if laws.laws:
-                predicted = predictions_with_laws(
-                    laws, held_out, records.runs, records.motions, setup.folds, engine=not setup.quick, threads=setup.threads
-                )
-                if predicted is None:
-                    continue
-                axes = {law.axis for law in laws.laws}
-                # the encoder zeros are as free without the laws as with them
-                runs, runs_without = records.aligned(nominal, predicted, axes), records.aligned(nominal, held_out, axes)
-                with_them, without = predicted.signal_levels(machine, runs), held_out.signal_levels(machine, runs_without)
-                share = remaining_share(without, with_them, axes)
-                if worse_signals(without, with_them, setup.thresholds) or share > min(1.0 - LEAST_CLOSED, best):
-                    continue
-                best = share
-                accepted = replace(validated, runs=runs, held_out=predicted, corrected=laws.corrected, laws=laws)
-            if best < ALL_BUT:
+        ):
+            share, corrected = _with(laws, setup, records, validated)
+            if share <= least_share:
+                best, least_share = corrected, share
+            if least_share < ALL_BUT:
                 break
-    return accepted
+    return best
+
+
+def _with(laws: Laws, setup: Setup, records: Records, validated: Validated) -> tuple[float, Validated]:
+    """The share of the held-out gap that laws leave on their axes, and the correction with them; infinite if they are of no use."""
+    machine, held_out = setup.machine, validated.held_out
+    predicted = None
+    if laws.laws:
+        predicted = predictions_with_laws(laws, held_out, records.runs, records.motions, setup.folds, engine=True, threads=setup.threads)
+    if predicted is None:
+        return math.inf, validated
+    axes = {law.axis for law in laws.laws}
+    # the encoder zeros are as free without the laws as with them
+    runs, runs_without = (records.aligned(setup.nominal, of, axes) for of in (predicted, held_out))
+    without, with_them = held_out.signal_levels(machine, runs_without), predicted.signal_levels(machine, runs)
+    if worse_signals(without, with_them, setup.thresholds):
+        return math.inf, validated
+    share = remaining_share(without, with_them, axes)
+    return share, replace(validated, runs=runs, held_out=predicted, corrected=laws.corrected, laws=laws)

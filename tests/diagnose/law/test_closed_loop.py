@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from twin.diagnose.cross_validation import folds_of
+from twin.diagnose.law.acceptance import is_significant, replace_laws_by_effects
 from twin.diagnose.law.closed_loop import ClosedLoop, state_of, unknowns_of
-from twin.diagnose.law.laws import MOST_PROBABLE_IN_ONE_RUN, _is_significant, _replace_laws_by_effects, _search_from, laws_of
+from twin.diagnose.law.laws import MOST_PROBABLE_IN_ONE_RUN, _search_from, laws_of
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import in_turn
@@ -214,9 +215,7 @@ def test_an_effect_replaces_a_law_only_if_it_predicts_as_well(left_by_effect, na
 
     loop = SimpleNamespace(fit=fit, expected=100.0)
     fitted = fit(_State((play,)))
-    assert [
-        s.key for s in _replace_laws_by_effects(loop, fitted, [SimpleNamespace(setting=play)], [backlash], 0.01).state.settings
-    ] == named
+    assert [s.key for s in replace_laws_by_effects(loop, fitted, [play], [backlash], 0.01).state.settings] == named
 
 
 def test_a_fit_with_the_slopes_of_another_has_the_same_result(monkeypatch):
@@ -258,4 +257,4 @@ def test_a_law_with_an_insignificant_height_is_removed(height, kept):
     fitted = loop.fit(state, X.parameter_tolerance, steps=0)
     assert fitted is not None
     fitted = replace(fitted, deviations=np.full(len(fitted.unknowns), 0.1 if kept else 1e6))
-    assert _is_significant(fitted, 0) is kept
+    assert is_significant(fitted, 0) is kept

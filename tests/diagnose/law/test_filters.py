@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.law.filters import filters_of
-from twin.diagnose.law.laws import LEAST_PREDICTS
+from twin.diagnose.law.proposals import LEAST_PREDICTS
 from twin.diagnose.law.residual import ControllerRun, Samples
 from twin.effects.law import Law, cycle_of
 from twin.effects.law_filters import RING, filter_row, filtered

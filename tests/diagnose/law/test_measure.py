@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from twin.diagnose.law.candidates import position_in_play, remembered_direction
 from twin.diagnose.law.known_physics import looks_like
-from twin.diagnose.law.laws import LEAST_PREDICTS
 from twin.diagnose.law.measure import excess, measured_laws
-from twin.diagnose.law.residual import Samples, position_in_play, remembered_direction
+from twin.diagnose.law.proposals import LEAST_PREDICTS
+from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.shapes import described
 from twin.machine.machine import load_machine
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose.law import step
-from twin.diagnose.law.laws import MOST_EFFECTS, _settings_of
+from twin.diagnose.law.laws import MOST_EFFECTS
+from twin.diagnose.law.proposals import settings_of_proposals
 from twin.effects import EFFECTS, Setting
 
 
@@ -51,5 +52,5 @@ def test_the_length_of_a_play_is_its_height(mikron):
     law = {"name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line"}
     law |= {"height": -8e-6, "reach": 1.0, "length": 2e-6}
     proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))
-    starts = [s.parameters["length"] for _, _, s in _settings_of([(proposal, None)], "X", mikron)]
+    starts = [s.parameters["length"] for _, _, s in settings_of_proposals([(proposal, None)], "X", mikron)]
     assert starts == [8e-6]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+import math
 
 import numpy as np
 
-from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples, position_in_play, remembered_direction
+from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, SPRING, Samples
 from twin.machine.machine import Axis
 
 LENGTHS = tuple(np.geomspace(2e-5, 6e-2, 12))
@@ -105,3 +106,26 @@ def contribution_to_residual(samples: Samples, candidate: Candidate, axis: Axis,
         return samples.through.current(columns, samples.first)
     acting = columns * (factor if np.isscalar(factor := factor_of(samples, candidate, axis)) else np.asarray(factor)[:, None])
     return zeroed_at_run_start(samples, acting) if candidate.output == "displacement" else acting
+
+
+def remembered_direction(samples: Samples, length: float) -> np.ndarray:
+    """Direction of motion (sample,) with exponential memory over `length` of travel, zero at the start of a run: dz/dx = (+-1 - z) / length."""
+    z = np.zeros(len(samples))
+    for i in np.flatnonzero(np.arange(len(samples)) != samples.first):
+        moved = samples.motion["travel"][i] - samples.motion["travel"][i - 1]
+        side = 1.0 if samples.motion["velocity"][i] > 0.0 else -1.0
+        z[i] = side + (z[i - 1] - side) * math.exp(-moved / length)
+    return z
+
+
+def position_in_play(samples: Samples, length: float) -> np.ndarray:
+    """Position of the load within a play of +-`length`, as a fraction of it (sample,); zero at the start of a run.
+
+    The motor encoder shows the load's motion while the scale rests in the play. Signed displacements are summed, so that noise at rest does
+    not accumulate.
+    """
+    z = np.zeros(len(samples))
+    moved = np.diff(samples.motion["before_play"], prepend=0.0) / length
+    for i in np.flatnonzero(np.arange(len(samples)) != samples.first):
+        z[i] = min(max(z[i - 1] + moved[i], -1.0), 1.0)
+    return z

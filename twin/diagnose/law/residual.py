@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 import functools
-import math
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
@@ -384,26 +383,3 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
         found["following_error"] = delayed - position
         found["speed_setpoint"] = command + own.loops.position_gain_per_s * (delayed - position)
     return found
-
-
-def remembered_direction(samples: Samples, length: float) -> np.ndarray:
-    """Direction of motion (sample,) with exponential memory over `length` of travel, zero at the start of a run: dz/dx = (+-1 - z) / length."""
-    z = np.zeros(len(samples))
-    for i in np.flatnonzero(np.arange(len(samples)) != samples.first):
-        moved = samples.motion["travel"][i] - samples.motion["travel"][i - 1]
-        side = 1.0 if samples.motion["velocity"][i] > 0.0 else -1.0
-        z[i] = side + (z[i - 1] - side) * math.exp(-moved / length)
-    return z
-
-
-def position_in_play(samples: Samples, length: float) -> np.ndarray:
-    """Position of the load within a play of +-`length`, as a fraction of it (sample,); zero at the start of a run.
-
-    The motor encoder shows the load's motion while the scale rests in the play. Signed displacements are summed, so that noise at rest does
-    not accumulate.
-    """
-    z = np.zeros(len(samples))
-    moved = np.diff(samples.motion["before_play"], prepend=0.0) / length
-    for i in np.flatnonzero(np.arange(len(samples)) != samples.first):
-        z[i] = min(max(z[i - 1] + moved[i], -1.0), 1.0)
-    return z

@@ -1,0 +1,68 @@
+"""Proposed laws of an axis: the curves, formulas and filters that predict best in the blocks furthest from noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import contextlib
+
+from twin.diagnose.law.closed_loop import State
+from twin.diagnose.law.filters import filters_of
+from twin.diagnose.law.measure import Curve, excess, measured_laws
+from twin.diagnose.law.residual import Samples, residuals_of
+from twin.diagnose.law.shapes import PER_NUMBER, Described, described
+from twin.diagnose.observe import Group
+from twin.diagnose.simulations import Mapper
+from twin.effects import Setting, check_setting
+from twin.errors import InputError
+from twin.machine.machine import Machine
+
+NOISY = 1.15
+"""Power of the residual of a block over noise up to which no law is sought in it."""
+
+LEAST_PREDICTS = 0.15
+"""Smallest fraction of the loss on runs left out that a law must predict in its block."""
+
+LEAST_RUNS = 0.6
+"""Smallest fraction of the runs, weighted by their loss, that a law must improve."""
+
+TRIED = 3
+"""Number of candidates that are described by formulas and fitted in closed loop."""
+
+NEAR_BEST = 0.4
+"""Smallest prediction of a further candidate, as a fraction of that of the best one."""
+
+
+def propose_laws(group: Group, state: State, axis: str, mapper: Mapper) -> list[tuple[Described, Samples]]:
+    """The laws that predict best in the blocks of an axis that are furthest from noise, as formulas, filters or tables."""
+    samples = [s for s in residuals_of(group.views, state.machine_of, (axis,), mapper) if excess(s) > NOISY]
+    own = state.machine.axis(axis)
+    found: list[tuple[float, Described, Samples]] = []
+    for s in samples:
+        suited = [c for c in measured_laws(s, own) if c.predicts > LEAST_PREDICTS and c.runs_better >= LEAST_RUNS]
+        distinct: dict[tuple[str, str, str, bool], Curve] = {}
+        for c in suited:
+            distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
+        near = [c for c in distinct.values() if c.predicts > NEAR_BEST * suited[0].predicts][: TRIED + 1]
+        filters = [f for f in filters_of(s, state.machine) if f.predicts > LEAST_PREDICTS and f.curve.runs_better >= LEAST_RUNS]
+        for d in [*(described(s, c, own) for c in near), *filters]:
+            found.append((excess(s) * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
+    found.sort(key=lambda f: -f[0])
+    return [(d, s) for _, d, s in found[:TRIED]]
+
+
+def settings_of_proposals(
+    proposals: Sequence[tuple[Described, Samples]], axis: str, machine: Machine
+) -> list[tuple[Described, Samples, Setting]]:
+    """Proposals as settings. The length of a play is its height, which is measured better."""
+    out = []
+    for d, s in proposals:
+        table = d.table(axis)
+        if d.candidate.variable == "slack" and "height" in table:
+            table = {**table, "length": abs(table["height"])}
+        with contextlib.suppress(InputError):  # a parameter out of the bounds of its shape
+            out.append((d, s, check_setting(table, machine, "a measured law")))
+    return out
+
+
+def label(d: Described) -> str:
+    return f"{d.candidate.output} over {d.candidate.variable}{f' of {d.candidate.source}' if d.candidate.source else ''}"
