@@ -16,7 +16,7 @@ Axes that the mass matrix does not couple form separate groups.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import functools
 from typing import NamedTuple
 
@@ -60,6 +60,8 @@ class Group:
     shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of the noise in the loop
     seed: int
     thresholds: Thresholds = DEFAULT
+    answers: dict[object, tuple[np.ndarray | TwinError, np.ndarray]] = field(init=False, default_factory=dict, repr=False, compare=False)
+    """Simulated responses (row,) that the search asks for again, with the row weights they were scaled with."""
 
     def __post_init__(self) -> None:
         placed, at = [], 0
@@ -173,7 +175,9 @@ class Group:
         """
         plain, remaining = change / self.weights, residual / self.weights
         channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
-        return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed, self.thresholds)
+        group = Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed, self.thresholds)
+        group.answers.update(self.answers)  # the rows are the same
+        return group
 
     @functools.cached_property
     def expected_loss(self) -> float:
