@@ -130,20 +130,15 @@ def _at_shares(
     tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, mapper: Mapper, shares: Sequence[float]
 ) -> list[Trial]:
     """A nuisance simulated at these shares of the largest normal size; sizes that cannot be simulated are omitted."""
-    factors = {share: 1.0 + share * machine.parameter_tolerance for share in shares}
-    new = {share: factor for share, factor in factors.items() if (nuisance, factor) not in group.answers}
-    variations = [Variation(functools.partial(nuisance.apply, factor=factor), axes=(nuisance.owner,)) for factor in new.values()]
-    simulated = group.responses(variations, shaken=nuisance.quantity == "slip", mapper=mapper)
-    answers = {share: (answer, group.weights) for share, answer in zip(new, simulated)}
-    # each round of the search asks for the same shares again
-    group.answers.update({(nuisance, factors[share]): answer for share, answer in answers.items() if share in SHARES})
-    trials = []
-    for share, factor in factors.items():
-        answer, weights = answers.get(share) or group.answers[nuisance, factor]
-        if isinstance(answer, np.ndarray):
-            answer = answer if weights is group.weights else answer * (group.weights / weights)
-            trials.append(trial_of(tuning, answer * (UNIFORM / share), residual))
-    return trials
+    variations = [
+        Variation(functools.partial(nuisance.apply, factor=1.0 + share * machine.parameter_tolerance), axes=(nuisance.owner,))
+        for share in shares
+    ]
+    keys = [(nuisance, share) if share in SHARES else None for share in shares]  # each round of the search asks for SHARES again
+    answers = group.responses(variations, shaken=nuisance.quantity == "slip", mapper=mapper, keys=keys)
+    return [
+        trial_of(tuning, answer * (UNIFORM / share), residual) for share, answer in zip(shares, answers) if isinstance(answer, np.ndarray)
+    ]
 
 
 def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Group:
