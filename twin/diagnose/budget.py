@@ -121,11 +121,12 @@ def budget_of(
     residual: Sequence[Trace | None],
     noise: Mapping[tuple[str, str], float],
     mapper: Mapper = in_turn,
+    retuned: bool = True,
 ) -> Budget:
     """The budget over the motion of `views`. `residual` is the position residual of the corrected machine in each run (None: not measured), `noise`
-    the noise of each axis and signal [SI].
+    the noise of each axis and signal [SI]. `retuned` False leaves out the rows of re-tuned parameters.
     """
-    parts = list(_parts(machine, corrected, states))
+    parts = [part for part in _parts(machine, corrected, states) if retuned or part.kind != "re-tuned"]
     tool = ToolPoint(machine)
     both = simulated_each(
         [(view, own, machine.axis_names) for own in (corrected, machine) for view in views], mapper, lambda i, trace: trace

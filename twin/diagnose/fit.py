@@ -139,8 +139,9 @@ class Fit:
 
     def sizes(self) -> Sizes:
         """The free parameters with their information, without the rows."""
-        return Sizes(self.settings, tuple(self.free), self.information(), self.about.prior_weight)
+        return Sizes(self.settings, tuple(self.free), self.information, self.about.prior_weight)
 
+    @functools.cached_property
     def information(self) -> np.ndarray:
         """Information matrix of the free parameters (free, free) in scale units, tuning eliminated."""
         return self.about.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
@@ -198,14 +199,17 @@ def fit_effects(
         np.full(len(free), t.slope),
     )
     outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
+    projected = information = None
     for _ in range(t.fit_steps if steps is None else steps):
         try:
             for i, column in zip(outdated, _slopes(group, settings, response, [(free[i], step_sizes[i]) for i in outdated], mapper)):
                 columns[:, i] = column
         except TwinError:
             return None
-        information = tuning.inner(columns, columns) + 1e-6 * np.eye(len(free))
-        gradient = tuning.inner(columns, (residual - response)[:, None])[:, 0]
+        if outdated or projected is None or information is None:
+            projected = tuning.project(columns)
+            information = tuning.inner(columns, columns, projected) + 1e-6 * np.eye(len(free))
+        gradient = tuning.inner(columns, (residual - response)[:, None], projected)[:, 0]
         move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
         lower = _lower(group, residual, tuning, settings, free, move, best, mapper)
         if lower is not None:

@@ -134,7 +134,8 @@ def _at_shares(
         Variation(functools.partial(nuisance.apply, factor=1.0 + share * machine.parameter_tolerance), axes=(nuisance.owner,))
         for share in shares
     ]
-    answers = group.responses(variations, shaken=nuisance.quantity == "slip", mapper=mapper)
+    keys = [(nuisance, share) if share in SHARES else None for share in shares]  # each round of the search asks for SHARES again
+    answers = group.responses(variations, shaken=nuisance.quantity == "slip", mapper=mapper, keys=keys)
     return [
         trial_of(tuning, answer * (UNIFORM / share), residual) for share, answer in zip(shares, answers) if isinstance(answer, np.ndarray)
     ]

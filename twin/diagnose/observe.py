@@ -15,8 +15,8 @@ Axes that the mass matrix does not couple form separate groups.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 import functools
 from typing import NamedTuple
 
@@ -60,6 +60,8 @@ class Group:
     shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of the noise in the loop
     seed: int
     thresholds: Thresholds = DEFAULT
+    answers: dict[Hashable, np.ndarray | TwinError] = field(init=False, default_factory=dict, repr=False, compare=False)
+    """Remembered responses (row,), not weighted."""
 
     def __post_init__(self) -> None:
         placed, at = [], 0
@@ -106,12 +108,28 @@ class Group:
         """Response to one variation, see `responses`. Raises TwinError if it cannot be simulated."""
         return all_or_raise(self.responses([Variation(machine_of, settings, axes)], shaken=shaken, mapper=mapper))[0]
 
-    def responses(self, variations: Sequence[Variation], *, shaken: bool = False, mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+    def responses(
+        self,
+        variations: Sequence[Variation],
+        *,
+        shaken: bool = False,
+        mapper: Mapper = in_turn,
+        keys: Sequence[Hashable | None] = (),
+    ) -> list[np.ndarray | TwinError]:
         """Response (row,), weighted, to each variation: its simulation minus the nominal one, or the error of the simulation.
 
         With `shaken` both simulations have the same noise in the loop: an axis that creeps at rest creeps because of noise. `mapper` maps over
-        batches of simulations.
+        batches of simulations. `keys` name variations whose response is remembered for the next call (None: not remembered).
         """
+        keys = keys or [None] * len(variations)
+        known = [None if key is None else self.answers.get(key) for key in keys]
+        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken, mapper))
+        answers = [next(new) if answer is None else answer for answer in known]
+        self.answers.update({key: answer for key, answer in zip(keys, answers) if key is not None})
+        return [rows if isinstance(rows, TwinError) else rows * self.weights for rows in answers]
+
+    def _simulated(self, variations: Sequence[Variation], shaken: bool, mapper: Mapper) -> list[np.ndarray | TwinError]:
+        """Response (row,) to each variation, not weighted."""
         requests: list[SimulationRequest] = []
         of_request: list[
             tuple[int, int, Mapping[str, Characteristic]]
@@ -161,7 +179,7 @@ class Group:
                     # the nominal controller follows its law exactly at these inputs
                     of_nominal = 0.0 if shaken and channel.name == "controller" else nominal[run][key]
                     rows[channel.rows] = values[key] - of_nominal
-        return [rows if isinstance(rows, TwinError) else rows * self.weights for rows in out]
+        return out
 
     def without_doubt(self) -> Group:
         """The group without the model error of effects."""
@@ -173,7 +191,9 @@ class Group:
         """
         plain, remaining = change / self.weights, residual / self.weights
         channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
-        return Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed, self.thresholds)
+        group = Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed, self.thresholds)
+        group.answers.update(self.answers)  # the rows are the same
+        return group
 
     @functools.cached_property
     def expected_loss(self) -> float:

@@ -137,7 +137,8 @@ def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[
     notes = [*notes_of(campaign, setup.machine), *notes_of_zeros(zeros, setup.machine)]
     if setup.quick:
         notes.append(
-            "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked"
+            "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked; "
+            "the budget leaves out re-tuned parameters"
         )
     names = [run.name for run in campaign.runs]
     fitted = set()
@@ -197,10 +198,10 @@ def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], p
     noise = noise_of(diagnosis.gaps["before"], machine)
     on_program = None
     with ThreadPoolExecutor(setup.threads) as pool:
-        budget = budget_of(machine, corrected, states, views, residuals, noise, on_threads(pool))
+        budget = budget_of(machine, corrected, states, views, residuals, noise, on_threads(pool), not setup.quick)
         if program is not None:
             view = view_of(setup.nominal, program, setup.thresholds)
-            on_program = program.name, budget_of(machine, corrected, states, [view], [None], noise, on_threads(pool))
+            on_program = program.name, budget_of(machine, corrected, states, [view], [None], noise, on_threads(pool), not setup.quick)
     order = [row.setting.key for row in budget.rows if row.setting is not None]
     settings = sorted(diagnosis.settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
     return replace(diagnosis, budget=budget, on_program=on_program, settings=settings)

@@ -71,11 +71,11 @@ class ToolPoint:
         moved = at.copy()
         for axis, difference in by.items():
             moved[:, AXIS_ORDER.index(axis)] += difference
-        return np.asarray(np.linalg.norm(self.kinematics.forward(moved)[0] - tip, axis=1))
+        return np.asarray(np.linalg.norm(self.kinematics.tip(moved) - tip, axis=1))
 
     def _place(self, base: Trace, kinematics: Kinematics) -> tuple[Trace, np.ndarray, np.ndarray]:
         """A motion with its axes (sample, 5) and its tool point (sample, 3); cached, because all contributions are compared with the same motions."""
         if id(base) not in self._places:
             at = np.column_stack([base.get(a, LOAD) if base.has(a, LOAD) else np.zeros(len(base.time)) for a in AXIS_ORDER])
-            self._places[id(base)] = base, at, kinematics.forward(at)[0]
+            self._places[id(base)] = base, at, kinematics.tip(at)
         return self._places[id(base)]

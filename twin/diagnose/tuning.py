@@ -108,9 +108,9 @@ class Tuning:
         """a' P b for two vectors (row,), P the projection that eliminates the tuning."""
         return float(a @ b - self.project(a) @ self.inverse @ self.project(b))
 
-    def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """a' P b for columns, with the tuning eliminated."""
-        of_a = self.project(a)
+    def inner(self, a: np.ndarray, b: np.ndarray, of_a: np.ndarray | None = None) -> np.ndarray:
+        """a' P b for columns, with the tuning eliminated; `of_a` is `project(a)` if it is known."""
+        of_a = self.project(a) if of_a is None else of_a
         return a.T @ b - of_a.T @ self.inverse @ (of_a if b is a else self.project(b))
 
     def loss(self, residual: np.ndarray) -> float:
@@ -119,7 +119,9 @@ class Tuning:
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
         """The tuning with one more nuisance, whose response at its spread is `column` (row,)."""
-        return self.of([*self.nuisances, nuisance], stacked_columns(self.jacobian[:, : len(self.nuisances)], column[:, None]))
+        n = len(self.nuisances)
+        columns = stacked_columns(self.jacobian[:, :n], column[:, None], self.jacobian[:, n:])
+        return tuning_from([*self.nuisances, nuisance], columns, self.spread, self.prior_weight, self.further)
 
     def reweighted(self, scale: np.ndarray) -> Tuning:
         """The same tuning with each row weight multiplied by `scale` (row,)."""

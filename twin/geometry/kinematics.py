@@ -99,13 +99,29 @@ class Kinematics:
         axes = np.atleast_2d(axes)
         return axes[:, :3] @ self.slides.T + self._tip_at_rest(*self._turns(axes))
 
+    def tip(self, axes: np.ndarray) -> np.ndarray:
+        """Tool tip (sample, 3) in the part frame, for axes (sample, 5)."""
+        axes = np.atleast_2d(axes)
+        tilt, turn = axes[:, 3], axes[:, 4]
+        point = self.tool_tip[None]
+        if not self.tilt_on_table:
+            point = _turned(point, self.tilt_axis, self.tilt_anchor, tilt)
+        if not self.turn_on_table:
+            point = _turned(point, self.turn_axis, self.turn_anchor, turn)
+        point = axes[:, :3] @ self.slides.T + point
+        # a table that turns by +angle turns the tip by -angle in the part frame
+        if self.tilt_on_table:
+            point = _turned(point, self.tilt_axis, self.tilt_anchor, -tilt)
+        if self.turn_on_table:
+            point = _turned(point, self.turn_axis, self.turn_anchor, -turn)
+        return np.asarray((point - self.part_origin) @ self.part_axes)
+
     def forward(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tool tip (sample, 3) and tool axis (sample, 3) in the part frame, for axes (sample, 5)."""
         axes = np.atleast_2d(axes)
+        tip = self.tip(axes)
         tilt, turn = self._turns(axes)
         workpiece_from_bed = np.swapaxes(self._part_rotation(tilt, turn), 1, 2)
-        tip_in_bed = axes[:, :3] @ self.slides.T + self._tip_at_rest(tilt, turn)
-        tip = np.einsum("nij,nj->ni", workpiece_from_bed, tip_in_bed - self._part_position(tilt, turn))
         if self.tilt_on_table and self.turn_on_table:
             return tip, workpiece_from_bed @ self.tool_axis
         head = np.eye(3) if self.tilt_on_table else tilt
@@ -170,6 +186,15 @@ def rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 def _about(turn: np.ndarray, anchor: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Points (sample, 3) turned by (sample, 3, 3) about an anchor (3,)."""
     return np.asarray(np.einsum("nij,nj->ni", turn, point - anchor) + anchor)
+
+
+def _turned(point: np.ndarray, axis: np.ndarray, anchor: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Points (sample or 1, 3) turned about a unit axis (3,) through an anchor (3,) by angles (sample,): Rodrigues' formula without matrices."""
+    arm = point - anchor
+    x, y, z = axis
+    across = arm @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # axis x arm
+    along = np.outer(arm @ axis, axis)
+    return np.asarray(anchor + along + np.cos(angle)[:, None] * (arm - along) + np.sin(angle)[:, None] * across)
 
 
 def _turn_between(axis: np.ndarray, goal: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -11,10 +11,12 @@ from collections.abc import Iterator
 import functools
 import hashlib
 import math
+import os
 from pathlib import Path
 import re
 import shutil
-from typing import TYPE_CHECKING
+import time
+from typing import TYPE_CHECKING, NamedTuple
 
 from twin.documents import named_file
 from twin.errors import InputError
@@ -134,10 +136,52 @@ def files_of(path: Path) -> list[Path]:
 
 
 def state_of_model(path: Path) -> bytes:
-    """Digest of an MJCF and the files that it names: equal while none of them changes. Meshes count by size and time of change."""
+    """Digest of an MJCF and the files that it names: equal while none of them changes. Meshes count by size and time of change.
+
+    The files are read again only if one of them changed since, or so shortly before that its time of change cannot tell.
+    """
+    known = _states.get(path)
+    if known is None or known.stamps != _stamps(known.files):
+        known = _states[path] = _read_state(path)
+    return known.digest
+
+
+class _State(NamedTuple):
+    """Digest of a model, its files, and their stamps when they were read."""
+
+    digest: bytes
+    files: tuple[str, ...]
+    stamps: tuple[object, ...]
+
+
+_states: dict[Path, _State] = {}
+SETTLED_NS = 2_000_000_000
+"""Age of a file [ns] from which its time of change tells every later change: the coarsest file systems count in steps of 2 s."""
+
+
+def _stamps(files: tuple[str, ...]) -> tuple[object, ...]:
+    """Size, inode and times of change of each file; None for a missing file. A file that changed just now equals nothing."""
+    stamps: list[object] = []
+    for file in files:
+        try:
+            about = os.stat(file)
+        except OSError:
+            stamps.append(None)
+            continue
+        changed = max(about.st_mtime_ns, about.st_ctime_ns)
+        settled = time.time_ns() - changed > SETTLED_NS
+        stamps.append((about.st_size, about.st_ino, about.st_mtime_ns, about.st_ctime_ns) if settled else object())
+    return tuple(stamps)
+
+
+def _read_state(path: Path) -> _State:
+    """The state of a model from the content of its files."""
     texts: tuple[bytes, ...] = ()
+    stamps: tuple[object, ...] = ()
     while True:  # an included file may name others: repeat until the list of files belongs to the texts as they are now
         files = (Path(path.name), *_named_in(path, texts))
+        names = tuple(str(path.parent / f) for f in files)
+        stamps = _stamps(names)  # before reading: a change while reading must show
         now = tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
         if now == texts:
             break
@@ -147,7 +191,7 @@ def state_of_model(path: Path) -> bytes:
         if file.suffix.lower() != ".xml" and (path.parent / file).is_file():
             about = (path.parent / file).stat()
             digest.update(f"{file} {about.st_size} {about.st_mtime_ns}".encode())
-    return digest.digest()
+    return _State(digest.digest(), names, stamps)
 
 
 @functools.lru_cache(maxsize=32)
