@@ -10,7 +10,9 @@ from tests.builders.script import script
 from twin.diagnose.budget import Budget, budget_of, document_of, noise_of, overlap_text
 from twin.diagnose.corrected import corrected_machine
 from twin.diagnose.fit import Fit
+from twin.diagnose.tolerance import nuisances_of
 from twin.diagnose.tool_point import LOAD, ToolPoint
+from twin.diagnose.tuning import tuning_from
 from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
@@ -56,6 +58,21 @@ def test_independent_contributions_add_up_to_the_total(of_drift):
     budget = of_drift[0]
     assert budget.one_out == pytest.approx(budget.explained, rel=1e-6)
     assert budget.one_in == pytest.approx(budget.explained, rel=0.02)
+
+
+def test_a_budget_without_re_tuning_has_the_other_rows():
+    group = group_of([np.zeros(SAMPLES)])
+    machine = group.views[0].machine
+    nuisances = nuisances_of(machine, ("X",), group.thresholds)
+    tuning = tuning_from(nuisances, np.eye(SAMPLES)[:, : len(nuisances)], 0.01)
+    setting = Setting(EFFECTS["thermal_drift"], "X", {"rate": RATE})
+    fit = Fit((setting,), [], 0.0, np.ones(len(nuisances)), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), tuning)
+    found = [found_of(group, tuning, fit=fit)]
+    both, effects = (
+        budget_of(machine, corrected_machine(machine, found), found, group.views, [None], {}, retuned=of) for of in (True, False)
+    )
+    assert {row.kind for row in both.rows} == {"effect", "re-tuned"}
+    assert [row.tool_point for row in effects.rows] == [row.tool_point for row in both.rows if row.kind == "effect"]
 
 
 def test_overlap_is_computed_from_all_rows(of_drift):

@@ -5,7 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from tests.builders.diagnosis_state import group_of
 from twin.diagnose import state
+from twin.diagnose.observe import Group, Variation
 from twin.diagnose.state import GroupState
 from twin.effects import EFFECTS, Setting
 from twin.errors import SimulationError
@@ -35,3 +37,23 @@ def test_a_response_is_simulated_once_and_follows_the_weights(monkeypatch):
         assert again is one
         assert isinstance(refused, SimulationError)
     assert simulated == [[START], [UNSTABLE]]
+
+
+def test_a_group_remembers_named_responses(monkeypatch):
+    """Named variations are simulated once, also in a group with other weights; those without a name each time."""
+    group = group_of([np.full(20, 3.0), np.full(20, -2.0)])
+    simulated = []
+
+    def answers(self, variations, shaken, mapper):
+        simulated.extend(v.axes for v in variations)
+        return [np.full(self.size, float(len(v.axes))) for v in variations]
+
+    monkeypatch.setattr(Group, "_simulated", answers)
+    one, two = Variation(lambda m: m, axes=("X",)), Variation(lambda m: m, axes=("X", "Y"))
+    first = group.responses([one, two], keys=["one", None])
+    doubted = group.doubted(np.full(group.size, 2.0), np.full(group.size, 1.0))
+    second = doubted.responses([one, two], keys=["one", None])
+    assert simulated == [("X",), ("X", "Y"), ("X", "Y")]
+    np.testing.assert_allclose(first[0], group.weights)
+    np.testing.assert_allclose(second[0], doubted.weights)
+    np.testing.assert_allclose(second[1], 2.0 * doubted.weights)
