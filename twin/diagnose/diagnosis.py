@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
@@ -49,6 +49,7 @@ class Diagnosis:
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[Law, ...] = ()
+    without_laws: Mapping[str, float] = field(default_factory=dict)  # gap over noise of each axis after correction without laws
     decided: bool = True  # False: a quick look found no effect but a gap remains
 
     def document(self) -> dict[str, Any]:
@@ -139,8 +140,11 @@ class Diagnosis:
     @cached_property
     def waterfall(self) -> list[tuple[str, float]]:
         """Gap after each step of the correction, see `twin.diagnose.waterfall`."""
-        ends = {axis: (self.axis_level("before", axis) ** 2, self.axis_level("after", axis) ** 2) for axis in self.axes}
-        return waterfall(self.found, ends, self.machine.parameter_tolerance)
+        after = {axis: self.axis_level("after", axis) ** 2 for axis in self.axes}
+        with_laws = {law.axis: after[law.axis] for law in self.laws if law.axis in after}
+        without = after | {axis: self.without_laws[axis] ** 2 for axis in with_laws}
+        ends = {axis: (self.axis_level("before", axis) ** 2, without[axis]) for axis in self.axes}
+        return waterfall(self.found, ends, self.machine.parameter_tolerance, {s.key for s, _, _ in self.settings}, with_laws)
 
     def _pooled(self, which: str) -> float:
         return float(np.sqrt(np.mean([self.axis_level(which, axis) ** 2 for axis in self.axes]))) if self.axes else 1.0
@@ -158,7 +162,7 @@ class Diagnosis:
                     out.setdefault(axis, {})[signal] = {
                         "before": float(np.sqrt(np.mean([b.rms**2 for b, _ in rows]))),
                         "after": float(np.sqrt(np.mean([a.rms**2 for _, a in rows]))),
-                        "noise_floor": float(np.sqrt(np.mean([b.noise**2 for b, _ in rows]))),
+                        "noise_floor": float(np.sqrt(np.mean([a.noise**2 for _, a in rows]))),
                         "unit": rows[0][0].unit,
                     }
         return out

@@ -129,6 +129,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
         thresholds=setup.thresholds,
         predictions=held_out.predictions,
         laws=correction.laws.laws if correction.laws else (),
+        without_laws=correction.after,
     )
 
 
@@ -143,6 +144,11 @@ def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[
     names = [run.name for run in campaign.runs]
     fitted = set()
     for law in correction.laws.laws if correction.laws else ():
+        if law.measured.shape == "jitter":
+            notes.append(
+                f"axis {law.axis}: random errors cannot be predicted sample by sample; the corrected machine scatters as much, and the noise in"
+                ' "gap over noise" includes this scatter'
+            )
         if law.only_fold is not None:
             shows = [names[i] for i in setup.folds[law.only_fold]]
             fitted |= set(shows)

@@ -1,6 +1,7 @@
-"""The gap step by step: machine file, re-tuned within tolerance, with each effect.
+"""The gap step by step: machine file, re-tuned within tolerance, with each effect, with the unlisted laws.
 
-The first and the last level are measured on held-out runs (`gap.before`, `gap.after`). The levels in between are interpolated by the fit.
+The levels of the machine file and of the corrected machine, without and with unlisted laws, are measured on held-out runs. The levels in
+between are interpolated by the fit.
 With E the mean square residual over noise of an axis in the fit, step k of the axis has
 
     level_k^2 = after^2 + (E_k - E_end) / (E_0 - E_end) (before^2 - after^2)
@@ -10,7 +11,7 @@ and the gap is the root mean square over the axes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -23,10 +24,13 @@ Ends = Mapping[str, tuple[float, float]]
 """Axis -> squared gap over noise before and after correction."""
 
 
-def waterfall(state: Sequence[GroupState], ends: Ends, tolerance: float) -> list[tuple[str, float]]:
-    """Gap in multiples of noise: before, re-tuned, after each effect. The last level is the gap that remains.
+def waterfall(
+    state: Sequence[GroupState], ends: Ends, tolerance: float, kept: Collection[Key], with_laws: Mapping[str, float] | None = None
+) -> list[tuple[str, float]]:
+    """Gap in multiples of noise: before, re-tuned, after each effect, with unlisted laws. The last level is the gap that remains.
 
-    `state` holds the final state of each group of axes, `tolerance` that of the machine's parameters (a fraction).
+    `state` holds the final state of each group of axes, `tolerance` that of the machine's parameters (a fraction), `kept` the effects that no law replaced. `ends` are without
+    laws; `with_laws` holds the squared gap over noise that remains on axes with laws.
     """
     current = {axis: before for axis, (before, _) in ends.items()}
     steps: list[tuple[str, float]] = []
@@ -44,8 +48,11 @@ def waterfall(state: Sequence[GroupState], ends: Ends, tolerance: float) -> list
         step("re-tuned within tolerance", found, retuned_within(found, tolerance))
     # groups of axes are independent: the one whose effects close most comes first
     for found in sorted(state, key=lambda f: sum(ends[a][1] - ends[a][0] for a in f.group.axes if a in ends)):
-        for label, fit in _accepted(found):
+        for label, fit in _accepted(found, kept):
             step(label, found, fit)
+    for axis, square in (with_laws or {}).items():
+        current[axis] = square
+        step(f"unlisted law {axis}")
     return steps
 
 
@@ -67,12 +74,12 @@ def _levels_after(state: GroupState, fit: Fit | None, ends: Ends) -> dict[str, f
     return out
 
 
-def _accepted(state: GroupState) -> list[tuple[str, Fit]]:
+def _accepted(state: GroupState, kept: Collection[Key]) -> list[tuple[str, Fit]]:
     """The fits of the rounds that accepted effects; the last one is the final fit."""
     steps: list[tuple[str, Fit]] = []
     seen: set[Key] = set()
     for fit in state.accepted:
-        new = [s for s in fit.settings if s.key in state.keys - seen]
+        new = [s for s in fit.settings if s.key in kept and s.key in state.keys - seen]
         seen |= {s.key for s in fit.settings}
         if not new:
             continue
