@@ -13,6 +13,7 @@ import numpy as np
 from twin.effects.coupling import Coupling, coupling
 from twin.effects.effect import BLOCKS, EFFECTS
 from twin.effects.setting import Setting, settings_of
+from twin.effects.structural_mode import add_structural_mode
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, MEASURE, X_LOAD_FORCE, Term, arrays, term
@@ -191,9 +192,14 @@ def _at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
     """Apply the constant loads and the effects of a machine; `started_at` [s] since the start of the campaign."""
     change = Change(machine, started_at)
+    listed = {(s.effect.name, s.axis) for s in settings_of(machine)}
     for axis in machine.axes:
         if axis.constant_force:
             change.add_force(axis, -axis.constant_force)
+        if axis.mode_mass_share:
+            add_structural_mode(change, axis)
+        if axis.presliding_stiffness and ("presliding", axis.name) not in listed:
+            EFFECTS["presliding"].act(change, axis, stiffness=axis.presliding_stiffness)
     # sorted by block, then as in the library, so that the order in the machine file does not matter
     order = {name: i for i, name in enumerate(EFFECTS)}
     for setting in sorted(settings_of(machine), key=lambda s: (BLOCKS.index(s.effect.block), order.get(s.effect.name, len(order)))):
