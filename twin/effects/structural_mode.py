@@ -3,8 +3,8 @@
 The bed on its mounts swings under the axis, mass M against the axis' m; or a part swings that the axis carries. Displacement f, position q of
 the axis relative to the bed:
 
-    f'' + 2 z w f' + w^2 f = -r q''        w, z: natural frequency and damping ratio with the axis held;  r = m / (M + m)
-    load force += -m f''
+    f'' + 2 z w f' + w^2 f = -r q''             w, z: natural frequency and damping ratio with the axis held;  r = m / (M + m)
+    m (1 - r) q'' = F + m (2 z w f' + w^2 f)    from m (q'' + f'') = F
 
 All encoders and the friction are relative to the bed. For a carried part, r is its share of the moving mass: the axis moves alike. Source:
 two masses in series, q'' (1 - r s^2 / (s^2 + 2 z w s + w^2)) = F / m.
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import expm
 
-from twin.simulation.loop_terms import FORCE, X_LOAD_ACCELERATION, X_LOAD_FORCE, arrays, term
+from twin.simulation.loop_terms import FORCE, X_LOAD_ACCELERATION, X_LOAD_FORCE, X_STEP, arrays, term
 
 if TYPE_CHECKING:
     from twin.effects.change import Change
@@ -27,29 +27,21 @@ if TYPE_CHECKING:
 
 def add_structural_mode(change: Change, axis: Axis) -> None:
     """Add the mode of the keys `mode_frequency_hz`, `mode_mass_share` and `mode_damping_ratio`."""
-    stiffness, damping, share = oscillator(axis.mode_frequency_hz, axis.mode_damping_ratio, axis.mode_mass_share)
-    step = forced_step(stiffness, damping, -share, change.machine.base_tick)
-    change.add_term(structural_mode, FORCE, axis, [*step, change.load_inertia(axis), share, damping, stiffness])
-
-
-def oscillator(frequency_hz: float, damping_ratio: float, share: float) -> tuple[float, float, float]:
-    """w^2 [1/s2], 2 z w [1/s] and the share."""
-    w = 2.0 * math.pi * frequency_hz
-    return w * w, 2.0 * damping_ratio * w, share
-
-
-def forced_step(stiffness: float, damping: float, gain: float, tick: float) -> np.ndarray:
-    """Six numbers that advance [f, f'] by a tick, f'' + damping f' + stiffness f = gain a, exact for a constant acceleration a."""
-    system = np.array([[0.0, 1.0, 0.0], [-stiffness, -damping, gain], [0.0, 0.0, 0.0]])
-    return np.asarray(expm(system * tick)[:2].ravel())
+    w, mass, share = 2.0 * math.pi * axis.mode_frequency_hz, change.load_inertia(axis), axis.mode_mass_share
+    stiffness, damping = w * w, 2.0 * axis.mode_damping_ratio * w
+    # exact over a tick for constant acceleration: [f, f'](k+1) = P [f, f'](k) + g q''
+    system = np.array([[0.0, 1.0, 0.0], [-stiffness, -damping, -share], [0.0, 0.0, 0.0]])
+    step = expm(system * change.machine.base_tick)
+    change.add_inertia(axis, -share * mass)
+    change.add_term(structural_mode, FORCE, axis, [*step[0], *step[1], mass * damping, mass * stiffness])
 
 
 @term
 def structural_mode(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """F -= m f'' with the mean acceleration q'' of the last tick. State: f, f'. p: forced step (6), m, r, 2 z w, w^2."""
+    """Advance [f, f'] over the last tick with its mean acceleration, by p[:6]; F += p[6] f' + p[7] f at the middle of the next tick."""
     p, s, x = arrays(parameters, state, signals)
     a = x[axis, X_LOAD_ACCELERATION]
     f, rate = s[0], s[1]
     s[0] = p[0] * f + p[1] * rate + p[2] * a
     s[1] = p[3] * f + p[4] * rate + p[5] * a
-    x[axis, X_LOAD_FORCE] += p[6] * (p[7] * a + p[8] * s[1] + p[9] * s[0])
+    x[axis, X_LOAD_FORCE] += p[6] * s[1] + p[7] * (s[0] + 0.5 * x[axis, X_STEP] * s[1])

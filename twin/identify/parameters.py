@@ -11,7 +11,7 @@ import numpy as np
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
 from twin.identify.drive_fit import DriveFits
-from twin.identify.drive_residuals import MODE, SLIP, TIMES
+from twin.identify.drive_residuals import MODE, RANGES, SLIP, TIMES
 from twin.identify.findings import Finding
 from twin.identify.products import Split, is_vertical
 from twin.identify.result import Parameter, Range
@@ -208,7 +208,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             around = _around(value * factor, half)
             if field not in ("constant_force", *TIMES):  # cannot be negative: the interval is one of the logarithm
                 wide = math.exp(min(half / abs(value * factor), 5.0))
-                around = Range(value * factor, value * factor / wide, value * factor * wide)
+                around = Range(value * factor, value * factor / wide, min(value * factor * wide, RANGES.get(field, (0.0, math.inf))[1]))
             if field == "inertia":
                 around = Range(*(v + carried for v in (around.value, around.low, around.high)))
             known = next((i for i, p in enumerate(out) if (p.axis, p.name) == (name, label)), None)
