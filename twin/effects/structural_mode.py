@@ -13,27 +13,22 @@ two masses in series, q'' (1 - r s^2 / (s^2 + 2 z w s + w^2)) = F / m.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import expm
 
-from twin.simulation.loop_terms import FORCE, X_LOAD_ACCELERATION, X_LOAD_FORCE, X_STEP, arrays, term
-
-if TYPE_CHECKING:
-    from twin.effects.change import Change
-    from twin.machine.machine import Axis
+from twin.machine.machine import Axis
+from twin.simulation.loop_terms import X_LOAD_ACCELERATION, X_LOAD_FORCE, X_STEP, arrays, term
 
 
-def add_structural_mode(change: Change, axis: Axis) -> None:
-    """Add the mode of the keys `mode_frequency_hz`, `mode_mass_share` and `mode_damping_ratio`."""
-    w, mass, share = 2.0 * math.pi * axis.mode_frequency_hz, change.load_inertia(axis), axis.mode_mass_share
+def mode_parameters(axis: Axis, mass: float, tick: float) -> list[float]:
+    """Parameters of the term for the keys `mode_frequency_hz`, `mode_mass_share` and `mode_damping_ratio`; `mass` of the load [kg, kg m2]."""
+    w = 2.0 * math.pi * axis.mode_frequency_hz
     stiffness, damping = w * w, 2.0 * axis.mode_damping_ratio * w
     # exact over a tick for constant acceleration: [f, f'](k+1) = P [f, f'](k) + g q''
-    system = np.array([[0.0, 1.0, 0.0], [-stiffness, -damping, -share], [0.0, 0.0, 0.0]])
-    step = expm(system * change.machine.base_tick)
-    change.add_inertia(axis, -share * mass)
-    change.add_term(structural_mode, FORCE, axis, [*step[0], *step[1], mass * damping, mass * stiffness])
+    system = np.array([[0.0, 1.0, 0.0], [-stiffness, -damping, -axis.mode_mass_share], [0.0, 0.0, 0.0]])
+    step = expm(system * tick)
+    return [*step[0], *step[1], mass * damping, mass * stiffness]
 
 
 @term
