@@ -13,10 +13,10 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.ballbar import Ballbar
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
-from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.gap import SAME_PERIOD, at_times, encoders_noise, is_moving, simulated_period
+from twin.simulation.decoupled_plant import Motion
+from twin.simulation.gap import SAME_PERIOD, encoders_noise, is_moving, simulated_period
+from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.position_command import delay_weights
-from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
 from twin.simulation.two_encoders import has_both, motor_minus_scale
 
@@ -76,37 +76,11 @@ class RunView:
 
 
 def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT) -> RunView:
-    """A run with the nominal motion about which the decoupled plant is linearised.
-
-    The position of a linear axis is its delayed set point. Inertia and gravity depend on the rotary axes, so their motion is simulated with
-    the decoupled plant along the delayed set points.
-    """
+    """A run with the nominal motion about which the decoupled plant is linearised."""
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
-    times = np.arange(len(setpoints.position)) * setpoints.period
-    position = setpoints.position.copy()
-    for a, axis in enumerate(actual.axes):
-        # lag: the delays and, without feedforward, 1 / Kv
-        loops = axis.loops
-        lag = loops.set_point_delay_s + (1.0 - min(loops.velocity_feedforward, 1.0)) / loops.position_gain_per_s
-        position[:, a] = setpoints.at(times - lag)[:, a]
-    motion = _motion(position, setpoints.period)
-    rotary = tuple(a for a, axis in enumerate(actual.axes) if axis.kind == "rotary")
-    if rotary and np.ptp(setpoints.position[:, rotary], axis=0).max() > 1e-4:
-        nominal = simulate(
-            actual.with_axes([actual.axis_names[a] for a in rotary]),
-            setpoints.part(rotary),
-            sample_period=simulated_period(actual, setpoints.period),
-            plant_of=lambda change: DecoupledPlant(change, motion.part(rotary)),
-        )
-        position[:, rotary] = at_times(nominal.trace, times).matrix("position", nominal.trace.axes)
-        motion = _motion(position, setpoints.period)
+    motion = nominal_motion(actual, setpoints)
     return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, thresholds, run.own_zeros, run.ballbar)
-
-
-def _motion(position: np.ndarray, period: float) -> Motion:
-    speed = np.gradient(position, period, axis=0)
-    return Motion(position, speed, np.gradient(speed, period, axis=0), period)
 
 
 def _follows_another(view: RunView, name: str) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from twin.effects.coupling import Coupling, coupling
 from twin.effects.effect import BLOCKS, EFFECTS
 from twin.effects.setting import Setting, settings_of
+from twin.effects.structural_mode import mode_parameters, structural_mode
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, MEASURE, X_LOAD_FORCE, Term, arrays, term
@@ -93,6 +94,12 @@ class Change:
             spec.joint(axis.name).armature += added
 
         self.model_edits.append(edit)
+
+    def add_structural_mode(self, axis: Axis) -> None:
+        """Add the structural mode of an axis: its share leaves the mass that feels the drive and swings behind it."""
+        mass = self.load_inertia(axis)
+        self.add_inertia(axis, -axis.mode_mass_share * mass)
+        self.add_term(structural_mode, FORCE, axis, mode_parameters(axis, mass, self.machine.base_tick))
 
     def couple(self, cause: str, axis: Axis, stiffness: float, damping: float, clearance: float = 0.0) -> None:
         """Add a spring, a damper and a dead zone between rotor and load; `cause` is the name of the effect, for messages."""
@@ -191,9 +198,14 @@ def _at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
     """Apply the constant loads and the effects of a machine; `started_at` [s] since the start of the campaign."""
     change = Change(machine, started_at)
+    listed = {(s.effect.name, s.axis) for s in settings_of(machine)}
     for axis in machine.axes:
         if axis.constant_force:
             change.add_force(axis, -axis.constant_force)
+        if axis.mode_mass_share:
+            change.add_structural_mode(axis)
+        if axis.presliding_stiffness and ("presliding", axis.name) not in listed:
+            EFFECTS["presliding"].act(change, axis, stiffness=axis.presliding_stiffness)
     # sorted by block, then as in the library, so that the order in the machine file does not matter
     order = {name: i for i, name in enumerate(EFFECTS)}
     for setting in sorted(settings_of(machine), key=lambda s: (BLOCKS.index(s.effect.block), order.get(s.effect.name, len(order)))):

@@ -8,22 +8,30 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+import functools
 import math
 
 import numpy as np
 
-from twin.errors import InputError, SimulationError
+from twin.errors import InputError, TwinError
 from twin.machine.machine import Axis, Machine
+from twin.machine.parameters import parameter
 from twin.machine.toleranced import path_of
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.least_squares import RELATED
+from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import at_times, is_moving, simulated_period
-from twin.simulation.run import simulate
-from twin.simulation.setpoints import recorded_setpoints
+from twin.simulation.nominal_motion import motion_of, nominal_motion
+from twin.simulation.result import Run
+from twin.simulation.run import SimulationJob, simulate_each
+from twin.simulation.setpoints import Setpoints, recorded_setpoints
 
 CLUSTER_S = 0.1
 
-STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "position_delay_s": 2e-5}
+TIMES = ("dsc_delay_s", "position_delay_s", "speed_reference_time_s")
+"""Times that are fitted directly, because they may be zero. Of all other values but the force, the logarithm is fitted."""
+
+STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "position_delay_s": 2e-5, "speed_reference_time_s": 1e-4}
 """Steps of the difference quotient other than RELATIVE_STEP: force as a share of the peak command, delays in seconds."""
 
 RELATIVE_STEP = 0.02
@@ -33,6 +41,14 @@ the search would not increase it."""
 
 ONE_WAY = 1e-3
 """An axis moves in one direction only if its set point never moves back faster than this share of its highest speed."""
+
+SLIP = "presliding_stiffness"
+MODE = ("mode_frequency_hz", "mode_mass_share", "mode_damping_ratio")
+RANGES = {"mode_frequency_hz": (5.0, 200.0), "mode_mass_share": (1e-3, 0.9), "mode_damping_ratio": (2e-3, 0.5)}
+"""Bounds of the search for a structural mode."""
+
+SETTLING_S = 0.1
+"""Time after a motion in which the position still counts [s]; later vibration has other causes."""
 
 LEAST_RMS = 1e-10
 """Lower bound of the residual RMS, in units of the signal's range."""
@@ -77,18 +93,22 @@ class DriveResiduals:
         self.machine, self.runs = machine, runs
         self.names = [a.name for a in machine.axes if has_ideal_actuator(a) and a.name not in skipped and self._is_seen(a)]
         self.fields = {n: self._fields_of(machine.axis(n), known) for n in self.names}
-        # at standstill the command depends on the history of the motion (friction), so it is compared only while the set point moves
-        self.used = {
-            (n, s): [r & is_moving(run.trace, machine.axis(n)) if s == machine.axis(n).effort else r for run, r in zip(runs, rows[n])]
-            for n in self.names
-            for s in self.signals(n)
-        }
+        self.used = {(n, s): [r & self._counts(run, n, s) for run, r in zip(runs, rows[n])] for n in self.names for s in self.signals(n)}
         self.setpoints = [recorded_setpoints(r.trace, machine) for r in runs]
+        self.motions = [_motion_of(machine.with_feedforward(r.feedforward), s) for r, s in zip(runs, self.setpoints)]
         self.scale = {
             (n, s): max(max(float(np.ptp(r.trace.get(n, s))) for r in runs if r.trace.has(n, s)), 1e-12)
             for n in self.names
             for s in self.signals(n)
         }
+
+    def _counts(self, run: MeasuredRun, name: str, signal: str) -> np.ndarray:
+        """Mask (sample,): the command counts while the set point moves, because at rest it depends on history; a position until it has settled."""
+        moving = is_moving(run.trace, self.machine.axis(name))
+        if signal == self.machine.axis(name).effort:
+            return moving
+        since = np.arange(len(moving)) - np.maximum.accumulate(np.where(moving, np.arange(len(moving)), -len(moving)))
+        return since * run.trace.period <= SETTLING_S
 
     def signals(self, name: str) -> list[str]:
         """Recorded signals of an axis that are compared."""
@@ -110,10 +130,17 @@ class DriveResiduals:
             fields += [f for f in ("speed_reference_time_s", "drive_torque_feedforward") if getattr(axis.loops, f) > 0.0]
         if axis.loops.dsc_delay_s > 0.0:
             fields.append("dsc_delay_s")
+        fields += [f for f in (SLIP, *MODE) if getattr(axis, f) > 0.0]
         return [f for f in fields if (axis.name, f) not in known]
 
     def start(self) -> dict[str, np.ndarray]:
         return {n: np.array([self._coded(n, f, self._value(n, f)) for f in self.fields[n]]) for n in self.names}
+
+    def within(self, x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The codes, each within the bounds of its value."""
+        return {
+            n: np.array([self._coded(n, f, self._decoded(n, f, float(c))) for f, c in zip(self.fields[n], codes)]) for n, codes in x.items()
+        }
 
     def with_softer_gains(self, x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Initial values with half the gains and twice the integral time, for a machine file whose loops are unstable."""
@@ -136,6 +163,8 @@ class DriveResiduals:
         if hasattr(axis.loops, field_name):
             return float(getattr(axis.loops, field_name))
         value, peak = float(getattr(axis, field_name)), self._peak(name)
+        if field_name in (SLIP, *MODE):
+            return value
         if field_name == "coulomb_friction_nm" and value < NO_FRICTION * peak:
             return START_FRICTION * peak
         return max(value, 1e-6 * peak)
@@ -150,12 +179,14 @@ class DriveResiduals:
         """Value as a search variable: force as a share of the largest command, delay in milliseconds, else the logarithm."""
         if field_name == "constant_force":
             return value * self.machine.axis(name).ratio / self._peak(name)
-        return 1e3 * value if field_name.endswith("delay_s") else math.log(max(value, 1e-300))
+        return 1e3 * value if field_name in TIMES else math.log(max(value, 1e-300))
 
     def _decoded(self, name: str, field_name: str, code: float) -> float:
         if field_name == "constant_force":
             return code * self._peak(name) / self.machine.axis(name).ratio
-        return max(1e-3 * code, 0.0) if field_name.endswith("delay_s") else math.exp(min(max(code, -40.0), 40.0))
+        if field_name in RANGES:
+            return float(np.clip(math.exp(min(code, 40.0)), *RANGES[field_name]))
+        return max(1e-3 * code, 0.0) if field_name in TIMES else math.exp(min(max(code, -40.0), 40.0))
 
     def changed(self, x: Mapping[str, np.ndarray]) -> Machine:
         """The machine with these values."""
@@ -167,6 +198,7 @@ class DriveResiduals:
         values: dict[str, object] = {}
         forces = {}
         for n, codes in x.items():
+            axis = self.machine.axis(n)
             for f, code in zip(self.fields[n], codes):
                 value = self._decoded(n, f, float(code))
                 if f == "constant_force":
@@ -174,8 +206,8 @@ class DriveResiduals:
                 elif f == "inertia":
                     values.update(self._inertia(n, value))
                 else:
-                    part = "loops." if hasattr(self.machine.axis(n).loops, f) else ""
-                    values[f"axis.{n}.{part}{f}"] = value
+                    part = "loops." if hasattr(axis.loops, f) else ""
+                    values[f"axis.{n}.{part}{parameter(f).key(axis.drive) if f == SLIP else f}"] = value
         return values, forces
 
     def _inertia(self, name: str, inertia: float) -> dict[str, object]:
@@ -192,23 +224,31 @@ class DriveResiduals:
         return {path_of(axis, "moving_mass"): inertia / axis.ratio**2}
 
     def residuals(self, x: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]] | None:
-        """Measured minus simulated on the training rows by axis and signal, in units of the signal's range; None if it diverges."""
-        try:
-            machine = self.changed(x)
-            traces = [
-                at_times(
-                    simulate(
-                        machine.with_feedforward(run.feedforward),
-                        setpoints,
-                        started_at=run.started_at,
-                        sample_period=simulated_period(machine, run.trace.period),
-                    ).trace,
-                    run.trace.time,
-                )
-                for run, setpoints in zip(self.runs, self.setpoints)
-            ]
-        except (SimulationError, InputError, FloatingPointError):
+        """Measured less simulated on the training rows, by axis and signal, in units of the signal's range; None if it diverges."""
+        return self.residuals_of([x])[0]
+
+    def residuals_of(self, many: Sequence[Mapping[str, np.ndarray]]) -> list[dict[str, dict[str, np.ndarray]] | None]:
+        """`residuals` of several sets of values, simulated in one batch."""
+        jobs: list[SimulationJob] = []
+        first: list[int | None] = []
+        for x in many:
+            try:
+                machine = self.changed(x)
+            except InputError:
+                first.append(None)
+                continue
+            first.append(len(jobs))
+            for run, setpoints, motion in zip(self.runs, self.setpoints, self.motions):
+                plant = functools.partial(DecoupledPlant, motion=motion)
+                period = simulated_period(machine, run.trace.period)
+                jobs.append(SimulationJob(machine.with_feedforward(run.feedforward), setpoints, plant, period, run.started_at))
+        outcomes = simulate_each(jobs)
+        return [self._compared(outcomes[i : i + len(self.runs)]) if i is not None else None for i in first]
+
+    def _compared(self, outcomes: Sequence[Run | TwinError]) -> dict[str, dict[str, np.ndarray]] | None:
+        if any(isinstance(o, TwinError) for o in outcomes):
             return None
+        traces = [at_times(o.trace, run.trace.time) for o, run in zip(outcomes, self.runs) if isinstance(o, Run)]
         out: dict[str, dict[str, np.ndarray]] = {}
         for n in self.names:
             own = {}
@@ -226,16 +266,18 @@ class DriveResiduals:
 
     def jacobian(self, x: Mapping[str, np.ndarray], base: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Jacobian (row, value) of the whitened residuals of every axis; one simulation perturbs the k-th value of all axes."""
-        columns: dict[str, list[np.ndarray]] = {n: [] for n in self.names}
+        turned, amounts = [], []
         for k in range(max(len(f) for f in self.fields.values())):
-            perturbed = {n: x[n].copy() for n in self.names}
-            amount = {}
+            at, amount = {n: x[n].copy() for n in self.names}, {}
             for n in self.names:
                 if k < len(self.fields[n]):
                     f = self.fields[n][k]
                     amount[n] = {"constant_force": STEP_OF["constant_force"]}.get(f, 1e3 * STEP_OF[f] if f in STEP_OF else RELATIVE_STEP)
-                    perturbed[n][k] += amount[n]
-            there = self.residuals(perturbed)
+                    at[n][k] += amount[n]
+            turned.append(at)
+            amounts.append(amount)
+        columns: dict[str, list[np.ndarray]] = {n: [] for n in self.names}
+        for amount, there in zip(amounts, self.residuals_of(turned)):
             for n, h in amount.items():
                 level = {s: max(rms_of(v), LEAST_RMS) for s, v in base[n].items()}
                 other = there[n] if there is not None else base[n]
@@ -265,7 +307,7 @@ class DriveResiduals:
             value = self._decoded(n, f, float(code))
             if not math.isfinite(d) or (f not in STEP_OF and d > 1.0):
                 unidentified.append(f)
-            slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f.endswith("delay_s") else value)
+            slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f in TIMES else value)
             values[f], deviations[f] = value, float(d * slope)
         if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
             # Only the stops of such an axis separate friction from load, and no model of friction at rest is accurate enough for that.
@@ -293,6 +335,14 @@ def _deviations(jacobian: np.ndarray, residual: np.ndarray, clusters: np.ndarray
     covariance = RELATED**2 * bread @ (scores.T @ scores) @ bread * count / max(count - int(seen.sum()), 1)
     out[seen] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / length[seen]
     return out
+
+
+def _motion_of(machine: Machine, setpoints: Setpoints) -> Motion:
+    """The motion along which inertia and gravity are evaluated; along the set points if the machine file does not follow them."""
+    try:
+        return nominal_motion(machine, setpoints)
+    except TwinError:
+        return motion_of(setpoints.position, setpoints.period)
 
 
 def rms_of(values: np.ndarray) -> float:

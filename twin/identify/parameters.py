@@ -11,6 +11,7 @@ import numpy as np
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
 from twin.identify.drive_fit import DriveFits
+from twin.identify.drive_residuals import MODE, RANGES, SLIP, TIMES
 from twin.identify.findings import Finding
 from twin.identify.products import Split, is_vertical
 from twin.identify.result import Parameter, Range
@@ -192,6 +193,9 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             ),
             "constant_force": ("constant_torque", force, axis.constant_torque_nm, r, f"axis.{name}.constant_torque_nm"),
         }
+        for own in (SLIP, *MODE):
+            p = parameter(own)
+            rows[own] = (own, p.unit(axis.drive), float(getattr(axis, own)), 1.0, f"axis.{name}.{p.key(axis.drive)}")
         for field, value in fit.values.items():
             if field in fit.unidentified or not math.isfinite(fit.deviations[field]):
                 continue
@@ -204,14 +208,14 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             )
             half = 1.96 * fit.deviations[field] * factor
             around = _around(value * factor, half)
-            if field not in ("constant_force", "dsc_delay_s"):  # positive values: the interval is that of the logarithm
+            if field not in ("constant_force", *TIMES):  # positive values: the interval is that of the logarithm
                 wide = math.exp(min(half / abs(value * factor), 5.0))
-                around = Range(value * factor, value * factor / wide, value * factor * wide)
+                around = Range(value * factor, value * factor / wide, min(value * factor * wide, RANGES.get(field, (0.0, math.inf))[1]))
             if field == "inertia":
                 around = Range(*(v + carried for v in (around.value, around.low, around.high)))
             known = next((i for i, p in enumerate(out) if (p.axis, p.name) == (name, label)), None)
             if known is None:
-                is_product = field in rows
+                is_product = field in rows and field not in MODE
                 in_file = before.in_file(path, 0.0)[0] if path else ""
                 out.append(Parameter(name, label, unit, start, around, around, is_product, math.nan, False, in_file, None, around))
             else:

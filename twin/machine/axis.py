@@ -97,6 +97,10 @@ class Axis:
     commissioned_inertia          [kg m2 at the motor] of the torque feedforward; None: that of the model in the home pose
     effort                        signal that the speed controller commands: current, voltage or torque
     encoder                       measuring system that closes the position loop: scale (at the load) or motor
+    presliding_stiffness          [N/m or Nm/rad at the axis] of friction below break-away, as in the effect of that name, which takes its place; 0: rigid
+    mode_frequency_hz             natural frequency of a structural mode in the axis' direction with the axis held (bed on its mounts, carried part)
+    mode_mass_share               m / (M + m) of the axis' mass m and the bed's M, or share of a swinging part in the moving mass; 0: no mode
+    mode_damping_ratio            damping ratio of this mode
     """
 
     name: str
@@ -118,6 +122,10 @@ class Axis:
     structure: str = keys.STRUCTURES[0]
     effort: str = "current"
     encoder: str = "scale"
+    presliding_stiffness: float = 0.0
+    mode_frequency_hz: float = 0.0
+    mode_mass_share: float = 0.0
+    mode_damping_ratio: float = 0.0
 
     @property
     def drive(self) -> str:

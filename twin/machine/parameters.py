@@ -19,6 +19,9 @@ INFINITE = math.inf
 MOST_MEAN_CYCLES = 16
 """Most speed cycles over which a position may be differentiated."""
 
+MOST_MODE_SHARE = 0.95
+"""Largest mass share of a structural mode: the mass that feels the drive without delay must not vanish."""
+
 
 @dataclass(frozen=True)
 class Key:
@@ -106,6 +109,17 @@ PARAMETERS = (
     _same("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n"),
     _same("viscous_friction_nm_s_per_rad", not_negative(), direct="viscous_friction_n_s_per_m"),
     _same("constant_torque_nm", Key(required=False), direct="constant_force_n"),
+    Parameter(
+        "presliding_stiffness",
+        "presliding_stiffness_n_per_m",
+        "presliding_stiffness_nm_per_rad",
+        "presliding_stiffness_n_per_m",
+        not_negative(required=False),
+    ),
+    # a structural mode in the direction of the axis; without a mass share there is none
+    _same("mode_frequency_hz", Key(0.0, 500.0, required=False)),
+    _same("mode_mass_share", Key(0.0, MOST_MODE_SHARE, required=False)),
+    _same("mode_damping_ratio", Key(0.0, 1.0, required=False)),
     _same("motor.torque_constant_nm_per_a", positive(), (1113, "TORQUE_CURRENT_RATIO", "Nm/A", 1.0), direct="force_constant_n_per_a"),
     _same("motor.back_emf_v_s_per_rad", not_negative(), direct="back_emf_v_s_per_m"),
     _same("motor.resistance_ohm", positive()),
@@ -197,7 +211,7 @@ _SUFFIX_TO_SI = {
 }
 
 
-_UNIT_WORDS = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "h": "H", "per": "/"}
+_UNIT_WORDS = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "h": "H", "hz": "Hz", "per": "/"}
 _UNIT_WORDS |= {word: word for word in ("m", "kg", "s", "us", "rad", "deg", "rev", "min", "ohm", "m2", "s2", "s3")}
 
 

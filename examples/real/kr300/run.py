@@ -25,7 +25,7 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from twin.cli.parser import show_and_run
 from twin.errors import TwinError
-from twin.machine.machine import Machine, load_machine
+from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import LOADS, write_trace
 from twin.simulation.gap import is_moving, predict
@@ -69,6 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         identified = out / "identified" / "machine.toml"
         show_and_run("identify", out / "fitted", "--machine", published, "--out", identified)
         print(gaps_text({"published": machine, "identified": load_machine(identified)}, runs))
+        print(bounds_text(machine, runs))
         if args.diagnose:
             write_campaign(out / "both", runs, machine.name)
             show_and_run("diagnose", out / "both", "--machine", identified, "--out", out / "diagnosis")
@@ -189,6 +190,48 @@ def gaps_text(machines: Mapping[str, Machine], runs: Sequence[MeasuredRun]) -> s
     compared = ("torque", f"below {KNOWN_HZ:g} Hz", "second encoder")
     heading = ["run", "", "axis", *(f"{c}, {m}" for c in compared for m in machines)]
     return "\nRMS of the gap, torque in Nm at the motor, second encoder in arcsec:\n" + table(heading, rows, left=3)
+
+
+def bounds_text(machine: Machine, runs: Sequence[MeasuredRun]) -> str:
+    """How small a gap any law of position, speed and acceleration could leave of the torque [Nm at the motor], where the axes move.
+
+    `friction` has inertia, constant and friction over the speed; `place` lets all of them change with the position, too. Each is fitted by
+    least squares to the first run, and to the run itself: no law of that form leaves less there.
+    """
+    rows = []
+    known = butter(4, KNOWN_HZ, fs=1.0 / runs[0].trace.period, output="sos")
+    for run in runs[1:]:
+        for name in AXES:
+            axis = machine.axis(name)
+            moving = is_moving(run.trace, axis)
+            off = run.trace.get(name, "torque")
+            row = [run.name, name, f"{_rms((off - sosfiltfilt(known, off))[moving]):.3g}"]
+            for place in (False, True):
+                columns, torque = _law(run, axis, place)
+                for fitted in (runs[0], run):
+                    taken, wanted = _law(fitted, axis, place)
+                    values = np.linalg.lstsq(taken[is_moving(fitted.trace, axis)], wanted[is_moving(fitted.trace, axis)], rcond=1e-9)[0]
+                    row.append(f"{_rms((torque - columns @ values)[moving]):.3g}")
+            rows.append(row)
+    heading = ["run", "axis", f"torque above {KNOWN_HZ:g} Hz", "friction", "fitted to itself", "and place", "fitted to itself"]
+    return "\nRMS of what any law leaves of the torque, in Nm at the motor:\n" + table(heading, rows, left=2)
+
+
+def _law(run: MeasuredRun, axis: Axis, place: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (sample, term) of a law, each of RMS near 1, and the torque (sample,) less the given loads [Nm at the motor]."""
+    path = run.trace.get(axis.name, "setpoint")
+    speed = np.gradient(path, run.trace.period)
+    acceleration = np.gradient(speed, run.trace.period)
+    v, a, q = speed / 0.5, acceleration / 2.0, path / 0.5
+    sign = np.tanh(v / 0.03)
+    terms = [a, sign, v, np.ones_like(v), np.abs(v), v * np.abs(v), v**3, *(sign * np.exp(-np.abs(v) / w) for w in (0.05, 0.2, 0.8))]
+    if place:
+        terms += [t * shape for t in (a, sign, v, np.ones_like(v), v * np.abs(v)) for shape in (q, q**2)]
+    return np.column_stack(terms), run.trace.get(axis.name, "torque") + run.trace.get(axis.name, LOADS["Nm"]) * axis.ratio
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 if __name__ == "__main__":
