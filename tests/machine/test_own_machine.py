@@ -128,7 +128,8 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
     assert {p["block"] for p in found["where"]} == {"mechanics"}
     assert found["notes"] == [  # no signal is missing
         "single run: no run can be held out of the fit",
-        "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked",
+        "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked; "
+        "the budget leaves out re-tuned parameters",
     ]
     assert found["not_visible"] is None
     corrected = load_machine(tmp_path / "d" / "machine.toml")
