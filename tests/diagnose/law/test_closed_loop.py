@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -148,6 +149,21 @@ def test_a_play_of_the_scale_replaces_effects_that_the_search_put_in_its_place()
     (setting,) = settings_of(laws.corrected)
     assert setting.effect.name == "law"
     assert setting.parameters["length"] == pytest.approx(6e-6, rel=0.05)
+
+
+def test_a_fine_wave_of_the_scale_is_measured_over_the_position_of_the_motor():
+    """The scale's own position contains the wave, here a sixth of a period."""
+    wave = {
+        "name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["position"], "formula": "sine",
+        "amplitude": 3e-6, "period": 20e-6, "phase_rad": 0.5,
+    }  # fmt: skip
+    laws = found([wave], strokes=((0.010, 0.005), (0.020, 0.01), (0.030, 0.02), (0.020, 0.015)))
+    (law,) = laws.laws
+    p = law.setting.parameters
+    assert p["amplitude"] == pytest.approx(3e-6, rel=0.01)
+    assert p["period"] == pytest.approx(20e-6, rel=1e-5)
+    assert math.remainder(p["phase_rad"] - 0.5, 2.0 * math.pi) == pytest.approx(0.0, abs=0.1)
+    assert laws.left["X"] < 0.01
 
 
 def test_a_machine_without_a_law_gets_none():

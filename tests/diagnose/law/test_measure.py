@@ -37,7 +37,7 @@ def motion(seed: int = 1) -> dict[str, np.ndarray]:
             "turn": q / X.ratio,
             "time": 30.0 * run + t,
             "travel": np.cumsum(np.abs(v)) * PERIOD,
-            "before_play": q,
+            "motor_position": q,
             "current": 40.0 * np.gradient(v, PERIOD) + rng.normal(0, 1.0, COUNT),
         }
         for name, values in of.items():
@@ -114,7 +114,7 @@ def test_noise_at_rest_does_not_move_the_load_through_a_play():
     position = np.concatenate([np.linspace(0.0, 1e-3, COUNT), np.full(rest, 1e-3)])
     position += np.random.default_rng(3).normal(0.0, 0.2e-6, len(position))
     zero = np.zeros(len(position), int)
-    z = position_in_play(Samples("X", "transmission", position, SIGMA, zero, zero, zero, {"before_play": position}), half)
+    z = position_in_play(Samples("X", "transmission", position, SIGMA, zero, zero, zero, {"motor_position": position}), half)
     assert z[0] == 0.0
     assert np.all(z[COUNT:] > 0.6)
 

@@ -83,7 +83,14 @@ def variable_of(samples: Samples, candidate: Candidate) -> np.ndarray:
         return remembered_direction(samples, candidate.length)
     if candidate.variable == "slack":
         return position_in_play(samples, candidate.length)
+    if candidate.block == "measurement" and candidate.variable == "position" and not candidate.source:
+        return load_position(samples)
     return motion[candidate.variable]
+
+
+def load_position(samples: Samples) -> np.ndarray:
+    """Position of the load (sample,) without the error between the encoders: that of the motor encoder, if both were recorded."""
+    return samples.motion["motor_position" if samples.block == "transmission" else "position"]
 
 
 def factor_of(samples: Samples, candidate: Candidate, axis: Axis) -> np.ndarray | float:
@@ -125,7 +132,7 @@ def position_in_play(samples: Samples, length: float) -> np.ndarray:
     not accumulate.
     """
     z = np.zeros(len(samples))
-    moved = np.diff(samples.motion["before_play"], prepend=0.0) / length
+    moved = np.diff(samples.motion["motor_position"], prepend=0.0) / length
     for i in np.flatnonzero(np.arange(len(samples)) != samples.first):
         z[i] = min(max(z[i - 1] + moved[i], -1.0), 1.0)
     return z

@@ -19,6 +19,7 @@ from twin.diagnose.law.candidates import (
     Candidate,
     candidates_of,
     contribution_to_residual,
+    load_position,
     variable_of,
     zeroed_at_run_start,
 )
@@ -278,7 +279,7 @@ def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candida
 
     The residual is summed in narrow bins of the position, so that one Fourier transform covers all periods.
     """
-    position = samples.motion["position"]
+    position = load_position(samples)
     span = float(np.ptp(position))
     if not span > 0.0:
         return

@@ -372,7 +372,7 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     if axis is None:
         return found
     motor = trace.get(name, "motor_position") if trace.has(name, "motor_position") else position
-    found |= {"turn": motor / own.ratio, "before_play": motor, "time": view.started_at + trace.time - trace.time[0]}
+    found |= {"turn": motor / own.ratio, "motor_position": motor, "time": view.started_at + trace.time - trace.time[0]}
     found["travel"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
     if (deflection := deflection_of(view, own, trace)) is not None:
         found["windup"] = deflection

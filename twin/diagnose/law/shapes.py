@@ -51,6 +51,12 @@ SUITS: dict[str, tuple[str, ...]] = {
 LONGEST_WAVE = 3.0
 """Longest period of a sine, as a multiple of the measured range."""
 
+FIRST_STEP = 0.15
+"""Relative first step of the refinement of a parameter."""
+
+FINEST_STEP = 0.007
+"""Step at which the refinement ends, as a fraction of the first step."""
+
 HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
 """Harmonics of the motor turn that are tried."""
 
@@ -136,6 +142,11 @@ class _ShapeFit:
             own = values_of(self.shape, x, row_of(self.shape, {**numbers, self.height: 1.0}, self.gain))[:, None]
         return contribution_to_residual(self.samples, self.candidate, self.axis, own)
 
+    def steps(self, values: Sequence[float]) -> list[float]:
+        """Relative first steps of the refinement; for the period of a sine, a quarter of a period at the end of the measured range."""
+        span = max(float(np.ptp(self.x)), 1e-300)
+        return [min(FIRST_STEP, 0.25 * v / span) if name == "period" else FIRST_STEP for name, v in zip(self.free, values)]
+
     @property
     def height(self) -> str:
         return next((n.name for n in self.shape.numbers if n.of == "output"), "")
@@ -217,7 +228,7 @@ def _fit_shape(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: 
 
     values = min(itertools.product(*problem.starts), key=loss)
     if problem.free:
-        values = _refine(loss, values, problem.logarithmic)
+        values = _refine(loss, values, problem.logarithmic, problem.steps(values))
     numbers = dict(zip(problem.free, values))
     driven = float(np.ptp(problem.x))
     if not math.isfinite(loss(values)) or max(numbers.get("width", 0.0), numbers.get("scale", 0.0)) > driven:
@@ -244,18 +255,23 @@ def _fit_shape(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: 
     return Described(curve.candidate, shape.name, numbers, 1.0 - judged.total / max(base.total, 1e-300), curve, column)
 
 
-def _refine(loss: Callable[[Sequence[float]], float], values: Sequence[float], logarithmic: Sequence[bool]) -> tuple[float, ...]:
-    """Parameters near `values` with minimum loss, by a simplex."""
+def _refine(
+    loss: Callable[[Sequence[float]], float], values: Sequence[float], logarithmic: Sequence[bool], steps: Sequence[float]
+) -> tuple[float, ...]:
+    """Parameters near `values` with minimum loss, by a simplex with relative first `steps`."""
     scale = [abs(v) if log else max(abs(v), 1e-9) for v, log in zip(values, logarithmic)]
 
     def numbers(u: np.ndarray) -> tuple[float, ...]:
         return tuple(
-            s * math.exp(min(max(a, -3.0), 3.0)) if log else v + 0.3 * s * a for v, s, log, a in zip(values, scale, logarithmic, u)
+            s * math.exp(min(max(a * step, -3.0), 3.0)) if log else v + 0.3 * s * a * step
+            for v, s, log, a, step in zip(values, scale, logarithmic, u, steps)
         )
 
     n = len(values)
-    simplex = np.vstack([np.zeros(n), 0.15 * np.eye(n)])
     found = minimize(
-        lambda u: loss(numbers(u)), np.zeros(n), method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 70 * n, "xatol": 1e-3}
+        lambda u: loss(numbers(u)),
+        np.zeros(n),
+        method="Nelder-Mead",
+        options={"initial_simplex": np.vstack([np.zeros(n), np.eye(n)]), "maxfev": 70 * n, "xatol": FINEST_STEP},
     )
     return numbers(found.x)
