@@ -66,7 +66,7 @@ def carry_out(args: argparse.Namespace) -> int:
         taken = result.taken(p)
         r = taken or p.refined or p.value
         product = f"{p.estimate.value:.6g} +- {p.estimate.half:.2g}" if p.product else ""
-        rows.append([p.axis, p.name, f"{p.before:.6g}", f"{r.value:.6g}", f"+- {r.half:.2g}", p.unit, product, "yes" if taken else "no"])
+        rows.append([p.axis, p.name, f"{p.before:.6g}", f"{r.value:.6g}", r.interval, p.unit, product, "yes" if taken else "no"])
     print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt", "in the file"], rows, left=2))
     if not all(result.tolerance_holds.values()):
         print("The identified products contradict parameter_tolerance; the torque constants of the machine file were kept.")

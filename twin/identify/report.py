@@ -181,8 +181,7 @@ def _number(r: Range | None) -> str:
 def _half(r: Range | None) -> str:
     if r is None:
         return ""
-    half = r.half
-    return f"± {100 * half / abs(r.value):.2g} %" if abs(r.value) > 20.0 * half else f"± {half:.2g}"
+    return f"± {100 * r.half / abs(r.value):.2g} %" if abs(r.value) > 20.0 * r.half else r.interval.replace("+-", "±")
 
 
 def _held_out_cell(p: Parameter) -> str:

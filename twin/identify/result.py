@@ -10,6 +10,10 @@ from twin.identify.findings import ChannelSkew, Finding
 from twin.machine.machine import Machine
 
 
+SYMMETRIC = 0.2
+"""Largest distance of a value from the middle of its interval, as a fraction of the half width, for an interval that counts as symmetric."""
+
+
 @dataclass(frozen=True)
 class Range:
     """A value with its 95 % interval."""
@@ -22,6 +26,13 @@ class Range:
     def half(self) -> float:
         """Half width."""
         return 0.5 * (self.high - self.low)
+
+    @property
+    def interval(self) -> str:
+        """The interval in words: "+- half width", or "low to high" if it is not symmetric, like that of a logarithm."""
+        if abs(self.high + self.low - 2.0 * self.value) < SYMMETRIC * (self.high - self.low):
+            return f"+- {self.half:.2g}"
+        return f"{self.low:.2g} to {self.high:.2g}"
 
     def holds(self, value: float) -> bool:
         """Does the interval contain this value?"""
