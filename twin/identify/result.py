@@ -9,7 +9,6 @@ from twin.identify.direct import Direct
 from twin.identify.findings import ChannelSkew, Finding
 from twin.machine.machine import Machine
 
-
 SYMMETRIC = 0.2
 """Largest distance of a value from the middle of its interval, as a fraction of the half width, for an interval that counts as symmetric."""
 

@@ -8,8 +8,9 @@ import contextlib
 from twin.diagnose.law.closed_loop import State
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.measure import Curve, excess, measured_laws
-from twin.diagnose.law.residual import Samples, residuals_of
+from twin.diagnose.law.residual import SPRING, Samples, residuals_of
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
+from twin.diagnose.law.springs import stage_over_force
 from twin.diagnose.observe import Group
 from twin.diagnose.simulations import Mapper
 from twin.effects import Setting, check_setting
@@ -44,7 +45,8 @@ def propose_laws(group: Group, state: State, axis: str, mapper: Mapper) -> list[
             distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
         near = [c for c in distinct.values() if c.predicts > NEAR_BEST * suited[0].predicts][: TRIED + 1]
         filters = [f for f in filters_of(s, state.machine) if f.predicts > LEAST_PREDICTS and f.curve.runs_better >= LEAST_RUNS]
-        for d in [*(described(s, c, own) for c in near), *filters]:
+        stages = [stage for c in near if s.block == SPRING and (stage := stage_over_force(s, c)) and stage.predicts > LEAST_PREDICTS]
+        for d in [*(described(s, c, own) for c in near), *filters, *stages]:
             found.append((excess(s) * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
     found.sort(key=lambda f: -f[0])
     return [(d, s) for _, d, s in found[:TRIED]]

@@ -376,6 +376,8 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     found["travel"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
     if (deflection := deflection_of(view, own, trace)) is not None:
         found["windup"] = deflection
+        if (force := transmitted_force(view, own, trace)) is not None:
+            found["transmitted_force"] = force
     if trace.has(name, own.effort):
         found["current"] = trace.get(name, own.effort)
     if trace.has(name, "velocity_setpoint") and signal != "setpoint":

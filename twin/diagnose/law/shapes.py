@@ -72,6 +72,9 @@ class Described:
     curve: Curve
     column: np.ndarray = field(repr=False)  # (sample,) contribution to the residual
     points: tuple[tuple[float, float], ...] = ()
+    spring: float | None = (
+        None  # stiffness of the spring that a law over the windup complements [N/m, Nm/rad], if it was measured with the law
+    )
 
     def table(self, axis: str) -> dict[str, Any]:
         """The law as an `[[effect]]` table of a machine file."""

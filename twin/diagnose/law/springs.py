@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from twin.diagnose.law.closed_loop import State
-from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, cross_validated_loss, nuisances_in, scale_of
+from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, cross_validated_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, deflection_of, transmitted_force
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.view import RunView
@@ -21,6 +22,9 @@ from twin.machine.machine import Machine
 
 SMALL_DEFLECTION, LARGE_DEFLECTION = 0.3, 0.6
 """Fractions of the largest deflection that bound small and large deflection."""
+
+STAGE_FORCES = (0.03, 0.9, 24)
+"""Smallest and largest force at which a stiff stage may begin, as fractions of the largest force, and the number of forces that are tried."""
 
 SPRING_EFFECT = "transmission_compliance"
 """Effect of the linear spring that a law over the windup complements."""
@@ -35,16 +39,57 @@ def with_fitted_spring(state: State, axis: str, law: Described, samples: Samples
     """The state with the spring stiffness that was fitted together with a law over the windup; unchanged for any other law."""
     if law.candidate.variable != "windup":
         return state
+    if law.spring is not None:
+        return _with_stiffness(state, axis, law.spring)
     columns = np.column_stack([nuisances_in(samples), law.column])
     loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     more = float(loss.coefficients[WINDUP_SLOPE])
-    changed = []
-    for s in state.settings:
-        stiffness = s.parameters.get("stiffness", 0.0) + more
-        if (s.effect.name, s.axis) == (SPRING_EFFECT, axis) and stiffness > 0.0:
-            s = replace(s, parameters={**s.parameters, "stiffness": stiffness})
-        changed.append(s)
-    return replace(state, settings=tuple(changed))
+    own = next((s.parameters.get("stiffness", 0.0) for s in state.settings if (s.effect.name, s.axis) == (SPRING_EFFECT, axis)), 0.0)
+    return _with_stiffness(state, axis, own + more) if own + more > 0.0 else state
+
+
+def _with_stiffness(state: State, axis: str, stiffness: float) -> State:
+    """The state with a stiffness of the spring of an axis."""
+    settings = (
+        replace(s, parameters={**s.parameters, "stiffness": stiffness}) if (s.effect.name, s.axis) == (SPRING_EFFECT, axis) else s
+        for s in state.settings
+    )
+    return replace(state, settings=tuple(settings))
+
+
+def stage_over_force(samples: Samples, curve: Curve) -> Described | None:
+    """A drive train in two stages, measured as deflection over transmitted force; None if one stage explains it as well.
+
+    A stiff stage is steep over the deflection, so that the noise of the encoders hides its stiffness there. Over the force F it is flat:
+    d = F / k + a clip(F / F1, -1, 1) with the stiffness k of the stiff stage, which carries from F1 on. `curve` is the law over the windup.
+    """
+    force, d = samples.motion["transmitted_force"], samples.motion["windup"]
+    reach = float(np.quantile(np.abs(force), 1.0 - RANGE))
+    one = _deflection_fit(samples, force[:, None])
+
+    def at(first: float) -> tuple[float, np.ndarray]:
+        return _deflection_fit(samples, np.column_stack([force, np.clip(force / first, -1.0, 1.0)]))
+
+    first = min(reach * np.geomspace(*STAGE_FORCES), key=lambda f: at(f)[0])
+    first = float(minimize_scalar(lambda f: at(f)[0], bounds=(0.8 * first, 1.25 * first), method="bounded").x)
+    loss, (compliance, lost) = at(first)
+    predicts = 1.0 - loss / max(one[0], 1e-300)
+    if not (compliance > 0.0 and lost > 0.0 and predicts > 0.0):
+        return None
+    stiffness, width = 1.0 / compliance, lost + first * compliance
+    height = first - stiffness * width  # the soft stage carries F1 at the width
+    column = height * np.clip(d / width, -1.0, 1.0)
+    return Described(curve.candidate, "stage", {"height": height, "width": width}, predicts, curve, column, spring=stiffness)
+
+
+def _deflection_fit(samples: Samples, columns: np.ndarray) -> tuple[float, np.ndarray]:
+    """Squared residual of the deflection after a fit of these columns (sample, n) and a zero in each run, and their coefficients."""
+    runs = (samples.run[:, None] == np.unique(samples.run)).astype(float)
+    norm = np.abs(columns).max(axis=0)
+    everything = np.column_stack([columns / norm, runs])
+    coefficients, *_ = np.linalg.lstsq(everything, samples.motion["windup"], rcond=None)
+    residual = samples.motion["windup"] - everything @ coefficients
+    return float(residual @ residual), coefficients[: columns.shape[1]] / norm
 
 
 def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Setting]:
