@@ -129,8 +129,9 @@ class Diagnosis:
         return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
 
     def gap_remains(self, axis: str) -> bool:
-        """Does the correction leave so much of an axis' gap that its effects do not explain it?"""
-        return gap_remains(self.axis_level("before", axis), self.axis_level("after", axis))
+        """Does the correction leave so much of an axis' gap in motion that its effects do not explain it?"""
+        before, after = (self.axis_level(which, axis, in_motion=True) for which in ("before", "after"))
+        return gap_remains(before, after)
 
     @property
     def axes(self) -> list[str]:

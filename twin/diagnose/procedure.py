@@ -168,9 +168,12 @@ def kept_in(corrected: Machine, settings: Sequence[tuple[Setting, GroupState, fl
 
 
 def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
-    """The diagnosis with the verdict that the held-out gaps allow: 'unknown' if too much gap remains, 'law' if laws explain almost all."""
+    """The diagnosis with the verdict that the held-out gaps in motion allow: 'unknown' if too much remains, 'law' if laws explain almost all.
+
+    At rest the gap depends on where each axis stuck, which no effect explains.
+    """
     states, verdict = diagnosis.found, diagnosis.verdict
-    above = any(diagnosis.axis_level("after", axis) > setup.thresholds.undecided for axis in diagnosis.axes)
+    above = any(diagnosis.axis_level("after", axis, in_motion=True) > setup.thresholds.undecided for axis in diagnosis.axes)
     keeps = any(diagnosis.gap_remains(axis) for state in states for axis in state.group.axes)
     if (verdict == "none" and above) or (verdict == "effect" and keeps):
         # a quick look skips axes whose blocks show no more than noise, so that a gap there is not examined
