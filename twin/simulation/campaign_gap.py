@@ -7,7 +7,7 @@ For every run, axis and signal the gap is the RMS of measured minus simulated, c
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 import html
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -105,7 +105,7 @@ class CampaignGap:
     def document(self) -> dict[str, Any]:
         """The document of `twin gap --json`."""
         plain = {
-            run: {axis: {s: asdict(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in self.runs.items()
+            run: {axis: {s: _entry(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in self.runs.items()
         }
         return {"machine": self.machine, "campaign": self.campaign, "verdict": self.verdict, "runs": plain}
 
@@ -114,7 +114,7 @@ class CampaignGap:
         import pyarrow as pa
 
         rows = [
-            {"run": r.run, "axis": r.axis, "signal": r.signal, **asdict(r.gap), "times_noise": r.times_noise}
+            {"run": r.run, "axis": r.axis, "signal": r.signal, **_entry(r.gap), "times_noise": r.times_noise}
             for r in sorted(self.rows(), key=lambda r: (list(self.runs).index(r.run), r.axis, r.signal))
         ]
         return pa.Table.from_pylist(rows)
@@ -148,3 +148,8 @@ def gap(campaign: Campaign | str | Path, machine: Machine | None = None, *, prog
     machine = machine or load_machine()
     known = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)
     return CampaignGap(machine.name, known.path.resolve().name, gap_of_campaign(machine, known, progress=progress))
+
+
+def _entry(gap: SignalGap) -> dict[str, Any]:
+    """The entry of a gap in `twin gap --json`."""
+    return {"rms": gap.rms, "max": gap.max, "noise": gap.noise, "unit": gap.unit}

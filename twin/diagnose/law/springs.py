@@ -65,6 +65,8 @@ def stage_over_force(samples: Samples, curve: Curve) -> Described | None:
     """
     force, d = samples.motion["transmitted_force"], samples.motion["windup"]
     reach = float(np.quantile(np.abs(force), 1.0 - RANGE))
+    if not reach > 0.0:
+        return None
     one = _deflection_fit(samples, force[:, None])
 
     def at(first: float) -> tuple[float, np.ndarray]:
