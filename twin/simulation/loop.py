@@ -167,8 +167,9 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
             if diverged(a, signals, schedule):
                 return k * axes + a
         if has_measure:
-            for a in range(axes):
-                signals[a, X_NOISE] = sensing.noise[n, a, 0] if sensing.noise.size > 0 else math.sin(k + 1.0)
+            if sensing.noise.size > 0:
+                for a in range(axes):
+                    signals[a, X_NOISE] = sensing.noise[n, a, 0]
             call_terms(terms, MEASURE, signals)
         for a in range(axes):
             scale, motor_position, measured_speed, measured_current = seen_by_control(a, signals, drives, state, sensing, n)

@@ -58,7 +58,7 @@ STAGES = 8
     X_TRANSMISSION_ERROR_SPEED,
     X_RECORDED_CURRENT,  # A
     X_VOLTAGE,  # voltage at the winding, V
-    X_NOISE,  # noise of the position, m or rad: random digits for random effects; without noise a fixed sequence
+    X_NOISE,  # noise of the position, m or rad, with digits for random effects; 0 for an ideal sensor
 ) = range(27)
 SIGNAL_COUNT = 27
 PARAMETER_COUNT = 88

@@ -87,6 +87,18 @@ def test_the_loop_scatters_the_scale_in_proportion_to_the_speed():
     assert np.std(apart[speed < 1e-4]) < 0.02e-6
 
 
+@pytest.mark.parametrize("seed", [None, 0])
+def test_an_ideal_sensor_jitters_too(seed):
+    """Without noise, or with noise of zero size, the jitter is a fixed normal sequence, not a constant."""
+    ideal = X.with_values({"measurement.linear_scale_noise_m": 0.0})
+    simulated = simulate(with_effects(ideal, [JITTER]), points(), noise_seed=seed)
+    apart = simulated.without_noise.get("X", "position") - simulated.without_noise.get("X", "motor_position")
+    rows = np.abs(simulated.trace.get("X", "velocity")) > 0.05
+    u = apart[rows] / np.abs(simulated.without_noise.get("X", "velocity")[rows])
+    assert np.std(u) == pytest.approx(TAU, rel=0.15)
+    assert abs(np.mean(u)) < 4.0 * TAU / np.sqrt(rows.sum())
+
+
 def test_the_jitter_follows_the_seed_of_the_noise_in_both_plants():
     """The diagnosis adds differences of the decoupled plant to a simulation in MuJoCo; both must draw the same jitter."""
     machine = with_effects(X, [JITTER])
