@@ -1,12 +1,16 @@
-"""The gap is a multiple of noise even if the machine file states no noise."""
+"""The gap as a multiple of noise: without noise in the machine file, in motion and at rest, without set points."""
 
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pytest
+
+from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import read_trace
-from twin.simulation.gap import LEAST_NOISE, gap_of, predict
+from twin.simulation.gap import LEAST_NOISE, gap_of, is_moving, predict
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 
@@ -24,3 +28,35 @@ def test_a_machine_file_without_noise_uses_the_smallest_noise() -> None:
     assert gaps["position"].rms > 0.9
     assert gaps["position"].noise == 1e6 * LEAST_NOISE["position"]
     assert all(gap.noise > 0.0 for gap in gaps.values())
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple:
+    """The machine with X alone, its run out and back, and the prediction."""
+    machine = load_machine().with_axes(["X"])
+    run = MeasuredRun("run", simulate(machine, setpoints_of(read_trace(EXAMPLE), machine), noise_seed=1).trace, None, 0.0)
+    return machine, run, predict(machine, run, realisations=2)
+
+
+def changed(run: MeasuredRun, **signals: np.ndarray | None) -> MeasuredRun:
+    """The run with other signals of X; None removes one."""
+    kept = {**run.trace.signals, **{("X", name): values for name, values in signals.items()}}
+    return replace(run, trace=replace(run.trace, signals={key: values for key, values in kept.items() if values is not None}))
+
+
+def test_an_axis_that_sticks_elsewhere_has_a_gap_at_rest_only(recorded: tuple) -> None:
+    machine, run, prediction = recorded
+    stuck = np.where(is_moving(run.trace, machine.axis("X")), 0.0, 20e-6)
+    gap = gap_of(machine, changed(run, position=run.trace.get("X", "position") + stuck), prediction)["X"]["position"]
+    assert gap.rms > 30.0 * gap.noise
+    assert gap.times_noise_moving < 1.5
+
+
+def test_an_axis_without_set_points_is_compared_over_the_whole_run(recorded: tuple) -> None:
+    """Its current is refused: it is compared in motion only."""
+    machine, run, prediction = recorded
+    shifted = changed(run, position=run.trace.get("X", "position") + 2e-6, setpoint=None, current=None)
+    gap = gap_of(machine, shifted, prediction)["X"]["position"]
+    assert gap.times_noise_moving == pytest.approx(gap.rms / gap.noise)
+    with pytest.raises(InputError, match="setpoint"):
+        gap_of(machine, changed(run, setpoint=None), prediction)

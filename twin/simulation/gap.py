@@ -150,12 +150,15 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
         if axis.name not in run.trace.axes:
             continue
         signals = {}
+        # an effort is compared in motion only, which needs set points; the other signals of an axis without them count over the whole run
+        known = run.trace.has(axis.name, "setpoint") or run.trace.has(axis.name, axis.effort)
+        in_motion = is_moving(run.trace, axis) if known else np.zeros(len(run.trace.time), bool)
         for signal in COMPARED:
             if not run.trace.has(axis.name, signal) or (signal in EFFORTS and signal != axis.effort):
                 continue
             difference = run.trace.get(axis.name, signal) - prediction.trace.get(axis.name, signal)
             scatter = prediction.scatter[axis.name, signal]
-            moving = is_moving(run.trace, axis)
+            moving = in_motion
             if signal in EFFORTS:
                 difference, scatter, moving = difference[moving], scatter[moving], moving[moving]
             if not moving.any():

@@ -216,11 +216,15 @@ class ClosedLoop:
         of_fold = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
         self.parts = list(enumerate(of_fold))  # folds and their rows (row,) that are predicted from all other rows
         self.halved: int | None = None
-        self.has_more_folds = len(folds) > 1
-        if not self.has_more_folds:
+        if len(folds) == 1:
             self._halve(0, np.ones(len(self.rows)))
         zeros = zeros_of(group)[self.rows] * self.root[:, None]
         self.zeros = np.linalg.qr(zeros[:, np.any(zeros != 0.0, axis=0)])[0]  # orthonormal
+
+    @property
+    def only_fold(self) -> int | None:
+        """The fold that was halved because no other one shows the gap; None for a single fold, which is always halved."""
+        return self.halved if len({fold for fold, _ in self.parts}) > 1 else None
 
     def halving_its_only_loud_fold(self, left: np.ndarray) -> ClosedLoop:
         """A closed loop that halves the fold with almost all of the loss above noise; this one if there is none. `left` (row,): residual.

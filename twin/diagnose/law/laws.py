@@ -103,12 +103,14 @@ def laws_of(
     for group in groups:
         for axis in [a for a in group.axes if a in axes]:
             say(f"{axis}: searching for an unlisted law")
-            if jitter := _jitter(group, machine, corrected, axis, mapper):
+            state = state_of(machine, corrected, (axis,), group.thresholds)
+            blocks = residuals_of(group.views, state.machine_of, (axis,), mapper)
+            if jitter := _jitter(blocks, axis, machine):
                 laws.append(jitter)
                 corrected, *without = (with_effects(m, [*settings_of(m), jitter.setting]) for m in (corrected, *without))
                 left[axis] = 1.0 - jitter.explained
                 continue
-            best = _search_axis(group, machine, corrected, axis, folds, mapper, say)
+            best = _search_axis(ClosedLoop(group, (axis,), folds, mapper), state, blocks, axis, machine, say)
             left[axis] = best.left
             if not best.laws or best.fitted is None:
                 continue
@@ -119,10 +121,9 @@ def laws_of(
     return Laws(tuple(laws), corrected, tuple(without), left)
 
 
-def _jitter(group: Group, machine: Machine, corrected: Machine, axis: str, mapper: Mapper) -> Law | None:
+def _jitter(blocks: Sequence[Samples], axis: str, machine: Machine) -> Law | None:
     """The jitter of an axis' scale. Random errors have no response that could be fitted in closed loop; they are sized from the residual."""
-    state = state_of(machine, corrected, (axis,), group.thresholds)
-    for samples in residuals_of(group.views, state.machine_of, (axis,), mapper):
+    for samples in blocks:
         if samples.block == "transmission" and (found := jitter_of(samples)):
             setting = check_setting(found.table(axis), machine, "a measured law")
             return Law(setting, found, samples, found.predicts, MOST_PROBABLE, {})
@@ -155,21 +156,17 @@ class _AxisLaws:
     left: float
 
 
-def _search_axis(
-    group: Group, machine: Machine, corrected: Machine, axis: str, folds: Sequence[Sequence[int]], mapper: Mapper, say: Say
-) -> _AxisLaws:
-    """Laws of one axis in addition to its effects, or instead of them if that predicts clearly better.
+def _search_axis(loop: ClosedLoop, state: State, blocks: Sequence[Samples], axis: str, machine: Machine, say: Say) -> _AxisLaws:
+    """Laws of one axis in addition to its effects, or instead of them if that predicts clearly better. `blocks` are the residuals of `state`.
 
     A search without the law may find effects that do not exist. The search for laws therefore also starts without the effects of the axis
     and restores those that reduce the gap.
     """
-    loop = ClosedLoop(group, (axis,), folds, mapper)
-    state = state_of(machine, corrected, (axis,), group.thresholds)
     loop = loop.halving_its_only_loud_fold(loop.left(state))
     own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
     if not own or len(own) > MOST_EFFECTS:
-        return _search_from(loop, state, axis, machine, say)
-    beside = _search_from(loop, state, axis, machine, say, removable=own)
+        return _search_from(loop, state, axis, machine, say, blocks=blocks)
+    beside = _search_from(loop, state, axis, machine, say, removable=own, blocks=blocks)
     say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own)}")
     bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
     starts = [as_in_the_file(state, axis), bare]
@@ -202,18 +199,20 @@ def _search_from(
     say: Say,
     restorable: Sequence[Setting] = (),
     removable: Sequence[Setting] = (),
+    blocks: Sequence[Samples] | None = None,
 ) -> _AxisLaws:
     """Laws of one axis from a start state, added one by one while each reduces the gap enough. Then effects in `restorable` are restored if they
-    reduce the gap, and effects in `removable` are removed if they no longer do."""
+    reduce the gap, and effects in `removable` are removed if they no longer do. `blocks` are the residuals of the start state, if known."""
     tolerance = machine.parameter_tolerance
     first = loop.fit(state, tolerance, steps=2)
     if first is None:
         return _AxisLaws([], None, 1.0)
-    only = loop.halved if loop.has_more_folds else None
     fitted = first
     laws: list[Law] = []
     while len(laws) < MOST_LAWS and loss_above_noise(loop, fitted) > LITTLE_LEFT * loss_above_noise(loop, first):
-        proposals = propose_laws(loop.group, fitted.state if laws else state, axis, loop.mapper)
+        if laws or blocks is None:
+            blocks = residuals_of(loop.group.views, (fitted.state if laws else state).machine_of, (axis,), loop.mapper)
+        proposals = propose_laws(blocks, machine, axis)
         if not proposals:
             break
         say(f"{axis}: {', '.join(label(d) for d, _ in proposals)} in closed loop")
@@ -233,9 +232,9 @@ def _search_from(
                 description,
                 samples,
                 float(min(max(share, 0.0), 1.0)),
-                float(min(certain, MOST_PROBABLE if only is None else MOST_PROBABLE_IN_ONE_RUN)),
+                float(min(certain, MOST_PROBABLE if loop.only_fold is None else MOST_PROBABLE_IN_ONE_RUN)),
                 deviations_of(new, len(new.state.settings) - 1),
-                only,
+                loop.only_fold,
             )
         )
         fitted = new

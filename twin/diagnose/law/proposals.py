@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 import contextlib
 
-from twin.diagnose.law.closed_loop import State
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.measure import Curve, excess, measured_laws
-from twin.diagnose.law.residual import SPRING, Samples, residuals_of
+from twin.diagnose.law.residual import SPRING, Samples
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
 from twin.diagnose.law.springs import stage_over_force
-from twin.diagnose.observe import Group
-from twin.diagnose.simulations import Mapper
 from twin.effects import Setting, check_setting
 from twin.errors import InputError
 from twin.machine.machine import Machine
@@ -33,21 +30,23 @@ NEAR_BEST = 0.4
 """Smallest prediction of a further candidate, as a fraction of that of the best one."""
 
 
-def propose_laws(group: Group, state: State, axis: str, mapper: Mapper) -> list[tuple[Described, Samples]]:
-    """The laws that predict best in the blocks of an axis that are furthest from noise, as formulas, filters or tables."""
-    samples = [s for s in residuals_of(group.views, state.machine_of, (axis,), mapper) if excess(s) > NOISY]
-    own = state.machine.axis(axis)
+def propose_laws(blocks: Sequence[Samples], machine: Machine, axis: str) -> list[tuple[Described, Samples]]:
+    """The laws that predict best in the `blocks` of an axis that are furthest from noise, as formulas, filters or tables."""
+    own = machine.axis(axis)
     found: list[tuple[float, Described, Samples]] = []
-    for s in samples:
+    for s in blocks:
+        loudness = excess(s)
+        if loudness <= NOISY:
+            continue
         suited = [c for c in measured_laws(s, own) if c.predicts > LEAST_PREDICTS and c.runs_better >= LEAST_RUNS]
         distinct: dict[tuple[str, str, str, bool], Curve] = {}
         for c in suited:
             distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
         near = [c for c in distinct.values() if c.predicts > NEAR_BEST * suited[0].predicts][: TRIED + 1]
-        filters = [f for f in filters_of(s, state.machine) if f.predicts > LEAST_PREDICTS and f.curve.runs_better >= LEAST_RUNS]
+        filters = [f for f in filters_of(s, machine) if f.predicts > LEAST_PREDICTS and f.curve.runs_better >= LEAST_RUNS]
         stages = [stage for c in near if s.block == SPRING and (stage := stage_over_force(s, c)) and stage.predicts > LEAST_PREDICTS]
         for d in [*(described(s, c, own) for c in near), *filters, *stages]:
-            found.append((excess(s) * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
+            found.append((loudness * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
     found.sort(key=lambda f: -f[0])
     return [(d, s) for _, d, s in found[:TRIED]]
 
