@@ -20,12 +20,9 @@ import numpy as np
 from twin.errors import SimulationError
 from twin.identify.drive_mechanics import with_mechanics
 from twin.identify.drive_residuals import DriveFit, DriveResiduals
-from twin.identify.drive_search import machine_found, searched
+from twin.identify.drive_search import LEAST_IMPROVEMENT, machine_found, searched
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
-
-LEAST_IMPROVEMENT = 0.02
-"""A reference model of the speed controller or a torque feedforward of the drive is added if it lowers the mean log RMS by more than this."""
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
 REFERENCE_INTEGRAL_S = 0.01

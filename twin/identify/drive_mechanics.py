@@ -1,7 +1,7 @@
-"""What a drive in closed loop shows of its mechanics beyond inertia and friction: pre-sliding and a structural mode.
+"""Mechanics of a drive in closed loop beyond inertia and friction: pre-sliding and a structural mode.
 
-Each is fitted jointly with all other values of the axis, with the lag of a reference model too, the mode from several frequencies. It is
-taken if its interval is narrow and it predicts moves that are left out clearly better, and none clearly worse; otherwise the axis stays as it was.
+Each is fitted together with all other values of the axis and the lag of a reference model; the mode starts from several frequencies. It is
+accepted if its interval is narrow, it predicts held-out moves clearly better on average, and none clearly worse. Otherwise the axis is unchanged.
 """
 
 from __future__ import annotations
@@ -14,37 +14,34 @@ import numpy as np
 
 from twin.errors import SimulationError
 from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveResiduals
-from twin.identify.drive_search import Search, machine_found, score_of, searched
+from twin.identify.drive_search import LEAST_IMPROVEMENT, Search, machine_found, score_of, searched
 from twin.identify.moves import folds_of
 from twin.machine.machine import Machine
 from twin.machine.parameters import parameter
 from twin.recordings.campaign import MeasuredRun
 
-CLEARLY = 0.02
-"""A richer model is taken if it lowers the mean log RMS of the moves left out by more."""
-
 FREQUENCIES_HZ = (12.0, 18.0, 27.0, 41.0, 62.0)
-"""Frequencies from which a structural mode is searched: beds on their mounts and columns lie between 10 and 80 Hz."""
+"""Initial frequencies of a structural mode. Beds on their mounts and columns are between 10 and 80 Hz."""
 
 MODE_START = (0.3, 0.05)
-"""Mass share and damping ratio from which a structural mode is searched."""
+"""Initial mass share and damping ratio of a structural mode."""
 
 BREAK_AWAY = {"linear": 10e-6, "rotary": 5e-5}
-"""Way to break-away [m, rad] from which pre-sliding is searched: Coulomb friction over stiffness."""
+"""Initial travel to break-away [m, rad]: Coulomb friction over pre-sliding stiffness."""
 
 REFERENCE_START_S = 0.2e-3
-"""Lag from which the search for a reference model starts."""
+"""Initial lag of a reference model."""
 
 NARROW = {SLIP: 4.0, "mode_frequency_hz": 1.25, "mode_mass_share": 4.0}
-"""Largest factor from a value to the end of its 95 % interval."""
+"""Largest ratio of an end of the 95 % interval to the value."""
 
 SCREENING_STEPS, POLISHING_STEPS = 5, 25
-"""Steps of the search from each start, and from the best of them to the end."""
+"""Steps of the search from each initial frequency, and from the best of them."""
 
 
 @dataclass(frozen=True)
 class _Recording:
-    """What all searches share."""
+    """Data of all searches: runs, training rows, known values, progress."""
 
     runs: Sequence[MeasuredRun]
     rows: Mapping[str, Sequence[np.ndarray]]
@@ -64,7 +61,7 @@ def with_mechanics(
     best: Mapping[str, Search],
     say: Callable[[str], None] | None = None,
 ) -> dict[str, Search]:
-    """`best` with the searches of richer mechanics on the axes that show them: position compared, and two moves or more."""
+    """`best` with richer mechanics on the axes where they are accepted. An axis needs a compared position and at least two moves."""
     recording = _Recording(runs, rows, known, say)
     best = dict(best)
     folds = {n: folds_of(machine.axis(n), runs, rows[n]) for n in best}
@@ -72,7 +69,7 @@ def with_mechanics(
     left_out = _scores_left_out(recording, folds, {n: best[n] for n in asked})
     for slip, frequencies in ((True, ()), (False, FREQUENCIES_HZ), (True, FREQUENCIES_HZ)):
         found = _fitted(recording, machine, {n: best[n] for n in asked}, slip, frequencies)
-        promising = {n: s for n, s in found.items() if s.score[n] < best[n].score[n] - CLEARLY and _is_narrow(s, n)}
+        promising = {n: s for n, s in found.items() if s.score[n] < best[n].score[n] - LEAST_IMPROVEMENT and _is_narrow(s, n)}
         scores = _scores_left_out(recording, folds, promising)
         for n, s in promising.items():
             if _predicts_better(scores[n], left_out[n]):
@@ -81,7 +78,7 @@ def with_mechanics(
 
 
 def _is_open(machine: Machine, name: str) -> bool:
-    """True if the machine file says nothing of pre-sliding or a structural mode of this axis."""
+    """True if the machine file has neither pre-sliding nor a structural mode on this axis."""
     axis = machine.axis(name)
     listed = any(e.get("name") == "presliding" and e.get("axis") == name for e in machine.effects)
     return not (listed or axis.presliding_stiffness or axis.mode_mass_share)
@@ -90,7 +87,7 @@ def _is_open(machine: Machine, name: str) -> bool:
 def _fitted(
     recording: _Recording, machine: Machine, best: Mapping[str, Search], slip: bool, frequencies: Sequence[float]
 ) -> dict[str, Search]:
-    """The richer model of all axes: a few steps from each start, then from each axis' best start to the end."""
+    """Fit of a richer model to all axes: a few steps from each start, then to the end from the best start of each axis."""
     first: list[Search] = []
     for richer in _starts(machine_found(machine, best), best, slip, frequencies):
         try:
@@ -107,7 +104,7 @@ def _fitted(
 
 
 def _starts(machine: Machine, best: Mapping[str, Search], slip: bool, frequencies: Sequence[float]) -> Iterator[Machine]:
-    """The machine with what is searched added to the axes of `best`, once for each frequency."""
+    """The machine with the searched mechanics added to the axes of `best`, once for each frequency."""
     values: dict[str, object] = {}
     for name, search in best.items():
         axis = machine.axis(name)
@@ -122,7 +119,7 @@ def _starts(machine: Machine, best: Mapping[str, Search], slip: bool, frequencie
 
 
 def _is_narrow(search: Search, name: str) -> bool:
-    """Are the values beyond inertia, friction and gains known within NARROW, and none at a bound of its search?"""
+    """Whether the intervals of pre-sliding and mode are within NARROW and no value is at a bound of its range."""
     fit = search.work.result(name, search.x[name], search.base[name], search.jacobian[name])
     if any(not low * 1.01 < fit.values[f] < high / 1.01 for f, (low, high) in RANGES.items() if f in fit.values):
         return False
@@ -132,7 +129,7 @@ def _is_narrow(search: Search, name: str) -> bool:
 def _scores_left_out(
     recording: _Recording, folds: Mapping[str, list[list[np.ndarray]]], best: Mapping[str, Search]
 ) -> dict[str, list[float]]:
-    """Mean log RMS (fold,) of each axis on the moves of each fold, left out of a fit that starts where the search of all moves ended."""
+    """Mean log RMS (fold,) of each axis on the moves of each fold, after a fit to the other moves that starts from the fit to all moves."""
     scores: dict[str, list[float]] = {n: [] for n in best}
     for search in {id(s): s for s in best.values()}.values():
         own = [n for n, s in best.items() if s is search]
@@ -154,6 +151,6 @@ def _without_steady_command(residual: Mapping[str, np.ndarray], effort: str) -> 
 
 
 def _predicts_better(after: Sequence[float], before: Sequence[float]) -> bool:
-    """True if the moves left out are predicted clearly better on average, and in no fold clearly worse."""
+    """Whether held-out moves are predicted clearly better on average, and in no fold clearly worse."""
     gains = np.array(before) - np.array(after)
-    return bool(np.isfinite(after).all() and gains.mean() > CLEARLY and gains.min() > -CLEARLY)
+    return bool(np.isfinite(after).all() and gains.mean() > LEAST_IMPROVEMENT and gains.min() > -LEAST_IMPROVEMENT)

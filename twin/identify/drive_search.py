@@ -1,6 +1,6 @@
 """The search of a drive fit: damped Gauss-Newton (Levenberg-Marquardt) for all axes at once.
 
-Axes do not feel each other, so one simulation turns one value of every axis; each axis has its own damping and its own end.
+The axes are independent, so one simulation perturbs one value of every axis. Each axis has its own damping and stops on its own.
 """
 
 from __future__ import annotations
@@ -16,13 +16,16 @@ from twin.identify.drive_residuals import LEAST_RMS, DriveResiduals, rms_of, whi
 from twin.machine.machine import Machine
 
 STEPS = 12
-DONE = 1e-4
-"""The search ends where a step improves the mean log RMS by less."""
+CONVERGED = 1e-4
+"""The search of an axis ends when a step improves the mean log RMS by less than this."""
+
+LEAST_IMPROVEMENT = 0.02
+"""A richer model is taken if it lowers the mean log RMS by more than this."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Where a search ended: values, residuals, score and slopes of each axis."""
+    """End of a search: values, residuals, score and Jacobian of each axis."""
 
     work: DriveResiduals
     x: dict[str, np.ndarray]
@@ -32,7 +35,7 @@ class Search:
 
 
 def machine_found(machine: Machine, best: Mapping[str, Search]) -> Machine:
-    """The machine with the values of each axis where its own search ended."""
+    """The machine with the final values of each axis."""
     values: dict[str, object] = {}
     forces: dict[str, float] = {}
     for name, search in best.items():
@@ -48,9 +51,9 @@ def searched(
     start: Mapping[str, np.ndarray] | None = None,
     steps: int = STEPS,
 ) -> Search | None:
-    """The damped search from the machine's own values, or from `start`; None if no axis is fitted.
+    """Damped search from the machine's values, or from `start`; None if no axis is fitted.
 
-    Raises SimulationError if the machine does not follow the set points, not even with half the gains.
+    Raises SimulationError if the machine does not follow the set points, even with half the gains.
     """
     if not work.names:
         return None
@@ -60,7 +63,9 @@ def searched(
         x = work.with_softer_gains(x)
         base = work.residuals(x)
         if base is None:
-            raise SimulationError("the machine file does not follow the recorded set points: its loops are unstable; correct its gains")
+            raise SimulationError(
+                "the simulated machine does not follow the recorded set points because its loops are unstable; correct its gains"
+            )
     score = {a: score_of(base[a]) for a in work.names}
     damping = dict.fromkeys(work.names, 1e-3)
     open_axes = set(work.names)
@@ -79,7 +84,7 @@ def searched(
                 gained = {a: score[a] - score_of(there[a]) for a in better}
                 base = {a: there[a] if a in better else base[a] for a in work.names}
                 score.update({a: score_of(base[a]) for a in better})
-                open_axes -= {a for a in better if gained[a] < DONE}
+                open_axes -= {a for a in better if gained[a] < CONVERGED}
                 break
         else:
             break
@@ -91,13 +96,13 @@ def searched(
 
 
 def score_of(residual: Mapping[str, np.ndarray]) -> float:
-    """Mean log RMS of the signals, by their numbers of samples."""
+    """Mean log RMS of the signals, weighted by their numbers of samples."""
     count = sum(len(v) for v in residual.values())
     return sum(len(v) * math.log(max(rms_of(v), LEAST_RMS)) for v in residual.values()) / max(count, 1)
 
 
 def _step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> np.ndarray:
-    """Levenberg-Marquardt step; columns that change nothing stay, no step is longer than e-fold."""
+    """Levenberg-Marquardt step (value,), limited to +-1; values without an effect are not changed."""
     length = np.linalg.norm(jacobian, axis=0)
     seen = length > 1e-9 * max(float(length.max()), 1e-300)
     out = np.zeros(jacobian.shape[1])

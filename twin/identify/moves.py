@@ -11,7 +11,7 @@ from twin.recordings.campaign import MeasuredRun
 from twin.simulation.gap import is_moving
 
 FOLDS = 4
-"""Most parts in which the moves of an axis are left out, one after the other."""
+"""Largest number of folds."""
 
 
 def folds_of(axis: Axis, runs: Sequence[MeasuredRun], rows: Sequence[np.ndarray]) -> list[list[np.ndarray]]:
