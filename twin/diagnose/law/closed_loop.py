@@ -40,7 +40,8 @@ LARGEST_MOVE = 0.5
 """Largest relative change in one Gauss-Newton step of a parameter with a nonlinear response."""
 
 PRIOR_WEIGHT_ROWS = 60.0
-"""Weight of the prior of the tuning relative to a single row; consecutive samples are not independent."""
+"""Weight of the prior of the tuning relative to a single row; consecutive samples are not independent. It grows with the loss over that of
+noise: what no law explains yet is model error, and must not pull a parameter out of its tolerance."""
 
 DAMPINGS = (0.0, 0.3, 3.0)
 """Levenberg-Marquardt dampings, tried in order, as multiples of the diagonal of the normal matrix."""
@@ -131,8 +132,8 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], prefix: st
 def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unknown]:
     """Parameters of effects and laws on these axes, then their toleranced parameters.
 
-    Normal imperfections keep their fitted values. The spring of an axis with a law between its encoders is fitted again, because the search
-    sized it without that law.
+    Normal imperfections keep their fitted values. The spring of an axis with a law between its encoders is fitted again with its damping,
+    because the search sized both without that law.
     """
     found = []
     between_encoders = {s.axis for s in state.settings if s.effect.name == NAME and _is_between_encoders(s)}
@@ -142,7 +143,9 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
             continue
         for p in setting.effect.parameters:
             value = setting.parameters.get(p.name)
-            if value is None or (p.shape and not p.periodic) or not math.isfinite(value):
+            if value is None or not math.isfinite(value):
+                continue
+            if p.shape and not p.periodic and not (beside and p.fitted):
                 continue
             if value == 0.0 and not p.periodic:  # unused by the shape
                 continue
@@ -281,7 +284,7 @@ class ClosedLoop:
         toleranced parameters are kept, because the response to them is linear.
         """
         unknowns = unknowns_of(state, self.axes, tolerance)
-        prior = np.array([PRIOR_WEIGHT_ROWS if u.nuisance is not None else 1e-6 for u in unknowns])
+        toleranced = np.array([u.nuisance is not None for u in unknowns], bool)
         try:
             left = self.left(state)
         except TwinError:
@@ -292,7 +295,7 @@ class ClosedLoop:
         for i, name in enumerate(names):
             columns[:, i] = known[name] * unknowns[i].step if name in known else 0.0
         asked = [i for i, name in enumerate(names) if name not in known]
-        bent = {i for i, u in enumerate(unknowns) if u.nuisance is None}
+        bent = set(np.flatnonzero(~toleranced).tolist())
         taken_here: set[int] = set()  # unknowns whose slopes were computed at this state
         # deviation of the toleranced parameters from the machine file, in steps
         offset = np.array(
@@ -303,20 +306,25 @@ class ClosedLoop:
             columns[:, asked] = self._slopes(state, unknowns, asked, left)
             taken_here |= set(asked)
             asked = sorted(bent - taken_here)
+            prior = self._prior(toleranced, loss)
             better = self._improving_step(state, unknowns, columns, left, prior, offset)
             if better is None and asked:
                 continue  # no improvement with slopes from another state: compute them here
             if better is None:
                 break
             state, after, move = better
-            offset = offset + np.where(prior == PRIOR_WEIGHT_ROWS, move, 0.0)
+            offset = offset + np.where(toleranced, move, 0.0)
             promised, gained = loss - 0.5 * float(np.sum(np.square(left - columns @ move))), loss - 0.5 * float(after @ after)
             holds = gained > self.group.thresholds.slopes_hold * promised
             left, loss = after, loss - gained
             if gained < CONVERGED * loss and (holds or not asked):
                 break
             taken_here, asked = set(), [] if holds else sorted(bent)
-        return self._cross_validated(state, unknowns, left, columns, loss, prior, offset)
+        return self._cross_validated(state, unknowns, left, columns, loss, self._prior(toleranced, loss), offset)
+
+    def _prior(self, toleranced: np.ndarray, loss: float) -> np.ndarray:
+        """Weights (unknown,) of the squared deviation of each toleranced parameter, in steps, at a loss."""
+        return np.where(toleranced, PRIOR_WEIGHT_ROWS * max(1.0, loss / max(self.expected, 1e-300)), 1e-6)
 
     def _slopes(self, state: State, unknowns: Sequence[Unknown], asked: Sequence[int], left: np.ndarray) -> np.ndarray:
         """Slopes (row, asked) of some unknowns by a forward step, or a backward step if the forward step has no effect or fails."""

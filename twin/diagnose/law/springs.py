@@ -40,20 +40,23 @@ def with_fitted_spring(state: State, axis: str, law: Described, samples: Samples
     if law.candidate.variable != "windup":
         return state
     if law.spring is not None:
-        return _with_stiffness(state, axis, law.spring)
+        return _with_spring(state, axis, law.spring)
     columns = np.column_stack([nuisances_in(samples), law.column])
     loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     more = float(loss.coefficients[WINDUP_SLOPE])
     own = next((s.parameters.get("stiffness", 0.0) for s in state.settings if (s.effect.name, s.axis) == (SPRING_EFFECT, axis)), 0.0)
-    return _with_stiffness(state, axis, own + more) if own + more > 0.0 else state
+    return _with_spring(state, axis, own + more) if own + more > 0.0 else state
 
 
-def _with_stiffness(state: State, axis: str, stiffness: float) -> State:
-    """The state with a stiffness of the spring of an axis."""
-    settings = (
-        replace(s, parameters={**s.parameters, "stiffness": stiffness}) if (s.effect.name, s.axis) == (SPRING_EFFECT, axis) else s
-        for s in state.settings
-    )
+def _with_spring(state: State, axis: str, stiffness: float) -> State:
+    """The state with a stiffness of the spring of an axis, and with the damping from which the fit then starts."""
+    settings = []
+    for s in state.settings:
+        if (s.effect.name, s.axis) == (SPRING_EFFECT, axis):
+            values = {**s.parameters, "stiffness": stiffness}
+            started = {p.name: p.fitted(state.machine, state.machine.axis(axis), values) for p in s.effect.parameters if p.fitted}
+            s = replace(s, parameters=values | started)
+        settings.append(s)
     return replace(state, settings=tuple(settings))
 
 
