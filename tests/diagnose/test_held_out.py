@@ -1,5 +1,6 @@
 """Gaps on held-out runs, including folds whose machine cannot be simulated."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -83,29 +84,47 @@ def test_axes_that_a_correction_makes_worse_keep_the_machine_file(mikron):
         assert machine_of(stays).document == nominal
 
 
-LEVELS = {
-    "nominal": {"position": 30.0, "current": 1.0},
-    "good law": {"position": 1.1, "current": 1.2},
-    "law that opens another gap": {"position": 1.1, "current": 4.4},
-}
+def with_proposed_laws(monkeypatch, levels, laws):
+    """`with_laws` for axis X: levels of its signals over noise without a law ("nominal") and with each of `laws`; and the laws it asked for."""
 
-
-@pytest.mark.parametrize(("law", "accepted"), [("good law", True), ("law that opens another gap", False)])
-def test_a_law_that_makes_one_signal_worse_is_refused(monkeypatch, law, accepted):
     def gaps(machine, run, predicted):
-        return {"X": {signal: SignalGap(level, level, 1.0, "um", level) for signal, level in LEVELS[predicted].items()}}
+        return {"X": {signal: SignalGap(level, level, 1.0, "um", level) for signal, level in levels[predicted].items()}}
 
+    asked = []
+
+    def proposed(*_):
+        for law in laws:
+            asked.append(law)
+            yield SimpleNamespace(laws=[SimpleNamespace(axis="X")], corrected=law)
+
+    predictions = {which: {"after": {run.name: which for run in RUNS}} for which in levels}
     monkeypatch.setattr(corrected, "gap_of", gaps)
-    proposal = SimpleNamespace(laws=[SimpleNamespace(axis="X")], corrected="machine with the law")
-    monkeypatch.setattr(validation, "find_unlisted_laws", lambda *_: [proposal])
-    predictions = {which: {"after": {run.name: which for run in RUNS}} for which in LEVELS}
-    monkeypatch.setattr(validation, "predictions_with_laws", lambda *_, **__: corrected.HeldOut(predictions[law], []))
+    monkeypatch.setattr(validation, "find_unlisted_laws", proposed)
+    monkeypatch.setattr(validation, "predictions_with_laws", lambda law, *_, **__: corrected.HeldOut(predictions[law.corrected], []))
     records = SimpleNamespace(runs=RUNS, motions=[], aligned=lambda *_: RUNS)
     setup = SimpleNamespace(quick=False, machine="m", nominal="m", thresholds=DEFAULT, folds=FOLDS, threads=1, progress=None)
-    without = validation.Validated(tuple(RUNS), [], corrected.HeldOut(predictions["nominal"], []), {}, {}, "machine without")
-    found = validation.with_laws(setup, records, without)
-    assert (found.laws is proposal) is accepted
-    assert found.corrected == ("machine with the law" if accepted else "machine without")
+    before = {"X": math.sqrt(sum(level**2 for level in levels["nominal"].values()) / len(levels["nominal"]))}
+    without = validation.Validated(tuple(RUNS), [], corrected.HeldOut(predictions["nominal"], []), before, before, "nominal")
+    return validation.with_laws(setup, records, without).corrected, asked
+
+
+@pytest.mark.parametrize(
+    ("law", "signals", "kept"),
+    [
+        ("good law", {"position": 1.1, "current": 1.2}, "good law"),
+        ("law that opens another gap", {"position": 1.1, "current": 4.4}, "nominal"),
+    ],
+)
+def test_a_law_that_makes_one_signal_worse_is_refused(monkeypatch, law, signals, kept):
+    levels = {"nominal": {"position": 30.0, "current": 1.0}, law: signals}
+    assert with_proposed_laws(monkeypatch, levels, [law]) == (kept, [law])
+
+
+@pytest.mark.parametrize(("left", "asked"), [(1.9, ["law"]), (4.0, ["law", "other weights"])])
+def test_laws_are_searched_again_with_other_weights_only_if_a_considerable_gap_remains(monkeypatch, left, asked):
+    levels = {"nominal": {"position": 6.0, "current": 2.0}, "law": {"position": left, "current": 2.0}}
+    levels["other weights"] = levels["nominal"]
+    assert with_proposed_laws(monkeypatch, levels, ["law", "other weights"]) == ("law", asked)
 
 
 def test_a_law_is_judged_by_relative_changes_of_its_axes_only():

@@ -24,7 +24,7 @@ from twin.diagnose.corrected import (
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
 from twin.diagnose.law.acceptance import LEAST_CLOSED
 from twin.diagnose.law.laws import Laws
-from twin.diagnose.law.step import ALL_BUT, find_unlisted_laws, many_effects_explain, predictions_with_laws
+from twin.diagnose.law.step import ALL_BUT, find_unlisted_laws, gap_remains, many_effects_explain, predictions_with_laws
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
@@ -102,9 +102,17 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
             share, corrected = _with(laws, setup, records, validated)
             if share <= least_share:
                 best, least_share = corrected, share
-            if least_share < ALL_BUT:
+            if least_share < ALL_BUT or _closes_the_gap(best, setup.machine):
                 break
     return best
+
+
+def _closes_the_gap(correction: Validated, machine: Machine) -> bool:
+    """Whether laws leave no considerable gap on any of their axes. Other weights of the samples then find no better laws."""
+    if correction.laws is None:
+        return False
+    after = correction.held_out.levels(machine, correction.runs)
+    return not any(gap_remains(correction.before[law.axis], after[law.axis]) for law in correction.laws.laws)
 
 
 def _with(laws: Laws, setup: Setup, records: Records, validated: Validated) -> tuple[float, Validated]:
