@@ -31,6 +31,7 @@ from twin.effects.effect import FROM_TABLE, Effect, Parameter
 from twin.effects.law_filters import filter_row
 from twin.effects.law_shapes import CURVE, MOST_POINTS, TABLE, Number, Shape, find_shape, row_of, values_of
 from twin.effects.picture import Picture
+from twin.effects.scan import AlongTravel
 from twin.effects.setting import Setting
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
@@ -276,6 +277,7 @@ def _parameter(number: Number, law: Law) -> Parameter:
         neutral=number.neutral,
         logarithmic=number.logarithmic,
         periodic=number.of == "angle",
+        scan=AlongTravel() if number.wavelength and law.variable == "position" else None,
         any_size=True,
     )
 

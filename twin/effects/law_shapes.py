@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 import re
 from typing import Literal
@@ -57,6 +57,7 @@ class Number:
     default: float | None = None
     fixed: bool = False  # not fitted
     logarithmic: bool = False
+    wavelength: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,11 @@ SHAPES = {
             "sine",
             SINE,
             "amplitude * sin(2 pi x / period + phase_rad)",
-            (_height("amplitude"), _width("period"), Number("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0)),
+            (
+                _height("amplitude"),
+                replace(_width("period"), wavelength=True),
+                Number("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0),
+            ),
             "a sine",
         ),
         Shape(

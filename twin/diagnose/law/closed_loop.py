@@ -18,6 +18,7 @@ import numpy as np
 from twin.diagnose.channel import Channel
 from twin.diagnose.law.residual import ONE_RUN
 from twin.diagnose.observe import Group, Variation
+from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.diagnose.tuning import zeros_of
@@ -129,9 +130,10 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], prefix: st
     return out
 
 
-def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unknown]:
+def unknowns_of(state: State, axes: Sequence[str], tolerance: float, thresholds: Thresholds = DEFAULT) -> list[Unknown]:
     """Parameters of effects and laws on these axes, then their toleranced parameters.
 
+    The step of a wavelength shifts the wave at the end of the travel by a small part of it, or its slope would not be valid.
     Normal imperfections keep their fitted values. The spring of an axis with a law between its encoders is fitted again with its damping,
     because the search sized both without that law.
     """
@@ -152,7 +154,9 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float) -> list[Unk
             if _is_play(setting) and p.name != "length":  # both are half the width of the play
                 continue
             positive = value > 0.0 and (p.logarithmic or p.low >= 0.0)
-            step = ANGLE_STEP if p.periodic else RELATIVE_STEP * (1.0 if positive else abs(value))
+            waves = p.scan.waves(value, state.machine.axis(setting.axis), thresholds.wave_run_s) if p.scan else 0.0
+            relative = min(RELATIVE_STEP, thresholds.wave_step / max(waves, 1e-9))
+            step = ANGLE_STEP if p.periodic else relative * (1.0 if positive else abs(value))
             found.append(Unknown(i, p.name, step, positive and not p.periodic))
     for nuisance in state.nuisances:
         found.append(Unknown(None, nuisance.quantity, tolerance * float(UNIFORM), False, nuisance))
@@ -283,7 +287,7 @@ class ClosedLoop:
         The fit `like` provides initial slopes. They are computed again only if a step decreases the loss less than predicted. Slopes of
         toleranced parameters are kept, because the response to them is linear.
         """
-        unknowns = unknowns_of(state, self.axes, tolerance)
+        unknowns = unknowns_of(state, self.axes, tolerance, self.group.thresholds)
         toleranced = np.array([u.nuisance is not None for u in unknowns], bool)
         try:
             left = self.left(state)
