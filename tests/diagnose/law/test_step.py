@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose.law import step
@@ -12,13 +13,15 @@ from twin.diagnose.law.proposals import settings_of_proposals
 from twin.effects import EFFECTS, Setting
 
 
-def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None):
-    """Axes for which a law is sought, in a group of which only X was recorded; without `before`, effects explain nothing."""
+def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None, effects=()):
+    """Axes for which a law is sought, in a group of which only X was recorded, with `effects` on X; without `before`, they explain nothing."""
     group = replace(group_of([np.full(50, 3.0)], "X"), axes=axes)
     asked = []
     monkeypatch.setattr(step, "laws_of", lambda groups, machine, corrected, axes, *rest: asked.append(axes))
     monkeypatch.setattr(step, "fitted_without", lambda *_: mikron)
-    found = [replace(found_of(group), unknown=unknown)]
+    state = found_of(group)
+    fit = replace(state.fit, settings=tuple(Setting(EFFECTS[name], "X", {}) for name in effects))
+    found = [replace(state, unknown=unknown, fit=fit)]
     list(step.find_unlisted_laws(found, before or levels, levels, loudest, mikron, mikron, [[0]], map, print))
     return asked
 
@@ -36,6 +39,16 @@ def test_one_loud_signal_starts_the_search_for_a_law(mikron, monkeypatch):
 def test_one_loud_signal_is_ignored_if_effects_explain_most(mikron, monkeypatch):
     assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch, before={"X": 15.0}) == [["X"], ["X"]]
     assert asked_of(("X",), False, {"X": 1.2}, {"X": 1.6}, mikron, monkeypatch, before={"X": 70.0}) == []
+
+
+@pytest.mark.parametrize(
+    ("effects", "asked"),
+    [(["backlash", "transmission_compliance"], [["X"], ["X"]]), (["backlash", "coulomb_friction"], []), (["backlash"], [])],
+)
+def test_a_law_is_sought_instead_of_several_effects_in_one_block(effects, asked, mikron, monkeypatch):
+    """A backlash and a spring imitate a hardening spring down to 1.2 x noise, with one signal at 2.5 x noise."""
+    assert asked_of(("X",), False, {"X": 1.2}, {"X": 2.5}, mikron, monkeypatch, before={"X": 70.0}, effects=effects) == asked
+    assert asked_of(("X",), False, {"X": 1.1}, {"X": 1.3}, mikron, monkeypatch, before={"X": 70.0}, effects=effects) == []
 
 
 def test_many_effects_that_leave_only_noise_are_a_result():

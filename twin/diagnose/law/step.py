@@ -27,7 +27,8 @@ LOUD_SIGNAL = 1.5
 """The same limit for a single signal. A deviation at reversals only contributes little to the gap of an axis."""
 
 NEXT_TO_NOTHING = 1e-3
-"""Unexplained fraction of the gap of an axis below which a single loud signal does not trigger the search for a law."""
+"""Unexplained fraction of the gap of an axis below which a single loud signal does not trigger the search for a law, unless several effects
+share a block."""
 
 QUIET = 1.3
 """Gap over noise on runs left out up to which an axis counts as explained down to noise."""
@@ -82,7 +83,8 @@ def find_unlisted_laws(
 
     def is_loud(axis: str) -> bool:
         was, now = before.get(axis, 0.0), after.get(axis, 0.0)
-        one_is = loudest.get(axis, 0.0) > LOUD_SIGNAL and unexplained_share(was, now) > NEXT_TO_NOTHING
+        imitated = any(_several_in_one_block(f, axis) for f in found)
+        one_is = loudest.get(axis, 0.0) > LOUD_SIGNAL and (imitated or unexplained_share(was, now) > NEXT_TO_NOTHING)
         return now > LOUD or gap_remains(was, now) or one_is
 
     loud = [axis for axis in few if is_loud(axis)]
@@ -100,6 +102,12 @@ def find_unlisted_laws(
 def _recorded_axes(found: GroupState) -> list[str]:
     """Axes of a group with recorded signals besides set points."""
     return [axis for axis in found.group.axes if any(channel.axis == axis for channel in found.group.channels)]
+
+
+def _several_in_one_block(found: GroupState, axis: str) -> bool:
+    """Whether several effects share a block of an axis. They may imitate one law: a backlash and a spring, for example, a hardening spring."""
+    blocks = [s.effect.block for s in found.fit.settings if s.axis == axis]
+    return len(set(blocks)) < len(blocks)
 
 
 def _effect_count(found: GroupState, axis: str) -> int:
