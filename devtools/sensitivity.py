@@ -1,15 +1,17 @@
 """Sensitivity of the diagnosis to its thresholds: each is moved by a third, down and up, on fresh machines of the second plant.
 
-    python -m devtools.sensitivity --out DIR [--seed 700] [--minutes 60] [--only evidence price ...] [--write FILE.csv]
+    python -m devtools.sensitivity --out DIR [--seed 700] [--quick] [--minutes 60] [--only evidence price ...] [--write FILE.csv]
     python -m devtools.sensitivity --list
 
-The cases are drawn into DIR/cases, four runs each: one of every stratum in `STRATA`. Integers change by at least 1. An answer counts as
-changed if the verdict or a named effect differs, a size differs by more than 2 %, or the remaining gap by more than 5 %.
+The cases are drawn into DIR/cases, four runs each: one of every stratum in `STRATA`. Integers change by at least 1. An answer counts as changed
+if the verdict or a named effect differs, a size differs by more than 2 %, the remaining gap by
+more than 5 %, or a place of the gap (block, regime of motion, what it scales with).
 
 A first diagnosis of each case is watched (`devtools.watched`): a move that changes no comparison and enters no other calculation
 cannot change the answer and is not diagnosed. The others are diagnosed in groups, all of a group moved at once; a group that
 changes the answer is halved until single moves are left. So a move counts as without change if it changes nothing
 together with the other moves of its group; two moves that cancel each other are not seen.
+With --quick all of them are quick looks, a third of the work; thresholds that only a whole diagnosis uses are then not reached.
 Answers are kept in DIR/answers.json; the same command continues. After --minutes no further diagnosis begins; moves that were not made are
 counted in the table.
 """
@@ -39,12 +41,12 @@ from twin.machine.machine import default_machine_path, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.simulation.summary import table
 
-STRATA = ("usual", "a fifth", "healthy", "two", "outside", "everyday")
+STRATA = ("healthy", "usual", "a fifth", "two", "outside", "everyday")
 FACTORS = (2.0 / 3.0, 4.0 / 3.0)
 SIZE, GAP = 0.02, 0.05
 """Relative changes of a size and of the remaining gap above which an answer counts as changed."""
 
-GROUP = 16
+GROUP = 6
 """Moves that are made at once at first."""
 
 HEADER = ("threshold", "value", "unit", "cases that reach it", "moves", "cannot change", "made", "not made", "changes")
@@ -59,15 +61,16 @@ def moved_value(name: str, factor: float) -> Any:
     return moved if moved != value else value + (1 if factor > 1.0 else -1)
 
 
-def answer_of(folder: Path, thresholds: Thresholds) -> dict[str, Any]:
-    """Compared values of a diagnosis: verdict, sizes of the named effects, remaining gap; the message if there is none."""
+def answer_of(folder: Path, thresholds: Thresholds, quick: bool) -> dict[str, Any]:
+    """Compared values of a diagnosis: verdict, sizes of the named effects, remaining gap, places; the message if there is none."""
     machine = load_machine()
     try:
-        document = diagnose(read_campaign(folder, machine), machine, thresholds=thresholds).document()
+        document = diagnose(read_campaign(folder, machine), machine, quick=quick, thresholds=thresholds).document()
     except TwinError as error:
-        return {"verdict": f"no diagnosis: {error}", "sizes": {}, "after": 1.0}
+        return {"verdict": f"no diagnosis: {error}", "sizes": {}, "after": 1.0, "places": []}
     sizes = {f"{e['effect']} {e['axis']}": next(iter(e["parameters"].values()))["value"] for e in document["effects"]}
-    return {"verdict": document["verdict"], "sizes": sizes, "after": document["gap"]["after"]}
+    places = [" ".join(p[key] for key in ("axis", "block", "regime", "scales_with")) for p in document["where"]]
+    return {"verdict": document["verdict"], "sizes": sizes, "after": document["gap"]["after"], "places": places}
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
@@ -79,6 +82,8 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
         change = after["sizes"][name] / before["sizes"][name] - 1.0
         if abs(change) > SIZE:
             out.append(f"{name} {change:+.1%}")
+    if set(before["places"]) != set(after["places"]):
+        out.append(f"places {' and '.join(after['places']) or 'none'}")
     if abs(after["after"] / before["after"] - 1.0) > GAP:
         out.append(f"gap {before['after']:.2f} -> {after['after']:.2f}")
     return out
@@ -91,13 +96,14 @@ class Answers:
     folder: Path
     kept: dict[str, dict[str, Any]]
     until: float
+    quick: bool = False
 
     def plain(self, name: str) -> dict[str, Any]:
         """The answer with the default thresholds, and which moves can change it."""
         if name not in self.kept and time.monotonic() < self.until:
             every = {(threshold.name, factor): moved_value(threshold.name, factor) for threshold in listed(DEFAULT) for factor in FACTORS}
             thresholds, watch = watched(DEFAULT, every)
-            answer = answer_of(self.folder / "cases" / name, thresholds)
+            answer = answer_of(self.folder / "cases" / name, thresholds, self.quick)
             outcomes = {key: sorted(found) for key, found in sorted(watch.outcomes.items())}
             noted = {"open": [list(m) for m in every if m in watch.open], "reached": sorted(watch.reached), "outcomes": outcomes}
             self._keep(name, {"answer": answer, **noted, "moves": {}})
@@ -109,7 +115,7 @@ class Answers:
         key = ", ".join(f"{threshold} x {factor:.2f}" for threshold, factor in moves)
         if key not in known["moves"] and time.monotonic() < self.until:
             thresholds = replace(DEFAULT, **{threshold: moved_value(threshold, factor) for threshold, factor in moves})
-            found = changes(known["answer"], answer_of(self.folder / "cases" / name, thresholds))
+            found = changes(known["answer"], answer_of(self.folder / "cases" / name, thresholds, self.quick))
             print(f"{name}: {key}: {'; '.join(found) or '-'}", flush=True)
             self._keep(name, {**known, "moves": {**known["moves"], key: found}})
         return self.kept[name]["moves"].get(key) if name in self.kept else None
@@ -148,6 +154,8 @@ def measured(answers: Answers, names: Sequence[str], only: Sequence[str] | None)
     """Changes by every move that was made on every case."""
     made: dict[tuple[str, Move], list[str]] = {}
     for name in names:
+        answers.plain(name)
+    for name in names:
         # a threshold that changed another case is moved alone, the others in groups
         known = {move for (_, move), found in made.items() if found}
         for factor in FACTORS:
@@ -179,6 +187,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, help="folder for cases and answers")
     parser.add_argument("--seed", type=int, default=700)
+    parser.add_argument("--quick", action="store_true", help="quick looks instead of whole diagnoses")
     parser.add_argument("--minutes", type=float, default=600.0, help="time after which no further diagnosis begins")
     parser.add_argument("--only", nargs="*", help="only these thresholds")
     parser.add_argument("--write", type=Path, metavar="FILE.csv", help="write the table")
@@ -191,11 +200,11 @@ def main() -> None:
     if args.out is None:
         parser.error("--out is missing")
     out = output_folder(args.out)
-    same_examination(out, {"seed": args.seed, "code": sources()})
+    same_examination(out, {"seed": args.seed, "quick": args.quick, "code": sources()})
     names = drawn(out, args.seed)
     file = out / "answers.json"
     kept = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-    answers = Answers(out, kept, time.monotonic() + 60.0 * args.minutes)
+    answers = Answers(out, kept, time.monotonic() + 60.0 * args.minutes, args.quick)
     rows = rows_of(answers, names, measured(answers, names, args.only))
     print(table(list(HEADER), rows, left=3))
     print(f"{sum(bool(row[-1]) for row in rows)} of {len(rows)} thresholds change an answer on {len(answers.kept)} cases")

@@ -74,9 +74,9 @@ def test_watched_thresholds_calculate_as_plain_ones() -> None:
 def test_a_group_of_moves_is_halved_until_the_changing_ones_are_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Thresholds] = []
 
-    def answer(folder: Path, thresholds: Thresholds) -> dict[str, object]:
+    def answer(folder: Path, thresholds: Thresholds, quick: bool = False) -> dict[str, object]:
         asked.append(thresholds)
-        return {"verdict": "none" if thresholds.price > 2.5 else "effect", "sizes": {"backlash X": 1e-6}, "after": 1.0}
+        return {"verdict": "none" if thresholds.price > 2.5 else "effect", "sizes": {"backlash X": 1e-6}, "after": 1.0, "places": []}
 
     monkeypatch.setattr(sensitivity, "answer_of", answer)
     names = ["evidence", "price", "temperature", "remaining", "echo"]
@@ -91,3 +91,19 @@ def test_a_group_of_moves_is_halved_until_the_changing_ones_are_left(tmp_path: P
     assert json.loads((tmp_path / "answers.json").read_text(encoding="utf-8"))["usual"]["moves"]
     stopped = sensitivity.Answers(tmp_path, {"usual": {**kept["usual"], "moves": {}}}, until=-math.inf)
     assert sensitivity.measured(stopped, ["usual"], only=None) == {}
+
+
+@pytest.mark.parametrize(
+    ("other", "found"),
+    [
+        ({"sizes": {"backlash X": 1.01e-6}, "after": 1.03}, []),
+        ({"sizes": {"backlash X": 1.03e-6}}, ["backlash X +3.0%"]),
+        ({"sizes": {}}, ["names nothing"]),
+        ({"after": 1.2}, ["gap 1.00 -> 1.20"]),
+        ({"verdict": "unknown"}, ["effect -> unknown"]),
+        ({"places": ["X transmission all -"]}, ["places X transmission all -"]),
+    ],
+)
+def test_what_counts_as_a_change_of_an_answer(other: dict[str, object], found: list[str]) -> None:
+    before = {"verdict": "effect", "sizes": {"backlash X": 1e-6}, "after": 1.0, "places": ["X transmission reversal -"]}
+    assert sensitivity.changes(before, {**before, **other}) == found
