@@ -105,7 +105,7 @@ def with_drive_train(
     near_cycle = [r / machine.position_cycle for r in MEETING]
     modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > t.train_finer for r in AROUND)]
     found = best_of([at(f) for f in modes])
-    if tried.tuning.loss(tried.residual) - tried.losses[found] < t.imperfection_evidence:
+    if tried.tuning.loss(tried.residual) - tried.losses[found] < t.evidence:
         return tuning
     found = best_of([found, *((found[0], d) for d in DAMPED)])
     for step in (t.train_finer, 0.5 * t.train_finer):
@@ -116,7 +116,7 @@ def with_drive_train(
         return tuning
     best_of([(share, 0.0)])
     worth = tried.losses[share, 0.0] - tried.losses[found]
-    points = [(share, 0.0), found] if damping and worth >= t.imperfection_evidence else [(share, 0.0)]
+    points = [(share, 0.0), found] if damping and worth >= t.evidence else [(share, 0.0)]
     plain, *damped_response = responses_of(group, axis, points, tolerance, mapper)
     whole = damped_response[0] if damped_response else None
     if isinstance(plain, TwinError) or isinstance(whole, TwinError):  # unstable in one of the other runs

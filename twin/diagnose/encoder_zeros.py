@@ -39,7 +39,7 @@ def with_common_zeros(
 
 
 def without_zeros(
-    runs: Sequence[MeasuredRun], machine: Machine, zeros: Mapping[tuple[str, int], float]
+    runs: Sequence[MeasuredRun], machine: Machine, zeros: Mapping[tuple[str, int], float], thresholds: Thresholds = DEFAULT
 ) -> tuple[tuple[MeasuredRun, ...], dict[str, float]]:
     """The runs without fitted differences of zeros, given by axis and run [m or rad]; and the largest clear one of each axis."""
     clear: dict[str, float] = {}
@@ -47,7 +47,7 @@ def without_zeros(
         axis = machine.axis(name)
         runs = [_shifted(run, axis, offset) if i == k else run for i, run in enumerate(runs)]
         noise = encoders_noise(machine, axis)
-        if abs(offset) > max(DEFAULT.zero_least * noise, abs(clear.get(name, 0.0))):
+        if abs(offset) > max(thresholds.zero_least * noise, abs(clear.get(name, 0.0))):
             clear[name] = offset
     return tuple(runs), clear
 

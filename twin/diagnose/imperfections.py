@@ -65,7 +65,7 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
         trials = functools.partial(_at_shares, current, group, machine, nuisance, residual, mapper)
         best = max(trials(SHARES), key=lambda trial: trial.gain, default=None)
         largest = largest_normal(group, nuisance.quantity)
-        if best is None or not 0.0 < best.size < largest or best.gain < t.imperfection_evidence:
+        if best is None or not 0.0 < best.size < largest or best.gain < t.evidence:
             continue
         if nuisance.quantity == "elasticity":
             current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper, largest)
@@ -84,7 +84,7 @@ def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trials: Callable[[Se
         best = better
         if near:
             break
-        if not 0.0 < best.size < 1.0 or best.gain < t.imperfection_evidence:
+        if not 0.0 < best.size < 1.0 or best.gain < t.evidence:
             return tuning
     return tuning.with_column(slip, best.column)
 

@@ -99,7 +99,7 @@ def _without_fitted_zeros(
 ) -> tuple[Records, list[RunView], dict[str, float]]:
     """Runs and views without the encoder zeros that the states fitted, and the largest clear zero of each axis [m or rad]."""
     offsets = {key: offset for state in states for key, offset in state.zeros.items()}
-    runs, clear = without_zeros(campaign.runs, setup.nominal, offsets)
+    runs, clear = without_zeros(campaign.runs, setup.nominal, offsets, setup.thresholds)
     views = [replace(view, trace=run.trace) for view, run in zip(views, runs)]
     return Records(runs, [view.motion for view in views], frozenset(axis for axis, _ in offsets)), views, clear
 

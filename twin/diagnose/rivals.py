@@ -137,7 +137,7 @@ def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, context: 
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
     """
     t, group, machine, mapper, fixed = state.thresholds, state.group, context.machine, context.mapper, base.fit
-    steps, nonlinear = t.quick_steps if context.quick else t.fit_steps, base.nonlinear
+    steps, nonlinear = t.few_steps if context.quick else t.fit_steps, base.nonlinear
     partial = fit_effects(
         group, machine, fixed.about, [*nonlinear, setting], mapper, steps, moving={len(nonlinear)}, residual=base.residual
     )

@@ -63,7 +63,7 @@ def _cost(state: GroupState) -> float:
     """Half the squared residual over noise, plus the evidence that its effects and normal imperfections required [nat]."""
     t, residual = state.thresholds, state.group.in_noise(state.fit.residual(state.group))
     normal = sum(n.quantity in NORMAL for n in state.tuning.nuisances)
-    return 0.5 * float(residual @ residual) + t.evidence_in_sample * len(state.fit.settings) + t.imperfection_evidence * normal
+    return 0.5 * float(residual @ residual) + t.evidence_in_sample * len(state.fit.settings) + t.evidence * normal
 
 
 def _search_rounds(state: GroupState, context: Context) -> GroupState:

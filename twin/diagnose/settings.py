@@ -83,7 +83,6 @@ class Thresholds:
     normal_damping: float = _of(2.0, "1", "factor by which the damping of a drive train may differ from the assumed one")
     least_imperfection: float = _of(0.01, "share of normal", "a smaller imperfection is treated as zero")
     least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
-    imperfection_evidence: float = _of(14.0, "nat", "evidence that a normal imperfection needs")
     imperfect_worse: float = _of(0.02, "share", "increase of the loss allowed when all imperfections are simulated together")
     slip_unchanged: float = _of(0.15, "share", "change of slip below which it is not simulated again")
     train_shown: float = _of(0.6, "share", "share of the response to a drive train that the runs used to identify it must hold")
@@ -91,7 +90,7 @@ class Thresholds:
 
     # fits
     fit_steps: int = _of(8, "steps", "largest number of Gauss-Newton steps")
-    quick_steps: int = _of(3, "steps", "the same in a quick look")
+    few_steps: int = _of(3, "steps", "the same in a quick look, and in the final fit after each update of the model error")
     refit_steps: int = _of(4, "steps", "the same for a fit that starts at an earlier optimum")
     largest_step: float = _of(6.0, "scale units", "largest change of a parameter in one step")
     slope: float = _of(1.0, "scale units", "finite-difference step: wide, because a break-away moves by whole samples")
@@ -130,7 +129,7 @@ class Thresholds:
     nonlinear_rivals_within: float = _of(0.08, "share of the best gain", "the same for nonlinear effects")
 
     # acceptance of an effect
-    evidence: float = _of(14.0, "nat", "evidence on held-out runs that an effect needs")
+    evidence: float = _of(14.0, "nat", "evidence that an effect needs on held-out runs, and a normal imperfection on all runs")
     evidence_in_sample: float = _of(60.0, "nat", "the same if no run can be held out")
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that model errors of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same for a block that the signals do not isolate", IMITATION)
@@ -142,7 +141,6 @@ class Thresholds:
     near_noise: float = _of(0.02, "share", "relative excess over noise that counts as noise")
     quiet: float = _of(0.25, "1", "mean square above noise up to which a quick look skips an axis")
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
-    size_steps: int = _of(3, "steps", "largest number of Gauss-Newton steps after each update")
     undetermined_size: float = _of(5.0, "sizes", "half width of a 95 % interval from which the size is undetermined")
     invisible: float = _of(1e-9, "share of the evidence", "possible gain below which an effect is invisible at any size")
 
@@ -173,8 +171,7 @@ class Thresholds:
         5.0, "1", "median mean square over the runs from which the law is wrong: true laws leave 3.3, the most similar wrong laws 60"
     )
     local_samples: int = _of(1000, "samples", "samples of a channel from which it is tested by itself")
-    local_square: float = _of(1.6, "1", "mean square from which such a channel has a residual")
-    local_law_square: float = _of(4.0, "1", "the same for a control law")
+    local_law_square: float = _of(4.0, "1", "mean square from which the error of a control law is a residual")
     beyond_chance: float = _of(4.0, "1", "standard deviations from which the size in a run differs")
     one_size: float = _of(0.12, "share", "relative difference of a size that is allowed between runs")
     ambiguous: float = _of(10.0, "nat", "difference in evidence up to which a rival is reported as ambiguous")
@@ -183,7 +180,7 @@ class Thresholds:
     )
 
     # where
-    noticed_square: float = _of(1.6, "1", "mean square of a block's residual from which the block is listed")
+    noticed_square: float = _of(1.6, "1", "mean square from which a block, or a channel tested by itself, has a residual")
     negligible_gap: float = _of(0.01, "share", "squared gap, over that of the worst axis, below which an axis is skipped")
     place_share: float = _of(0.02, "share", "share of the gap from which a block is listed")
     echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with one")

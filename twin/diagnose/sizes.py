@@ -33,7 +33,7 @@ def sized(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
     for _ in range(t.size_rounds):
         state = state.doubted(change * state.group.weights, state.fit.residual(state.group))
         known = state.fit.linear_effect_slopes
-        fit = fit_effects(state.group, machine, state.tuning, state.fit.settings, mapper, t.size_steps, narrowest=t.slope, known=known)
+        fit = fit_effects(state.group, machine, state.tuning, state.fit.settings, mapper, t.few_steps, narrowest=t.slope, known=known)
         if fit is None:
             break
         state = state.with_fit(fit)
@@ -52,7 +52,7 @@ def without_implausible(state: GroupState, machine: Machine, mapper: Mapper) -> 
     ]
     if len(kept) == len(state.fit.settings):
         return state
-    fit = fit_effects(state.group, machine, state.tuning, kept, mapper, state.thresholds.size_steps)
+    fit = fit_effects(state.group, machine, state.tuning, kept, mapper, state.thresholds.few_steps)
     if fit is None:
         return state
     accepted = (*state.accepted[: len(kept)][:-1], fit) if kept else ()

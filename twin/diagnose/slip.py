@@ -83,7 +83,7 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
         curve = np.polyfit(around, losses, 2)
         best = min(best, best * math.exp(-0.5 * curve[1] / curve[0]), key=loss) if curve[0] > 0.0 else best
     beyond = best * NEARBY
-    if not loss(start) - loss(best) > t.imperfection_evidence or not math.isfinite(loss(beyond)):
+    if not loss(start) - loss(best) > t.evidence or not math.isfinite(loss(beyond)):
         return state
     column = np.zeros(state.group.size)
     column[rows] = (response(beyond) - response(best)) * (tuning.spread / (beyond - best))

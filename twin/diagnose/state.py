@@ -168,7 +168,7 @@ def localised_on(state: GroupState) -> set[str]:
     """Axes with a residual in a single channel of a single run, even if the overall loss is that of noise."""
     axes, t = set(), state.thresholds
     for channel, u in settled_channels(state):
-        if channel.name != "controller" and len(u) > t.local_samples and float(np.mean(u**2)) > t.local_square:
+        if channel.name != "controller" and len(u) > t.local_samples and float(np.mean(u**2)) > t.noticed_square:
             axes.add(channel.axis)
         if channel.name == "controller" and float(np.mean(u**2)) > t.local_law_square:
             axes.add(channel.axis)

@@ -75,7 +75,7 @@ def restore_effects(loop: ClosedLoop, fitted: Fitted, restorable: Sequence[Setti
         if best is None or not justifies_a_law(loop, fitted.held_out, best[0].held_out, least):
             break
         waiting.remove(best[1])
-        if is_plausible(best[0].state.settings[-1], fitted.state.machine):
+        if is_plausible(best[0].state.settings[-1], fitted.state.machine, thresholds=loop.group.thresholds):
             fitted = best[0]
     return fitted
 
@@ -108,7 +108,7 @@ def remove_settings_that_add_nothing(
     small = {
         s.key
         for i, s in enumerate(fitted.state.settings)
-        if s.key in waiting and not (is_plausible(s, fitted.state.machine) and is_significant(fitted, i))
+        if s.key in waiting and not (is_plausible(s, fitted.state.machine, thresholds=loop.group.thresholds) and is_significant(fitted, i))
     }
     while waiting:
         tried = []
