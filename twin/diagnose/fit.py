@@ -144,7 +144,8 @@ class Fit:
     @functools.cached_property
     def information(self) -> np.ndarray:
         """Information matrix of the free parameters (free, free) in scale units, tuning eliminated."""
-        return self.about.inner(self.columns, self.columns) + 1e-9 * np.eye(len(self.free))
+        projected = self.about.project(self.columns)
+        return self.about.inner(self.columns, self.columns, projected, projected) + 1e-9 * np.eye(len(self.free))
 
 
 def slopes_of_linear_effects(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
@@ -194,7 +195,9 @@ def fit_effects(
         response = simulated_response(group, settings, mapper)
     except TwinError:
         return None
-    best = tuning.loss(residual - response)
+    left = residual - response
+    of_left = tuning.project(left)
+    best = tuning.loss(left, of_left)
     free = [f for f in free_parameters(settings, machine, t) if moving is None or f.setting in moving]
     columns, step_sizes = (
         stacked_columns(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)),
@@ -210,8 +213,8 @@ def fit_effects(
             return None
         if outdated or projected is None or information is None:
             projected = tuning.project(columns)
-            information = tuning.inner(columns, columns, projected) + 1e-6 * np.eye(len(free))
-        gradient = tuning.inner(columns, (residual - response)[:, None], projected)[:, 0]
+            information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
+        gradient = tuning.inner(columns, left, projected, of_left)
         move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
         least = t.converged * max(1.0, 0.002 * best)
         # a gain below `least` ends the fit: a step that promises less is not simulated
@@ -221,7 +224,7 @@ def fit_effects(
         lower = _lower(group, residual, tuning, settings, free, moves, best, mapper)
         if lower is not None:
             gain, predicted = best - lower.loss, _predicted_gain(gradient, information, lower.move)
-            best, settings, response = lower.loss, lower.settings, lower.response
+            best, settings, response, left, of_left = lower.loss, lower.settings, lower.response, lower.left, lower.projected
             step_sizes = np.clip(np.abs(lower.move), narrowest, t.slope)
             if gain < least:
                 break
@@ -238,7 +241,7 @@ def fit_effects(
             break
         else:
             step_sizes = np.full(len(free), narrowest)
-    return Fit(settings, free, best, tuning.solve(residual - response), response, columns, tuning)
+    return Fit(settings, free, best, tuning.solve_projected(of_left), response, columns, tuning)
 
 
 def _predicted_gain(gradient: np.ndarray, information: np.ndarray, move: np.ndarray) -> float:
@@ -255,6 +258,8 @@ class _Lower(NamedTuple):
     settings: tuple[Setting, ...]
     response: np.ndarray
     move: np.ndarray
+    left: np.ndarray
+    projected: np.ndarray
 
 
 def _lower(
@@ -276,9 +281,11 @@ def _lower(
             response = simulated_response(group, tried, mapper)
         except TwinError:
             continue
-        loss = tuning.loss(residual - response)
+        left = residual - response
+        projected = tuning.project(left)
+        loss = tuning.loss(left, projected)
         if loss < best:
-            return _Lower(loss, tried, response, move)
+            return _Lower(loss, tried, response, move, left, projected)
     return None
 
 

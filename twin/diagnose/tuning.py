@@ -102,20 +102,24 @@ class Tuning:
 
     def solve(self, residual: np.ndarray) -> np.ndarray:
         """Coefficients (column,), in spreads for the nuisances, that fit a residual best."""
-        return self.inverse @ (self.jacobian.T @ residual)
+        return self.solve_projected(self.project(residual))
+
+    def solve_projected(self, projected: np.ndarray) -> np.ndarray:
+        """The same from `project(residual)`."""
+        return np.asarray(self.inverse @ projected)
 
     def product(self, a: np.ndarray, b: np.ndarray) -> float:
         """a' P b for two vectors (row,), P the projection that eliminates the tuning."""
         return float(a @ b - self.project(a) @ self.inverse @ self.project(b))
 
-    def inner(self, a: np.ndarray, b: np.ndarray, of_a: np.ndarray | None = None) -> np.ndarray:
-        """a' P b for columns, with the tuning eliminated; `of_a` is `project(a)` if it is known."""
-        of_a = self.project(a) if of_a is None else of_a
-        return a.T @ b - of_a.T @ self.inverse @ (of_a if b is a else self.project(b))
+    def inner(self, a: np.ndarray, b: np.ndarray, of_a: np.ndarray, of_b: np.ndarray) -> np.ndarray:
+        """a' P b for columns, with the tuning eliminated; `of_a` is `project(a)`, `of_b` is `project(b)`."""
+        return np.asarray(a.T @ b - of_a.T @ self.inverse @ of_b)
 
-    def loss(self, residual: np.ndarray) -> float:
-        """Half the squared residual, plus the prior, after re-tuning."""
-        return 0.5 * float(self.inner(residual, residual))
+    def loss(self, residual: np.ndarray, projected: np.ndarray | None = None) -> float:
+        """Half the squared residual, plus the prior, after re-tuning. `projected` is `project(residual)` if it is known."""
+        projected = self.project(residual) if projected is None else projected
+        return 0.5 * float(self.inner(residual, residual, projected, projected))
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
         """The tuning with one more nuisance, whose response at its spread is `column` (row,)."""
