@@ -22,7 +22,6 @@ def runnable() -> list[Path]:
 def runners() -> str:
     """The text of what runs examples in CI: tests, suites, studies, and the examples that run other files."""
     files = [f for f in (ROOT / "tests").rglob("*.py") if f.name != Path(__file__).name]
-    files.append(ROOT / "twin" / "iso230" / "part_programs.py")  # names the programs that tests/iso230 interpolates
     files += [*(EXAMPLES / "regression").rglob("*.toml"), *(EXAMPLES / "studies").glob("*.toml")]
     return "\n".join(f.read_text(encoding="utf-8") for f in files)
 

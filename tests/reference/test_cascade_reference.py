@@ -7,8 +7,8 @@ import pytest
 
 from tests.builders.small_machine import write_small_machine
 from tests.conftest import swings
+from tests.reference.cascade_reference import CHANNELS, simulate_reference
 from twin.machine.machine import Machine, load_machine
-from twin.simulation.cascade_reference import CHANNELS, simulate_reference
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

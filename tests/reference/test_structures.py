@@ -7,12 +7,12 @@ import pytest
 
 from tests.builders.other_structures import machine_text, slides, write_slides
 from tests.conftest import swings
+from tests.reference.cascade_reference import CHANNELS, simulate_reference
 from twin.geometry.scurve import moves_in_turn
 from twin.identify.single_axis import Record, resimulate
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
-from twin.simulation.cascade_reference import CHANNELS, simulate_reference
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import gap_of, predict
 from twin.simulation.mujoco_plant import MujocoPlant

@@ -18,7 +18,7 @@ lines. The drive receives them with the delay Td and corrects w* for the motion 
 
 The controllers use the commissioned Kt and J_ff; the torque follows from the Kt of the motor. Without a current loop i* is the command
 (A, V, Nm) of an ideal actuator and i = i*. A P speed loop has 1/Tn = 0. The speed w is measured, or differentiated from the motor encoder,
-(q(k) - q(k-n)) / (n Ts), and may pass a first-order filter. `twin.simulation.cascade_reference` implements the same law in plain numpy;
+(q(k) - q(k-n)) / (n Ts), and may pass a first-order filter. `tests.reference.cascade_reference` implements the same law in plain numpy;
 a test compares both.
 """
 
