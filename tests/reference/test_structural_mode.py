@@ -8,13 +8,17 @@ from scipy.integrate import solve_ivp
 
 from tests.builders.other_structures import write_slides
 from tests.conftest import swings
+from tests.reference.test_dsc import fine_measuring
 from twin.effects import with_effects
 from twin.errors import InputError
+from twin.exam.plant.parameters import settings_of, unit_factors
+from twin.exam.plant.plant import run
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.decoupled_plant import DecoupledPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
+from twin.units import ARCSEC
 
 FREQUENCY_HZ, SHARE, DAMPING = 30.0, 0.4, 0.05
 MODE = {"mode_frequency_hz": FREQUENCY_HZ, "mode_mass_share": SHARE, "mode_damping_ratio": DAMPING}
@@ -82,6 +86,27 @@ def test_both_plants_swing_alike(mikron: Machine) -> None:
     closed = simulate(machine, setpoints, plant_of=lambda change: DecoupledPlant(change, motion)).trace
     for name in ("X", "Y"):
         assert np.abs(engine.get(name, "position") - closed.get(name, "position")).max() < 1e-8
+
+
+def test_twin_and_second_plant_swing_alike(mikron: Machine) -> None:
+    """The second plant integrates bed and load as two masses, on a linear and on a rotary axis. Compared is what the mode changes."""
+    rigid = fine_measuring(mikron)
+    swinging = on_a_mode(on_a_mode(rigid, "X"), "A")
+    slow = swings(rigid, 1.0)
+    setpoints = Setpoints(slow.position[::2], slow.period)
+    twin, second = (
+        [move(machine) for machine in (rigid, swinging)]
+        for move in (
+            lambda machine: simulate(machine, setpoints).trace.matrix("position"),
+            lambda machine: run(settings_of(dict(machine.document), unit_factors()), setpoints.position, noise=False).position,
+        )
+    )
+    for a, axis in enumerate(rigid.axes):
+        change, there = ((with_mode - without)[:, a] for without, with_mode in (twin, second))
+        unit = 1e-6 if axis.kind == "linear" else ARCSEC
+        swing, gap = (np.sqrt(np.mean(x**2)) / unit for x in (change, change - there))
+        assert (swing > 0.1) == (axis.name in "XA"), axis.name
+        assert gap < 0.03 * swing or axis.name not in "XA", axis.name
 
 
 def test_the_key_of_pre_sliding_is_the_effect(mikron: Machine) -> None:

@@ -1,10 +1,13 @@
 """Motors, drive trains and loads of the five axes between two control ticks: RK4 at constant voltage.
 
-State rows [axis]: QM VM motor-side position and speed (in axis units), Q V load, CURRENT, F FD frame deflection and speed.
+State rows [axis]: QM VM motor-side position and speed (in axis units), Q V load, CURRENT, F FD frame deflection and speed, B BD
+displacement and speed of the bed.
     L i' = u - R i - Ke w                      w = motor speed at its encoder
     m_m VM' = Kt i / r + ripple / r - P        P = drive-train force; a rigid axis has m_m on the load and no P
     m_l V' = P - viscous - friction - constant - gravity + disturbance - mass_c x acceleration of the other axis
     FD' = ratio V' - 2 zeta w FD - w^2 F
+    (M + m_l) BD' + m_l V' = -c BD - k B     structural mode: a bed of mass M on mounts k, c; then m_l (V' + BD') in place of m_l V',
+                                             while the rotor turns relative to the bed
 A and C share the mass matrix of tilting_pair.py; rotors and added inertia are diagonal terms.
 Drive train: d = QM + ahead(QM) - Q with the transmission error `ahead`, which on a rigid axis appears only at the motor encoder;
 e = deflection beyond the edge of the gap:
@@ -23,8 +26,8 @@ from .compiled import compiled
 from .friction import bristle_force, friction_level, stick_slip_force
 from .tilting_pair import pair_terms
 
-QM, VM, Q, V, CURRENT, F, FD = range(7)
-STATES = 7
+QM, VM, Q, V, CURRENT, F, FD, B, BD = range(9)
+STATES = 9
 A, C = 3, 4
 DEAD_TIME_A = 0.2  # current scale of the voltage lost to an inverter's dead time
 
@@ -72,7 +75,11 @@ DEAD_TIME_A = 0.2  # current scale of the voltage lost to an inverter's dead tim
     CYCLIC,
     CYCLIC_PHASE,
     ZERO_KEPT,  # 1: the motor encoder keeps its zero from run to run, 0: lead and cyclic error start at zero in each run
-) = range(41)
+    BED,
+    MOUNT,
+    MOUNT_DAMPING,
+    ON_BED,  # structural mode: mass M of the bed, 0 without one; stiffness and damping of its mounts; mass of the load on it at A = C = 0
+) = range(45)
 
 
 @compiled(inline=True)
@@ -119,6 +126,19 @@ def motor_position(m: np.ndarray, k: int, q: float, q0: float) -> float:
 def motor_speed(m: np.ndarray, k: int, q: float, v: float) -> float:
     """Motor speed [rad/s]: time derivative of motor_position, divided by r."""
     return v / m[RATIO, k] if m[ELASTIC, k] != 0.0 else (1.0 - ahead_slope(m, k, q)) * v / m[RATIO, k]
+
+
+@compiled(inline=True)
+def bed_follows(m: np.ndarray, k: int) -> float:
+    """Acceleration of the bed against that of the load, with its mounts left out: m_l / (M + m_l); 0 without a structural mode."""
+    return m[ON_BED, k] / (m[BED, k] + m[ON_BED, k]) if m[BED, k] != 0.0 else 0.0
+
+
+@compiled(inline=True)
+def felt_mass(m: np.ndarray, k: int) -> float:
+    """Diagonal mass that a force on the load accelerates; on A and C what comes on top of the pair. A bed that gives way takes its part."""
+    mass = m[LOAD_MASS, k] if m[ELASTIC, k] != 0.0 else m[LOAD_MASS, k] + m[MOTOR_MASS, k]
+    return mass - bed_follows(m, k) * m[ON_BED, k]
 
 
 @compiled()
@@ -173,13 +193,15 @@ def slopes(
         for j in range(5):
             if coupling[k, j] != 0.0:
                 force -= coupling[k, j] * other[j]
+        if m[BED, k] != 0.0:
+            force += bed_follows(m, k) * (m[MOUNT, k] * y[B, k] + m[MOUNT_DAMPING, k] * y[BD, k])
         dy[V, k] = force  # a force for now
         dy[QM, k], dy[Q, k] = y[VM, k], v
     for k in range(3):
-        dy[V, k] /= m[LOAD_MASS, k] if m[ELASTIC, k] != 0.0 else m[LOAD_MASS, k] + m[MOTOR_MASS, k]
+        dy[V, k] /= felt_mass(m, k)
     maa, mac, mcc, ha, hc = pair_terms(pair, y[Q, A], y[Q, C], y[V, A], y[V, C])
-    maa += m[LOAD_MASS, A] if m[ELASTIC, A] != 0.0 else m[LOAD_MASS, A] + m[MOTOR_MASS, A]
-    mcc += m[LOAD_MASS, C] if m[ELASTIC, C] != 0.0 else m[LOAD_MASS, C] + m[MOTOR_MASS, C]
+    maa += felt_mass(m, A)
+    mcc += felt_mass(m, C)
     qa, qc = dy[V, A] - ha, dy[V, C] - hc
     det = maa * mcc - mac * mac
     dy[V, A], dy[V, C] = (mcc * qa - mac * qc) / det, (maa * qc - mac * qa) / det
@@ -190,6 +212,10 @@ def slopes(
             w = m[FRAME_W, k]
             dy[F, k] = y[FD, k]
             dy[FD, k] = m[FRAME_RATIO, k] * dy[V, k] - 2.0 * m[FRAME_ZETA, k] * w * y[FD, k] - w * w * y[F, k]
+        if m[BED, k] != 0.0:
+            mounts = m[MOUNT, k] * y[B, k] + m[MOUNT_DAMPING, k] * y[BD, k]
+            dy[B, k] = y[BD, k]
+            dy[BD, k] = -(mounts + m[ON_BED, k] * dy[V, k]) / (m[BED, k] + m[ON_BED, k])
     return maa, mac, mcc
 
 
@@ -217,7 +243,7 @@ def find_friction(
         if m[BRISTLE, k] != 0.0:
             friction[k], z[k] = bristle_force(level, m[BRISTLE, k], m[BRISTLE_DAMPING, k], z[k], v, step)
     for k in range(3):
-        mass = m[LOAD_MASS, k] if m[ELASTIC, k] != 0.0 else m[LOAD_MASS, k] + m[MOTOR_MASS, k]
+        mass = felt_mass(m, k)
         if m[BRISTLE, k] == 0.0:
             friction[k] = stick_slip_force(friction[k], y[V, k], dy[V, k], mass, step)
         dy[V, k] += friction[k] / mass
@@ -242,6 +268,7 @@ def find_friction(
         if m[ELASTIC, k] == 0.0:
             dy[VM, k] = dy[V, k]
         dy[FD, k] += m[FRAME_RATIO, k] * (dy[V, k] - free[k])
+        dy[BD, k] -= bed_follows(m, k) * (dy[V, k] - free[k])
 
 
 @compiled()
@@ -274,19 +301,19 @@ def advance(
                 shake_end[k] = m[DISTURBANCE, k] * math.sin(m[DISTURBANCE_W, k] * (t + step))
         maa, mac, mcc = slopes(m, pair, coupling, y, k1, voltage, none, shake, other, q0)
         find_friction(m, y, k1, friction, z, warm, step, maa, mac, mcc, work[7, 0])
-        for r in range(7):
+        for r in range(STATES):
             for k in range(5):
                 mid[r, k] = y[r, k] + 0.5 * step * k1[r, k]
         slopes(m, pair, coupling, mid, k2, voltage, friction, shake_mid, other, q0)
-        for r in range(7):
+        for r in range(STATES):
             for k in range(5):
                 mid[r, k] = y[r, k] + 0.5 * step * k2[r, k]
         slopes(m, pair, coupling, mid, k3, voltage, friction, shake_mid, other, q0)
-        for r in range(7):
+        for r in range(STATES):
             for k in range(5):
                 mid[r, k] = y[r, k] + step * k3[r, k]
         slopes(m, pair, coupling, mid, k4, voltage, friction, shake_end, other, q0)
-        for r in range(7):
+        for r in range(STATES):
             for k in range(5):
                 y[r, k] += step / 6.0 * (k1[r, k] + 2.0 * k2[r, k] + 2.0 * k3[r, k] + k4[r, k])
         for k in range(5):

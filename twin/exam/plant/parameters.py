@@ -181,6 +181,12 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.coulomb = pick(axis, "coulomb_friction_nm") * spread("coulomb_friction") / s.ratio
     s.viscous = pick(axis, "viscous_friction_nm_s_per_rad") * spread("viscous_friction") / s.ratio**2
     s.gravity = machine["gravity_m_per_s2"]
+
+    # structural mode: a bed under the nominal load, which swings at the file's frequency with the axis held
+    share, zeta, w = (np.array([a.get(f"mode_{key}", 0.0) for a in axis]) for key in ("mass_share", "damping_ratio", "frequency_hz"))
+    w = 2.0 * math.pi * w
+    together = np.divide(mass_nominal + at_zero, share, out=np.zeros(len(AXES)), where=share > 0)
+    s.bed_mass, s.mount_stiffness, s.mount_damping = (1.0 - share) * together, w**2 * together, 2.0 * zeta * w * together
     s.clamped = []
     s.machine, s.factors = machine, factors
 

@@ -99,6 +99,7 @@ def mechanics_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
         s.frame_w, s.frame_zeta, s.frame_ratio,
         s.ripple, s.ripple_n, s.ripple_phase, s.cogging, s.cogging_n, s.cogging_phase,
         s.lead, s.cyclic, s.cyclic_phase, np.full(len(s.linear), float(s.zero_kept)),
+        s.bed_mass, s.mount_stiffness, s.mount_damping, np.where(s.bed_mass > 0, inertia, 0.0),
     ]  # fmt: skip
     return np.array(rows, dtype=float), pair
 
