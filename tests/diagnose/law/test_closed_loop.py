@@ -240,6 +240,17 @@ def test_an_effect_is_preferred_to_an_equivalent_law():
     assert [s.effect.name for s in both.fitted.state.settings] == ["cyclic_error"]
 
 
+def test_a_law_is_found_although_the_noise_of_all_channels_is_overestimated():
+    """A notch, for example, roughens one signal, so that its noise is overestimated; the sum over all signals then lies below that of noise."""
+    group = observe_once(runs_of([BELL]))
+    loop = ClosedLoop(group, ("X",), folds_of(len(group.views)), in_turn)
+    start = state_of(X, X, ("X",), group.thresholds)
+    left = loop.left(start)
+    loop.expected = 0.6 * float(left @ left)
+    (law,) = _search_from(loop, start, "X", X, lambda _: None).laws
+    assert law.setting.parameters["height"] == pytest.approx(-300.0, rel=0.1)
+
+
 def test_a_single_run_is_predicted_half_by_half():
     """Random columns reduce the squares of the half that they are fitted to and worsen the prediction of the other half."""
     group = observe_once(runs_of([])[:1])

@@ -209,7 +209,7 @@ def _search_from(
         return _AxisLaws([], None, 1.0)
     fitted = first
     laws: list[Law] = []
-    while len(laws) < MOST_LAWS and loss_above_noise(loop, fitted) > LITTLE_LEFT * loss_above_noise(loop, first):
+    while len(laws) < MOST_LAWS and loss_above_noise(loop, fitted) >= LITTLE_LEFT * loss_above_noise(loop, first):
         if laws or blocks is None:
             blocks = residuals_of(loop.group.views, (fitted.state if laws else state).machine_of, (axis,), loop.mapper)
         proposals = propose_laws(blocks, machine, axis)
