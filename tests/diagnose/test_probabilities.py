@@ -25,7 +25,18 @@ def candidate(effect: str, evidence: float, needed: float, plausible: bool = Tru
 
 
 def holding(*candidates: Candidate) -> SimpleNamespace:
-    return SimpleNamespace(keys={c.key for c in candidates}, thresholds=DEFAULT)
+    group = SimpleNamespace(confidence=lambda axis: DEFAULT.confidence)
+    return SimpleNamespace(keys={c.key for c in candidates}, thresholds=DEFAULT, group=group)
+
+
+@pytest.mark.parametrize(("moving", "most"), [([True], 0.9), ([True, False], 0.9), ([True, True], 0.98)])
+def test_what_no_second_run_can_confirm_is_less_probable(moving, most):
+    views = [SimpleNamespace(moves=lambda axis, m=m: m) for m in moving]
+    group = Group(("X",), views, [], [], [], 0)
+    assert group.confidence("X") == most
+    best = candidate("backlash", 200.0, 20.0)
+    state = SimpleNamespace(keys={best.key}, thresholds=DEFAULT, group=group)
+    assert probabilities_of([best], state) == pytest.approx([most])
 
 
 def test_an_accepted_effect_is_probable():

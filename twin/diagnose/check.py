@@ -79,5 +79,5 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
     if still:
         notes.append(f"axis {', '.join(still)} does not move: it is not diagnosed")
     if len(campaign.runs) == 1:
-        notes.append("single run: no run can be held out of the fit")
+        notes.append("single run: no run can be held out of the fit, and no probability exceeds 0.9")
     return notes

@@ -212,6 +212,11 @@ class Group:
             out[channel.rows][~channel.settled(self.views[channel.run])] = self.thresholds.unsettled_weight
         return out
 
+    def confidence(self, axis: str) -> float:
+        """Largest probability of an effect or a law on an axis. If a single run moves the axis, no other run can confirm it."""
+        t = self.thresholds
+        return t.confidence if sum(view.moves(axis) for view in self.views) > 1 else t.confidence_in_one_run
+
     def run_rows(self, run: int) -> np.ndarray:
         """Mask of the rows of one run (row,)."""
         mask = np.zeros(self.size, bool)

@@ -164,6 +164,7 @@ class Thresholds:
     )
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
+    confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
     unexplained_gap: float = _of(1.5, "1", "gap over noise of an axis from which it is listed as unexplained")
     remaining: float = _of(0.1, "share", "remaining share of the excess over noise from which the verdict is 'unknown'")
     noticed_excess: float = _of(0.12, "1", "mean square above noise from which a residual remains", IMITATION)

@@ -30,7 +30,7 @@ def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list
         return [0.0] * len(candidates)
     evidence = np.array([c.evidence if c.plausible else -math.inf for c in candidates] + [best.needed])
     odds = np.exp((evidence - evidence.max()) / t.temperature)
-    return (t.confidence * odds / odds.sum())[:-1].tolist()
+    return [state.group.confidence(c.key[1]) * float(p) for c, p in zip(candidates, odds / odds.sum())]
 
 
 def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float]]:
@@ -39,7 +39,7 @@ def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float
     for f in states:
         residual = excess_of(f.group, f.fit)
         for setting in f.fit.settings:
-            probability, gain = f.thresholds.confidence, math.inf
+            probability, gain = f.group.confidence(setting.axis), math.inf
             for candidates in f.rounds:
                 for candidate, p in zip(candidates, probabilities_of(candidates, f)):
                     if candidate.key == setting.key:

@@ -13,7 +13,7 @@ import pytest
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.law.acceptance import is_significant, replace_laws_by_effects
 from twin.diagnose.law.closed_loop import ClosedLoop, state_of, unknowns_of
-from twin.diagnose.law.laws import MOST_PROBABLE_IN_ONE_RUN, _search_from, laws_of
+from twin.diagnose.law.laws import _search_from, laws_of
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import in_turn
@@ -100,7 +100,7 @@ def test_a_law_that_only_one_run_shows_is_confirmed_within_that_run():
     (law,) = laws.laws
     assert law.setting.parameters["limit"] == pytest.approx(0.05, rel=1e-3)
     assert law.only_fold == 2
-    assert law.probability <= MOST_PROBABLE_IN_ONE_RUN
+    assert law.probability <= DEFAULT.confidence_in_one_run
     assert laws.without_fold[2].effects == laws.corrected.effects  # fitted to all runs
 
 

@@ -42,12 +42,6 @@ LITTLE_LEFT = 0.02
 MOST_EFFECTS = 5
 """Largest number of effects of an axis that a law may replace."""
 
-MOST_PROBABLE = 0.98
-"""Upper limit of the probability of a law; unknown alternatives cannot be excluded."""
-
-MOST_PROBABLE_IN_ONE_RUN = 0.9
-"""The same for a law that acts in one run only, and that no other run can confirm."""
-
 
 @dataclass(frozen=True)
 class Law:
@@ -105,7 +99,7 @@ def laws_of(
             say(f"{axis}: searching for an unlisted law")
             state = state_of(machine, corrected, (axis,), group.thresholds)
             blocks = residuals_of(group.views, state.machine_of, (axis,), mapper)
-            if jitter := _jitter(blocks, axis, machine):
+            if jitter := _jitter(blocks, axis, machine, group.confidence(axis)):
                 laws.append(jitter)
                 corrected, *without = (with_effects(m, [*settings_of(m), jitter.setting]) for m in (corrected, *without))
                 left[axis] = 1.0 - jitter.explained
@@ -121,12 +115,12 @@ def laws_of(
     return Laws(tuple(laws), corrected, tuple(without), left)
 
 
-def _jitter(blocks: Sequence[Samples], axis: str, machine: Machine) -> Law | None:
+def _jitter(blocks: Sequence[Samples], axis: str, machine: Machine, probability: float) -> Law | None:
     """The jitter of an axis' scale. Random errors have no response that could be fitted in closed loop; they are sized from the residual."""
     for samples in blocks:
         if samples.block == "transmission" and (found := jitter_of(samples)):
             setting = check_setting(found.table(axis), machine, "a measured law")
-            return Law(setting, found, samples, found.predicts, MOST_PROBABLE, {})
+            return Law(setting, found, samples, found.predicts, probability, {})
     return None
 
 
@@ -203,7 +197,7 @@ def _search_from(
 ) -> _AxisLaws:
     """Laws of one axis from a start state, added one by one while each reduces the gap enough. Then effects in `restorable` are restored if they
     reduce the gap, and effects in `removable` are removed if they no longer do. `blocks` are the residuals of the start state, if known."""
-    tolerance = machine.parameter_tolerance
+    tolerance, t = machine.parameter_tolerance, loop.group.thresholds
     first = loop.fit(state, tolerance, steps=2)
     if first is None:
         return _AxisLaws([], None, 1.0)
@@ -232,7 +226,7 @@ def _search_from(
                 description,
                 samples,
                 float(min(max(share, 0.0), 1.0)),
-                float(min(certain, MOST_PROBABLE if loop.only_fold is None else MOST_PROBABLE_IN_ONE_RUN)),
+                float(min(certain, loop.group.confidence(axis) if loop.only_fold is None else t.confidence_in_one_run)),
                 deviations_of(new, len(new.state.settings) - 1),
                 loop.only_fold,
             )
