@@ -36,7 +36,7 @@ SECONDS = 240.0
 """Processor time that one case may take."""
 
 Claim = tuple[str, str]
-"""Effect or "law", and its axis."""
+"""Effect, or "law of BLOCK over VARIABLE", and its axis."""
 
 
 def role(column: str) -> str:
@@ -169,7 +169,9 @@ class Base:
 def pages(data: Path, out: Path) -> list[Base]:
     """The recordings in `data`, with the machine files that the examples wrote to `out`; a recording without its file is left out."""
     bases = []
-    emps = frozenset({("viscous_asymmetry", "X"), ("torque_ripple", "X"), ("law", "X")})
+    emps = frozenset(
+        {("viscous_asymmetry", "X"), ("torque_ripple", "X"), ("law of mechanics over speed", "X"), ("law of mechanics over position", "X")}
+    )
     for recording in real(data):
         if recording.name == "emps":
             bases.append(Base(recording, ROOT / "examples" / "emps" / "axis.toml", emps, (1200, 3500)))
@@ -199,7 +201,11 @@ def robot(out: Path) -> list[Base]:
 def claims_of(document: Mapping[str, Any]) -> list[Claim]:
     """Effects and laws of a diagnosis.json that are named with more than `SURE`, and the verdict "law"."""
     effects = [(e["effect"], e["axis"]) for e in document["effects"] if e["probability"] > SURE]
-    laws = [("law", law["axis"]) for law in document["laws"] if law["probability"] > SURE or document["verdict"] == "law"]
+    laws = [
+        (f"law of {law['block']} over {law['variables'][0]}", law["axis"])
+        for law in document["laws"]
+        if law["probability"] > SURE or document["verdict"] == "law"
+    ]
     return [*effects, *laws]
 
 

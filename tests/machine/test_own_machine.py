@@ -127,7 +127,7 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
     assert found["effects"][0]["parameters"]["force"]["value"] == pytest.approx(2.5, rel=0.02)
     assert {p["block"] for p in found["where"]} == {"mechanics"}
     assert found["notes"] == [  # no signal is missing
-        "single run: no run can be held out of the fit",
+        "single run: no run can be held out of the fit, and no probability exceeds 0.9",
         "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked; "
         "the budget leaves out re-tuned parameters",
     ]

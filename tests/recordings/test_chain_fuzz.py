@@ -43,14 +43,19 @@ def test_a_claim_of_neither_page_nor_mutilation_is_wrong(tmp_path: Path) -> None
     document = {
         "verdict": "law",
         "effects": [{"effect": e, "axis": "X", "probability": p} for e, p in (("backlash", 0.95), ("inertia", 0.95), ("lead_error", 0.8))],
-        "laws": [{"axis": "X", "probability": 0.5}],
+        "laws": [{"axis": "X", "block": "mechanics", "variables": [variable], "probability": 0.5} for variable in ("speed", "time")],
     }
-    base = Base(Recording("emps", {}, write_csv, {}), None, frozenset({("law", "X")}), (2, 3))
+    base = Base(Recording("emps", {}, write_csv, {}), None, frozenset({("law of mechanics over speed", "X")}), (2, 3))
     found = claims_of(document)
-    assert found == [("backlash", "X"), ("inertia", "X"), ("law", "X")]
+    laws = [("law of mechanics over speed", "X"), ("law of mechanics over time", "X")]
+    assert found == [("backlash", "X"), ("inertia", "X"), *laws]
     scaled, gap = MUTILATIONS[0], next(m for m in MUTILATIONS if m.apply.__name__ == "gap")
-    assert wrong_claims(found, base, scaled.effects["effort"]) == ["backlash on X"]
-    assert wrong_claims(found, base, gap.effects.get("effort", frozenset())) == ["backlash on X", "inertia on X"]
+    assert wrong_claims(found, base, scaled.effects["effort"]) == ["backlash on X", "law of mechanics over time on X"]
+    assert wrong_claims(found, base, gap.effects.get("effort", frozenset())) == [
+        "backlash on X",
+        "inertia on X",
+        "law of mechanics over time on X",
+    ]
     assert not {"cells_bad", "repeated"} & {m.apply.__name__ for m in READ}
 
 
