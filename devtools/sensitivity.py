@@ -4,16 +4,15 @@
     python -m devtools.sensitivity --list
 
 The cases are drawn into DIR/cases, four runs each: one of every stratum in `STRATA`. Integers change by at least 1. An answer counts as changed
-if the verdict or a named effect differs, a size differs by more than 2 %, the remaining gap by
-more than 5 %, or a place of the gap (block, regime of motion, what it scales with).
+if the verdict or a named effect differs, a size by more than 2 %, the remaining gap by more than 5 %, or a place of the gap (block, regime of
+motion, what it scales with).
 
-A first diagnosis of each case is watched (`devtools.watched`): a move that changes no comparison and enters no other calculation
-cannot change the answer and is not diagnosed. The others are diagnosed in groups, all of a group moved at once; a group that
-changes the answer is halved until single moves are left. So a move counts as without change if it changes nothing
-together with the other moves of its group; two moves that cancel each other are not seen.
-With --quick all of them are quick looks, a third of the work; thresholds that only a whole diagnosis uses are then not reached.
-Answers are kept in DIR/answers.json; the same command continues. After --minutes no further diagnosis begins; moves that were not made are
-counted in the table.
+A first diagnosis of each case is watched (`devtools.watched`): a move that changes no comparison and enters no other calculation cannot change the
+answer and is not diagnosed. The others are diagnosed in groups, all of a group moved at once; a group that changes the answer is halved until
+single moves are left. So a move counts as without change if it changes nothing together with the other moves of its group; two moves that cancel
+each other are not seen. With --quick all of them are quick looks, a third of the work; thresholds that only a whole diagnosis uses are then not
+reached. Answers are kept in DIR/answers.json; the same command continues. After --minutes no further diagnosis begins; moves that were not made
+are counted in the table.
 """
 
 from __future__ import annotations
@@ -207,7 +206,8 @@ def main() -> None:
     answers = Answers(out, kept, time.monotonic() + 60.0 * args.minutes, args.quick)
     rows = rows_of(answers, names, measured(answers, names, args.only))
     print(table(list(HEADER), rows, left=3))
-    print(f"{sum(bool(row[-1]) for row in rows)} of {len(rows)} thresholds change an answer on {len(answers.kept)} cases")
+    changed, moves, missing = sum(bool(row[-1]) for row in rows), sum(int(row[4]) for row in rows), sum(int(row[7]) for row in rows)
+    print(f"{changed} of {len(rows)} thresholds change an answer on {len(answers.kept)} cases; {missing} of {moves} moves were not made")
     if args.write:
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([HEADER, *rows])

@@ -96,25 +96,24 @@ def reason_of(error: Exception) -> str:
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 
-def named_file(name: object, folder: Path, where: str, *, within: Path | None = None) -> Path:
-    """Path of the file `name`, which another file names relative to `folder`. It must exist inside `within` (default: `folder`).
+def named_file(name: object, folder: Path, where: str) -> Path:
+    """Path of the file `name`, which another file names relative to `folder`. It must exist inside that folder.
 
     Symbolic links are resolved first. `where` is the prefix of error messages: the naming file and the key.
 
     Raises:
         InputError: `name` is not text, leaves the folder, or no such file exists.
     """
-    within = folder if within is None else within
     if not isinstance(name, str) or not name or "\0" in name:
         raise InputError(f"{where}: {name!r} is not a file name; write it in quotes, relative to {folder.name or folder}")
     file = folder / name
     try:
-        inside = not Path(name).is_absolute() and file.resolve().is_relative_to(within.resolve())
+        inside = not Path(name).is_absolute() and file.resolve().is_relative_to(folder.resolve())
         there = inside and file.is_file()
     except (OSError, RuntimeError):  # a loop of links, a name that is too long
         inside, there = True, False
     if not inside:
-        raise InputError(f"{where}: '{name}' leaves the folder {within}; copy the file into it and give its name relative to it")
+        raise InputError(f"{where}: '{name}' leaves the folder {folder}; copy the file into it and give its name relative to it")
     if not there:
         raise InputError(f"{where}: '{name}': no such file beside {folder.name or folder}; copy it there or correct the name")
     return file

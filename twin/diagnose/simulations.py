@@ -46,16 +46,9 @@ class SimulationRequest(NamedTuple):
     noise_seed: int | None = None
 
 
-def simulate_group(
-    view: RunView,
-    axes: Sequence[str],
-    machine_of: Variant | None = None,
-    settings: Sequence[Setting] = (),
-    *,
-    noise_seed: int | None = None,
-) -> Run:
+def simulate_group(view: RunView, axes: Sequence[str], machine_of: Variant | None = None, *, noise_seed: int | None = None) -> Run:
     """Simulate one request, see `simulate_groups`. Raises TwinError if it cannot be simulated."""
-    return all_or_raise(simulate_groups([SimulationRequest(view, axes, machine_of, settings, noise_seed)]))[0]
+    return all_or_raise(simulate_groups([SimulationRequest(view, axes, machine_of, noise_seed=noise_seed)]))[0]
 
 
 @overload

@@ -103,9 +103,9 @@ class MeasuredRun:
         """Findings about a channel; defaults if there are none."""
         return self.facts.get((axis, signal), ChannelFact())
 
-    def block_at(self, time: float, channel: int | None = None) -> BlockEvent | None:
+    def block_at(self, time: float) -> BlockEvent | None:
         """The program block that was active at a time [s] of the trace; None if none is recorded."""
-        past = [e for e in self.events if e.time <= time and channel in (None, e.channel)]
+        past = [e for e in self.events if e.time <= time]
         return past[-1] if past else None
 
 

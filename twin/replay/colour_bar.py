@@ -14,20 +14,15 @@ BAND_PIXELS = (40, 16)
 """Width and height of a band [pixels]."""
 
 
-def log_colour_bar(
-    recording: rr.RecordingStream, path: str, bands: np.ndarray, numbers: Sequence[float], unit: str, quantity: str, *, ends: str = ">"
-) -> None:
-    """Log a bar of bands (band, 3) [RGB] with evenly spaced numbers below, the last with its unit.
-
-    `ends` precedes the last number: its colour also stands for larger values.
-    """
+def log_colour_bar(recording: rr.RecordingStream, path: str, bands: np.ndarray, numbers: Sequence[float], unit: str, quantity: str) -> None:
+    """Log a bar of bands (band, 3) [RGB] with evenly spaced numbers below, the last with ">" and its unit: its colour also stands for larger values."""
     count = 8
     picture = np.repeat(bands.astype(np.uint8)[None], BAND_PIXELS[1], axis=0)
     picture = np.repeat(picture, BAND_PIXELS[0] * count // len(bands), axis=1)
     step = float(np.diff(numbers).min())
     digits = int(np.clip(np.ceil(-np.log10(max(step, 1e-12))), 0, 4))
     labels = [f"{number:.{digits}f}" for number in numbers]
-    labels[-1] = f"{ends} {labels[-1]} {unit}".strip()
+    labels[-1] = f"> {labels[-1]} {unit}".strip()
     x = np.linspace(0.0, picture.shape[1], len(numbers))
     recording.log(entity(path, "bands"), rr.Image(picture), static=True)
     recording.log(

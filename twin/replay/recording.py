@@ -61,7 +61,6 @@ def write_recording(
     programmed: Trace | None = None,
     summary: str = "",
     full: bool = False,
-    events: bool = True,
     also: Sequence[Event] = (),
     steps: Sequence[Curve] = (),
 ) -> Written:
@@ -76,7 +75,7 @@ def write_recording(
     main, trace = next(iter(runs.items()))
     scene = scene_of(machine)
     paths = tool_paths_of(scene, machine, runs, programmed)
-    found = [*also, *(find_events(machine, trace, paths.contours[main].error if paths else None) if events else ())]
+    found = [*also, *find_events(machine, trace, paths.contours[main].error if paths else None)]
     with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
         shapes = log_scene(recording, scene)
         poses = pose_steps(trace.time, full)

@@ -25,7 +25,7 @@ FONT: Any = {"font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": "#
 TITLE: Any = {"fontsize": 14, "x": 0.012, "ha": "left", "fontweight": "bold"}
 
 
-def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | None = None) -> None:
+def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     """Write a PNG of one cut: shaded relief, deviation map with colour bar in um, sections along and across the mark."""
     import matplotlib
     from matplotlib.figure import Figure
@@ -41,7 +41,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path, *, end: float | 
     if against is None:
         row, column = rays.shape[0] // 2, rays.shape[1] // 2
     height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
-    end = end or colour_end(height)
+    end = colour_end(height)
     with matplotlib.rc_context(FONT):
         figure = Figure(figsize=(12.0, 8.6), dpi=130, facecolor="white", layout="constrained")
         grid = figure.add_gridspec(3, 2, height_ratios=[1.5, 1.15, 1.0], hspace=0.04)

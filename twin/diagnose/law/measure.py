@@ -262,9 +262,9 @@ def _curve_points(low: float, high: float, basis: Basis) -> np.ndarray:
     return np.sign(u) * u**2
 
 
-def measured_laws(samples: Samples, axis: Axis, fixed: np.ndarray | None = None) -> list[Curve]:
-    """Curves of all candidates of a block that improve the prediction, best first; `fixed` columns represent laws already found."""
-    columns = nuisances_in(samples) if fixed is None else np.column_stack([nuisances_in(samples), fixed])
+def measured_laws(samples: Samples, axis: Axis) -> list[Curve]:
+    """Curves of all candidates of a block that improve the prediction, best first."""
+    columns = nuisances_in(samples)
     first = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
     base = cross_validated_loss(samples, columns, scale)

@@ -92,9 +92,9 @@ class Described:
         return {**head, **self.numbers, **length}
 
 
-def described(samples: Samples, curve: Curve, axis: Axis, fixed: np.ndarray | None = None) -> Described:
+def described(samples: Samples, curve: Curve, axis: Axis) -> Described:
     """The curve as the formula with the best prediction, or as a table."""
-    columns = nuisances_in(samples) if fixed is None else np.column_stack([nuisances_in(samples), fixed])
+    columns = nuisances_in(samples)
     first = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
     base = cross_validated_loss(samples, columns, scale)
