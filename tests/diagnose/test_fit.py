@@ -48,33 +48,3 @@ def test_slopes_that_do_not_reduce_the_loss_are_recomputed(monkeypatch, fitted):
     again, taken = fitted_from(monkeypatch, fitted, START, wrong)
     assert taken >= 2
     assert again.loss < fitted[2].loss + 5.0
-
-
-def simulated_responses_of(monkeypatch, fitted, start, **how):
-    """A fit from another start, and the number of responses it simulated, slopes included."""
-    group, tuning, _ = fitted
-    asked = []
-    responses = fit.simulated_responses
-    monkeypatch.setattr(fit, "simulated_responses", lambda g, several, mapper: asked.extend(several) or responses(g, several, mapper))
-    found = fit_effects(group, X, tuning, [start], in_turn, **how)
-    assert found is not None
-    return found, len(asked)
-
-
-def test_a_step_that_promises_nothing_is_not_simulated(monkeypatch, fitted):
-    """At the optimum, with the slopes there, only the response itself is simulated."""
-    settled, _ = simulated_responses_of(monkeypatch, fitted, fitted[2].settings[0])
-    found, asked = simulated_responses_of(monkeypatch, fitted, settled.settings[0], known=settled.slopes)
-    assert asked == 1
-    assert found.loss == pytest.approx(settled.loss, rel=1e-6)
-
-
-def test_an_impatient_fit_ends_at_the_first_step_that_does_not_help(monkeypatch, fitted):
-    """Slopes of the wrong sign lead away: one full step is tried, and neither a shorter step nor new slopes."""
-    wrong = {name: -column for name, column in fitted[2].slopes.items()}
-    patient, asked = simulated_responses_of(monkeypatch, fitted, START, known=wrong)
-    monkeypatch.undo()
-    impatient, asked_once = simulated_responses_of(monkeypatch, fitted, START, known=wrong, patient=False)
-    assert asked_once == 2
-    assert asked > 5
-    assert patient.loss < impatient.loss

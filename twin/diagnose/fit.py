@@ -176,15 +176,13 @@ def fit_effects(
     moving: Collection[int] | None = None,
     known: Mapping[Slope, np.ndarray] = MappingProxyType({}),
     residual: np.ndarray | None = None,
-    patient: bool = True,
 ) -> Fit | None:
     """Gauss-Newton from these settings; None if they cannot be simulated. `mapper` maps over simulations.
 
     Finite-difference steps start at `slope` and then follow the last move, down to `narrowest`: parameters that are known to a thousandth need
     small steps. `steps` and `narrowest` default to the thresholds. `moving` are the indices of the settings that are fitted (default: all); the
     others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if their predicted gain does not come true. `residual` (row,) is
-    the residual to explain (default: that of the group). Unless `patient`, the fit ends at the first step that does not reduce the loss: that is
-    enough from the optimum on a similar machine.
+    the residual to explain (default: that of the group).
     """
     settings, t = tuple(settings), group.thresholds
     residual = group.residual if residual is None else residual
@@ -216,23 +214,16 @@ def fit_effects(
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
         gradient = tuning.inner(columns, left, projected, of_left)
         move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
-        least = t.converged * max(1.0, 0.002 * best)
-        # a gain below `least` ends the fit: a step that promises less is not simulated
-        moves = [m for m in (move, 0.4 * move, 0.1 * move)[: 3 if patient else 1] if _predicted_gain(gradient, information, m) >= least]
-        if not moves:
-            break
-        lower = _lower(group, residual, tuning, settings, free, moves, best, mapper)
+        lower = _lower(group, residual, tuning, settings, free, move, best, mapper)
         if lower is not None:
             gain, predicted = best - lower.loss, _predicted_gain(gradient, information, lower.move)
             best, settings, response, left, of_left = lower.loss, lower.settings, lower.response, lower.left, lower.projected
             step_sizes = np.clip(np.abs(lower.move), narrowest, t.slope)
-            if gain < least:
+            if gain < t.converged * max(1.0, 0.002 * best):
                 break
             # reuse slopes whose predicted gain came true, or is too small to matter
             valid = gain > t.slopes_hold * predicted or predicted - gain < t.price
             outdated = [] if valid else list(range(len(free)))
-        elif not patient:
-            break
         elif len(outdated) < len(free):
             if _predicted_gain(gradient, information, move) < t.price:
                 break
@@ -268,14 +259,14 @@ def _lower(
     tuning: Tuning,
     settings: tuple[Setting, ...],
     free: Sequence[Free],
-    moves: Sequence[np.ndarray],
+    move: np.ndarray,
     best: float,
     mapper: Mapper,
 ) -> _Lower | None:
-    """The first of these moves that reduces the loss below `best`; None if none does."""
-    for move in moves:
+    """The largest of three fractions of a move that reduces the loss below `best`; None if none does."""
+    for part in (1.0, 0.4, 0.1):
         tried = settings
-        for f, m in zip(free, move):
+        for f, m in zip(free, part * move):
             tried = f.moved(tried, float(m))
         try:
             response = simulated_response(group, tried, mapper)
@@ -285,7 +276,7 @@ def _lower(
         projected = tuning.project(left)
         loss = tuning.loss(left, projected)
         if loss < best:
-            return _Lower(loss, tried, response, move, left, projected)
+            return _Lower(loss, tried, response, part * move, left, projected)
     return None
 
 

@@ -145,9 +145,7 @@ def _refit_imperfections(state: GroupState, machine: Machine, mapper: Mapper) ->
         before = state.fit.loss
         try:
             tuning = relinearised_tuning(state.group, state.fit, machine, mapper)
-            fit = fit_effects(
-                state.group, machine, tuning, state.fit.settings, mapper, t.refit_steps, known=state.fit.slopes, patient=False
-            )
+            fit = fit_effects(state.group, machine, tuning, state.fit.settings, mapper, t.refit_steps, known=state.fit.slopes)
             if fit is None or fit.loss > before:
                 break
             state = replace(state, fit=fit, tuning=tuning)
@@ -155,7 +153,7 @@ def _refit_imperfections(state: GroupState, machine: Machine, mapper: Mapper) ->
         except TwinError:  # nearly unstable: the slopes are not valid at this distance
             break
         if nearer is not state.rigid:
-            moved = fit_effects(nearer, machine, tuning, fit.settings, mapper, t.refit_steps, known=fit.slopes, patient=False)
+            moved = fit_effects(nearer, machine, tuning, fit.settings, mapper, t.refit_steps, known=fit.slopes)
             if moved is not None and moved.loss < fit.loss + t.evidence:
                 state = replace(state, fit=moved, group=nearer, tuning=tuning)
         if before - state.fit.loss < t.evidence:
@@ -189,7 +187,7 @@ def _with_accepted(state: GroupState, winners: Sequence[Fitted], machine: Machin
     residual = state.rigid.residual - state.fit.response
     tuning = with_imperfections(state.tuning, state.rigid, machine, residual, mapper)
     group, tuning = on_imperfect_machine(state.rigid, tuning, residual, mapper)
-    again = fit_effects(group, machine, tuning, state.fit.settings, mapper, t.refit_steps, known=state.fit.slopes, patient=False)
+    again = fit_effects(group, machine, tuning, state.fit.settings, mapper, t.refit_steps, known=state.fit.slopes)
     if again is not None and again.loss < state.fit.loss:
         state = replace(state, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
     state = _with_relinearised_tuning(state, machine, mapper)
@@ -205,7 +203,7 @@ def _with_relinearised_tuning(state: GroupState, machine: Machine, mapper: Mappe
         tuning = relinearised_tuning(state.group, state.fit, machine, mapper)
     except TwinError:  # nearly unstable: keep the linearisation without the effects
         return state
-    fit = fit_effects(state.group, machine, tuning, settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes, patient=False)
+    fit = fit_effects(state.group, machine, tuning, settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes)
     return state if fit is None or fit.loss > state.fit.loss else replace(state, tuning=tuning, fit=fit)
 
 

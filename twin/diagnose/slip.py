@@ -104,9 +104,7 @@ def _moved(
     shown = replace(tuning.of(nuisances, columns), base=base)
     try:
         group, about = moved_to(state.rigid, shown, theta, mapper)
-        fit = fit_effects(
-            group, machine, about, state.fit.settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes, patient=False
-        )
+        fit = fit_effects(group, machine, about, state.fit.settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes)
     except TwinError:
         return state
     if fit is None or fit.loss > state.fit.loss:  # the creep improves, but the rest gets worse

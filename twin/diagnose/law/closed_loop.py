@@ -311,10 +311,7 @@ class ClosedLoop:
             taken_here |= set(asked)
             asked = sorted(bent - taken_here)
             prior = self._prior(toleranced, loss)
-            moves = self._moves(state, unknowns, columns, left, prior, offset)
-            if not moves:
-                break
-            better = self._improving_step(state, unknowns, moves, left, prior, offset)
+            better = self._improving_step(state, unknowns, columns, left, prior, offset)
             if better is None and asked:
                 continue  # no improvement with slopes from another state: compute them here
             if better is None:
@@ -345,29 +342,16 @@ class ClosedLoop:
             missing = [j for j in missing if not slopes[:, j].any()]
         return slopes
 
-    def _moves(
+    def _improving_step(  # type: ignore[no-untyped-def]
         self, state: State, unknowns: Sequence[Unknown], columns: np.ndarray, left: np.ndarray, prior: np.ndarray, offset: np.ndarray
-    ) -> list[np.ndarray]:
-        """Levenberg-Marquardt moves (unknown,) that promise at least the decrease of the loss below which a fit has converged."""
+    ):
+        """State, residual and move of one Levenberg-Marquardt step that decreases the loss, or None."""
+        before = 0.5 * float(left @ left) + 0.5 * float(prior @ offset**2)
         normal, slope = columns.T @ columns, columns.T @ left - prior * offset
         limits = np.array([math.inf if _is_proportional(u, state) else LARGEST_MOVE / RELATIVE_STEP for u in unknowns])
-        damped = [np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + np.diag(prior), slope) for damping in DAMPINGS]
-        moves = [np.clip(move, -limits, limits) for move in damped]
-        least = CONVERGED * 0.5 * float(left @ left)
-        return [m for m in moves if float(slope @ m - 0.5 * m @ (normal @ m + prior * m)) >= least]
-
-    def _improving_step(
-        self,
-        state: State,
-        unknowns: Sequence[Unknown],
-        moves: Sequence[np.ndarray],
-        left: np.ndarray,
-        prior: np.ndarray,
-        offset: np.ndarray,
-    ) -> tuple[State, np.ndarray, np.ndarray] | None:
-        """State, residual and move of the first move that decreases the loss, or None."""
-        before = 0.5 * float(left @ left) + 0.5 * float(prior @ offset**2)
-        for move in moves:
+        for damping in DAMPINGS:
+            move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + np.diag(prior), slope)
+            move = np.clip(move, -limits, limits)
             tried = state.moved(unknowns, move)
             try:
                 after = self.left(tried)
