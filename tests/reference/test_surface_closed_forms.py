@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from twin.surface.dexels import box_dexels, cut_dexels
 from twin.surface.height_rays import HeightRays, grid_rays
-from twin.surface.metrology import scallop_height
+from twin.surface.metrology import scallop_height, section
 from twin.surface.removal import cut
 from twin.surface.steps import Steps, steps_between
 from twin.surface.tools import Tool, ball_end, bull_nose, flat_end, revolution
@@ -35,7 +36,7 @@ def test_scallop_of_a_ball_end() -> None:
     tool, pitch, rays = ball_end(2 * R), 0.25e-3, plane(spacing=1.25e-5, length=5e-5)
     for k in range(-9, 10):
         rays, _ = cut(rays, straight(tool, y=k * pitch), tool)
-    profile = rays.map()[:, int(np.argmin(np.abs(rays.u)))]
+    _, profile = section(rays, u=0.0)
     inner = np.abs(rays.v) < 1e-3
     off = np.abs(rays.v) % pitch
     off = np.minimum(off, pitch - off)
@@ -176,3 +177,16 @@ def test_ray_density_resolves_a_scallop_with_second_order() -> None:
         after, _ = cut(rays, straight(tool, z=-depth), tool)
         missed.append(after.height.min() + depth)
     np.testing.assert_allclose(np.array(missed[:-1]) / missed[1:], 4.0, rtol=0.02)
+
+
+def test_dexel_volume_of_a_ball_and_a_hole() -> None:
+    block = box_dexels(np.array([-8e-3, -8e-3, -3e-3]), np.array([8e-3, 8e-3, 3e-3]), 1e-4)
+    tool = flat_end(2 * R, cutting_length=0.03)
+    drilled, _ = cut_dexels(block, steps_between(np.array([[0, 0, 5e-3], [0, 0, -5e-3]]), np.tile([0, 0, 1.0], (2, 1)), tool.reach), tool)
+    assert block.volume - drilled.volume == pytest.approx(math.pi * R**2 * 6e-3, rel=2e-3)
+    # a ball in the middle of a block: each ray splits in two
+    thick = box_dexels(np.array([-8e-3, -8e-3, -8e-3]), np.array([8e-3, 8e-3, 8e-3]), 1e-4, direction=0)
+    ball = revolution([(0.0, 0.0), (R, R, R), (0.0, 2 * R, R)], name="whole ball")
+    hollow, _ = cut_dexels(thick, steps_between(np.array([[0, 0, -R], [0, 0, -R]]), np.tile([0, 0, 1.0], (2, 1)), ball.reach), ball)
+    assert thick.volume - hollow.volume == pytest.approx(4.0 / 3.0 * math.pi * R**3, rel=2e-3)
+    assert hollow.count.max() == 2
