@@ -26,7 +26,7 @@ from twin.diagnose.tuning import Tuning, stacked_columns
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.errors import TwinError
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 from twin.simulation.run import all_or_raise
 
 Slope = tuple[tuple[str, str, str | None], str]
@@ -58,6 +58,15 @@ class Free:
         return tuple(changed if i == self.setting else other for i, other in enumerate(settings))
 
 
+def relative_step(parameter: Parameter, value: float, axis: Axis, most: float, thresholds: Thresholds) -> float:
+    """Relative step of a parameter for its slope, at most `most`.
+
+    The step of a wavelength or frequency shifts the end of the record by a small part of a wave, or the slope would not be valid.
+    """
+    waves = parameter.scan.waves(value, axis, thresholds.wave_run_s) if parameter.scan else 0.0
+    return min(most, thresholds.wave_step / max(waves, 1e-9))
+
+
 def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: Thresholds = DEFAULT) -> list[Free]:
     """All parameters that have a value in the settings, shapes included."""
     free = []
@@ -71,9 +80,7 @@ def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: T
             low, high = p.usual_range(machine, axis)
             by_ratio = p.logarithmic and value > 0.0 and not (p is size and p.is_factor)
             if by_ratio:
-                # the step must shift the end of the record by a small part of a wavelength, or the slope is not valid
-                waves = p.scan.waves(value, axis, thresholds.wave_run_s) if p.scan else 0.0
-                free.append(Free(i, p, True, min(0.15, thresholds.wave_step / max(waves, 1e-9))))
+                free.append(Free(i, p, True, relative_step(p, value, axis, 0.15, thresholds)))
             elif p.periodic:
                 free.append(Free(i, p, False, 0.3))
             else:

@@ -24,11 +24,6 @@ LEAST_EVIDENCE = 30.0
 """Smallest decrease of half the sum of squares on runs left out, divided by the inflation over noise, that a law must achieve."""
 
 
-def inflation(loop: ClosedLoop, loss: float) -> float:
-    """Loss over the expected loss of noise, at least 1."""
-    return max(1.0, loss / max(loop.expected, 1e-300))
-
-
 def loss_above_noise(loop: ClosedLoop, fitted: Fitted) -> float:
     """Loss above noise on runs left out."""
     return max(fitted.held_out - loop.expected, 0.0)
@@ -37,14 +32,14 @@ def loss_above_noise(loop: ClosedLoop, fitted: Fitted) -> float:
 def justifies_a_law(loop: ClosedLoop, before: float, after: float, least: float) -> bool:
     """Whether the decrease of the loss on runs left out justifies a law."""
     gain = before - after
-    return gain > least and gain > LEAST_CLOSED * max(before - loop.expected, 0.0) and gain / inflation(loop, after) > LEAST_EVIDENCE
+    return gain > least and gain > LEAST_CLOSED * max(before - loop.expected, 0.0) and gain / loop.inflation(after) > LEAST_EVIDENCE
 
 
 def predicts_clearly_better(loop: ClosedLoop, new: Fitted, old: Fitted) -> bool:
     """Whether a fit predicts runs left out better by the margin that each additional effect or law requires. With equal numbers of them, the
     new fit needs the margin once."""
     more = len(new.state.settings) - len(old.state.settings)
-    margin = LEAST_EVIDENCE * inflation(loop, new.held_out) * (more if more < 0 else more + 1)
+    margin = LEAST_EVIDENCE * loop.inflation(new.held_out) * (more if more < 0 else more + 1)
     return new.held_out + margin < old.held_out
 
 
@@ -117,7 +112,7 @@ def remove_settings_that_add_nothing(
             tried.append((loop.fit(state, tolerance, steps=2, like=fitted), key))
         best = min(((f, key) for f, key in tried if f is not None), key=lambda t: (t[1] not in small, t[0].held_out), default=None)
         if best is None or (
-            best[1] not in small and best[0].held_out > fitted.held_out + max(least, LEAST_EVIDENCE * inflation(loop, fitted.held_out))
+            best[1] not in small and best[0].held_out > fitted.held_out + max(least, LEAST_EVIDENCE * loop.inflation(fitted.held_out))
         ):
             break
         fitted = best[0]

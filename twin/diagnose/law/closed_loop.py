@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.channel import Channel
+from twin.diagnose.fit import relative_step
 from twin.diagnose.law.residual import ONE_RUN
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import DEFAULT, Thresholds
@@ -133,7 +134,6 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], prefix: st
 def unknowns_of(state: State, axes: Sequence[str], tolerance: float, thresholds: Thresholds = DEFAULT) -> list[Unknown]:
     """Parameters of effects and laws on these axes, then their toleranced parameters.
 
-    The step of a wavelength shifts the wave at the end of the travel by a small part of it, or its slope would not be valid.
     Normal imperfections keep their fitted values. The spring of an axis with a law between its encoders is fitted again with its damping,
     because the search sized both without that law.
     """
@@ -154,8 +154,7 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float, thresholds:
             if _is_play(setting) and p.name != "length":  # both are half the width of the play
                 continue
             positive = value > 0.0 and (p.logarithmic or p.low >= 0.0)
-            waves = p.scan.waves(value, state.machine.axis(setting.axis), thresholds.wave_run_s) if p.scan else 0.0
-            relative = min(RELATIVE_STEP, thresholds.wave_step / max(waves, 1e-9))
+            relative = relative_step(p, value, state.machine.axis(setting.axis), RELATIVE_STEP, thresholds)
             step = ANGLE_STEP if p.periodic else relative * (1.0 if positive else abs(value))
             found.append(Unknown(i, p.name, step, positive and not p.periodic))
     for nuisance in state.nuisances:
@@ -263,6 +262,10 @@ class ClosedLoop:
     def _channels(self) -> list[Channel]:
         return [c for c in self.group.channels if c.axis in self.axes]
 
+    def inflation(self, loss: float) -> float:
+        """Loss over the expected loss of noise, at least 1."""
+        return max(1.0, loss / max(self.expected, 1e-300))
+
     def left(self, state: State) -> np.ndarray:
         """Weighted residual (row,) of a state on the measured runs, without the encoder zeros of each run."""
         return all_or_raise(self.residuals_of_each([state]))[0]
@@ -328,7 +331,7 @@ class ClosedLoop:
 
     def _prior(self, toleranced: np.ndarray, loss: float) -> np.ndarray:
         """Weights (unknown,) of the squared deviation of each toleranced parameter, in steps, at a loss."""
-        return np.where(toleranced, PRIOR_WEIGHT_ROWS * max(1.0, loss / max(self.expected, 1e-300)), 1e-6)
+        return np.where(toleranced, PRIOR_WEIGHT_ROWS * self.inflation(loss), 1e-6)
 
     def _slopes(self, state: State, unknowns: Sequence[Unknown], asked: Sequence[int], left: np.ndarray) -> np.ndarray:
         """Slopes (row, asked) of some unknowns by a forward step, or a backward step if the forward step has no effect or fails."""
@@ -370,8 +373,7 @@ class ClosedLoop:
             move = np.linalg.solve(normal - own.T @ own + 1e-9 * np.eye(len(normal)), slope - own.T @ left[rows])
             moves[fold] = np.zeros(len(normal)) if fold == self.halved else move
             held_out += 0.5 * float(np.sum((left[rows] - own @ move) ** 2))
-        inflation = max(1.0, loss / max(self.expected, 1e-300))
-        deviations = np.sqrt(np.diag(np.linalg.pinv(normal)) * inflation)
+        deviations = np.sqrt(np.diag(np.linalg.pinv(normal)) * self.inflation(loss))
         return Fitted(state, list(unknowns), left, columns, loss, held_out, tuple(moves.values()), deviations)
 
 

@@ -13,7 +13,6 @@ from twin.diagnose.law.acceptance import (
     LEAST_EVIDENCE,
     LEAST_OF_ALL,
     deviations_of,
-    inflation,
     justifies_a_law,
     loss_above_noise,
     predicts_clearly_better,
@@ -219,7 +218,7 @@ def _search_from(
             break
         new, description, samples = best
         share = (fitted.held_out - new.held_out) / max(loss_above_noise(loop, first), 1e-300)
-        certain = 1.0 - np.exp(-(fitted.held_out - new.held_out) / inflation(loop, new.held_out) / LEAST_EVIDENCE)
+        certain = 1.0 - np.exp(-(fitted.held_out - new.held_out) / loop.inflation(new.held_out) / LEAST_EVIDENCE)
         laws.append(
             Law(
                 new.state.settings[-1],
