@@ -56,7 +56,7 @@ def _names(machine: Machine) -> set[str]:
     return {_plain(name) for name in (machine.name, *files)}
 
 
-def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
+def notes_of(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFAULT) -> list[str]:
     """Notes on what the recorded signals leave open."""
     notes = []
     if campaign.machine_name and _plain(campaign.machine_name) not in _names(machine):
@@ -79,5 +79,5 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
     if still:
         notes.append(f"axis {', '.join(still)} does not move: it is not diagnosed")
     if len(campaign.runs) == 1:
-        notes.append("single run: no run can be held out of the fit, and no probability exceeds 0.9")
+        notes.append(f"single run: no run can be held out of the fit, and no probability exceeds {thresholds.confidence_in_one_run:g}")
     return notes

@@ -135,7 +135,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
 
 def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[str, float]) -> list[str]:
     """Limits of this diagnosis: missing signals, encoder zeros, a quick look, laws that one run shows, folds without a stable machine."""
-    notes = [*notes_of(campaign, setup.machine), *notes_of_zeros(zeros, setup.machine)]
+    notes = [*notes_of(campaign, setup.machine, setup.thresholds), *notes_of_zeros(zeros, setup.machine)]
     if setup.quick:
         notes.append(
             "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked; "

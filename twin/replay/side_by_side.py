@@ -66,13 +66,13 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
         panes, curves = [], axis_curves(machine, runs)
         for i, ((label, (_, trace)), scene) in enumerate(zip(designs.items(), scenes)):
             shapes = log_scene(recording, scene)
-            steps = pose_steps(trace.time, False)
+            steps = pose_steps(trace.time, full=False)
             log_motion(recording, scene, trace.time[steps], local_poses(scene.model, followed_joints(trace, steps)))
-            views = log_tool_paths(recording, scene, paths[i], shapes, False) if paths else ()
+            views = log_tool_paths(recording, scene, paths[i], shapes, full=False) if paths else ()
             panes.append(_Pane(label, scene, bounds_with_tip(scene, {label: followed_joints(trace)}), views))
             if paths:
                 curves.append(contour_curve(label, trace.time, paths[i].contours[label].error, i, alone=False))
-        log_curves(recording, curves, False)
+        log_curves(recording, curves, full=False)
         keys = log_keys(recording, curves)
         text = design_text(designs, paths, summary)
         recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
