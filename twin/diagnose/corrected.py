@@ -87,10 +87,10 @@ class HeldOut:
         return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
     def levels(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, float]:
-        """RMS of gap over noise of each axis before or after correction, over runs and signals."""
+        """RMS of gap over noise of each axis in motion before or after correction, over runs and signals."""
         of_axis: dict[str, list[float]] = {}
         for (axis, _), gaps in self._gaps(machine, runs, which).items():
-            of_axis.setdefault(axis, []).extend((g.rms / g.noise) ** 2 for g in gaps)
+            of_axis.setdefault(axis, []).extend(g.times_noise_moving**2 for g in gaps)
         return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in of_axis.items()}
 
     def signal_levels(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[tuple[str, str], float]:

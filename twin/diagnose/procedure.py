@@ -22,6 +22,7 @@ from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
+from twin.diagnose.tolerance import is_normal
 from twin.diagnose.validation import Records, Validated, validated, with_laws
 from twin.diagnose.verdict import judged, named, verdict_of
 from twin.diagnose.view import RunView, view_of
@@ -109,7 +110,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
     machine, states, held_out = setup.machine, correction.states, correction.held_out
     settings = named(states)
     if correction.laws is not None:
-        settings = kept_in(correction.corrected, settings)
+        settings = kept_in(correction.corrected, settings, setup.thresholds)
     verdict = verdict_of(states, settings)
     return Diagnosis(
         campaign=campaign,
@@ -161,10 +162,17 @@ def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[
     return notes
 
 
-def kept_in(corrected: Machine, settings: Sequence[tuple[Setting, GroupState, float]]) -> list[tuple[Setting, GroupState, float]]:
-    """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them."""
+def kept_in(
+    corrected: Machine, settings: Sequence[tuple[Setting, GroupState, float]], thresholds: Thresholds = DEFAULT
+) -> list[tuple[Setting, GroupState, float]]:
+    """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them, or left a spring that is normal."""
     held = {s.key: s for s in settings_of(corrected)}
-    return [(held[setting.key], state, p) for setting, state, p in settings if setting.key in held]
+    kept = [(held[setting.key], setting, state, p) for setting, state, p in settings if setting.key in held]
+    return [
+        (now, state, p)
+        for now, found, state, p in kept
+        if not is_normal(corrected, now, thresholds) or is_normal(corrected, found, thresholds)
+    ]
 
 
 def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:

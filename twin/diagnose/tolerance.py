@@ -96,6 +96,12 @@ def _softest(machine: Machine, axis: Axis, quantity: str, thresholds: Thresholds
     return axis.coulomb_friction / normal_slip(axis, thresholds)
 
 
+def is_normal(machine: Machine, setting: Setting, thresholds: Thresholds) -> bool:
+    """Whether a setting is a normal imperfection: a spring that is no softer than the softest normal one."""
+    kind = setting.effect.normal
+    return bool(kind) and setting.parameters["stiffness"] >= _softest(machine, machine.axis(setting.axis), kind, thresholds)
+
+
 def _stiffest(machine: Machine, axis: Axis) -> float:
     """Largest stiffness that the simulation step resolves [N/m, Nm/rad]."""
     return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * load_inertia(machine, axis)

@@ -14,6 +14,7 @@ import math
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import relative_step
@@ -47,6 +48,9 @@ noise: what no law explains yet is model error, and must not pull a parameter ou
 
 DAMPINGS = (0.0, 0.3, 3.0)
 """Levenberg-Marquardt dampings, tried in order, as multiples of the diagonal of the normal matrix."""
+
+SETTLING_S = 0.1
+"""Time from the stop of the set point until an axis has come to rest: three time constants of a position loop with a gain of 30 1/s [s]."""
 
 CONVERGED = 2e-4
 """Relative decrease of the loss below which the fit has converged."""
@@ -138,7 +142,7 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float, thresholds:
     because the search sized both without that law.
     """
     found = []
-    between_encoders = {s.axis for s in state.settings if s.effect.name == NAME and _is_between_encoders(s)}
+    between_encoders = {s.axis for s in state.settings if s.effect.name == NAME and is_between_encoders(s)}
     for i, setting in enumerate(state.settings):
         beside = setting.axis in between_encoders and setting.effect.block == "transmission"
         if setting.axis not in axes or (setting.effect.normal and not beside):
@@ -178,7 +182,7 @@ def _is_proportional(unknown: Unknown, state: State) -> bool:
     return not unknown.logarithmic and effect.is_linear and effect.size.name == unknown.name
 
 
-def _is_between_encoders(law: Setting) -> bool:
+def is_between_encoders(law: Setting) -> bool:
     """Whether a law changes motor minus scale: by a displacement, or by a force over the windup."""
     return law.effect.definition.get("output") == "displacement" or law.effect.definition.get("variables") == ["windup"]
 
@@ -212,13 +216,18 @@ class Fitted:
 
 
 class ClosedLoop:
-    """The gap of some axes of a group as a function of a state, with the folds of the cross-validation."""
+    """The gap of some axes of a group as a function of a state, with the folds of the cross-validation.
 
-    def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper) -> None:
-        self.group, self.axes, self.mapper = group, tuple(axes), mapper
+    `shaken`: all simulations have the same noise in the loop. An axis that slips before break-away needs it, and so does a state without the slip
+    that is compared with one that has it.
+    """
+
+    def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper, shaken: bool = False) -> None:
+        self.group, self.axes, self.mapper, self.shaken = group, tuple(axes), mapper, shaken
         self.rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in self._channels()])
-        self.root = np.sqrt(group.credit[self.rows])
-        self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
+        self.credit = np.where(np.concatenate([self._tells(c) for c in self._channels()]), group.credit[self.rows], 0.0)
+        self.root = np.sqrt(self.credit)
+        self.expected = 0.5 * float(group.expected[self.rows] @ self.credit)
         of_fold = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
         self.parts = list(enumerate(of_fold))  # folds and their rows (row,) that are predicted from all other rows
         self.halved: int | None = None
@@ -237,7 +246,7 @@ class ClosedLoop:
 
         The other runs do not show a law that acts in one run only. There, each half of that run is predicted from everything else.
         """
-        noise = self.group.expected[self.rows] * self.group.credit[self.rows]
+        noise = self.group.expected[self.rows] * self.credit
         above = [float(np.sum(left[rows] ** 2 - noise[rows])) for _, rows in self.parts]
         loudest = int(np.argmax(above))
         if self.halved is not None or above[loudest] < ONE_RUN * sum(max(a, 0.0) for a in above):
@@ -262,6 +271,18 @@ class ClosedLoop:
     def _channels(self) -> list[Channel]:
         return [c for c in self.group.channels if c.axis in self.axes]
 
+    def _tells(self, channel: Channel) -> np.ndarray:
+        """Mask (row,) of the samples of a channel that can tell laws apart.
+
+        Position and speed of an axis that has come to rest depend on how it stuck, or hunts, in its friction or play.
+        """
+        if channel.name not in ("position", "velocity"):
+            return np.ones(len(channel.residual), bool)
+        view = self.group.views[channel.run]
+        settling = round(SETTLING_S / view.trace.period)
+        lately = maximum_filter1d(view.reference(channel.axis)[2], 2 * settling + 1, origin=settling, mode="constant")
+        return np.asarray(lately[view.rows_of(channel.axis, channel.name)], bool)
+
     def inflation(self, loss: float) -> float:
         """Loss over the expected loss of noise, at least 1."""
         return max(1.0, loss / max(self.expected, 1e-300))
@@ -271,12 +292,10 @@ class ClosedLoop:
         return all_or_raise(self.residuals_of_each([state]))[0]
 
     def residuals_of_each(self, states: Sequence[State]) -> list[np.ndarray | TwinError]:
-        """Residuals of several states, or the error of a state that cannot be simulated. All states have slip, or none."""
-        # slip needs simulations with noise in the loop
-        creeps = any(s.axis in self.axes and s.effect.normal == "slip" for s in states[0].settings)
+        """Residuals of several states, or the error of a state that cannot be simulated."""
         variations = [Variation(state.machine_of, axes=self.axes) for state in states]
         out: list[np.ndarray | TwinError] = []
-        for change in self.group.responses(variations, shaken=creeps, mapper=self.mapper):
+        for change in self.group.responses(variations, shaken=self.shaken, mapper=self.mapper):
             if isinstance(change, TwinError):
                 out.append(change)
                 continue

@@ -26,9 +26,10 @@ from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.proposals import label, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
-from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_rigid_drive_train
+from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
 from twin.diagnose.observe import Group
 from twin.diagnose.simulations import Mapper
+from twin.diagnose.tolerance import is_normal
 from twin.effects import Setting, check_setting, settings_of, with_effects
 from twin.machine.machine import Machine
 
@@ -103,7 +104,8 @@ def laws_of(
                 corrected, *without = (with_effects(m, [*settings_of(m), jitter.setting]) for m in (corrected, *without))
                 left[axis] = 1.0 - jitter.explained
                 continue
-            best = _search_axis(ClosedLoop(group, (axis,), folds, mapper), state, blocks, axis, machine, say)
+            slips = any(s.axis == axis and s.effect.normal == "slip" for s in state.settings)
+            best = _search_axis(ClosedLoop(group, (axis,), folds, mapper, slips), state, blocks, axis, machine, say)
             left[axis] = best.left
             if not best.laws or best.fitted is None:
                 continue
@@ -157,13 +159,17 @@ def _search_axis(loop: ClosedLoop, state: State, blocks: Sequence[Samples], axis
     """
     loop = loop.halving_its_only_loud_fold(loop.left(state))
     own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
-    if not own or len(own) > MOST_EFFECTS:
+    if len(own) > MOST_EFFECTS:
         return _search_from(loop, state, axis, machine, say, blocks=blocks)
     beside = _search_from(loop, state, axis, machine, say, removable=own, blocks=blocks)
-    say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own)}")
+    in_drive_train = [s for s in state.settings if s.axis == axis and s.effect.block == "transmission"]
+    bent = any(not is_normal(machine, s, loop.group.thresholds) for s in in_drive_train)
+    if not own and (not bent or beside.left < LITTLE_LEFT):
+        return beside
+    say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
     bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
-    starts = [as_in_the_file(state, axis), bare]
-    if any(s.effect.block == "transmission" for s in own):
+    starts = [as_in_the_file(state, axis), bare] if own else [as_in_the_file(state, axis)]
+    if bent:
         starts += [with_law(with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     best = beside
     for start in starts:
@@ -230,7 +236,7 @@ def _search_from(
                 loop.only_fold,
             )
         )
-        fitted = new
+        fitted = with_normal_elasticity(loop, new, axis, tolerance)
     if laws:
         fitted = restore_effects(loop, fitted, restorable, tolerance, LEAST_OF_ALL * loss_above_noise(loop, first))
         # prefer an effect to a law that predicts no better

@@ -11,13 +11,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from twin.diagnose.law.closed_loop import State
+from twin.diagnose.imperfections import SHARES
+from twin.diagnose.law.acceptance import LEAST_EVIDENCE
+from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, State, is_between_encoders, laws_in
 from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, cross_validated_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, deflection_of, transmitted_force
 from twin.diagnose.law.shapes import Described
+from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.view import RunView
-from twin.effects import Setting, check_setting
-from twin.errors import InputError
+from twin.effects import Setting, check_setting, settings_of
+from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 
 SMALL_DEFLECTION, LARGE_DEFLECTION = 0.3, 0.6
@@ -58,6 +61,31 @@ def _with_spring(state: State, axis: str, stiffness: float) -> State:
             s = replace(s, parameters=values | started)
         settings.append(s)
     return replace(state, settings=tuple(settings))
+
+
+def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted, axis: str, tolerance: float) -> Fitted:
+    """The fit with the elasticity that the drive train of any axis has, if a law between the encoders of this axis leaves some of it visible.
+
+    The law search may start from a rigid drive train: until the law was known, nothing separated the two.
+    """
+    state = fitted.state
+    if not any(s.axis == axis and is_between_encoders(s) for s in laws_in(state)) or _elastic(state.settings, axis):
+        return fitted
+    elasticity = Nuisance(axis, "elasticity", loop.group.thresholds)
+    started = []
+    for share in SHARES:
+        machine = elasticity.apply(state.corrected(), 1.0 + share * state.machine.parameter_tolerance)
+        started += [replace(state, settings=(*state.settings, spring)) for spring in _elastic(settings_of(machine), axis)]
+    left = [(float(rest @ rest), i) for i, rest in enumerate(loop.residuals_of_each(started)) if not isinstance(rest, TwinError)]
+    new = loop.fit(started[min(left)[1]], tolerance, like=fitted) if left else None
+    if new is None or fitted.held_out - new.held_out < LEAST_EVIDENCE * loop.inflation(new.held_out):
+        return fitted
+    return new
+
+
+def _elastic(settings: Sequence[Setting], axis: str) -> list[Setting]:
+    """The settings that make the drive train of an axis elastic."""
+    return [s for s in settings if s.axis == axis and s.effect.block == "transmission" and "stiffness" in s.parameters]
 
 
 def stage_over_force(samples: Samples, curve: Curve) -> Described | None:
