@@ -163,7 +163,7 @@ def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[
 
 
 def kept_in(
-    corrected: Machine, settings: Sequence[tuple[Setting, GroupState, float]], thresholds: Thresholds = DEFAULT
+    corrected: Machine, settings: Sequence[tuple[Setting, GroupState, float]], thresholds: Thresholds
 ) -> list[tuple[Setting, GroupState, float]]:
     """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them, or left a spring that is normal."""
     held = {s.key: s for s in settings_of(corrected)}

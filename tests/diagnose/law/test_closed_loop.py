@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from twin.diagnose.cross_validation import folds_of
-from twin.diagnose.law.acceptance import is_significant, replace_laws_by_effects
+from twin.diagnose.law.acceptance import is_significant, remove_needless_slip, replace_laws_by_effects
 from twin.diagnose.law.closed_loop import ClosedLoop, state_of, unknowns_of
-from twin.diagnose.law.laws import _search_from, laws_of
+from twin.diagnose.law.laws import _AxisLaws, _search_from, laws_of
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import in_turn
@@ -185,6 +185,48 @@ def test_a_play_of_the_scale_replaces_effects_that_the_search_put_in_its_place()
     (setting,) = settings_of(laws.corrected)
     assert setting.effect.name == "law"
     assert setting.parameters["length"] == pytest.approx(6e-6, rel=0.05)
+
+
+def test_a_play_of_the_scale_replaces_a_spring_that_is_too_soft_to_be_normal():
+    soft = with_effects(X, [{"name": "transmission_compliance", "axis": "X", "stiffness": 2.03e8}])
+    views = [view_of(X, run) for run in runs_of([PLAY])]
+    folds = folds_of(len(views))
+    laws = laws_of([observe(views, ("X",))], X, soft, ["X"], folds, [soft] * len(folds), in_turn)
+    assert [s.effect.name for s in settings_of(laws.corrected)] == ["law"]
+    assert laws.laws[0].setting.parameters["length"] == pytest.approx(6e-6, rel=0.05)
+
+
+def test_a_play_is_measured_beside_the_elasticity_of_the_drive_train():
+    """The machine file has a rigid drive train. Its elasticity reverses with the motion, too."""
+    laws = found([PLAY, {"name": "transmission_compliance", "axis": "X", "stiffness": 1.5e9}])
+    own = {s.effect.name: s.parameters for s in settings_of(laws.corrected)}
+    assert own.keys() == {"law", "transmission_compliance"}
+    assert own["law"]["length"] == pytest.approx(6e-6, rel=0.01)
+    assert own["transmission_compliance"]["stiffness"] == pytest.approx(1.5e9, rel=0.05)
+    assert laws.left["X"] < 0.001
+
+
+SLIP = {"name": "presliding", "axis": "X", "stiffness": 1.2e10}
+
+
+@pytest.mark.parametrize(("shaken", "kept"), [(True, ["presliding"]), (False, [])])
+def test_slip_is_judged_with_noise_in_the_loop(shaken, kept):
+    """Noise makes an axis slip at rest. Without noise in the simulation, the slip of this axis seems to be of no use."""
+    group = observe_once(runs_of([SLIP]))
+    loop = ClosedLoop(group, ("X",), folds_of(3), in_turn, shaken)
+    fitted = loop.fit(state_of(X, with_effects(X, [SLIP]), ("X",), DEFAULT), X.parameter_tolerance, steps=2)
+    assert fitted is not None
+    fitted = remove_needless_slip(loop, fitted, "X", X.parameter_tolerance)
+    assert [s.effect.name for s in fitted.state.settings] == kept
+
+
+@pytest.mark.parametrize("effects", [[], [SLIP]])
+def test_laws_of_an_axis_that_slips_are_searched_with_noise_in_the_loop(effects, monkeypatch):
+    searched = []
+    monkeypatch.setattr("twin.diagnose.law.laws._search_axis", lambda loop, *_: searched.append(loop.shaken) or _AxisLaws([], None, 1.0))
+    machine = with_effects(X, effects)
+    laws_of([observe_once(runs_of([]))], X, machine, ["X"], folds_of(3), [machine] * 3, in_turn)
+    assert searched == [bool(effects)]
 
 
 def test_a_fine_wave_of_the_scale_is_measured_over_the_position_of_the_motor():

@@ -14,7 +14,6 @@ import math
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import relative_step
@@ -48,9 +47,6 @@ noise: what no law explains yet is model error, and must not pull a parameter ou
 
 DAMPINGS = (0.0, 0.3, 3.0)
 """Levenberg-Marquardt dampings, tried in order, as multiples of the diagonal of the normal matrix."""
-
-SETTLING_S = 0.1
-"""Time from the stop of the set point until an axis has come to rest: three time constants of a position loop with a gain of 30 1/s [s]."""
 
 CONVERGED = 2e-4
 """Relative decrease of the loss below which the fit has converged."""
@@ -225,9 +221,8 @@ class ClosedLoop:
     def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper, shaken: bool = False) -> None:
         self.group, self.axes, self.mapper, self.shaken = group, tuple(axes), mapper, shaken
         self.rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in self._channels()])
-        self.credit = np.where(np.concatenate([self._tells(c) for c in self._channels()]), group.credit[self.rows], 0.0)
-        self.root = np.sqrt(self.credit)
-        self.expected = 0.5 * float(group.expected[self.rows] @ self.credit)
+        self.root = np.sqrt(group.credit[self.rows])
+        self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
         of_fold = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
         self.parts = list(enumerate(of_fold))  # folds and their rows (row,) that are predicted from all other rows
         self.halved: int | None = None
@@ -246,7 +241,7 @@ class ClosedLoop:
 
         The other runs do not show a law that acts in one run only. There, each half of that run is predicted from everything else.
         """
-        noise = self.group.expected[self.rows] * self.credit
+        noise = self.group.expected[self.rows] * self.group.credit[self.rows]
         above = [float(np.sum(left[rows] ** 2 - noise[rows])) for _, rows in self.parts]
         loudest = int(np.argmax(above))
         if self.halved is not None or above[loudest] < ONE_RUN * sum(max(a, 0.0) for a in above):
@@ -270,18 +265,6 @@ class ClosedLoop:
 
     def _channels(self) -> list[Channel]:
         return [c for c in self.group.channels if c.axis in self.axes]
-
-    def _tells(self, channel: Channel) -> np.ndarray:
-        """Mask (row,) of the samples of a channel that can tell laws apart.
-
-        Position and speed of an axis that has come to rest depend on how it stuck, or hunts, in its friction or play.
-        """
-        if channel.name not in ("position", "velocity"):
-            return np.ones(len(channel.residual), bool)
-        view = self.group.views[channel.run]
-        settling = round(SETTLING_S / view.trace.period)
-        lately = maximum_filter1d(view.reference(channel.axis)[2], 2 * settling + 1, origin=settling, mode="constant")
-        return np.asarray(lately[view.rows_of(channel.axis, channel.name)], bool)
 
     def inflation(self, loss: float) -> float:
         """Loss over the expected loss of noise, at least 1."""

@@ -76,7 +76,14 @@ def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted, axis: str, toleranc
     for share in SHARES:
         machine = elasticity.apply(state.corrected(), 1.0 + share * state.machine.parameter_tolerance)
         started += [replace(state, settings=(*state.settings, spring)) for spring in _elastic(settings_of(machine), axis)]
-    left = [(float(rest @ rest), i) for i, rest in enumerate(loop.residuals_of_each(started)) if not isinstance(rest, TwinError)]
+    # the law took the part of the elasticity that it can imitate, and gives it back in the fit
+    of_laws = fitted.columns[:, [u.setting is not None for u in fitted.unknowns]]
+
+    def beside_laws(rest: np.ndarray) -> float:
+        apart = rest - of_laws @ np.linalg.lstsq(of_laws, rest, rcond=None)[0]
+        return float(apart @ apart)
+
+    left = [(beside_laws(rest), i) for i, rest in enumerate(loop.residuals_of_each(started)) if not isinstance(rest, TwinError)]
     new = loop.fit(started[min(left)[1]], tolerance, like=fitted) if left else None
     if new is None or fitted.held_out - new.held_out < LEAST_EVIDENCE * loop.inflation(new.held_out):
         return fitted

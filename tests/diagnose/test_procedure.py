@@ -1,0 +1,28 @@
+"""Effects that the corrected machine still holds after the search for laws."""
+
+from __future__ import annotations
+
+import pytest
+
+from twin.diagnose.procedure import kept_in
+from twin.diagnose.settings import DEFAULT
+from twin.effects import settings_of, with_effects
+
+
+def spring(mikron, stiffness):
+    """A machine whose X axis has this spring, and the setting of the spring."""
+    machine = with_effects(mikron, [{"name": "transmission_compliance", "axis": "X", "stiffness": stiffness}])
+    return machine, settings_of(machine)[-1]
+
+
+@pytest.mark.parametrize(("stiffness", "named"), [(3.1e8, [3.1e8]), (4.4e9, [])])
+def test_a_spring_that_a_law_leaves_normal_is_no_longer_an_effect(mikron, stiffness, named):
+    _, found = spring(mikron, 3e8)
+    corrected, _ = spring(mikron, stiffness)
+    kept = kept_in(corrected, [(found, None, 0.98)], DEFAULT)
+    assert [setting.parameters["stiffness"] for setting, _, _ in kept] == named
+
+
+def test_an_effect_that_a_law_replaced_is_no_longer_named(mikron):
+    _, found = spring(mikron, 3e8)
+    assert kept_in(with_effects(mikron, []), [(found, None, 0.98)], DEFAULT) == []
