@@ -313,6 +313,7 @@ def test_a_single_run_is_predicted_half_by_half():
 @dataclass(frozen=True)
 class _State:
     settings: tuple
+    machine_of: Any = None
 
 
 @pytest.mark.parametrize(("left_by_effect", "named"), [(103.0, ["backlash"]), (140.0, ["law"])])
@@ -369,3 +370,31 @@ def test_a_law_with_an_insignificant_height_is_removed(height, kept):
     assert fitted is not None
     fitted = replace(fitted, deviations=np.full(len(fitted.unknowns), 0.1 if kept else 1e6))
     assert is_significant(fitted, 0) is kept
+
+
+def test_a_law_that_was_second_best_is_tried_again_beside_the_best(monkeypatch):
+    """What the best law leaves of the force may be too rough to show the second one, which reduced the gap before."""
+    left = {(): 10000.0, ("best",): 4000.0, ("second",): 7000.0, ("useless",): 9990.0, ("best", "second"): 1000.0}
+    proposed = [[(name, None, SimpleNamespace(key=name)) for name in ("second", "useless", "best")]]
+
+    def fit(state, *_: Any, **__: Any):
+        return SimpleNamespace(state=state, held_out=left[tuple(s.key for s in state.settings)], unknowns=[], deviations=[])
+
+    module = "twin.diagnose.law.laws."
+    for name, instead in {
+        "residuals_of": lambda *_: [],
+        "propose_laws": lambda *_: None,
+        "settings_of_proposals": lambda *_: proposed.pop(0) if proposed else [],
+        "label": str,
+        "with_fitted_spring": lambda state, *_: state,
+        "with_normal_elasticity": lambda _, fitted, *__: fitted,
+        "restore_effects": lambda _, fitted, *__: fitted,
+        "replace_laws_by_effects": lambda _, fitted, *__: fitted,
+        "remove_settings_that_add_nothing": lambda _, fitted, *__: fitted,
+        "remove_needless_slip": lambda _, fitted, *__: fitted,
+    }.items():
+        monkeypatch.setattr(module + name, instead)
+    group = SimpleNamespace(views=[], thresholds=DEFAULT, confidence=lambda axis: 0.98)
+    loop = SimpleNamespace(fit=fit, expected=100.0, inflation=lambda loss: 1.0, group=group, mapper=in_turn, only_fold=None)
+    found = _search_from(loop, _State(()), "X", X, lambda _: None)
+    assert [law.measured for law in found.laws] == ["best", "second"]

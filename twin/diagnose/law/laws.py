@@ -208,20 +208,24 @@ def _search_from(
         return _AxisLaws([], None, 1.0)
     fitted = first
     laws: list[Law] = []
+    waiting: list[tuple[Described, Samples, Setting]] = []  # laws that reduce the gap, but less than the one that was added
     while len(laws) < MOST_LAWS and loss_above_noise(loop, fitted) >= LITTLE_LEFT * loss_above_noise(loop, first):
         if laws or blocks is None:
             blocks = residuals_of(loop.group.views, (fitted.state if laws else state).machine_of, (axis,), loop.mapper)
-        proposals = propose_laws(blocks, machine, axis)
-        if not proposals:
+        proposed = settings_of_proposals(propose_laws(blocks, machine, axis), axis, machine)
+        known = {label(d) for d, _, _ in proposed}
+        proposed += [(d, x, s) for d, x, s in waiting if label(d) not in known]
+        if not proposed:
             break
-        say(f"{axis}: {', '.join(label(d) for d, _ in proposals)} in closed loop")
-        tried = [
-            (loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x)
-            for d, x, s in settings_of_proposals(proposals, axis, machine)
-        ]
-        best = min(((f, d, x) for f, d, x in tried if f is not None), key=lambda t: t[0].held_out, default=None)
-        if best is None or not justifies_a_law(loop, fitted.held_out, best[0].held_out, LEAST_OF_ALL * loss_above_noise(loop, first)):
+        say(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
+        fits = [(loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x) for d, x, s in proposed]
+        least = LEAST_OF_ALL * loss_above_noise(loop, first)
+        tried = sorted(((f, d, x) for f, d, x in fits if f is not None), key=lambda t: t[0].held_out)
+        tried = [t for t in tried if justifies_a_law(loop, fitted.held_out, t[0].held_out, least)]
+        if not tried:
             break
+        best, *others = tried
+        waiting = [(d, x, f.state.settings[-1]) for f, d, x in others]
         new, description, samples = best
         share = (fitted.held_out - new.held_out) / max(loss_above_noise(loop, first), 1e-300)
         certain = 1.0 - np.exp(-(fitted.held_out - new.held_out) / loop.inflation(new.held_out) / LEAST_EVIDENCE)

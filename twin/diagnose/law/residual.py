@@ -270,10 +270,11 @@ def _smoothing_window(view: RunView) -> int:
     return max(7, round(view.thresholds.smooth_s / view.trace.period) | 1)
 
 
-def _speed(trace: Trace, axis: Axis) -> np.ndarray:
-    if trace.has(axis.name, "velocity"):
+def _speed(view: RunView, trace: Trace, axis: Axis) -> np.ndarray:
+    """Speed of an axis in a trace (sample,), from the same signal in the recorded trace of a run and in a simulated one, which has all signals."""
+    signal = next(s for s in ("velocity", "motor_position", "position") if view.trace.has(axis.name, s))
+    if signal == "velocity":
         return trace.get(axis.name, "velocity")
-    signal = next(s for s in ("motor_position", "position") if trace.has(axis.name, s))
     speed: np.ndarray = np.gradient(trace.get(axis.name, signal), trace.period)
     return speed
 
@@ -285,7 +286,7 @@ def _forces(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nda
         return None
     window = _smoothing_window(view)
     drive, acceleration = driven
-    v = savgol_filter(_speed(trace, axis), window, 2)
+    v = savgol_filter(_speed(view, trace, axis), window, 2)
     inertia, bias = inertia_and_bias(view, axis, len(trace.time))
     friction = axis.coulomb_friction * np.sign(v) + axis.viscous_friction * v
     least = view.thresholds.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed
@@ -298,7 +299,7 @@ def _force_and_acceleration(view: RunView, axis: Axis, trace: Trace) -> tuple[np
     window = _smoothing_window(view)
     if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
         return None
-    acceleration = savgol_filter(_speed(trace, axis), window, 2, deriv=1, delta=trace.period)
+    acceleration = savgol_filter(_speed(view, trace, axis), window, 2, deriv=1, delta=trace.period)
     return savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio, acceleration
 
 
@@ -362,7 +363,7 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     own = axis or view.machine.axis(name)
     signal = next((s for s in ("position", "motor_position") if trace.has(name, s)), "setpoint")
     position = trace.get(name, signal)
-    speed = _speed(trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
+    speed = _speed(view, trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
     if len(position) >= 2 * window:
         velocity = savgol_filter(speed, window, 2)
         acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
