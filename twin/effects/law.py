@@ -111,6 +111,7 @@ FILTERED = {
     ("position controller", "speed"): "speed_setpoint",
     ("position controller", "received_speed"): "speed_setpoint",
     ("measurement", "current"): "current",
+    ("current loop", "torque"): "current",
 }
 """Block and output of a filter, and its input variable."""
 
@@ -305,7 +306,7 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
     cycle = cycle_of(law, machine)
     head = [0.0] * law_terms.HEAD
     head[law_terms.P_VARIABLE], head[law_terms.P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
-    head[law_terms.P_AXIS], head[law_terms.P_FACTOR] = float(change.index(source)), 1.0 / source.ratio if law.variable == "turn" else 1.0
+    head[law_terms.P_AXIS], head[law_terms.P_FACTOR] = float(change.index(source)), _factor(law, source)
     head[law_terms.P_OFFSET] = change.started_at if law.variable == "time" else 0.0
     head[law_terms.P_LENGTH], head[law_terms.P_MEMORY] = numbers.get("length", 0.0), numbers.get("memory_s", 0.0)
     head[law_terms.P_CYCLE], head[law_terms.P_PERIOD] = cycle, law.period
@@ -317,6 +318,13 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
     change.add_term(kernel, stage, axis, [*head, *row])
     if law.output == "force" and law.block != "transmission":
         change.add_holding_force(axis, lambda start: _at_rest(law, numbers, source, float(start[change.index(source)]), change.started_at))
+
+
+def _factor(law: Law, source: Axis) -> float:
+    """Factor of the variable: the ratio of an angle of the motor, the torque constant of a current whose torque is filtered."""
+    if law.shape.is_filter and law.output == "torque":
+        return source.motor.torque_constant_nm_per_a
+    return 1.0 / source.ratio if law.variable == "turn" else 1.0
 
 
 def cycle_of(law: Law, machine: Machine) -> float:

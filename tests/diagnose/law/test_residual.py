@@ -1,4 +1,4 @@
-"""Residuals of the blocks: the recorded and the simulated run are evaluated from the same signals."""
+"""Residuals of an axis on a voltage whose control differentiates the position, and the lag of its drive."""
 
 from __future__ import annotations
 
@@ -6,10 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from twin.diagnose.cross_validation import folds_of
+from twin.diagnose.law.laws import laws_of
 from twin.diagnose.law.residual import MECHANICS, residuals_of
+from twin.diagnose.law.wording import sentence
+from twin.diagnose.observe import observe
 from twin.diagnose.simulations import in_turn
 from twin.diagnose.view import view_of
+from twin.effects import with_effects
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -19,13 +25,44 @@ from twin.simulation.setpoints import Setpoints
 EMPS = Path(__file__).resolve().parents[3] / "examples/emps/axis.toml"
 
 
+DRIVE = load_machine(EMPS)
+LAG = {
+    "name": "law", "axis": "X", "block": "current loop", "output": "torque", "variables": ["current"], "formula": "first-order lag",
+    "time_constant_s": 0.4e-3,
+}  # fmt: skip
+
+
+def strokes(effects: list[dict], speeds=(0.1,)) -> list[MeasuredRun]:
+    """A stroke there and back at each speed, recorded as on the real axis: set point, motor encoder and command."""
+    runs = []
+    for seed, speed in enumerate(speeds):
+        position = moves_in_turn(0.0, [0.1, -0.1], speed, 0.8, 50.0, 0.1, 1e-3)[1]
+        run = simulate(with_effects(DRIVE, effects), Setpoints(position[:, None], 1e-3), sample_period=1e-3, noise_seed=seed)
+        recorded = {key: values for key, values in run.trace.signals.items() if key[1] in ("setpoint", "motor_position", "voltage")}
+        runs.append(MeasuredRun(f"stroke{seed}", replace(run.trace, signals=recorded), "off", 0.0))
+    return runs
+
+
 def test_a_control_that_differentiates_the_position_leaves_no_force():
     """Its speed is a mean over two cycles and therefore late. A record without speed is differentiated as it is; so is the simulation."""
-    machine = load_machine(EMPS)
-    position = moves_in_turn(0.0, [0.1, -0.1], 0.1, 0.8, 50.0, 0.1, 1e-3)[1]
-    run = simulate(machine, Setpoints(position[:, None], 1e-3), sample_period=1e-3, noise_seed=0)
-    recorded = {key: values for key, values in run.trace.signals.items() if key[1] in ("setpoint", "motor_position", "voltage")}
-    trace = replace(run.trace, signals=recorded)
-    view = view_of(machine, MeasuredRun("stroke", trace, "off", 0.0))
-    (samples,) = [s for s in residuals_of([view], lambda m: m, ("X",), in_turn) if s.block == MECHANICS]
+    (run,) = strokes([])
+    (samples,) = [s for s in residuals_of([view_of(DRIVE, run)], lambda m: m, ("X",), in_turn) if s.block == MECHANICS]
     assert np.std(samples.y) < 3.0 * samples.sigma
+
+
+def test_the_lag_of_a_drive_is_found_as_a_law():
+    """The smoothed force hides it, so it is always tried in closed loop."""
+    views = [view_of(DRIVE, run) for run in strokes([LAG], (0.06, 0.1, 0.12))]
+    folds = folds_of(len(views))
+    laws = laws_of([observe(views, ("X",))], DRIVE, DRIVE, ["X"], folds, [DRIVE] * len(folds), in_turn)
+    (law,) = laws.laws
+    assert law.setting.table()["formula"] == "first-order lag"
+    assert law.setting.parameters["time_constant_s"] == pytest.approx(0.4e-3, rel=0.02)
+    assert laws.left["X"] < 0.2
+    assert sentence(law, DRIVE).startswith("a first-order lag in the delivered torque of X, of (0.398 +- 0.007) ms")
+
+
+def test_a_drive_without_lag_gets_none():
+    views = [view_of(DRIVE, run) for run in strokes([], (0.06, 0.1, 0.12))]
+    folds = folds_of(len(views))
+    assert laws_of([observe(views, ("X",))], DRIVE, DRIVE, ["X"], folds, [DRIVE] * len(folds), in_turn).laws == ()

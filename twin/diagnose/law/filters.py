@@ -55,6 +55,7 @@ PLACES = {
     ),
     "received_speed": ((Candidate("position controller", "received_speed", "speed_setpoint"), ("lag", "dead time")),),
     "speed": ((Candidate("position controller", "speed", "speed_setpoint"), ("lag", "dead time")),),
+    "torque": ((Candidate("current loop", "torque", "current"), ("lag",)),),
 }
 """Candidates of filters by output. A lag of the current set point is not among them, because it is an effect
 of the library."""

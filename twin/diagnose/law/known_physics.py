@@ -75,6 +75,8 @@ KNOWN = (
           "the speed controller's frequency response: a phase that falls in proportion to the frequency", ("dead time",)),
     Known("current that is recorded late", "current", ("current",), "The trace records the current later than the other signals.",
           "a current and a position recorded by an oscilloscope, or a trace in the drive itself", ("dead time", "lag")),
+    Known("response of the drive", "torque", ("current",), "The drive delivers the commanded torque late: its own current loop takes time.",
+          "the motor current beside the command, by an oscilloscope or a trace in the drive", ("lag", "dead time")),
     Known("smoothed speed set point", "received_speed", ("speed_setpoint",), "A drive smooths its speed set point.",
           "the drive's list of speed set point filters", ("lag",)),
     Known("transfer from control to drive", "received_speed", ("speed_setpoint",), "The speed set point reaches the drive some cycles late.",

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import contextlib
+from dataclasses import replace
 
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.measure import Curve, excess, measured_laws
-from twin.diagnose.law.residual import SPRING, Samples
+from twin.diagnose.law.residual import MECHANICS, SPRING, Samples
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
 from twin.diagnose.law.springs import stage_over_force
 from twin.effects import Setting, check_setting
+from twin.effects.law_shapes import SHAPES
 from twin.errors import InputError
 from twin.machine.machine import Machine
 
@@ -25,6 +27,9 @@ LEAST_RUNS = 0.6
 
 TRIED = 3
 """Number of candidates that are described by formulas and fitted in closed loop."""
+
+LEAST_LAG = 0.25
+"""Start value of an actuator's lag at least, in speed cycles."""
 
 NEAR_BEST = 0.4
 """Smallest prediction of a further candidate, as a fraction of that of the best one."""
@@ -43,12 +48,25 @@ def propose_laws(blocks: Sequence[Samples], machine: Machine, axis: str) -> list
         for c in suited:
             distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
         near = [c for c in distinct.values() if c.predicts > NEAR_BEST * suited[0].predicts][: TRIED + 1]
-        filters = [f for f in filters_of(s, machine) if f.predicts > LEAST_PREDICTS and f.curve.runs_better >= LEAST_RUNS]
+        passing = filters_of(s, machine) if s.block != MECHANICS else []
+        filters = [f for f in passing if f.predicts > LEAST_PREDICTS and f.curve.runs_better >= LEAST_RUNS]
         stages = [stage for c in near if s.block == SPRING and (stage := stage_over_force(s, c)) and stage.predicts > LEAST_PREDICTS]
         for d in [*(described(s, c, own) for c in near), *filters, *stages]:
             found.append((loudness * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
     found.sort(key=lambda f: -f[0])
-    return [(d, s) for _, d, s in found[:TRIED]]
+    return [*((d, s) for _, d, s in found[:TRIED]), *_actuator_lags(blocks, machine)]
+
+
+def _actuator_lags(blocks: Sequence[Samples], machine: Machine) -> list[tuple[Described, Samples]]:
+    """A lag of an actuator that acts at once in the model, starting at a quarter of the speed cycle or more. It is always tried: the smoothing of
+    the force hides most of it."""
+    least = LEAST_LAG * machine.speed_cycle
+    return [
+        (replace(d, numbers={name: max(value, least) for name, value in d.numbers.items()}), s)
+        for s in blocks
+        if s.block == MECHANICS and s.passed
+        for d in filters_of(s, machine)
+    ]
 
 
 def settings_of_proposals(
@@ -66,4 +84,6 @@ def settings_of_proposals(
 
 
 def label(d: Described) -> str:
+    if d.shape is not None and SHAPES[d.shape].is_filter:
+        return f"{d.shape} of the {d.candidate.output}"
     return f"{d.candidate.output} over {d.candidate.variable}{f' of {d.candidate.source}' if d.candidate.source else ''}"

@@ -213,6 +213,8 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
                 passed = (_position_controller_run(view, motion, difference, level),)
             elif block == "speed controller":
                 passed = _speed_controller_run(actual, axis, twin.without_noise, difference, level)
+            elif block == MECHANICS and not axis.has_current_loop:
+                passed = _actuator_run(actual, axis, np.where(measured[1] & expected[1], difference, 0.0), level)
             own = motion
             if block == CURRENT_LOOP:  # at rest, current noise around zero would switch the sign of a voltage
                 moving = view.reference(name)[2]
@@ -264,6 +266,12 @@ def _speed_controller_run(view: RunView, axis: Axis, twin: Trace, difference: np
         ControllerRun("current", wanted, wanted + difference, noise, trace.period),
         ControllerRun("received_speed", sent, sent + error, to_speed * noise, trace.period),
     )
+
+
+def _actuator_run(view: RunView, axis: Axis, difference: np.ndarray, noise: float) -> tuple[ControllerRun, ...]:
+    """Commanded force of an actuator that acts at once in the model, and the delivered one: it differs by the force that the model lacks."""
+    driven = _force_and_acceleration(view, axis, view.trace)
+    return () if driven is None else (ControllerRun("torque", driven[0], driven[0] + difference, noise, view.trace.period),)
 
 
 def _smoothing_window(view: RunView) -> int:

@@ -19,6 +19,9 @@ from twin.simulation.law_picture import shown_in, small_length
 PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width", "frequency_hz": "at"}
 """Prepositions of the parameters of a filter."""
 
+LONG_S = 0.1
+"""Time from which a parameter is written in seconds [s]."""
+
 BAND = 1.96
 """Half width of a 95 % interval in standard deviations."""
 
@@ -52,6 +55,8 @@ def _display_unit(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, f
         return small_length(axis) if quantity == "length" else shown_in(quantity, axis)
     if of == "variable":
         return shown_in(VARIABLES[described.variable].quantity, source)
+    if of == "time" and abs(law.setting.parameters[name]) < LONG_S:
+        return "ms", 1e3
     return shown_in("length", axis) if of == "length" else None
 
 
@@ -69,7 +74,7 @@ def sentence(law: Law, machine: Machine) -> str:
     name = described.shape.name
     if described.shape.is_filter:
         numbers = " and ".join(f"{PASSED[n.name]} {_value(law, n.name, axis, source)}" for n in described.shape.numbers if n.name in p)
-        late = "recorded current" if described.block == "measurement" else over
+        late = {"measurement": "recorded current", "current loop": "delivered torque"}.get(described.block, over)
         return f"{described.shape.words} in the {late} of {law.axis}, {numbers}"
     if described.shape.code == TABLE:
         low, high = (float(f([y for _, y in described.points])) * p["scale"] for f in (min, max))
