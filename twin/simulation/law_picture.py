@@ -81,7 +81,8 @@ def draw_response(place: Any, law: Law, numbers: Mapping[str, float], machine: M
     passed = response(law.shape, numbers, cycle, frequency)
     place.semilogx(frequency, np.abs(passed), color=colour, linewidth=1.8)
     place.set_xlabel("frequency [Hz]")
-    place.set_ylabel(f"{law.variable.replace('_', ' ')}, after over before")
+    passing = law.output if law.output == "torque" else law.variable  # the torque that a current commands
+    place.set_ylabel(f"{passing.replace('_', ' ')}, after over before")
     place.set_ylim(0.0, 1.3)
     phase = place.twinx()
     phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(passed))), color=colour, linewidth=1.0, linestyle="--")

@@ -69,7 +69,8 @@ def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted, axis: str, toleranc
     The law search may start from a rigid drive train: until the law was known, nothing separated the two.
     """
     state = fitted.state
-    if not any(s.axis == axis and is_between_encoders(s) for s in laws_in(state)) or _elastic(state.settings, axis):
+    between = any(s.axis == axis and is_between_encoders(s) for s in laws_in(state))
+    if not between or _elastic(state.settings, axis) or not tolerance > 0.0:
         return fitted
     elasticity = Nuisance(axis, "elasticity", loop.group.thresholds)
     started = []
