@@ -21,12 +21,14 @@ import pytest
 
 from twin.cli import main
 from twin.diagnose.settings import DEFAULT
+from twin.effects.law import VARIABLES
 from twin.errors import InputError
 from twin.exam.answer import read_answer, write_answer
 from twin.exam.detectability import Answers, outlooks
 from twin.exam.draw import RUN_SETS
 from twin.exam.mark import NOT_DIAGNOSED, digest_of, kept_mark, mark_answer
 from twin.exam.plant.effects import LIBRARY
+from twin.exam.plant.outside import OUTSIDE, VARIABLE
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
 from twin.exam.score import calibration, confusion, is_failed, macro_f1, score, target_word, wilson
@@ -134,6 +136,28 @@ def test_marks(there: dict, said: dict, first: bool, exact: bool, place: bool) -
     assert (m["first"], m["exact"], m["place"]) == (first, exact, place)
 
 
+@pytest.mark.parametrize(
+    ("law", "right"),
+    [
+        (("X", "mechanics", "speed"), True),
+        (("Y", "mechanics", "speed"), False),
+        (("X", "transmission", "speed"), False),
+        (("X", "mechanics", "time"), False),
+        (None, False),
+    ],
+)
+def test_a_law_is_right_with_axis_block_and_variable(law: tuple[str, str, str] | None, right: bool) -> None:
+    there = truth(outside=("windage", "X", "mechanics"))
+    laws = [{"axis": law[0], "block": law[1], "variables": [law[2]]}] if law else []
+    assert mark_answer(there, {**answer("law"), "laws": laws})["law"] is right
+    assert mark_answer(truth(), {**answer("law"), "laws": laws})["law"] is None
+
+
+def test_every_fault_outside_the_library_has_a_variable_of_laws() -> None:
+    assert VARIABLE.keys() == OUTSIDE.keys()
+    assert set(VARIABLE.values()) <= VARIABLES.keys()
+
+
 def test_a_rival_counts_only_for_the_effect_that_it_is_named_with() -> None:
     there = truth(("stribeck", "X"))
     right = answer("effect", ("coulomb_friction", "X"), ambiguous=(("stribeck", "X", "coulomb_friction"),))
@@ -215,6 +239,22 @@ def test_scores_of_a_small_table() -> None:
     assert (row["value"], row["of"]) == (0.5, 2)
     brier = next(t for t in s["targets"] if t["what"] == "Brier score")
     assert brier["value"] == pytest.approx((2 * 0.1**2 + 0.9**2) / 3)
+
+
+def test_faults_outside_the_library_are_scored_by_law_and_remaining_gap() -> None:
+    there = truth(outside=("windage", "X", "mechanics"))
+    law = {**answer("law"), "laws": [{"axis": "X", "block": "mechanics", "variables": ["speed"]}]}
+    closed, open_ = ({"before": 9.0, "floor": 1.0, "after": after} for after in (1.4, 1.6))
+    marks = [
+        {**marked("outside", there, law), "gap": closed},
+        {**marked("outside", there, answer("unknown", where=(("Y", "mechanics"),))), "gap": open_},
+        {**marked("outside", there, answer("unknown")), "gap": {"before": 9.0, "floor": 1.0}},
+    ]
+    right = {t["what"]: t.get("right") for t in score(marks)["targets"]}
+    assert right["outside the library recognised"] == 3
+    assert right["outside the library: axis and block"] == 1
+    assert right["outside the library: law over the right variable"] == 1
+    assert right["outside the library: gap after at most 1.5 x floor"] == 1
 
 
 def test_pairs_alone_and_lost_cases_make_a_report() -> None:

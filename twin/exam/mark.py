@@ -27,6 +27,7 @@ from twin.simulation.gap import Prediction, SignalGap, gap_of, predict_campaign
 from .answer import read_answer
 from .draw import Case, truth_of, write_campaign
 from .mark_budget import VISIBLE, mark_budget, what_of
+from .plant.outside import VARIABLE
 from .questions import Question
 
 REALISATIONS = 2
@@ -35,7 +36,7 @@ NOT_DIAGNOSED: dict[str, Any] = {
     "verdict": "not diagnosed",
     "named": [],
     "ambiguous": [],
-    **dict.fromkeys(("first", "first_or_ambiguous", "exact", "place"), False),
+    **dict.fromkeys(("first", "first_or_ambiguous", "exact", "place", "law"), False),
     "probabilities": [],
     "parameters": [],
     "baselines": {},
@@ -117,11 +118,19 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
         "first_or_ambiguous": bool(right or rightly_ambiguous) if true else right,
         "exact": bool(right),
         "place": bool(located and located[0] in places) if places else right,
+        "law": _law_found(truth, answer),
         "probabilities": [[e["probability"], what_of(e) in true] for e in answer["effects"]],
         "parameters": _parameters(truth, answer),
         "retuning_share": answer["gap"].get("retuning_share"),
         "budget": mark_budget(truth, answer) if "budget" in truth else None,
     }
+
+
+def _law_found(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> bool | None:
+    """Whether a law of the answer has axis, block and variable of an effect outside the library; None without such an effect."""
+    true = {(e["axis"], e["block"], VARIABLE[e["name"]]) for e in truth["outside"]}
+    found = {(law["axis"], law["block"], law["variables"][0]) for law in answer.get("laws", ())}
+    return bool(true & found) if true else None
 
 
 def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -24,6 +24,9 @@ TARGETS = (
     ("both right, two effects", 0.75),
     ("healthy recognised", 0.98),
     ("outside the library recognised", 0.75),
+    ("outside the library: axis and block", 0.90),
+    ("outside the library: law over the right variable", 0.85),
+    ("outside the library: gap after at most 1.5 x floor", 0.70),
     ("median parameter error", -0.06),
     ("intervals cover the truth", (0.88, 0.99)),
     ("gap after over floor, median", -1.3),
@@ -43,6 +46,9 @@ FULL = ("usual", "a fifth")
 
 EVERYDAY = "everyday"
 """Stratum of machines with many small effects."""
+
+MOST_LEFT = 1.5
+"""Gap over floor up to which a law outside the library counts as closed."""
 
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
 
@@ -77,6 +83,9 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         "both right, two effects": share("two", "exact"),
         "healthy recognised": share("healthy", "exact"),
         "outside the library recognised": share("outside", "exact"),
+        "outside the library: axis and block": share("outside", "place"),
+        "outside the library: law over the right variable": share("outside", "law"),
+        "outside the library: gap after at most 1.5 x floor": _closed(of.get("outside", [])),
         "median parameter error": _value(np.median, [p["error"] for p in parameters]),
         "intervals cover the truth": _share(sum(p["covered"] for p in parameters), len(parameters)) if parameters else None,
         "gap after over floor, median": _value(np.median, ratios),
@@ -138,6 +147,11 @@ def _candidates(marks: Sequence[Mark]) -> list[tuple[float, bool]]:
 def _shrunk(marks: Sequence[Mark]) -> list[float]:
     """Gap after over floor of cases with effects; infinite without a diagnosis or if the corrected machine cannot be simulated."""
     return [m["gap"].get("after", math.inf) / m["gap"]["floor"] for m in marks if m["true"]]
+
+
+def _closed(marks: Sequence[Mark]) -> dict[str, Any] | None:
+    """Cases whose gap after correction is at most MOST_LEFT x the floor on the examination's own runs."""
+    return _share(sum(m["gap"].get("after", math.inf) <= MOST_LEFT * m["gap"]["floor"] for m in marks), len(marks)) if marks else None
 
 
 def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> dict[str, Any] | None:

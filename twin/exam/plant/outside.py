@@ -73,6 +73,25 @@ def _crosstalk(d: DrawContext) -> dict:
     return {"from_axis": others[d.rng.integers(len(others))], "gain": d.sign() * d.size(40e-6, 150e-6)}
 
 
+VARIABLE = {
+    "notch_filter": "current_setpoint",
+    "position_dead_band": "following_error",
+    "speed_set_point_smoothing": "speed_setpoint",
+    "one_sided_speed_clip": "speed_setpoint",
+    "magnetic_saturation": "current",
+    "inverter_dead_time": "current",
+    "windage": "speed",
+    "warming_friction": "time",
+    "hardening_spring": "windup",
+    "two_stage_lost_motion": "windup",
+    "scale_coupling_play": "slack",
+    "scale_interpolation_error": "position",
+    "tilt_crosstalk": "position",
+    "current_recorded_late": "current",
+    "scale_sampling_jitter": "speed",
+}
+"""Variable of the law of each effect, by its name in `diagnosis.json`."""
+
 OUTSIDE: dict[str, Effect] = {
     "notch_filter": Effect(
         "speed controller",
