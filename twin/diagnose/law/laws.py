@@ -33,7 +33,7 @@ from twin.diagnose.tolerance import is_normal
 from twin.effects import Setting, check_setting, settings_of, with_effects
 from twin.machine.machine import Machine
 
-MOST_LAWS = 3
+MOST_LAWS = 5
 """Largest number of laws of one axis."""
 
 LITTLE_LEFT = 0.02
@@ -159,9 +159,9 @@ def _search_axis(loop: ClosedLoop, state: State, blocks: Sequence[Samples], axis
     """
     loop = loop.halving_its_only_loud_fold(loop.left(state))
     own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
-    if len(own) > MOST_EFFECTS:
-        return _search_from(loop, state, axis, machine, say, blocks=blocks)
     beside = _search_from(loop, state, axis, machine, say, removable=own, blocks=blocks)
+    if len(own) > MOST_EFFECTS:
+        return beside
     in_drive_train = [s for s in state.settings if s.axis == axis and s.effect.block == "transmission"]
     bent = any(not is_normal(machine, s, loop.group.thresholds) for s in in_drive_train)
     if not own and (not bent or beside.left < LITTLE_LEFT):
