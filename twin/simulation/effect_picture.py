@@ -175,9 +175,14 @@ READABLE = {
 """Display units of small values: (upper limit, factor, name)."""
 
 
+def display_unit(value: float, unit: str) -> tuple[str, float]:
+    """Display unit of a value, and the factor to it."""
+    return next(((name, factor) for below, factor, name in READABLE.get(unit, ()) if abs(value) < below), (unit, 1.0))
+
+
 def readable(value: float, unit: str) -> str:
     """A value with its display unit."""
-    for below, factor, name in READABLE.get(unit, ()):
-        if abs(value) < below:
-            return f"{value * factor:.3g} {name}"
+    name, factor = display_unit(value, unit)
+    if name != unit:
+        return f"{value * factor:.3g} {name}"
     return f"{value:.4g} {unit}" if unit != "1" else f"{value:.6g}"

@@ -36,12 +36,6 @@ LEAST_S = 1.0
 HIGHEST = 0.9
 """Highest evaluated frequency as a fraction of the Nyquist frequency."""
 
-HIGHEST_IN_STEPS = 0.4
-"""Highest evaluated frequency of a speed set point, as a fraction of the position cycle rate. The set point changes in steps, and their shape between the steps is not a filter."""
-
-HIGHEST_OF_A_FORCE_HZ = 40.0
-"""Highest evaluated frequency of a force. Its smoothing over 25 ms hides faster changes."""
-
 LAW_SHARE = 0.01
 """Relative model error of the nominal output of a block."""
 
@@ -78,11 +72,7 @@ def filters_of(samples: Samples, machine: Machine) -> list[Described]:
     found = []
     for output in dict.fromkeys(p.output for p in samples.passed):
         passed = [p for p in samples.passed if p.output == output]
-        highest = HIGHEST * 0.5 / passed[0].period
-        if output == "received_speed":
-            highest = min(highest, HIGHEST_IN_STEPS / machine.position_cycle)
-        elif output == "torque":
-            highest = min(highest, HIGHEST_OF_A_FORCE_HZ)
+        highest = min(HIGHEST * 0.5 / passed[0].period, passed[0].highest_hz)
         bands = np.arange(1, max(int(highest / BAND_HZ), 3))
         runs = [lines for p in passed if len(p.wanted) * p.period > LEAST_S and (lines := _spectral_sums(p, bands)) is not None]
         if len(runs) < 2:

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 import functools
+import math
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
@@ -54,6 +55,10 @@ LEAST_SAMPLES = 50
 ONE_RUN = 0.95
 """Fraction of the gap above noise in one run above which a law can be confirmed only within that run."""
 
+HIGHEST_IN_STEPS = 0.4
+"""Highest frequency that a speed set point shows, as a fraction of the position cycle rate. It changes in steps, and their shape between the steps
+is not a filter."""
+
 NOISE_SEED = 977
 """Noise seed of the simulation that gives the noise level of a block."""
 
@@ -68,7 +73,7 @@ CURRENT_LOOP = "current loop"
 class ControllerRun:
     """Output of a control block in one run (sample,): `wanted` by its law, `given` as recorded, every `period` [s]; `noise` of `given`.
 
-    `output` names the signal: the output of the block, or its received input.
+    `output` names the signal: the output of the block, or its received input. `highest_hz` is the highest frequency that both signals show.
     """
 
     output: str
@@ -76,6 +81,7 @@ class ControllerRun:
     given: np.ndarray
     noise: float
     period: float
+    highest_hz: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -264,14 +270,16 @@ def _speed_controller_run(view: RunView, axis: Axis, twin: Trace, difference: np
     sent = trace.get(axis.name, "velocity_setpoint")
     return (
         ControllerRun("current", wanted, wanted + difference, noise, trace.period),
-        ControllerRun("received_speed", sent, sent + error, to_speed * noise, trace.period),
+        ControllerRun("received_speed", sent, sent + error, to_speed * noise, trace.period, HIGHEST_IN_STEPS / view.machine.position_cycle),
     )
 
 
 def _actuator_run(view: RunView, axis: Axis, difference: np.ndarray, noise: float) -> tuple[ControllerRun, ...]:
     """Commanded force of an actuator that acts at once in the model, and the delivered one: it differs by the force that the model lacks."""
     driven = _force_and_acceleration(view, axis, view.trace)
-    return () if driven is None else (ControllerRun("torque", driven[0], driven[0] + difference, noise, view.trace.period),)
+    if driven is None:
+        return ()
+    return (ControllerRun("torque", driven[0], driven[0] + difference, noise, view.trace.period, 1.0 / view.thresholds.smooth_s),)
 
 
 def _smoothing_window(view: RunView) -> int:

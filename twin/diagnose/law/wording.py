@@ -13,14 +13,11 @@ from twin.effects.law import OUTPUTS, VARIABLES, law_in
 from twin.effects.law_shapes import TABLE
 from twin.machine.axis import Axis
 from twin.machine.machine import Machine
-from twin.simulation.effect_picture import readable
+from twin.simulation.effect_picture import display_unit, readable
 from twin.simulation.law_picture import shown_in, small_length
 
 PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width", "frequency_hz": "at"}
 """Prepositions of the parameters of a filter."""
-
-LONG_S = 0.1
-"""Time from which a parameter is written in seconds [s]."""
 
 BAND = 1.96
 """Half width of a 95 % interval in standard deviations."""
@@ -55,8 +52,8 @@ def _display_unit(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, f
         return small_length(axis) if quantity == "length" else shown_in(quantity, axis)
     if of == "variable":
         return shown_in(VARIABLES[described.variable].quantity, source)
-    if of == "time" and abs(law.setting.parameters[name]) < LONG_S:
-        return "ms", 1e3
+    if of == "time":
+        return display_unit(law.setting.parameters[name], "s")
     return shown_in("length", axis) if of == "length" else None
 
 
