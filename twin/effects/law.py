@@ -274,7 +274,7 @@ def _parameter(number: Number, law: Law) -> Parameter:
         number.low,
         number.high,
         default=number.default,
-        shape=number.fixed,
+        shape=number.fixed or (number.wavelength and law.variable == "turn"),  # a sine over the turn is a harmonic of it
         neutral=number.neutral,
         logarithmic=number.logarithmic,
         periodic=number.of == "angle",

@@ -372,10 +372,9 @@ def test_a_law_with_an_insignificant_height_is_removed(height, kept):
     assert is_significant(fitted, 0) is kept
 
 
-def test_a_law_that_was_second_best_is_tried_again_beside_the_best(monkeypatch):
-    """What the best law leaves of the force may be too rough to show the second one, which reduced the gap before."""
-    left = {(): 10000.0, ("best",): 4000.0, ("second",): 7000.0, ("useless",): 9990.0, ("best", "second"): 1000.0}
-    proposed = [[(name, None, SimpleNamespace(key=name)) for name in ("second", "useless", "best")]]
+def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[list[str]]) -> list[str]:
+    """Laws that a search finds if `left` is the loss of each set of laws and `proposed` the laws that are proposed from call to call."""
+    waiting = [[(name, None, SimpleNamespace(key=name)) for name in names] for names in proposed]
 
     def fit(state, *_: Any, **__: Any):
         return SimpleNamespace(state=state, held_out=left[tuple(s.key for s in state.settings)], unknowns=[], deviations=[])
@@ -384,7 +383,7 @@ def test_a_law_that_was_second_best_is_tried_again_beside_the_best(monkeypatch):
     for name, instead in {
         "residuals_of": lambda *_: [],
         "propose_laws": lambda *_: None,
-        "settings_of_proposals": lambda *_: proposed.pop(0) if proposed else [],
+        "settings_of_proposals": lambda *_: waiting.pop(0) if waiting else [],
         "label": str,
         "with_fitted_spring": lambda state, *_: state,
         "with_normal_elasticity": lambda _, fitted, *__: fitted,
@@ -396,5 +395,24 @@ def test_a_law_that_was_second_best_is_tried_again_beside_the_best(monkeypatch):
         monkeypatch.setattr(module + name, instead)
     group = SimpleNamespace(views=[], thresholds=DEFAULT, confidence=lambda axis: 0.98)
     loop = SimpleNamespace(fit=fit, expected=100.0, inflation=lambda loss: 1.0, group=group, mapper=in_turn, only_fold=None)
-    found = _search_from(loop, _State(()), "X", X, lambda _: None)
-    assert [law.measured for law in found.laws] == ["best", "second"]
+    return [str(law.measured) for law in _search_from(loop, _State(()), "X", X, lambda _: None).laws]
+
+
+def test_a_law_that_was_second_best_is_tried_again_beside_the_best(monkeypatch):
+    """What the best law leaves of the force may be too rough to show the second one, which reduced the gap before."""
+    left = {(): 10000.0, ("best",): 4000.0, ("second",): 7000.0, ("useless",): 9990.0, ("best", "second"): 1000.0}
+    assert searched(monkeypatch, left, [["second", "useless", "best"]]) == ["best", "second"]
+
+
+def test_a_law_that_predicts_little_of_its_block_is_tried_if_no_other_reduces_the_gap(monkeypatch):
+    left = {(): 10000.0, ("useless",): 9990.0, ("weak",): 6000.0, ("strong",): 5000.0, ("strong", "weak"): 1000.0}
+    assert searched(monkeypatch, left, [["useless"], ["weak"]]) == ["weak"]
+    assert searched(monkeypatch, left | {("strong", "useless"): 4990.0}, [["strong"], ["useless"], ["weak"]]) == ["strong", "weak"]
+
+
+def test_a_sine_over_the_turn_is_a_harmonic_of_it():
+    """Its period is not fitted: over many turns a small error of it would be a large error of the phase."""
+    wave = {**BELL, "variables": ["turn"], "formula": "sine", "amplitude": 20.0, "period": math.pi, "phase_rad": 0.3}
+    machine = with_effects(X, [{k: v for k, v in wave.items() if k not in ("height", "width")}])
+    names = [u.name for u in unknowns_of(state_of(X, machine, ("X",), DEFAULT), ("X",), X.parameter_tolerance) if u.setting is not None]
+    assert names == ["amplitude", "phase_rad"]

@@ -6,7 +6,7 @@ import pytest
 from twin.diagnose.law.candidates import Candidate
 from twin.diagnose.law.closed_loop import State
 from twin.diagnose.law.measure import Curve
-from twin.diagnose.law.proposals import LEAST_PREDICTS
+from twin.diagnose.law.proposals import STRONG
 from twin.diagnose.law.residual import SPRING, Samples, deflection_of, transmitted_force
 from twin.diagnose.law.springs import stage_over_force, with_fitted_spring
 from twin.diagnose.view import view_of
@@ -72,7 +72,7 @@ def test_a_stiff_stage_is_measured_over_the_force():
 
 def test_a_linear_spring_has_no_second_stage():
     found = stage_over_force(two_stages(60e6, 60e6, 20e-6), WINDUP)
-    assert found is None or found.predicts < LEAST_PREDICTS
+    assert found is None or found.predicts < STRONG.predicts
 
 
 def test_a_law_with_a_measured_spring_changes_the_stiffness(mikron):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.law.filters import filters_of
-from twin.diagnose.law.proposals import LEAST_PREDICTS
+from twin.diagnose.law.proposals import STRONG
 from twin.diagnose.law.residual import ControllerRun, Samples
 from twin.effects.law import Law, cycle_of
 from twin.effects.law_filters import RING, filter_row, filtered
@@ -54,7 +54,7 @@ def test_a_filter_is_recognised_beside_a_gain(block: str, name: str, numbers: di
 
 
 def test_a_gain_is_not_recognised_as_a_filter():
-    assert all(f.predicts < LEAST_PREDICTS for f in filters_of(passed_by("speed controller", None, {}, gain=1.1), MACHINE))
+    assert all(f.predicts < STRONG.predicts for f in filters_of(passed_by("speed controller", None, {}, gain=1.1), MACHINE))
 
 
 def test_a_block_that_passes_nothing_on_has_no_filter():

@@ -10,7 +10,7 @@ import pytest
 from twin.diagnose.law.candidates import position_in_play, remembered_direction
 from twin.diagnose.law.known_physics import looks_like
 from twin.diagnose.law.measure import excess, measured_laws
-from twin.diagnose.law.proposals import LEAST_PREDICTS
+from twin.diagnose.law.proposals import STRONG
 from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.shapes import described
 from twin.machine.machine import load_machine
@@ -87,14 +87,14 @@ def test_a_planted_law_is_found(name: str):
 
 def test_noise_has_no_law():
     samples = samples_of(12.0 + 25.0 * np.sign(V) + 90.0 * V, M)
-    assert all(c.predicts < LEAST_PREDICTS for c in measured_laws(samples, X))
+    assert all(c.predicts < STRONG.predicts for c in measured_laws(samples, X))
 
 
 def test_a_law_in_a_single_run_predicts_nothing():
     force = np.where(FIRST == COUNT, 300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
     flipped = np.where(FIRST == 2 * COUNT, -300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
     curves = measured_laws(samples_of(force + flipped, M), X)
-    assert all(c.predicts < LEAST_PREDICTS for c in curves if c.candidate.variable == "speed")
+    assert all(c.predicts < STRONG.predicts for c in curves if c.candidate.variable == "speed")
 
 
 def test_a_play_of_the_scale_is_a_slack():
@@ -129,6 +129,12 @@ def test_a_curve_that_no_formula_describes_stays_a_table():
     low, high = np.quantile(Q, [0.05, 0.95])
     inside = (low < Q) & (high > Q)
     assert np.corrcoef(np.interp(Q[inside], x, y), force[inside])[0, 1] > 0.95
+
+
+def test_a_sine_over_the_turn_is_a_harmonic_of_it():
+    samples = samples_of(80.0 * np.sin(2.0 * M["turn"] + 0.4), {**M, "turn": np.mod(M["turn"], 2.0 * math.pi)})
+    curve = next(c for c in measured_laws(samples, X) if c.candidate.variable == "turn")
+    assert described(samples, curve, X).numbers["period"] == math.pi
 
 
 def test_known_causes_match_laws():

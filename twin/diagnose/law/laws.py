@@ -23,7 +23,7 @@ from twin.diagnose.law.acceptance import (
 )
 from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Say, State, state_of, with_law
 from twin.diagnose.law.jitter import jitter_of
-from twin.diagnose.law.proposals import label, propose_laws, settings_of_proposals
+from twin.diagnose.law.proposals import STRONG, WEAK, label, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
@@ -33,7 +33,7 @@ from twin.diagnose.tolerance import is_normal
 from twin.effects import Setting, check_setting, settings_of, with_effects
 from twin.machine.machine import Machine
 
-MOST_LAWS = 5
+MOST_LAWS = 12
 """Largest number of laws of one axis."""
 
 LITTLE_LEFT = 0.02
@@ -212,19 +212,28 @@ def _search_from(
     while len(laws) < MOST_LAWS and loss_above_noise(loop, fitted) >= LITTLE_LEFT * loss_above_noise(loop, first):
         if laws or blocks is None:
             blocks = residuals_of(loop.group.views, (fitted.state if laws else state).machine_of, (axis,), loop.mapper)
-        proposed = settings_of_proposals(propose_laws(blocks, machine, axis), axis, machine)
-        known = {label(d) for d, _, _ in proposed}
-        proposed += [(d, x, s) for d, x, s in waiting if label(d) not in known]
-        if not proposed:
-            break
-        say(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
-        fits = [(loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x) for d, x, s in proposed]
         least = LEAST_OF_ALL * loss_above_noise(loop, first)
-        tried = sorted(((f, d, x) for f, d, x in fits if f is not None), key=lambda t: t[0].held_out)
-        tried = [t for t in tried if justifies_a_law(loop, fitted.held_out, t[0].held_out, least)]
-        if not tried:
+        known: set[str] = set()
+        justified: list[tuple[Fitted, Described, Samples]] = []
+        for selection in (STRONG, WEAK):
+            proposed = settings_of_proposals(propose_laws(blocks, machine, axis, selection), axis, machine)
+            proposed = [p for p in proposed if label(p[0]) not in known]
+            known |= {label(d) for d, _, _ in proposed}
+            proposed += [p for p in waiting if label(p[0]) not in known]
+            waiting = []
+            if not proposed:
+                continue
+            say(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
+            fits = [
+                (loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x) for d, x, s in proposed
+            ]
+            tried = sorted(((f, d, x) for f, d, x in fits if f is not None), key=lambda t: t[0].held_out)
+            justified = [t for t in tried if justifies_a_law(loop, fitted.held_out, t[0].held_out, least)]
+            if justified:
+                break
+        if not justified:
             break
-        best, *others = tried
+        best, *others = justified
         waiting = [(d, x, f.state.settings[-1]) for f, d, x in others]
         new, description, samples = best
         share = (fitted.held_out - new.held_out) / max(loss_above_noise(loop, first), 1e-300)

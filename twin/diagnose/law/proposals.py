@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import contextlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.measure import Curve, excess, measured_laws
@@ -19,23 +19,33 @@ from twin.machine.machine import Machine
 NOISY = 1.15
 """Power of the residual of a block over noise up to which no law is sought in it."""
 
-LEAST_PREDICTS = 0.15
-"""Smallest fraction of the loss on runs left out that a law must predict in its block."""
-
 LEAST_RUNS = 0.6
 """Smallest fraction of the runs, weighted by their loss, that a law must improve."""
-
-TRIED = 3
-"""Number of candidates that are described by formulas and fitted in closed loop."""
 
 LEAST_LAG = 0.25
 """Start value of an actuator's lag at least, in speed cycles."""
 
-NEAR_BEST = 0.4
-"""Smallest prediction of a further candidate, as a fraction of that of the best one."""
+
+@dataclass(frozen=True)
+class Selection:
+    """Which candidates are described by formulas and fitted in closed loop.
+
+    `predicts` is the smallest fraction of the loss on runs left out that a candidate must predict in its block, `near_best` the same as a
+    fraction of that of the best candidate, `most` their largest number.
+    """
+
+    predicts: float
+    near_best: float
+    most: int
 
 
-def propose_laws(blocks: Sequence[Samples], machine: Machine, axis: str) -> list[tuple[Described, Samples]]:
+STRONG = Selection(predicts=0.15, near_best=0.4, most=3)
+WEAK = Selection(predicts=0.04, near_best=0.15, most=6)
+"""Tried if no strong candidate reduces the gap. A law that acts at constant speed or for a short time predicts little of the force of an axis that
+accelerates, and much of its position."""
+
+
+def propose_laws(blocks: Sequence[Samples], machine: Machine, axis: str, selection: Selection = STRONG) -> list[tuple[Described, Samples]]:
     """The laws that predict best in the `blocks` of an axis that are furthest from noise, as formulas, filters or tables."""
     own = machine.axis(axis)
     found: list[tuple[float, Described, Samples]] = []
@@ -43,18 +53,18 @@ def propose_laws(blocks: Sequence[Samples], machine: Machine, axis: str) -> list
         loudness = excess(s)
         if loudness <= NOISY:
             continue
-        suited = [c for c in measured_laws(s, own) if c.predicts > LEAST_PREDICTS and c.runs_better >= LEAST_RUNS]
+        suited = [c for c in measured_laws(s, own) if c.predicts > selection.predicts and c.runs_better >= LEAST_RUNS]
         distinct: dict[tuple[str, str, str, bool], Curve] = {}
         for c in suited:
             distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
-        near = [c for c in distinct.values() if c.predicts > NEAR_BEST * suited[0].predicts][: TRIED + 1]
+        near = [c for c in distinct.values() if c.predicts > selection.near_best * suited[0].predicts][: selection.most + 1]
         passing = filters_of(s, machine) if s.block != MECHANICS else []
-        filters = [f for f in passing if f.predicts > LEAST_PREDICTS and f.curve.runs_better >= LEAST_RUNS]
-        stages = [stage for c in near if s.block == SPRING and (stage := stage_over_force(s, c)) and stage.predicts > LEAST_PREDICTS]
+        filters = [f for f in passing if f.predicts > selection.predicts and f.curve.runs_better >= LEAST_RUNS]
+        stages = [stage for c in near if s.block == SPRING and (stage := stage_over_force(s, c)) and stage.predicts > selection.predicts]
         for d in [*(described(s, c, own) for c in near), *filters, *stages]:
             found.append((loudness * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
     found.sort(key=lambda f: -f[0])
-    return [*((d, s) for _, d, s in found[:TRIED]), *_actuator_lags(blocks, machine)]
+    return [*((d, s) for _, d, s in found[: selection.most]), *_actuator_lags(blocks, machine)]
 
 
 def _actuator_lags(blocks: Sequence[Samples], machine: Machine) -> list[tuple[Described, Samples]]:

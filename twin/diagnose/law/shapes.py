@@ -132,6 +132,11 @@ class _ShapeFit:
         """Whether the shape has no height."""
         return not any(n.of == "output" for n in self.shape.numbers)
 
+    @property
+    def is_searched(self) -> bool:
+        """Whether the parameters are searched between their start values. A sine over the turn is a harmonic of it."""
+        return self.candidate.variable != "turn"
+
     def columns(self, values: Sequence[float]) -> np.ndarray:
         """Columns (sample, n) of unit height; sine and cosine for a sine."""
         numbers = {**self.given, **dict(zip(self.free, values))}
@@ -230,7 +235,7 @@ def _fit_shape(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: 
         return float(huber(left, scale).sum())
 
     values = min(itertools.product(*problem.starts), key=loss)
-    if problem.free:
+    if problem.free and problem.is_searched:
         values = _refine(loss, values, problem.logarithmic, problem.steps(values))
     numbers = dict(zip(problem.free, values))
     driven = float(np.ptp(problem.x))
