@@ -28,7 +28,7 @@ from twin.exam.detectability import Answers, outlooks
 from twin.exam.draw import RUN_SETS
 from twin.exam.mark import NOT_DIAGNOSED, digest_of, kept_mark, mark_answer
 from twin.exam.plant.effects import LIBRARY
-from twin.exam.plant.outside import OUTSIDE, VARIABLE
+from twin.exam.plant.outside import LAWS, OUTSIDE
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
 from twin.exam.score import calibration, confusion, is_failed, macro_f1, score, target_word, wilson
@@ -154,8 +154,8 @@ def test_a_law_is_right_with_axis_block_and_variable(law: tuple[str, str, str] |
 
 
 def test_every_fault_outside_the_library_has_a_variable_of_laws() -> None:
-    assert VARIABLE.keys() == OUTSIDE.keys()
-    assert set(VARIABLE.values()) <= VARIABLES.keys()
+    assert LAWS.keys() == OUTSIDE.keys()
+    assert {law.variable for law in LAWS.values()} <= VARIABLES.keys()
 
 
 def test_a_rival_counts_only_for_the_effect_that_it_is_named_with() -> None:
@@ -246,14 +246,15 @@ def test_faults_outside_the_library_are_scored_by_law_and_remaining_gap() -> Non
     law = {**answer("law"), "laws": [{"axis": "X", "block": "mechanics", "variables": ["speed"]}]}
     closed, open_ = ({"before": 9.0, "floor": 1.0, "after": after} for after in (1.4, 1.6))
     marks = [
-        {**marked("outside", there, law), "gap": closed},
-        {**marked("outside", there, answer("unknown", where=(("Y", "mechanics"),))), "gap": open_},
-        {**marked("outside", there, answer("unknown")), "gap": {"before": 9.0, "floor": 1.0}},
+        {**marked("outside", there, law), "gap": closed, "shape": 0.96},
+        {**marked("outside", there, answer("unknown", where=(("Y", "mechanics"),))), "gap": open_, "shape": 0.94},
+        {**marked("outside", there, answer("unknown")), "gap": {"before": 9.0, "floor": 1.0}, "shape": 0.0},
     ]
     right = {t["what"]: t.get("right") for t in score(marks)["targets"]}
     assert right["outside the library recognised"] == 3
     assert right["outside the library: axis and block"] == 1
     assert right["outside the library: law over the right variable"] == 1
+    assert right["outside the library: shape of the law"] == 1
     assert right["outside the library: gap after at most 1.5 x floor"] == 1
 
 

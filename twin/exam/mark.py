@@ -27,7 +27,7 @@ from twin.simulation.gap import Prediction, SignalGap, gap_of, predict_campaign
 from .answer import read_answer
 from .draw import Case, truth_of, write_campaign
 from .mark_budget import VISIBLE, mark_budget, what_of
-from .plant.outside import VARIABLE
+from .mark_law import laws_of_fault, shape_agreement
 from .questions import Question
 
 REALISATIONS = 2
@@ -40,6 +40,7 @@ NOT_DIAGNOSED: dict[str, Any] = {
     "probabilities": [],
     "parameters": [],
     "baselines": {},
+    "shape": 0.0,
     "budget": None,
 }
 """Mark of a case without a diagnosis: wrong in every respect."""
@@ -68,6 +69,7 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
     else:
         answer, baselines = read_answer(place / "answer")
         result |= mark_answer(truth, answer)
+        result["shape"] = min((shape_agreement(e, answer, load_machine(machine_file)) for e in truth["outside"]), default=None)
         result["baselines"] = {name: marked_baseline(truth, said) for name, said in baselines.items()}
     result["gap"] = _exam_gap(case, truth, place, machine_file)
     write_whole(kept, json.dumps({**result, "sha256": digest_of(result)}, indent=1) + "\n")
@@ -118,19 +120,12 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
         "first_or_ambiguous": bool(right or rightly_ambiguous) if true else right,
         "exact": bool(right),
         "place": bool(located and located[0] in places) if places else right,
-        "law": _law_found(truth, answer),
+        "law": any(laws_of_fault(e, answer) for e in truth["outside"]) if truth["outside"] else None,
         "probabilities": [[e["probability"], what_of(e) in true] for e in answer["effects"]],
         "parameters": _parameters(truth, answer),
         "retuning_share": answer["gap"].get("retuning_share"),
         "budget": mark_budget(truth, answer) if "budget" in truth else None,
     }
-
-
-def _law_found(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> bool | None:
-    """Whether a law of the answer has axis, block and variable of an effect outside the library; None without such an effect."""
-    true = {(e["axis"], e["block"], VARIABLE[e["name"]]) for e in truth["outside"]}
-    found = {(law["axis"], law["block"], law["variables"][0]) for law in answer.get("laws", ())}
-    return bool(true & found) if true else None
 
 
 def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dict[str, Any]]:

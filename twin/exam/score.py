@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from .mark_budget import VISIBLE
+from .mark_law import SIMILAR
 
 Mark = Mapping[str, Any]
 
@@ -26,6 +27,7 @@ TARGETS = (
     ("outside the library recognised", 0.75),
     ("outside the library: axis and block", 0.90),
     ("outside the library: law over the right variable", 0.85),
+    ("outside the library: shape of the law", 0.70),
     ("outside the library: gap after at most 1.5 x floor", 0.70),
     ("median parameter error", -0.06),
     ("intervals cover the truth", (0.88, 0.99)),
@@ -85,6 +87,7 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         "outside the library recognised": share("outside", "exact"),
         "outside the library: axis and block": share("outside", "place"),
         "outside the library: law over the right variable": share("outside", "law"),
+        "outside the library: shape of the law": _similar(of.get("outside", [])),
         "outside the library: gap after at most 1.5 x floor": _closed(of.get("outside", [])),
         "median parameter error": _value(np.median, [p["error"] for p in parameters]),
         "intervals cover the truth": _share(sum(p["covered"] for p in parameters), len(parameters)) if parameters else None,
@@ -152,6 +155,11 @@ def _shrunk(marks: Sequence[Mark]) -> list[float]:
 def _closed(marks: Sequence[Mark]) -> dict[str, Any] | None:
     """Cases whose gap after correction is at most MOST_LEFT x the floor on the examination's own runs."""
     return _share(sum(m["gap"].get("after", math.inf) <= MOST_LEFT * m["gap"]["floor"] for m in marks), len(marks)) if marks else None
+
+
+def _similar(marks: Sequence[Mark]) -> dict[str, Any] | None:
+    """Cases with a law of the right shape: its correlation with the true law is at least SIMILAR."""
+    return _share(sum(m["shape"] >= SIMILAR for m in marks), len(marks)) if marks else None
 
 
 def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> dict[str, Any] | None:

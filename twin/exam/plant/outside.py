@@ -25,8 +25,12 @@ The ranges in um apply to screws; A and C as given or at equal motor angle. Sour
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 import math
+from typing import Any
+
+import numpy as np
 
 from .effects import ALL, ARCSEC, DrawContext, Effect, stable_damping
 from .parameters import AXES, LINEAR, Settings
@@ -73,24 +77,51 @@ def _crosstalk(d: DrawContext) -> dict:
     return {"from_axis": others[d.rng.integers(len(others))], "gain": d.sign() * d.size(40e-6, 150e-6)}
 
 
-VARIABLE = {
-    "notch_filter": "current_setpoint",
-    "position_dead_band": "following_error",
-    "speed_set_point_smoothing": "speed_setpoint",
-    "one_sided_speed_clip": "speed_setpoint",
-    "magnetic_saturation": "current",
-    "inverter_dead_time": "current",
-    "windage": "speed",
-    "warming_friction": "time",
-    "hardening_spring": "windup",
-    "two_stage_lost_motion": "windup",
-    "scale_coupling_play": "slack",
-    "scale_interpolation_error": "position",
-    "tilt_crosstalk": "position",
-    "current_recorded_late": "current",
-    "scale_sampling_jitter": "speed",
+@dataclass(frozen=True)
+class TrueLaw:
+    """The law of an effect as the examination marks it: its variable by the name in `diagnosis.json`, and its shape up to a positive factor.
+
+    `values` (parameters, x) is the output over the variable; `response` (parameters, s) the frequency response of a filter.
+    """
+
+    variable: str
+    values: Callable[[Mapping[str, Any], np.ndarray], np.ndarray] | None = None
+    response: Callable[[Mapping[str, Any], np.ndarray], np.ndarray] | None = None
+
+
+def _notch_response(p: Mapping[str, Any], s: np.ndarray) -> np.ndarray:
+    w = 2.0 * math.pi * p["frequency_hz"]
+    passed: np.ndarray = (s**2 + w**2) / (s**2 + p["width"] * w * s + w**2)
+    return passed
+
+
+LAWS = {
+    "notch_filter": TrueLaw("current_setpoint", response=_notch_response),
+    "position_dead_band": TrueLaw("following_error", lambda p, x: -np.clip(x, -p["band"], p["band"])),
+    "speed_set_point_smoothing": TrueLaw("speed_setpoint", response=lambda p, s: 1.0 / (1.0 + p["time_constant_s"] * s)),
+    "one_sided_speed_clip": TrueLaw("speed_setpoint", lambda p, x: np.minimum(x, p["limit"]) - x),
+    "magnetic_saturation": TrueLaw("current", lambda p, x: x / np.sqrt(1.0 + (x / p["saturation_a"]) ** 2) - x),
+    "inverter_dead_time": TrueLaw("current", lambda p, x: -np.tanh(x / 0.2)),
+    "windage": TrueLaw("speed", lambda p, x: x**2),
+    "warming_friction": TrueLaw("time", lambda p, x: p["share"] * (1.0 - np.exp(-x / p["time_constant_s"]))),
+    "hardening_spring": TrueLaw("windup", lambda p, x: x**3),
+    "two_stage_lost_motion": TrueLaw("windup", lambda p, x: -np.clip(x, -0.5 * p["width"], 0.5 * p["width"])),
+    "scale_coupling_play": TrueLaw("slack", lambda p, x: -played(x, 0.5 * p["width"])),
+    "scale_interpolation_error": TrueLaw("position", lambda p, x: np.sin(2.0 * math.pi * x / p["period"])),
+    "tilt_crosstalk": TrueLaw("position", lambda p, x: p["gain"] * x),
+    "current_recorded_late": TrueLaw("current", response=lambda p, s: np.exp(-p["skew_s"] * s)),
+    "scale_sampling_jitter": TrueLaw("speed", lambda p, x: np.abs(x)),
 }
-"""Variable of the law of each effect, by its name in `diagnosis.json`."""
+"""Laws of the effects. Of a play, x is the travel of the load."""
+
+
+def played(x: np.ndarray, half: float) -> np.ndarray:
+    """Position (sample,) of the load within a play of +-half along a travel x (sample,) that starts in the middle."""
+    out = np.zeros(len(x))
+    for i in range(1, len(x)):
+        out[i] = min(max(out[i - 1] + x[i] - x[i - 1], -half), half)
+    return out
+
 
 OUTSIDE: dict[str, Effect] = {
     "notch_filter": Effect(
