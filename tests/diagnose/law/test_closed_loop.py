@@ -14,6 +14,7 @@ from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.law.acceptance import is_significant, remove_needless_slip, replace_laws_by_effects
 from twin.diagnose.law.closed_loop import ClosedLoop, state_of, unknowns_of
 from twin.diagnose.law.laws import _AxisLaws, _search_from, laws_of
+from twin.diagnose.law.proposals import STRONG, WEAK
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import in_turn
@@ -395,7 +396,8 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
         monkeypatch.setattr(module + name, instead)
     group = SimpleNamespace(views=[], thresholds=DEFAULT, confidence=lambda axis: 0.98)
     loop = SimpleNamespace(fit=fit, expected=100.0, inflation=lambda loss: 1.0, group=group, mapper=in_turn, only_fold=None)
-    return [str(law.measured) for law in _search_from(loop, _State(()), "X", X, lambda _: None).laws]
+    found = _search_from(loop, _State(()), "X", X, lambda _: None, selections=(STRONG, WEAK))
+    return [str(law.measured) for law in found.laws]
 
 
 def test_a_law_that_was_second_best_is_tried_again_beside_the_best(monkeypatch):

@@ -23,7 +23,7 @@ from twin.diagnose.law.acceptance import (
 )
 from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Say, State, state_of, with_law
 from twin.diagnose.law.jitter import jitter_of
-from twin.diagnose.law.proposals import STRONG, WEAK, label, propose_laws, settings_of_proposals
+from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
@@ -159,7 +159,7 @@ def _search_axis(loop: ClosedLoop, state: State, blocks: Sequence[Samples], axis
     """
     loop = loop.halving_its_only_loud_fold(loop.left(state))
     own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
-    beside = _search_from(loop, state, axis, machine, say, removable=own, blocks=blocks)
+    beside = _search_from(loop, state, axis, machine, say, removable=own, blocks=blocks, selections=(STRONG, WEAK))
     if len(own) > MOST_EFFECTS:
         return beside
     in_drive_train = [s for s in state.settings if s.axis == axis and s.effect.block == "transmission"]
@@ -199,9 +199,11 @@ def _search_from(
     restorable: Sequence[Setting] = (),
     removable: Sequence[Setting] = (),
     blocks: Sequence[Samples] | None = None,
+    selections: Sequence[Selection] = (STRONG,),
 ) -> _AxisLaws:
     """Laws of one axis from a start state, added one by one while each reduces the gap enough. Then effects in `restorable` are restored if they
-    reduce the gap, and effects in `removable` are removed if they no longer do. `blocks` are the residuals of the start state, if known."""
+    reduce the gap, and effects in `removable` are removed if they no longer do. `blocks` are the residuals of the start state, if known. Candidates
+    of each of the `selections` are tried if none of the one before reduces the gap."""
     tolerance, t = machine.parameter_tolerance, loop.group.thresholds
     first = loop.fit(state, tolerance, steps=2)
     if first is None:
@@ -215,7 +217,7 @@ def _search_from(
         least = LEAST_OF_ALL * loss_above_noise(loop, first)
         known: set[str] = set()
         justified: list[tuple[Fitted, Described, Samples]] = []
-        for selection in (STRONG, WEAK):
+        for selection in selections:
             proposed = settings_of_proposals(propose_laws(blocks, machine, axis, selection), axis, machine)
             proposed = [p for p in proposed if label(p[0]) not in known]
             known |= {label(d) for d, _, _ in proposed}
