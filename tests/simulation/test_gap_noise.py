@@ -60,14 +60,3 @@ def test_an_axis_without_set_points_is_compared_over_the_whole_run(recorded: tup
     assert gap.times_noise_moving == pytest.approx(gap.rms / gap.noise)
     with pytest.raises(InputError, match="setpoint"):
         gap_of(machine, changed(run, setpoint=None), prediction)
-
-
-def test_an_axis_that_reverses_without_a_stop_moves() -> None:
-    """The central difference of the set point is zero at the reversal."""
-    machine = load_machine().with_axes(["X"])
-    position = np.concatenate([np.zeros(5), np.arange(20) * 1e-4, np.arange(20)[::-1] * 1e-4, np.zeros(5)])
-    trace = replace(read_trace(EXAMPLE), time=1e-3 * np.arange(len(position)), signals={("X", "setpoint"): position})
-    moving = is_moving(trace, machine.axis("X"))
-    assert moving[5:44].all()
-    assert not moving[:5].any()
-    assert not moving[46:].any()

@@ -63,9 +63,9 @@ class Channel:
                     return False
         return True
 
-    def settled(self, view: RunView) -> np.ndarray:
-        """Mask (sample,) of the samples that do not depend on how the axis stuck before."""
-        free = ~rests(view, self.axis, self.thresholds.settled_s)
+    def settled(self, view: RunView, shortest_rest_s: float = 0.0) -> np.ndarray:
+        """Mask (sample,) of the samples that do not depend on how the axis stuck before, in a rest of at least `shortest_rest_s`."""
+        free = ~rests(view, self.axis, self.thresholds.settled_s, shortest_rest_s)
         if self.name == "controller":
             return np.ones(len(self.residual), bool)
         return free[view.rows_of(self.axis, self.name)]

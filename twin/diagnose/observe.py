@@ -206,10 +206,17 @@ class Group:
 
     @functools.cached_property
     def credit(self) -> np.ndarray:
-        """Weight of each row as evidence (row,). How an axis stuck is a single random event that repeats in many samples."""
+        """Weight of each row as evidence (row,)."""
+        return self.credit_after_rests(0.0)
+
+    def credit_after_rests(self, shortest_s: float) -> np.ndarray:
+        """Weight of each row as evidence (row,), reduced at and after rests of at least `shortest_s`.
+
+        How an axis stuck is a single random event that repeats in many samples.
+        """
         out = np.ones(self.size)
         for channel in self.channels:
-            out[channel.rows][~channel.settled(self.views[channel.run])] = self.thresholds.unsettled_weight
+            out[channel.rows][~channel.settled(self.views[channel.run], shortest_s)] = self.thresholds.unsettled_weight
         return out
 
     def confidence(self, axis: str) -> float:

@@ -120,16 +120,18 @@ def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
     return np.sum([weight * view.setpoints.at(times - d)[:, a] for d, weight in parts], axis=0)
 
 
-def rests(view: RunView, name: str, after_s: float) -> np.ndarray:
-    """Mask (sample,) of the samples at which an axis is at rest or broke away less than `after_s` ago.
+def rests(view: RunView, name: str, after_s: float, shortest_s: float = 0.0) -> np.ndarray:
+    """Mask (sample,) of the samples at which an axis is at rest or broke away less than `after_s` ago; rests shorter than `shortest_s` do not count.
 
     On the circle of a ballbar no axis counts as resting: the circle continues while one axis reverses, and the bar measures it.
     """
     if view.ballbar is not None:
         return np.zeros(len(view.trace.time), bool)
     moving = view.reference(name)[2]
-    started = np.flatnonzero(np.diff(moving.astype(int)) == 1)
-    resting = ~moving
-    for i in started:
-        resting[i : i + 1 + round(after_s / view.trace.period)] = True
+    edges = np.diff(moving.astype(int), prepend=1, append=1)
+    stopped, started = np.flatnonzero(edges == -1), np.flatnonzero(edges == 1)
+    resting = np.zeros(len(moving), bool)
+    for first, last in zip(stopped, started):
+        if (last - first) * view.trace.period >= shortest_s:
+            resting[first : last + round(after_s / view.trace.period)] = True
     return resting

@@ -201,15 +201,8 @@ def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
 
 
 def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
-    """Mask (sample,) of a moving set point. Only there the current or command is compared: that of a sticking axis depends on its history.
-
-    A sample moves if the set point changes before or after it: an axis that reverses without a stop does not rest at the reversal.
-    """
-    changes = np.abs(np.diff(trace.get(axis.name, "setpoint"))) > AT_REST[axis.kind] * trace.period
-    moving = np.zeros(len(trace.time), bool)
-    moving[:-1] |= changes
-    moving[1:] |= changes
-    return moving
+    """Mask (sample,) of a moving set point. Only there the current or command is compared: that of a sticking axis depends on its history."""
+    return np.abs(np.gradient(trace.get(axis.name, "setpoint"), trace.period)) > AT_REST[axis.kind]
 
 
 def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:

@@ -412,6 +412,18 @@ def test_a_law_that_predicts_little_of_its_block_is_tried_if_no_other_reduces_th
     assert searched(monkeypatch, left | {("strong", "useless"): 4990.0}, [["strong"], ["useless"], ["weak"]]) == ["strong", "weak"]
 
 
+def test_a_reversal_without_a_stop_is_full_evidence_of_a_law():
+    """After a stop it depends on how the axis stuck; the search for effects weighs both alike."""
+    there = 1e-3 * np.cumsum(0.03 * np.concatenate([np.ones(400), -np.ones(400)]))  # reverses at sample 399, stops from 800
+    position = np.concatenate([there, np.full(300, there[-1]), there[-1] + 3e-5 * np.arange(1, 401)])
+    trace = simulate(X, Setpoints(position[:, None], 1e-3), sample_period=1e-3, noise_seed=1).trace
+    group = observe([view_of(X, MeasuredRun("run", trace, "velocity+torque", 0.0))], ("X",))
+    rows = next(c for c in group.channels if c.name == "position").rows
+    after_reversal, after_stop = rows.start + 450, rows.start + 1150
+    for credit, expected in ((group.credit, (0.03, 0.03, 1.0)), (ClosedLoop(group, ("X",), [[0]], in_turn).credit, (1.0, 0.03, 1.0))):
+        assert (credit[after_reversal], credit[after_stop], credit[rows.start + 700]) == expected
+
+
 def test_a_sine_over_the_turn_is_a_harmonic_of_it():
     """Its period is not fitted: over many turns a small error of it would be a large error of the phase."""
     wave = {**BELL, "variables": ["turn"], "formula": "sine", "amplitude": 20.0, "period": math.pi, "phase_rad": 0.3}

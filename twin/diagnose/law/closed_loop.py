@@ -48,6 +48,9 @@ noise: what no law explains yet is model error, and must not pull a parameter ou
 DAMPINGS = (0.0, 0.3, 3.0)
 """Levenberg-Marquardt dampings, tried in order, as multiples of the diagonal of the normal matrix."""
 
+SHORTEST_REST_S = 5e-3
+"""Duration of a rest from which an axis sticks. A shorter one is a reversal without a stop: its motion is not random, and laws of friction show there."""
+
 CONVERGED = 2e-4
 """Relative decrease of the loss below which the fit has converged."""
 
@@ -221,8 +224,9 @@ class ClosedLoop:
     def __init__(self, group: Group, axes: Sequence[str], folds: Sequence[Sequence[int]], mapper: Mapper, shaken: bool = False) -> None:
         self.group, self.axes, self.mapper, self.shaken = group, tuple(axes), mapper, shaken
         self.rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in self._channels()])
-        self.root = np.sqrt(group.credit[self.rows])
-        self.expected = 0.5 * float(group.expected[self.rows] @ group.credit[self.rows])
+        self.credit = group.credit_after_rests(SHORTEST_REST_S)[self.rows]
+        self.root = np.sqrt(self.credit)
+        self.expected = 0.5 * float(group.expected[self.rows] @ self.credit)
         of_fold = [np.any([group.run_rows(r)[self.rows] for r in fold], axis=0) for fold in folds]
         self.parts = list(enumerate(of_fold))  # folds and their rows (row,) that are predicted from all other rows
         self.halved: int | None = None
@@ -241,7 +245,7 @@ class ClosedLoop:
 
         The other runs do not show a law that acts in one run only. There, each half of that run is predicted from everything else.
         """
-        noise = self.group.expected[self.rows] * self.group.credit[self.rows]
+        noise = self.group.expected[self.rows] * self.credit
         above = [float(np.sum(left[rows] ** 2 - noise[rows])) for _, rows in self.parts]
         loudest = int(np.argmax(above))
         if self.halved is not None or above[loudest] < ONE_RUN * sum(max(a, 0.0) for a in above):
