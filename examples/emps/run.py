@@ -28,6 +28,8 @@ from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.report import new_figure, save_png
 from twin.simulation.gap import Prediction, gap_of, predict
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 from twin.simulation.summary import table
 
 HERE = Path(__file__).resolve().parent
@@ -44,6 +46,8 @@ PERIOD_S = 6.24
 
 NEXT_BEST = 0.02
 """Least share of the squared residual of a further shape in the second opinion."""
+
+COMPARED = ("published", "corrected")
 
 MEASURED, NOMINAL, CORRECTED, NOISE = "#15181c", "#e07b10", "#1764c0", "#d5dae1"
 
@@ -255,7 +259,7 @@ def gap_figure(run: MeasuredRun, predictions: dict[str, Prediction], repeats: tu
         (voltage, "voltage", 1.0, repeats[1], "V"),
     ):
         panel.axhspan(-2 * repeat * factor, 2 * repeat * factor, color=NOISE, label="the axis, period to period (95 %)")
-        for name, colour in (("published", NOMINAL), ("corrected", CORRECTED)):
+        for name, colour in zip(COMPARED, (NOMINAL, CORRECTED)):
             gap = (run.trace.get("X", signal) - predictions[name].trace.get("X", signal))[:n] * factor
             panel.plot(time, gap, color=colour, linewidth=1.0, label=f"measured - {name}, {np.sqrt(np.mean(gap**2)):.2g} {unit} RMS")
         panel.set_ylabel(f"gap of {signal.replace('_', ' ')} [{unit}]")
@@ -266,39 +270,30 @@ def gap_figure(run: MeasuredRun, predictions: dict[str, Prediction], repeats: tu
 
 
 def friction_figure(record: Record, machines: dict[str, Machine]):  # type: ignore[no-untyped-def]
-    """Voltage at constant speed minus that of the published model, by speed and direction: measured and corrected machine."""
+    """Voltage of each part at constant speed minus that of the published model: measured, and simulated by the corrected machine."""
     figure, panels = new_figure(1, 1, width=8.0, height=3.6)
     panel = panels[0, 0]
-    grid = np.linspace(0.005, 0.135, 50)
-    for sign in (-1.0, 1.0):
-        v = sign * grid
-        base = voltage_at(machines["published"], v)
-        panel.plot(
-            v * 1e3, 1e3 * (voltage_at(machines["published"], v) - base), color=NOMINAL, label="published model" if sign > 0 else None
-        )
-        panel.plot(
-            v * 1e3, 1e3 * (voltage_at(machines["corrected"], v) - base), color=CORRECTED, label="corrected machine" if sign > 0 else None
-        )
-    for speed, visits in plateaus(record).items():
-        off = 1e3 * (np.array(visits) - voltage_at(machines["published"], np.array([speed])))
-        panel.plot(np.full(len(off), speed * 1e3), off, color=MEASURED, marker="o", markersize=4, linestyle="none", alpha=0.6)
-    panel.plot([], [], color=MEASURED, marker="o", markersize=4, linestyle="none", alpha=0.6, label="measured, each part at constant speed")
+    measured, *simulated = (
+        plateaus(replace(record, voltage=v)) for v in (record.voltage, *(voltages(record, machines[n]) for n in COMPARED))
+    )
+    published, corrected = simulated
+    panel.axhline(0.0, color=NOMINAL, label="published model")
+    for found, colour, aside, label in (
+        (measured, MEASURED, -1.0, "measured parts at constant speed"),
+        (corrected, CORRECTED, 1.0, "corrected machine"),
+    ):
+        points = [(1e3 * v + aside, 1e3 * (u - base)) for v in found for u, base in zip(found[v], published[v])]
+        panel.plot(*zip(*points), color=colour, marker="o", markersize=4, linestyle="none", alpha=0.6, label=label)
     panel.set_xlabel("speed [mm/s]")
     panel.set_ylabel("voltage minus published model [mV]")
     panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
     return figure
 
 
-def voltage_at(machine: Machine, speed: np.ndarray) -> np.ndarray:
-    """Voltage [V] of a machine at constant speeds (speed,) [m/s]: friction, its asymmetry, constant force."""
-    axis = machine.axis("X")
-    force = axis.coulomb_friction * np.sign(speed) + axis.viscous_friction * speed + axis.constant_force
-    for effect in machine.effects:
-        if effect["name"] == "viscous_asymmetry":
-            force = force + effect["fraction"] * axis.viscous_friction * np.abs(speed)
-        elif effect["name"] == "constant_force":
-            force = force + effect["force"]
-    return force * axis.ratio / axis.motor.torque_constant_nm_per_a
+def voltages(record: Record, machine: Machine) -> np.ndarray:
+    """Voltage (sample,) [V] of a machine on the set points of the record."""
+    voltage: np.ndarray = simulate(machine, Setpoints(record.setpoint[:, None], record.period)).trace.get("X", "voltage")
+    return voltage[: len(record.setpoint)]
 
 
 def plateaus(record: Record, least_s: float = 0.2, settle_s: float = 0.08) -> dict[float, list[float]]:
