@@ -81,7 +81,7 @@ def test_the_residual_of_a_removed_effect_makes_the_verdict_unknown(monkeypatch:
 @pytest.mark.parametrize(("of_a", "of_c", "unknown"), [(1.3, 0.5, True), (1.0, 0.5, False), (1.0, 1.3, True), (1.0, 1.0, False)])
 def test_each_axis_of_a_group_is_judged_by_itself(monkeypatch: pytest.MonkeyPatch, of_a: float, of_c: float, unknown: bool):
     """Coupled axes are searched together, but an axis below its noise does not compensate another one."""
-    monkeypatch.setattr(Channel, "settled", lambda self, _: np.ones(len(self.residual), bool))
+    monkeypatch.setattr(Channel, "settled", lambda self, *_: np.ones(len(self.residual), bool))
     noise = np.random.default_rng(2).normal(size=(2, 3000))
     channels = [Channel(0, axis, "velocity", size * rows, np.ones(3000), 1.0) for axis, size, rows in zip("AC", (of_a, of_c), noise)]
     group = Group(("A", "C"), [None], channels, [{}], [{}], 0)
