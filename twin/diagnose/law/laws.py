@@ -204,53 +204,22 @@ def _search_from(
     """Laws of one axis from a start state, added one by one while each reduces the gap enough. Then effects in `restorable` are restored if they
     reduce the gap, and effects in `removable` are removed if they no longer do. `blocks` are the residuals of the start state, if known. Candidates
     of each of the `selections` are tried if none of the one before reduces the gap."""
-    tolerance, t = machine.parameter_tolerance, loop.group.thresholds
+    tolerance = machine.parameter_tolerance
     first = loop.fit(state, tolerance, steps=2)
     if first is None:
         return _AxisLaws([], None, 1.0)
     fitted = first
     laws: list[Law] = []
-    waiting: list[tuple[Described, Samples, Setting]] = []  # laws that reduce the gap, but less than the one that was added
+    waiting: list[_Proposal] = []  # laws that reduce the gap, but less than the one that was added
     while len(laws) < MOST_LAWS and loss_above_noise(loop, fitted) >= LITTLE_LEFT * loss_above_noise(loop, first):
         if laws or blocks is None:
             blocks = residuals_of(loop.group.views, (fitted.state if laws else state).machine_of, (axis,), loop.mapper)
-        least = LEAST_OF_ALL * loss_above_noise(loop, first)
-        known: set[str] = set()
-        justified: list[tuple[Fitted, Described, Samples]] = []
-        for selection in selections:
-            proposed = settings_of_proposals(propose_laws(blocks, machine, axis, selection), axis, machine)
-            proposed = [p for p in proposed if label(p[0]) not in known]
-            known |= {label(d) for d, _, _ in proposed}
-            proposed += [p for p in waiting if label(p[0]) not in known]
-            waiting = []
-            if not proposed:
-                continue
-            say(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
-            fits = [
-                (loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x) for d, x, s in proposed
-            ]
-            tried = sorted(((f, d, x) for f, d, x in fits if f is not None), key=lambda t: t[0].held_out)
-            justified = [t for t in tried if justifies_a_law(loop, fitted.held_out, t[0].held_out, least)]
-            if justified:
-                break
+        justified = _justified(loop, fitted, loss_above_noise(loop, first), blocks, waiting, axis, machine, selections, say)
         if not justified:
             break
-        best, *others = justified
+        (new, description, samples), *others = justified
         waiting = [(d, x, f.state.settings[-1]) for f, d, x in others]
-        new, description, samples = best
-        share = (fitted.held_out - new.held_out) / max(loss_above_noise(loop, first), 1e-300)
-        certain = 1.0 - np.exp(-(fitted.held_out - new.held_out) / loop.inflation(new.held_out) / LEAST_EVIDENCE)
-        laws.append(
-            Law(
-                new.state.settings[-1],
-                description,
-                samples,
-                float(min(max(share, 0.0), 1.0)),
-                float(min(certain, loop.group.confidence(axis) if loop.only_fold is None else t.confidence_in_one_run)),
-                deviations_of(new, len(new.state.settings) - 1),
-                loop.only_fold,
-            )
-        )
+        laws.append(_law_of(loop, fitted, new, loss_above_noise(loop, first), description, samples, axis))
         fitted = with_normal_elasticity(loop, new, axis, tolerance)
     if laws:
         fitted = restore_effects(loop, fitted, restorable, tolerance, LEAST_OF_ALL * loss_above_noise(loop, first))
@@ -268,3 +237,58 @@ def _search_from(
     laws = [replace(law, setting=fitted.state.settings[i], deviations=deviations_of(fitted, i, doubt)) for law, i in zip(laws, at)]
     unexplained = loss_above_noise(loop, fitted) / max(loss_above_noise(loop, first), 1e-300)
     return _AxisLaws(laws, fitted, float(min(max(unexplained, 0.0), 1.0)))
+
+
+_Proposal = tuple[Described, Samples, Setting]
+
+
+def _justified(
+    loop: ClosedLoop,
+    fitted: Fitted,
+    loss_at_first: float,
+    blocks: Sequence[Samples],
+    waiting: Sequence[_Proposal],
+    axis: str,
+    machine: Machine,
+    selections: Sequence[Selection],
+    say: Say,
+) -> list[tuple[Fitted, Described, Samples]]:
+    """Fits of one more law that reduce the gap enough, best first.
+
+    Tried are the laws `waiting` and the candidates of the first of the `selections` that brings one. `loss_at_first`: loss above noise before
+    the first law.
+    """
+    known: set[str] = set()
+    for selection in selections:
+        proposed = settings_of_proposals(propose_laws(blocks, machine, axis, selection), axis, machine)
+        proposed = [p for p in proposed if label(p[0]) not in known]
+        known |= {label(d) for d, _, _ in proposed}
+        proposed += [p for p in waiting if label(p[0]) not in known]
+        waiting = ()
+        if not proposed:
+            continue
+        say(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
+        tolerance = machine.parameter_tolerance
+        fits = [(loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x) for d, x, s in proposed]
+        tried = sorted(((f, d, x) for f, d, x in fits if f is not None), key=lambda t: t[0].held_out)
+        if found := [t for t in tried if justifies_a_law(loop, fitted.held_out, t[0].held_out, LEAST_OF_ALL * loss_at_first)]:
+            return found
+    return []
+
+
+def _law_of(
+    loop: ClosedLoop, before: Fitted, after: Fitted, loss_at_first: float, description: Described, samples: Samples, axis: str
+) -> Law:
+    """The law that is the last setting of the fit `after`, with its share of the gap and its probability."""
+    gain = before.held_out - after.held_out
+    certain = 1.0 - np.exp(-gain / loop.inflation(after.held_out) / LEAST_EVIDENCE)
+    group = loop.group
+    return Law(
+        after.state.settings[-1],
+        description,
+        samples,
+        float(min(max(gain / max(loss_at_first, 1e-300), 0.0), 1.0)),
+        float(min(certain, group.confidence(axis) if loop.only_fold is None else group.thresholds.confidence_in_one_run)),
+        deviations_of(after, len(after.state.settings) - 1),
+        loop.only_fold,
+    )
