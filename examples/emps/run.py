@@ -273,10 +273,8 @@ def friction_figure(record: Record, machines: dict[str, Machine]):  # type: igno
     """Voltage of each part at constant speed minus that of the published model: measured, and simulated by the corrected machine."""
     figure, panels = new_figure(1, 1, width=8.0, height=3.6)
     panel = panels[0, 0]
-    measured, *simulated = (
-        plateaus(replace(record, voltage=v)) for v in (record.voltage, *(voltages(record, machines[n]) for n in COMPARED))
-    )
-    published, corrected = simulated
+    recorded = (record.voltage, *(voltages(record, machines[name]) for name in COMPARED))
+    measured, published, corrected = (plateaus(replace(record, voltage=voltage)) for voltage in recorded)
     panel.axhline(0.0, color=NOMINAL, label="published model")
     for found, colour, aside, label in (
         (measured, MEASURED, -1.0, "measured parts at constant speed"),

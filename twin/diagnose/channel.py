@@ -64,7 +64,7 @@ class Channel:
         return True
 
     def settled(self, view: RunView, shortest_rest_s: float = 0.0) -> np.ndarray:
-        """Mask (sample,) of the samples that do not depend on how the axis stuck before, in a rest of at least `shortest_rest_s`."""
+        """Mask (sample,) of the samples that do not depend on how the axis stuck before; rests shorter than `shortest_rest_s` do not count."""
         free = ~rests(view, self.axis, self.thresholds.settled_s, shortest_rest_s)
         if self.name == "controller":
             return np.ones(len(self.residual), bool)

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.law.measure import nominal_shapes
-from twin.effects import check_setting
+from twin.effects import Setting, check_setting
 from twin.effects.law import law_in
+from twin.effects.law_filters import response
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
-from .plant.outside import LAWS, TrueLaw, played
+from .plant.outside import LAWS, played
 
 SIMILAR = 0.95
 """Correlation with the true law from which a shape is right."""
@@ -43,63 +44,50 @@ def shape_agreement(fault: Mapping[str, Any], answer: Mapping[str, Any], machine
     Parts that toleranced parameters explain are removed from both. Filters are compared by the change that they make to a signal from 1 to
     200 Hz, a wave over one period, a play along a stroke, a random error by its deviation.
     """
-    true, found = LAWS[fault["name"]], laws_of_fault(fault, answer)
+    true, entries = LAWS[fault["name"]], laws_of_fault(fault, answer)
     try:
-        if not found:
-            return 0.0
-        if true.response:
-            return _filters_agree(true, fault, found)
-        return _curves_agree(true, fault, found, machine)
-    except (KeyError, TwinError):  # a curve in place of a filter, or the other way round
+        settings = [_setting(entry, machine) for entry in entries]
+    except TwinError:
         return 0.0
-
-
-def _filters_agree(true: TrueLaw, fault: Mapping[str, Any], found: Sequence[Mapping[str, Any]]) -> float:
-    s = 2j * np.pi * FREQUENCIES_HZ
-    assert true.response is not None
-    wanted = true.response(fault, s) - 1.0
-    given = np.prod([_response(law, s) for law in found], axis=0) - 1.0
-    return float(np.real(np.vdot(wanted, given)) / max(np.linalg.norm(wanted) * np.linalg.norm(given), 1e-300))
-
-
-def _response(law: Mapping[str, Any], s: np.ndarray) -> np.ndarray:
-    """Frequency response of a filter found. Raises KeyError for a law that is none."""
-    numbers = {name: float(p["value"]) for name, p in law["parameters"].items()}
-    if "frequency_hz" in numbers:
-        w = 2.0 * np.pi * numbers["frequency_hz"]
-        return np.asarray((s**2 + w**2) / (s**2 + numbers["width"] * w * s + w**2))
-    if "time_s" in numbers:
-        return np.asarray(np.exp(-numbers["time_s"] * s))
-    return np.asarray(1.0 / (1.0 + numbers["time_constant_s"] * s))
-
-
-def _curves_agree(true: TrueLaw, fault: Mapping[str, Any], found: Sequence[Mapping[str, Any]], machine: Machine) -> float:
+    if not settings or any(law_in(s).shape.is_filter != (true.response is not None) for s in settings):
+        return 0.0
+    if true.response:
+        wanted = true.response(fault, 2j * np.pi * FREQUENCIES_HZ)
+        passed = [response(law_in(s).shape, s.parameters, machine.base_tick, FREQUENCIES_HZ) for s in settings]
+        return _correlation(wanted - 1.0, np.prod(passed, axis=0) - 1.0)
     assert true.values is not None
-    if true.variable == "slack":
-        stroke = STROKE * fault["width"]
-        x = np.concatenate([np.linspace(0.0, stroke, POINTS), np.linspace(stroke, 0.0, POINTS), np.linspace(0.0, -stroke, POINTS)])
-    else:
-        ends = [value for law in found for value in (law["measured"]["x"][0], law["measured"]["x"][-1])]
-        x = np.linspace(min(ends), max(ends), POINTS)
+    x = _stroke(fault["width"]) if true.variable == "slack" else _measured_range(entries)
     nominal = nominal_shapes(x, true.variable) if fault["block"] in TOLERANCED else np.ones((len(x), 1))
-    apart = [y - nominal @ np.linalg.lstsq(nominal, y, rcond=None)[0] for y in (true.values(fault, x), _values(found, x, machine))]
-    wanted, given = apart
-    return float(wanted @ given / max(np.linalg.norm(wanted) * np.linalg.norm(given), 1e-300))
+    curves = true.values(fault, x), sum(_values(s, x, machine) for s in settings)
+    return _correlation(*(y - nominal @ np.linalg.lstsq(nominal, y, rcond=None)[0] for y in curves))
 
 
-def _values(found: Sequence[Mapping[str, Any]], x: np.ndarray, machine: Machine) -> np.ndarray:
-    """Sum of the laws found at values of their variable (point,)."""
-    total = np.zeros(len(x))
-    for entry in found:
-        keys = ("axis", "block", "output", "variables", "from_axis", "points", "between", "period")
-        head = {key: entry[key] for key in keys if key in entry}
-        formula = {} if "points" in entry else {"formula": entry["formula"]}
-        numbers = {name: float(p["value"]) for name, p in entry["parameters"].items()}
-        setting = check_setting({"name": "law", **head, **formula, **numbers}, machine, "a law of the answer")
-        law, parameters = law_in(setting), setting.parameters
-        if law.is_remembered:
-            place = played(x, parameters["length"]) / parameters["length"]
-            total += law.values(place, parameters, machine.axis(entry["axis"]))
-        else:
-            total += law.values(x, parameters, machine.axis(entry["axis"]))
-    return total
+def _setting(entry: Mapping[str, Any], machine: Machine) -> Setting:
+    """A law of a `diagnosis.json` as a setting. Raises TwinError for one that the machine cannot have."""
+    shape = ("points",) if "points" in entry else ("formula",)
+    head = {key: entry[key] for key in ("axis", "block", "output", "variables", "from_axis", *shape) if key in entry}
+    numbers = {name: float(p["value"]) for name, p in entry["parameters"].items()}
+    return check_setting({"name": "law", **head, **numbers}, machine, "a law of the answer")
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.real(np.vdot(a, b)) / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
+
+
+def _stroke(width: float) -> np.ndarray:
+    """Travel (point,) to one end of a stroke, to the other one, of a load with a play of this width."""
+    end = STROKE * width
+    return np.concatenate([np.linspace(0.0, end, POINTS), np.linspace(end, 0.0, POINTS), np.linspace(0.0, -end, POINTS)])
+
+
+def _measured_range(entries: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """Values (point,) of the variable over the range of all measured curves."""
+    ends = [value for entry in entries for value in (entry["measured"]["x"][0], entry["measured"]["x"][-1])]
+    return np.linspace(min(ends), max(ends), POINTS)
+
+
+def _values(setting: Setting, x: np.ndarray, machine: Machine) -> np.ndarray:
+    """Values (point,) of a law over its variable; of a play, over the travel of the load."""
+    law, numbers = law_in(setting), setting.parameters
+    over = played(x, numbers["length"]) / numbers["length"] if law.is_remembered else x
+    return law.values(over, numbers, machine.axis(setting.axis))

@@ -233,9 +233,10 @@ def angle_text(machine: Machine, runs: Sequence[MeasuredRun]) -> str:
             taken = np.column_stack([columns[:, [0, 1, 2, 3, 5]], *(path**n for n in powers)])
             curves.append(np.linalg.lstsq(taken[moving], torque[moving], rcond=None)[0][-len(powers) :] / axis.ratio)
         for run, own in zip(runs[1:], curves[1:]):
-            angles = np.linspace(*np.quantile(run.trace.get("2", "setpoint"), [0.0, 1.0]), 100)
+            path = run.trace.get("2", "setpoint")
+            angles = np.linspace(path.min(), path.max(), 100)
             first, second = (sum(c * angles**n for c, n in zip(curve, powers)) for curve in (curves[0], own))
-            agreement = 1.0 - float(np.sum((first - second - np.mean(first - second)) ** 2) / np.sum((second - np.mean(second)) ** 2))
+            agreement = 1.0 - float(np.var(first - second) / np.var(second))
             coefficients = [", ".join(f"{c / 1e3:.2f}" for c in curve) for curve in (curves[0], own)]
             rows.append([run.name, label, *coefficients, f"{agreement:.2f}"])
     heading = ["run", "torque over angle of axis 2", "from the first run [kNm/rad^n]", "from this run", "R2"]
