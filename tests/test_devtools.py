@@ -32,7 +32,7 @@ def test_imported_names_exist(file: Path) -> None:
 
 def watched_moves(calculation: Callable[[Thresholds], object]) -> tuple[set[str], Thresholds]:
     """The thresholds whose moves to 2/3 stay open after a calculation, and the watched thresholds."""
-    moves = {(name, 2.0 / 3.0): getattr(DEFAULT, name) * 2.0 / 3.0 for name in ("evidence", "price", "reversal_s")}
+    moves = {(name, 2.0 / 3.0): getattr(DEFAULT, name) * 2.0 / 3.0 for name in ("evidence", "price", "break_away_s")}
     thresholds, watch = watched(DEFAULT, moves)
     calculation(thresholds)
     return {name for name, _ in watch.open}, thresholds
@@ -50,8 +50,8 @@ def watched_moves(calculation: Callable[[Thresholds], object]) -> tuple[set[str]
         (lambda t: np.sqrt(t.evidence), set()),  # never compared
         (lambda t: math.sqrt(t.evidence), {"evidence"}),  # leaves the calculation
         (lambda t: np.ones(3) * t.evidence, {"evidence"}),
-        (lambda t: range(round(t.reversal_s / 0.01)), {"reversal_s"}),
-        (lambda t: range(round(t.reversal_s / 10.0)), set()),  # 0 steps either way
+        (lambda t: range(round(t.break_away_s / 0.01)), {"break_away_s"}),
+        (lambda t: range(round(t.break_away_s / 10.0)), set()),  # 0 steps either way
         (lambda t: f"{t.price}", {"price"}),
         (lambda t: isinstance(t.price, float) and {}.get(t.evidence), {"evidence"}),
     ],

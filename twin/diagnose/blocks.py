@@ -234,7 +234,7 @@ def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
     turns = nonzero[1:][np.diff(signs[nonzero]) != 0]
     starts = np.flatnonzero(np.diff(moving.astype(int)) == 1)
     for i in [*turns, *starts]:
-        turned[max(i - round(0.01 / period), 0) : i + round(view.thresholds.reversal_s / period)] = True
+        turned[max(i - round(0.01 / period), 0) : i + round(view.thresholds.break_away_s / period)] = True
     accelerating = np.abs(a) > view.thresholds.accelerating * axis.max_acceleration
     return {
         "reversal": turned,

@@ -110,7 +110,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, map
         return about.loss(there.residual - explained), there, about
 
     best = moved(())
-    if best[0] > (1.0 + group.thresholds.imperfect_worse) * tuning.loss(residual):
+    if best[0] > (1.0 + group.thresholds.near_noise) * tuning.loss(residual):
         normal = sorted({kind for kind in kinds if kind[1]})
         some = [[kind] for kind in normal] + [[k for k in normal if k[1] == name] for name in sorted({k[1] for k in normal})] + [normal]
         best = min([best, *(moved(left_out) for left_out in some)], key=lambda m: m[0])

@@ -35,7 +35,9 @@ class Thresholds:
     # noise of a channel
     noise_correlation: int = _of(150, "samples", "longest correlation of the noise, set by the closed loop")
     noisier: float = _of(5.0, "1", "ratio of measured to expected roughness up to which roughness counts as sensor noise")
-    break_away_s: float = _of(0.06, "s", "time after break-away in which the position depends on where the axis stuck")
+    break_away_s: float = _of(
+        0.06, "s", "time after break-away in which the position depends on where the axis stuck; length of a reversal"
+    )
     settled_s: float = _of(0.2, "s", "time after break-away from which no signal depends on how the axis stuck")
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
@@ -83,7 +85,6 @@ class Thresholds:
     normal_damping: float = _of(2.0, "1", "factor by which the damping of a drive train may differ from the assumed one")
     least_imperfection: float = _of(0.01, "share of normal", "a smaller imperfection is treated as zero")
     least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
-    imperfect_worse: float = _of(0.02, "share", "increase of the loss allowed when all imperfections are simulated together")
     slip_unchanged: float = _of(0.15, "share", "change of slip below which it is not simulated again")
     train_shown: float = _of(0.6, "share", "share of the response to a drive train that the runs used to identify it must hold")
     train_finer: float = _of(0.03, "share", "final frequency step when a drive train is identified")
@@ -138,7 +139,7 @@ class Thresholds:
     small_residual: float = _of(1.3, "1", "loss over the loss of noise up to which imperfections are refitted")
     least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
     information_in_fold: float = _of(0.99, "share", "share of the information about a parameter that one fold may hold")
-    near_noise: float = _of(0.02, "share", "relative excess over noise that counts as noise")
+    near_noise: float = _of(0.02, "share", "relative excess over noise, or over another fit, that counts as none")
     quiet: float = _of(0.25, "1", "mean square above noise up to which a quick look skips an axis")
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
     undetermined_size: float = _of(5.0, "sizes", "half width of a 95 % interval from which the size is undetermined")
@@ -182,16 +183,14 @@ class Thresholds:
 
     # where
     noticed_square: float = _of(1.6, "1", "mean square from which a block, or a channel tested by itself, has a residual")
-    negligible_gap: float = _of(0.01, "share", "squared gap, over that of the worst axis, below which an axis is skipped")
-    place_share: float = _of(0.02, "share", "share of the gap from which a block is listed")
+    place_share: float = _of(
+        0.02, "share", "share of its axis' gap from which a block is listed, and of the worst axis' from which an axis is"
+    )
     echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with one")
     most_of_runs: float = _of(0.8, "share", "share of a block's excess that the named runs hold")
     regime_share: float = _of(0.6, "share", "share of the excess from which a regime is named")
-    regime_dense: float = _of(3.0, "1", "excess per sample, over that of the other regimes, from which a regime is named")
-    regime_dense_share: float = _of(0.4, "share", "least share of the excess of such a regime")
     scales_share: float = _of(0.1, "share", "share of a residual that a regressor must explain to be named")
     stretch_s: float = _of(0.5, "s", "length of the interval with the largest excess")
-    reversal_s: float = _of(0.06, "s", "time after a change of direction that counts as reversal")
     smooth_s: float = _of(0.025, "s", "window over which a recorded motion is smoothed")
     drift_s: float = _of(0.2, "s", "window of the drift that is removed from a predicted current")
     sliding: float = _of(3e-4, "share of the top speed", "speed from which an axis slides")

@@ -33,7 +33,7 @@ def places(
     noticeable share of the gap in position or current (`share_of_gap`).
     """
     listed: list[dict[str, Any]] = []
-    least = max((f.thresholds.negligible_gap for f in states), default=0.0) * max(weights.values(), default=0.0)
+    least = max((f.thresholds.place_share for f in states), default=0.0) * max(weights.values(), default=0.0)
     with ThreadPoolExecutor(threads) as pool:
         for f in states:
             group = f.group
@@ -159,23 +159,16 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
 
 
 def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
-    """The regime with most of the excess, in total or per sample; 'all' if none dominates."""
-    energy, count = dict.fromkeys(REGIMES, 0.0), dict.fromkeys(REGIMES, 0)
+    """The regime with most of the excess; 'all' if none has most of it."""
+    energy = dict.fromkeys(REGIMES, 0.0)
     for part in parts:
         masks = regime_masks(group.views[part.run], axis)
         for regime in REGIMES:
             inside = masks[regime][part.index]
             energy[regime] += float(np.sum(part.normed[inside] ** 2 - 1.0)) if inside.any() else 0.0
-            count[regime] += int(inside.sum())
-    t, total = group.thresholds, sum(max(e, 0.0) for e in energy.values()) or 1.0
+    total = sum(max(e, 0.0) for e in energy.values()) or 1.0
     best = max(REGIMES, key=lambda regime: energy[regime])
-    densities = {r: energy[r] / count[r] for r in REGIMES if count[r] > t.enough_samples}
-    others = [d for r, d in densities.items() if r != best and r != "rest"]
-    if energy[best] / total > t.regime_share or (
-        densities.get(best, 0.0) > t.regime_dense * max(others, default=0.0) and energy[best] / total > t.regime_dense_share
-    ):
-        return best
-    return "all"
+    return best if energy[best] / total > group.thresholds.regime_share else "all"
 
 
 def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:

@@ -23,7 +23,7 @@ from twin.diagnose.law.acceptance import (
 )
 from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Say, State, state_of, with_law
 from twin.diagnose.law.jitter import jitter_of
-from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, propose_laws, settings_of_proposals
+from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
@@ -259,8 +259,9 @@ def _justified(
     the first law.
     """
     known: set[str] = set()
+    measured = measured_in(blocks, machine, axis)
     for selection in selections:
-        proposed = settings_of_proposals(propose_laws(blocks, machine, axis, selection), axis, machine)
+        proposed = settings_of_proposals(propose_laws(measured, machine, axis, selection), axis, machine)
         proposed = [p for p in proposed if label(p[0]) not in known]
         known |= {label(d) for d, _, _ in proposed}
         proposed += [p for p in waiting if label(p[0]) not in known]

@@ -45,37 +45,59 @@ WEAK = Selection(predicts=0.04, near_best=0.15, most=6)
 accelerates, and much of its position."""
 
 
-def propose_laws(blocks: Sequence[Samples], machine: Machine, axis: str, selection: Selection = STRONG) -> list[tuple[Described, Samples]]:
-    """The laws that predict best in the `blocks` of an axis that are furthest from noise, as formulas, filters or tables."""
+@dataclass(frozen=True)
+class Measured:
+    """What was measured in a block: curves and filters, each best first. `loudness` is the power of its residual over noise."""
+
+    samples: Samples
+    loudness: float
+    curves: list[Curve]
+    filters: list[Described]
+
+
+def measured_in(blocks: Sequence[Samples], machine: Machine, axis: str) -> list[Measured]:
+    """Curves and filters of the blocks of an axis that are above noise. In the mechanics a filter is a lag of the actuator; it is measured in any
+    case, because the smoothing of the force hides most of it."""
     own = machine.axis(axis)
-    found: list[tuple[float, Described, Samples]] = []
+    found = []
     for s in blocks:
         loudness = excess(s)
-        if loudness <= NOISY:
-            continue
-        suited = [c for c in measured_laws(s, own) if c.predicts > selection.predicts and c.runs_better >= LEAST_RUNS]
+        curves = measured_laws(s, own) if loudness > NOISY else []
+        has_filters = bool(s.passed) if s.block == MECHANICS else loudness > NOISY
+        found.append(Measured(s, loudness, curves, filters_of(s, machine) if has_filters else []))
+    return found
+
+
+def propose_laws(
+    measured: Sequence[Measured], machine: Machine, axis: str, selection: Selection = STRONG
+) -> list[tuple[Described, Samples]]:
+    """The laws that predict best in the blocks of an axis that are furthest from noise, as formulas, filters or tables."""
+    own = machine.axis(axis)
+    found: list[tuple[float, Described, Samples]] = []
+    for m in measured:
+        s = m.samples
+        suited = [c for c in m.curves if c.predicts > selection.predicts and c.runs_better >= LEAST_RUNS]
         distinct: dict[tuple[str, str, str, bool], Curve] = {}
         for c in suited:
             distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
         near = [c for c in distinct.values() if c.predicts > selection.near_best * suited[0].predicts][: selection.most + 1]
-        passing = filters_of(s, machine) if s.block != MECHANICS else []
+        passing = m.filters if s.block != MECHANICS else []
         filters = [f for f in passing if f.predicts > selection.predicts and f.curve.runs_better >= LEAST_RUNS]
         stages = [stage for c in near if s.block == SPRING and (stage := stage_over_force(s, c)) and stage.predicts > selection.predicts]
         for d in [*(described(s, c, own) for c in near), *filters, *stages]:
-            found.append((loudness * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
+            found.append((m.loudness * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
     found.sort(key=lambda f: -f[0])
-    return [*((d, s) for _, d, s in found[: selection.most]), *_actuator_lags(blocks, machine)]
+    return [*((d, s) for _, d, s in found[: selection.most]), *_actuator_lags(measured, machine)]
 
 
-def _actuator_lags(blocks: Sequence[Samples], machine: Machine) -> list[tuple[Described, Samples]]:
-    """A lag of an actuator that acts at once in the model, starting at a quarter of the speed cycle or more. It is always tried: the smoothing of
-    the force hides most of it."""
+def _actuator_lags(measured: Sequence[Measured], machine: Machine) -> list[tuple[Described, Samples]]:
+    """A lag of an actuator that acts at once in the model, starting at a quarter of the speed cycle or more."""
     least = LEAST_LAG * machine.speed_cycle
     return [
-        (replace(d, numbers={name: max(value, least) for name, value in d.numbers.items()}), s)
-        for s in blocks
-        if s.block == MECHANICS and s.passed
-        for d in filters_of(s, machine)
+        (replace(d, numbers={name: max(value, least) for name, value in d.numbers.items()}), m.samples)
+        for m in measured
+        if m.samples.block == MECHANICS
+        for d in m.filters
     ]
 
 
