@@ -44,6 +44,11 @@ def samples_of(errors_of, seed: int = 1) -> Samples:
     return Samples("X", "transmission", y, NOISE, run, run, COUNT * run, {"velocity": speed, "position": position})
 
 
+def lasting(rng, count: int) -> np.ndarray:
+    """Normally distributed errors of variance 1, each of which lasts about three samples."""
+    return np.convolve(rng.standard_normal(count + 2), np.ones(3) / np.sqrt(3.0), "valid")
+
+
 def test_a_planted_jitter_is_sized():
     found = jitter_of(samples_of(lambda v, q, rng: TAU * v * rng.standard_normal(len(v))))
     assert found.numbers["deviation_s"] == pytest.approx(TAU, rel=0.05)
@@ -60,8 +65,9 @@ def test_a_planted_jitter_is_sized():
         lambda v, q, rng: 40e-6 * np.abs(v) ** 0.5 * rng.standard_normal(len(v)),
         lambda v, q, rng: TAU * v * rng.choice([-1.0, 1.0], len(v)),
         lambda v, q, rng: 5e-6 * np.sign(v),
+        lambda v, q, rng: TAU * v * lasting(rng, len(v)),
     ],
-    ids=["noise", "fine wave", "constant scatter", "latency", "root of speed", "two values", "backlash"],
+    ids=["noise", "fine wave", "constant scatter", "latency", "root of speed", "two values", "backlash", "lasts several samples"],
 )
 def test_other_errors_are_no_jitter(errors_of):
     assert jitter_of(samples_of(errors_of)) is None

@@ -2,8 +2,8 @@
 
 Second differences of the displacement between the encoders contain the scatter of single samples and hardly any smooth law. In bins
 of the speed v, their variance is s^2 + tau^2 v^2. A jitter is accepted if this predicts runs left out better than a constant scatter, if the
-scatter grows in proportion to the speed, and if it is normally distributed. A fine wave of the scale, for example, scatters equally
-at all speeds.
+scatter grows in proportion to the speed, if it is normally distributed, and if neighbouring samples are independent. A fine wave of the scale,
+for example, scatters equally at all speeds, and a wave of several samples links neighbours.
 """
 
 from __future__ import annotations
@@ -37,6 +37,9 @@ EXPONENT = (0.8, 1.2)
 KURTOSIS = (2.4, 3.8)
 """Range of the kurtosis of the scatter of a jitter; 3 for a normal distribution, 1.5 for a sine."""
 
+NEIGHBOURS = (-0.8, -0.53)
+"""Range of the correlation of neighbouring second differences of a jitter; -2/3 if the samples are independent."""
+
 
 def jitter_of(samples: Samples) -> Described | None:
     """The jitter of the displacement between the encoders, or None. Needs at least two runs."""
@@ -64,9 +67,12 @@ def jitter_of(samples: Samples) -> Described | None:
         evidence += gain
         runs_better += rows.mean() * (gain > 0.0)
     normal = d / np.hypot(rest, tau * speed)
-    normal = normal[np.abs(normal) < MOST_LIKELY]
-    kurtosis = float(np.mean(normal**4) / np.mean(normal**2) ** 2)
-    if evidence < LEAST_EVIDENCE or not KURTOSIS[0] < kurtosis < KURTOSIS[1]:
+    likely = np.abs(normal) < MOST_LIKELY
+    square = float(np.mean(normal[likely] ** 2))
+    kurtosis = float(np.mean(normal[likely] ** 4)) / square**2
+    pairs = (part[1:] == part[:-1]) & likely[1:] & likely[:-1]
+    correlation = float(np.mean((normal[1:] * normal[:-1])[pairs])) / square
+    if evidence < LEAST_EVIDENCE or not KURTOSIS[0] < kurtosis < KURTOSIS[1] or not NEIGHBOURS[0] < correlation < NEIGHBOURS[1]:
         return None
     candidate = Candidate("measurement", "displacement", "speed")
     power = tau**2 * float(np.mean(speed**2))
