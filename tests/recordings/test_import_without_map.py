@@ -142,6 +142,15 @@ def test_strokes_below_each_other_with_words_and_an_unsigned_current(tmp_path: P
     assert all(run.fact("X", "current").unsigned for run in runs.values())
 
 
+def test_strokes_below_each_other_in_a_file_that_begins_within_one(tmp_path: Path) -> None:
+    """The time of the second stroke returns to zero, where the file does not begin."""
+    m = move(TIME)
+    columns = {"t": TIME, "set_point": m["soll"], "position": m["ist"]}
+    table = {name: np.concatenate([values[1000:], values, values]) for name, values in columns.items()}
+    runs = imported(tmp_path, write_csv(tmp_path / "cut.csv", table))
+    assert [len(run.trace.time) for run in runs.values()] == [2000, 3000, 3000]
+
+
 def test_a_disturbance_keeps_its_unit(tmp_path: Path) -> None:
     m = move(TIME)
     table = {"t": TIME, "set_point": m["soll"], "position": m["ist"], "pulses_N": np.where(TIME > 3.0, 50.0, 0.0)}

@@ -13,7 +13,8 @@ AT_LEAST = 20
 class Restarts:
     """Makes the times of consecutive blocks increase across restarts. `count`: number of restarts so far.
 
-    The time restarts where it returns to the first time of the file, within one interval.
+    The time restarts where it returns to the first time of the file or to zero, within one interval. A file that was cut begins in the middle of
+    its first part.
     """
 
     def __init__(self) -> None:
@@ -29,7 +30,8 @@ class Restarts:
         if np.isnan(self._first):
             return time
         before = np.concatenate([[self._last if np.isfinite(self._last) else time[0]], time[:-1]])
-        anew = np.flatnonzero((time < before) & (np.abs(time - self._first) <= 1.001 * self._interval))
+        at_start = np.minimum(np.abs(time - self._first), np.abs(time)) <= 1.001 * self._interval
+        anew = np.flatnonzero((time < before) & at_start)
         out = time.copy()
         begin = -self._since
         for row in anew:
