@@ -9,6 +9,7 @@ A row counts only if the axis slides during its whole window, so reversals, stop
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import functools
 import math
@@ -119,107 +120,162 @@ def slides_above(axis: Axis) -> float:
     return SLIDING_M_PER_S if axis.drive == "direct" else SLIDING_RAD_PER_S
 
 
+@dataclass(frozen=True)
+class _Signals:
+    """Recorded signals of an axis by name, each shifted by the lateness of its channel."""
+
+    trace: Trace
+    axis: Axis
+    lateness: Mapping[str, float]
+
+    def has(self, name: str) -> bool:
+        return self.trace.has(self.axis.name, name)
+
+    def get(self, name: str) -> np.ndarray:
+        """(sample,)"""
+        values, time = self.trace.get(self.axis.name, name), self.trace.time - self.trace.time[0]
+        late = self.lateness.get("current" if name == self.axis.effort else name, 0.0)
+        samples = late / self.trace.period
+        if abs(samples - round(samples)) < 1e-6:  # whole samples: shift without interpolation, so a staircase keeps its edges
+            return values[np.clip(np.arange(len(values)) + round(samples), 0, len(values) - 1)]
+        return CubicSpline(time, values)(np.clip(time + late, 0.0, time[-1]))
+
+
+@dataclass(frozen=True)
+class _Cycles:
+    """Position cycles of a record of which each has the same number of samples; `first` is the first sample of the first cycle."""
+
+    samples: int
+    first: int
+    count: int
+
+    @property
+    def ends(self) -> np.ndarray:
+        """(cycle + 1,) first sample of each cycle, and that after the last one."""
+        return self.first + self.samples * np.arange(self.count + 1)
+
+    def window(self, values: np.ndarray) -> np.ndarray:
+        """The samples (cycle * samples,) within the cycles."""
+        return values[self.first : self.first + self.samples * self.count]
+
+    def starts(self, values: np.ndarray) -> np.ndarray:
+        """(cycle,) first sample of each."""
+        return values[self.ends[:-1]]
+
+    def means(self, values: np.ndarray) -> np.ndarray:
+        """(cycle,)"""
+        return self.window(values).reshape(self.count, self.samples).mean(axis=1)
+
+    def any(self, mask: np.ndarray) -> np.ndarray:
+        """(cycle,) True if it is for one of the samples."""
+        return np.asarray(self.window(mask).reshape(self.count, self.samples).any(axis=1))
+
+    def ripple(self, values: np.ndarray) -> np.ndarray | None:
+        """Mean course within a cycle; None with one sample a cycle."""
+        return measured_ripple(self.window(values), self.samples, self.count) if self.samples >= 2 else None
+
+
 def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:
     """Signals of an axis in a run; None if its motion was not measured.
 
     `lateness`: signal -> delay [s] of the channel against the scale, which is corrected. Raises InputError for an unsuitable sample period.
     """
-    trace = run.trace
-    has = {
-        s: trace.has(axis.name, s)
-        for s in ("position", "motor_position", "velocity", "velocity_setpoint", "velocity_feedforward", axis.effort)
-    }
-    if not (has["position"] or has["motor_position"]):
+    trace, cycle = run.trace, machine.position_cycle
+    signals = _Signals(trace, axis, lateness or {})
+    if not (signals.has("position") or signals.has("motor_position")):
         return None
-    cycle = machine.position_cycle
-    n = round(cycle / trace.period)
-    ticks = round(cycle / machine.base_tick)
-    if n < 1 or ticks % n or abs(cycle / trace.period - n) > 1e-3:
-        known = ", ".join(f"{cycle / k * 1e3:g}" for k in range(1, ticks + 1) if ticks % k == 0)
-        raise InputError(
-            f"run {run.name}: sampled every {trace.period * 1e3:g} ms, the position cycle is {cycle * 1e3:g} ms; "
-            f"record with a whole number of samples in a position cycle that divides its {ticks} ticks: every {known} ms"
-        )
+    cycles = _cycles_of(machine, run, signals)
+
+    def recorded(name: str) -> np.ndarray | None:
+        return signals.get(name) if signals.has(name) else None
+
+    def each(make: Callable[[np.ndarray], np.ndarray | None], values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else make(values)
+
     time = trace.time - trace.time[0]
-
-    def signal(name: str) -> np.ndarray:
-        values = trace.get(axis.name, name)
-        late = (lateness or {}).get("current" if name == axis.effort else name, 0.0)
-        samples = late / trace.period
-        if abs(samples - round(samples)) < 1e-6:  # whole samples: shift without interpolation, so a staircase keeps its edges
-            return values[np.clip(np.arange(len(values)) + round(samples), 0, len(values) - 1)]
-        return CubicSpline(time, values)(np.clip(time + late, 0.0, time[-1]))
-
-    first = _phase(signal("velocity_setpoint"), n) if has["velocity_setpoint"] else 0
-    cycles = (len(time) - 1 - first) // n
-    at = first + n * np.arange(cycles + 1)
-    start = time[at[:-1]]
+    start = time[cycles.ends[:-1]]
     middle = start + cycle / 2.0
     setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
-    motor = signal("motor_position") if has["motor_position"] else signal("position")
-    angle = motor[at] / axis.ratio
-    if cycles < 3:
-        raise InputError(
-            f"run {run.name}: {len(time)} samples are {cycles} position cycles; record at least 3 cycles of {cycle * 1e3:g} ms"
-        )
-    spline = CubicSpline(time[at], angle)
-    window = slice(first, first + n * cycles)
-    samples = signal(axis.effort)[window] if has[axis.effort] else None
-    current = samples.reshape(cycles, n).mean(axis=1) if samples is not None else None
-    speed_setpoint = signal("velocity_setpoint")[at[:-1]] / axis.ratio if has["velocity_setpoint"] else None
-    two = n >= 2
-
-    def ripple(values: np.ndarray | None) -> np.ndarray | None:
-        return measured_ripple(values, n, cycles) if two and values is not None else None
-
-    s = [setpoint(np.clip(start - k * cycle, 0.0, time[-1])) for k in range(3)]
-    weight = axis.commissioned_inertia or 0.0
-    torque = weight * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
-    if run.feedforward in ("off", "velocity"):
-        torque = np.zeros(cycles)
-    limited = np.zeros(cycles, bool)
-    if samples is not None:
-        limited = (np.abs(samples.reshape(cycles, n)) > 0.97 * axis.motor.peak_current_a).any(axis=1)
-        limited |= (_flat(samples, CLIPPED_SAMPLES) | _piled(samples)).reshape(cycles, n).any(axis=1)
-    beyond = {}
-    for name in ("position", "motor_position", "velocity", "velocity_setpoint"):
-        if has[name]:
-            beyond[name] = _clipped(signal(name), setpoint(time, 1 if name.startswith("velocity") else 0))
-            limited |= beyond[name][window].reshape(cycles, n).any(axis=1)
-    pushed, added = (
-        known[window].reshape(cycles, n).mean(axis=1) if known is not None else None for known in _known_torques(trace, machine, axis)
-    )
+    position, encoder = recorded("position"), recorded("motor_position")
+    motor = encoder if encoder is not None else signals.get("position")
+    angle = motor[cycles.ends] / axis.ratio
+    spline = CubicSpline(time[cycles.ends], angle)
+    effort, speed = recorded(axis.effort), recorded("velocity")
+    limited, clipped = _limits(signals, cycles, setpoint)
+    pushed, added = _known_torques(trace, machine, axis)
     return AxisRun(
         run=run.name,
         feedforward=run.feedforward,
         cycle=cycle,
-        samples_per_cycle=n,
+        samples_per_cycle=cycles.samples,
         start=start,
         middle=middle,
         setpoint=setpoint,
         end=float(time[-1]),
-        position=signal("position")[at[:-1]] if has["position"] else None,
+        position=each(cycles.starts, position),
         angle=angle,
         axis_position=spline(middle) * axis.ratio,
         speed=spline(middle, 1),
         acceleration=spline(middle, 2),
-        speed_setpoint=speed_setpoint,
-        velocity_feedforward=signal("velocity_feedforward")[at[:-1]] if has["velocity_feedforward"] else None,
-        motor_at_axis=motor[at[:-1]] if has["motor_position"] else None,
-        motor_speed=signal("velocity")[window].reshape(cycles, n).mean(axis=1) / axis.ratio if has["velocity"] else None,
-        current=current,
-        current_ripple=ripple(samples),
-        speed_ripple=ripple(signal("velocity")[window] / axis.ratio if has["velocity"] else None),
-        torque_feedforward=torque,
-        deflection=(motor - signal("position"))[window].reshape(cycles, n).mean(axis=1)
-        if has["motor_position"] and has["position"]
-        else None,
-        known_load=pushed,
-        injected=added,
+        speed_setpoint=each(lambda values: cycles.starts(values) / axis.ratio, recorded("velocity_setpoint")),
+        velocity_feedforward=each(cycles.starts, recorded("velocity_feedforward")),
+        motor_at_axis=each(cycles.starts, encoder),
+        motor_speed=each(lambda values: cycles.means(values) / axis.ratio, speed),
+        current=each(cycles.means, effort),
+        current_ripple=each(cycles.ripple, effort),
+        speed_ripple=each(lambda values: cycles.ripple(values / axis.ratio), speed),
+        torque_feedforward=_torque_feedforward(axis, run, setpoint, start, cycle),
+        deflection=cycles.means(encoder - position) if encoder is not None and position is not None else None,
+        known_load=each(cycles.means, pushed),
+        injected=each(cycles.means, added),
         slides_above=slides_above(axis),
         limited=limited,
-        clipped={name: float(b.sum() * trace.period) for name, b in beyond.items() if b.any()},
+        clipped=clipped,
     )
+
+
+def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals) -> _Cycles:
+    """The position cycles of a run. Raises InputError if they have no whole number of samples, or if there are fewer than three."""
+    period, cycle = run.trace.period, machine.position_cycle
+    n = round(cycle / period)
+    ticks = round(cycle / machine.base_tick)
+    if n < 1 or ticks % n or abs(cycle / period - n) > 1e-3:
+        known = ", ".join(f"{cycle / k * 1e3:g}" for k in range(1, ticks + 1) if ticks % k == 0)
+        raise InputError(
+            f"run {run.name}: sampled every {period * 1e3:g} ms, the position cycle is {cycle * 1e3:g} ms; "
+            f"record with a whole number of samples in a position cycle that divides its {ticks} ticks: every {known} ms"
+        )
+    first = _phase(signals.get("velocity_setpoint"), n) if signals.has("velocity_setpoint") else 0
+    samples = len(run.trace.time)
+    cycles = (samples - 1 - first) // n
+    if cycles < 3:
+        raise InputError(f"run {run.name}: {samples} samples are {cycles} position cycles; record at least 3 cycles of {cycle * 1e3:g} ms")
+    return _Cycles(n, first, cycles)
+
+
+def _torque_feedforward(axis: Axis, run: MeasuredRun, setpoint: CubicSpline, start: np.ndarray, cycle: float) -> np.ndarray:
+    """(cycle,) torque feedforward at weight 1 without delay [Nm]."""
+    if run.feedforward in ("off", "velocity"):
+        return np.zeros(len(start))
+    s = [setpoint(np.clip(start - k * cycle, 0.0, setpoint.x[-1])) for k in range(3)]
+    return (axis.commissioned_inertia or 0.0) * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
+
+
+def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[np.ndarray, dict[str, float]]:
+    """(cycle,) True where the current is at its limit or a channel is clipped; signal -> seconds for which its recording is clipped."""
+    axis, time = signals.axis, setpoint.x
+    limited, clipped = np.zeros(cycles.count, bool), {}
+    if signals.has(axis.effort):
+        within = cycles.window(signals.get(axis.effort))
+        at_limit = (np.abs(within) > 0.97 * axis.motor.peak_current_a) | _flat(within, CLIPPED_SAMPLES) | _piled(within)
+        limited |= at_limit.reshape(cycles.count, cycles.samples).any(axis=1)
+    for name in ("position", "motor_position", "velocity", "velocity_setpoint"):
+        if signals.has(name):
+            beyond = _clipped(signals.get(name), setpoint(time, 1 if name.startswith("velocity") else 0))
+            limited |= cycles.any(beyond)
+            if beyond.any():
+                clipped[name] = float(beyond.sum() * signals.trace.period)
+    return limited, clipped
 
 
 def _known_torques(trace: Trace, machine: Machine, axis: Axis) -> tuple[np.ndarray | None, np.ndarray | None]:
