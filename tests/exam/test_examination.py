@@ -248,13 +248,14 @@ def test_faults_outside_the_library_are_scored_by_law_and_remaining_gap() -> Non
     marks = [
         {**marked("outside", there, law), "gap": closed, "shape": 0.96},
         {**marked("outside", there, answer("unknown", where=(("Y", "mechanics"),))), "gap": open_, "shape": 0.94},
-        {**marked("outside", there, answer("unknown")), "gap": {"before": 9.0, "floor": 1.0}, "shape": 0.0},
+        {**marked("outside", there, answer("unknown", ("backlash", "Y"))), "gap": {"before": 9.0, "floor": 1.0}, "shape": 0.0},
     ]
     right = {t["what"]: t.get("right") for t in score(marks)["targets"]}
     assert right["outside the library recognised"] == 3
     assert right["outside the library: axis and block"] == 1
     assert right["outside the library: law over the right variable"] == 1
     assert right["outside the library: shape of the law"] == 1
+    assert right["outside the library: no absent effect named"] == 2
     assert right["outside the library: gap after at most 1.5 x floor"] == 1
 
 

@@ -28,6 +28,7 @@ TARGETS = (
     ("outside the library: axis and block", 0.90),
     ("outside the library: law over the right variable", 0.85),
     ("outside the library: shape of the law", 0.70),
+    ("outside the library: no absent effect named", 0.90),
     ("outside the library: gap after at most 1.5 x floor", 0.70),
     ("median parameter error", -0.06),
     ("intervals cover the truth", (0.88, 0.99)),
@@ -88,6 +89,7 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         "outside the library: axis and block": share("outside", "place"),
         "outside the library: law over the right variable": share("outside", "law"),
         "outside the library: shape of the law": _similar(of.get("outside", [])),
+        "outside the library: no absent effect named": _none_named(of.get("outside", [])),
         "outside the library: gap after at most 1.5 x floor": _closed(of.get("outside", [])),
         "median parameter error": _value(np.median, [p["error"] for p in parameters]),
         "intervals cover the truth": _share(sum(p["covered"] for p in parameters), len(parameters)) if parameters else None,
@@ -160,6 +162,11 @@ def _closed(marks: Sequence[Mark]) -> dict[str, Any] | None:
 def _similar(marks: Sequence[Mark]) -> dict[str, Any] | None:
     """Cases with a law of the right shape: its correlation with the true law is at least SIMILAR."""
     return _share(sum(m["shape"] >= SIMILAR for m in marks), len(marks)) if marks else None
+
+
+def _none_named(marks: Sequence[Mark]) -> dict[str, Any] | None:
+    """Cases without an effect of the library in the answer; a machine with a fault outside the library has none."""
+    return _share(sum(not m["named"] for m in marks), len(marks)) if marks else None
 
 
 def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> dict[str, Any] | None:
