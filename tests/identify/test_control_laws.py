@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from twin.identify.axis_run import AxisRun, axis_run
-from twin.identify.drive_position_loop import drive_position_loop
+from twin.identify.drive_balance import simulated_torque_weight
+from twin.identify.drive_position_loop import _fitted, drive_position_loop
+from twin.identify.findings import setpoint_shift
 from twin.identify.position_control import fit_position_control
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -81,6 +84,42 @@ def test_a_loop_closed_in_the_drive_is_recognised(mikron: Machine, td: float, no
     assert found is not None
     assert found.closed_in_drive
     assert found.delay_s == pytest.approx(td, abs=0.3e-3)
+
+
+def test_the_reported_delay_of_the_drive_is_that_of_all_pieces(mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted: list[np.ndarray] = []
+
+    def kept(*args: Any, **options: Any) -> np.ndarray:
+        fitted.append(_fitted(*args, **options))
+        return fitted[-1]
+
+    monkeypatch.setattr("twin.identify.drive_position_loop._fitted", kept)
+    found = drive_position_loop(mikron.axis("X"), [made(mikron, noise=5e-6)], KV)
+    assert found is not None
+    assert (found.delay_s, found.lag_s) == tuple(fitted[0])
+    assert any(abs(x[0] - fitted[0][0]) > 1e-7 for x in fitted[1:])
+
+
+def test_a_late_speed_set_point_is_seen_on_an_axis_that_is_controlled_on_its_motor_encoder(mikron: Machine) -> None:
+    axis = mikron.with_values(
+        {"axis.X.encoder": "motor", "axis.X.loops.position_gain_per_s": KV, "axis.X.loops.position_delay_s": 1.5 * TP}
+    ).axis("X")
+    run = made(mikron, in_drive=False)
+    assert run.speed_setpoint is not None
+    late = replace(run, position=None, motor_at_axis=run.position, speed_setpoint=np.roll(run.speed_setpoint, 2))
+    assert setpoint_shift(axis, late, run.cycle / run.samples_per_cycle) == pytest.approx(2.0 * TP)
+
+
+@pytest.mark.parametrize(
+    ("weight", "mode", "simulated"), [(0.7, None, 0.7), (0.7, "velocity+torque", 0.7), (0.0, "velocity+torque", 1.0), (0.0, None, 0.0)]
+)
+def test_the_torque_feedforward_of_a_run_has_the_weight_with_which_it_is_simulated(
+    mikron: Machine, weight: float, mode: str | None, simulated: float
+) -> None:
+    machine = mikron.with_values({"axis.X.loops.torque_feedforward": weight})
+    run = replace(made(mikron), feedforward=mode)
+    assert simulated_torque_weight(machine.axis("X"), run) == simulated
+    assert machine.with_feedforward(mode).axis("X").loops.torque_feedforward == simulated
 
 
 def test_a_loop_closed_in_the_nc_is_not_taken_for_one_in_the_drive(mikron: Machine) -> None:

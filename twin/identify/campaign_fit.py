@@ -81,9 +81,9 @@ def identify_campaign(
         direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
     splits = split_products(machine, direct, torque_constant_tolerance)
     training = [division.runs[i] for i in division.training()]
-    controlled = with_identified_control(machine, direct)
-    found = with_identified_control(split_machine(machine, splits), direct)
-    found = _with_noise(found, measured_noise(machine, training))
+    noise = measured_noise(machine, training)
+    controlled = _with_noise(with_identified_control(machine, direct), noise)
+    found = _with_noise(with_identified_control(split_machine(machine, splits), direct), noise)
     say("regression on the held-out motion")
     checking = division.part(recording.axis_runs, fitted=False)
     other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()

@@ -121,7 +121,7 @@ def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping
     """One machine: the table, effects and bodies of each axis from its stage, everything else from the first stage."""
     if len(set(stage_of.values())) == 1 and len(stage_of) == len(before.axes):
         return stages[next(iter(stage_of.values()))]
-    base = stages[next(iter(stage_of.values()))] if stage_of else before
+    base = next(iter(stages.values())) if stage_of else before
     document = copy.deepcopy(dict(base.document))
     effects = [dict(e) for e in base.effects if e.get("axis") not in before.axis_names]
     for axis in before.axes:

@@ -196,6 +196,11 @@ class MeanCurrent:
         return self.axis.motor.torque_constant_nm_per_a * self.machine.position_cycle * float(doubt)
 
 
+def simulated_torque_weight(axis: Axis, run: AxisRun) -> float:
+    """Weight of the torque feedforward with which `Machine.with_feedforward` simulates a run in which it is on."""
+    return axis.loops.torque_feedforward or float(run.feedforward == "velocity+torque")
+
+
 def mean_of(loop: FastLoop, run: AxisRun, torque_weight: float) -> np.ndarray | None:
     """Mean current (cycle,) of a run [A] where the fast loop is known; None without current."""
     if run.current is None:

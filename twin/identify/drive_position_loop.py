@@ -99,9 +99,9 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     for held_out in (0, 1):
         training = [p for k, p in enumerate(pieces) if k % 2 != held_out]
         for law in (0, 1):
-            x = _fitted(training, position_gain, cycle, drive=bool(law))
+            of_half = _fitted(training, position_gain, cycle, drive=bool(law))
             for k in range(held_out, len(pieces), 2):
-                squares[law, k] = np.mean(pieces[k].left(x, position_gain) ** 2)
+                squares[law, k] = np.mean(pieces[k].left(of_half, position_gain) ** 2)
     left_nc, left_drive = (float(np.sqrt(np.mean(s))) for s in squares)
     better = float(np.mean(squares[1] < squares[0]))
     h = 0.05 * cycle

@@ -14,7 +14,7 @@ import numpy as np
 from twin.identify.axis_run import AxisRun, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
-from twin.identify.position_control import linearised
+from twin.identify.position_control import linearised, loop_position
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.force_sign import recorded_sign
@@ -112,7 +112,7 @@ def _velocity_weight(axis: Axis, run: AxisRun) -> float | None:
     """Weight of the velocity feedforward in one run with the machine file's gain and delays; None if the axis hardly moves."""
     if run.velocity_feedforward is not None and np.ptp(run.angle) * axis.ratio > 1e-5:
         return 1.0 if np.ptp(run.velocity_feedforward) > 0.0 else 0.0  # the feedforward itself is recorded
-    if run.speed_setpoint is None or run.position is None:
+    if run.speed_setpoint is None or loop_position(run, axis) is None:
         return None
     loops = axis.loops
     x = np.array([loops.position_gain_per_s, 0.0, loops.position_delay_s, loops.feedforward_delay_s])
@@ -190,7 +190,7 @@ def setpoint_shift(axis: Axis, seen: AxisRun, period: float) -> float:
 
     The residual of the position controller's law is smallest at the correct shift.
     """
-    if seen.speed_setpoint is None or seen.position is None:
+    if seen.speed_setpoint is None or loop_position(seen, axis) is None:
         return 0.0
     loops = axis.loops
     on = 0.0 if seen.feedforward == "off" else 1.0

@@ -40,7 +40,7 @@ def measured_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, f
         for axis in machine.axes:
             for part in standstills(run.trace, axis):
                 for signal in ("position", "velocity", "current"):
-                    if run.trace.has(axis.name, signal):
+                    if run.trace.has(axis.name, signal) and reference.has(axis.name, signal):
                         ratio = _scatter(run.trace.get(axis.name, signal)[part]) / max(_scatter(reference.get(axis.name, signal)), 1e-15)
                         key = ("all" if signal == "current" else axis.kind, signal)
                         spread.setdefault(key, []).append(ratio**2)

@@ -25,7 +25,7 @@ from twin.errors import SimulationError
 from twin.identify.axis_run import AxisRun, axis_run, low_pass_window
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.direct import Runs
-from twin.identify.drive_balance import ROW_STRIDE, MeanCurrent, mean_of
+from twin.identify.drive_balance import ROW_STRIDE, MeanCurrent, mean_of, simulated_torque_weight
 from twin.identify.products import is_vertical
 from twin.machine.machine import Axis, Machine
 from twin.machine.toleranced import TOLERANCED, field_value, inertia_of, path_of
@@ -81,7 +81,7 @@ def free_parameters(machine: Machine, runs: Sequence[MeasuredRun], known: Collec
 
     Control values in `known` (axis, field) stay as they are.
     """
-    on = {w for r in runs for w in (r.feedforward or "").split("+")}
+    on = {w for r in runs for w in (r.feedforward or "velocity+torque").split("+")}  # unknown: simulated with the weights of the file
     moving = [a for a in machine.axes if a.has_current_loop and any(a.name in r.trace.axes and is_moving(r.trace, a).any() for r in runs)]
     batches = []
     for field, step in FIELDS.items():
@@ -273,8 +273,7 @@ def _pieces(reference: Machine, machine: Machine, axis: Axis, twin: MeasuredRun,
     """Weighted residuals of one axis in one run; weights from the reference machine, so that all variants share them."""
     run = axis_run(machine, axis, twin)
     assert run is not None
-    weight = axis.loops.torque_feedforward if twin.feedforward == "velocity+torque" else 0.0
-    signals, _ = _filtered(run, mean_of(fast_loop_of(machine, axis, inertia), run, weight))
+    signals, _ = _filtered(run, mean_of(fast_loop_of(machine, axis, inertia), run, simulated_torque_weight(axis, run)))
     rows = there.rows[there.rows < signals.shape[1]]
     noise = reference.noise(reference.axis(axis.name))
     quiet = float(np.sqrt(np.sum(low_pass_window(run.cycle) ** 2)))  # factor of the filter on white noise

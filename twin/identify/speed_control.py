@@ -23,7 +23,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from twin.identify.axis_run import AxisRun
 from twin.identify.between_samples import FastLoop
-from twin.identify.drive_balance import mean_of
+from twin.identify.drive_balance import mean_of, simulated_torque_weight
 from twin.machine.machine import Axis
 from twin.recordings.least_squares import regress
 
@@ -119,7 +119,7 @@ def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | No
     """Ratio of true to estimated (4,) Kp, Kp/Tn, a_t and lag (1), from a noise-free simulation with the machine file's gains."""
     rows, y = [], []
     for twin in twins:
-        current = mean_of(known, twin, axis.loops.torque_feedforward) if twin is not None and known is not None else None
+        current = mean_of(known, twin, simulated_torque_weight(axis, twin)) if twin is not None and known is not None else None
         if twin is not None and known is not None and current is not None:
             columns, values = regressors(axis, known, twin, current, axis.loops.feedforward_delay_s)
             if twin.feedforward in ("off", "velocity"):

@@ -17,7 +17,7 @@ def machine_comments(result: Identification) -> dict[str, str]:
     out = {}
     changed = _changed(result.before, result.machine)
     for p in result.parameters:
-        if p.path in changed or (p.path and p.at_bound):
+        if p.path in changed or (p.path and p.at_bound and result.taken(p) is not None):
             r = _final(p, result)
             bound = ", at its bound" if p.at_bound else ""
             out[p.path] = f"identified  95 % {r.low:.6g} .. {r.high:.6g}{bound}, campaign {name}"

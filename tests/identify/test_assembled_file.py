@@ -1,0 +1,46 @@
+"""The machine file of an identification: which stage gives which value, the noise of sensors, and its comments."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.builders.identify_campaigns import campaign, usual_runs
+from tests.builders.other_structures import write_slides
+from twin.identify.campaign_fit import identify_campaign
+from twin.identify.choice import _assembled
+from twin.identify.noise import measured_noise
+from twin.identify.write import machine_comments
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
+
+
+@pytest.mark.parametrize("stage_of", [{"X": "control", "Y": "regression"}, {"X": "regression", "Y": "control"}, {"X": "control"}])
+def test_what_belongs_to_no_axis_comes_from_the_first_stage(mikron: Machine, stage_of: dict[str, str]) -> None:
+    before = mikron.with_axes(["X", "Y"])
+    stages = {name: before.with_values({"measurement.current_noise_a": noise}) for name, noise in (("regression", 0.07), ("control", 0.05))}
+    assert _assembled(before, stages, stage_of).document["measurement"]["current_noise_a"] == 0.07
+
+
+def test_the_noise_of_an_axis_that_is_commanded_a_torque_and_records_its_current_too(tmp_path: Path) -> None:
+    machine = load_machine(write_slides(tmp_path))
+    axis = next(a for a in machine.axes if a.effort == "torque")
+    rest = np.tile([float(np.clip(0.0, *a.travel)) for a in machine.axes], (2000, 1))
+    trace = simulate(machine, Setpoints(rest, 1e-3), sample_period=1e-3, noise_seed=1).trace
+    signals = {**trace.signals, (axis.name, "current"): np.random.default_rng(0).standard_normal(len(trace.time))}
+    run = MeasuredRun("made", Trace(trace.time, signals, trace.kinds), "off", 0.0)
+    assert measured_noise(machine, [run]).keys() == measured_noise(machine, [replace(run, trace=trace)]).keys()
+
+
+def test_a_value_at_its_bound_that_was_not_taken_has_no_comment(mikron: Machine) -> None:
+    machine = mikron.with_axes(["X"])
+    result = identify_campaign(machine, campaign(usual_runs(machine, short=True)), refine=False, gaps=False)
+    at_bound = replace(result, machine=machine, parameters=tuple(replace(p, at_bound=True) for p in result.parameters))
+    assert machine_comments(at_bound)
+    assert not machine_comments(replace(at_bound, stage_of={}))
