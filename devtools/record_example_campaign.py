@@ -31,7 +31,7 @@ def example_runs(machine: dict) -> list[TestRun]:
         path_of(home[k], [home[k] + d, home[k]], [v] * 2, 0.8 * limits.acceleration[k], 0.9 * limits.jerk[k], 0.1) for k, d, v in _strokes()
     ]
     return [
-        TestRun("circle_xy", "test", "velocity+torque", _circle(0, 1, 0.02, 0.1, 1, limits, rng)),
+        TestRun("circle_xy", "test", "velocity+torque", _circle(0, 1, 0.02, 0.1, 1, limits)),
         TestRun("strokes_ff_off", "test", "off", together(there)),
         TestRun("five_axis", "test", "velocity+torque", _five_axis(limits, rng, home, (1, 2, 1, 1, 1), size=0.25)[:2000]),
     ]

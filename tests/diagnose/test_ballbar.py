@@ -103,7 +103,7 @@ def diagnosis_of(
     factors = unit_factors() if seed is None else draw_factors(np.random.default_rng(seed), machine.parameter_tolerance)
     richness = Richness.off() if seed is None else Richness()
     case = Case(seed or 1, "ballbar", 1.0, tuple(effects), factors, richness)
-    there = _circle(0, 1, radius, feed, 2, limits_of(document), np.random.default_rng(1))
+    there = _circle(0, 1, radius, feed, 2, limits_of(document))
     run = TestRun("circle", "test", feedforward, np.vstack([there, there * np.array([1.0, -1.0, 1.0, 1.0, 1.0])]))
     worn.RADIUS, worn.FEED = radius, feed  # type: ignore[attr-defined]
     worn.write_ballbar(simulate(case, document, run), folder / "ballbar.csv")  # type: ignore[attr-defined]

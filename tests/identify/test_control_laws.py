@@ -107,7 +107,7 @@ def test_a_late_speed_set_point_is_seen_on_an_axis_that_is_controlled_on_its_mot
     run = made(mikron, in_drive=False)
     assert run.speed_setpoint is not None
     late = replace(run, position=None, motor_at_axis=run.position, speed_setpoint=np.roll(run.speed_setpoint, 2))
-    assert setpoint_shift(axis, late, run.cycle / run.samples_per_cycle) == pytest.approx(2.0 * TP)
+    assert setpoint_shift(axis, late) == pytest.approx(2.0 * TP)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def ten_test_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
     runs.append(TestRun("tilt_hold", "test", "velocity+torque", _tilts(lim, acc, rng)))
     for name, first, second in (("circle_xy", 0, 1), ("circle_zx", 2, 0)):
         radius, feed = _vary(rng, 0.03, 0.3), _vary(rng, 0.05, 0.25)
-        runs.append(TestRun(name, "test", "velocity+torque", _circle(first, second, radius, feed, 2, lim, rng)))
+        runs.append(TestRun(name, "test", "velocity+torque", _circle(first, second, radius, feed, 2, lim)))
     runs.append(TestRun("chirp", "test", "velocity", _chirp(lim, rng)))
     runs.append(TestRun("five_axis", "test", "velocity+torque", _five_axis(lim, rng, home, (2, 3, 2, 1, 2))))
     runs.append(TestRun("corners", "test", "velocity+torque", _corners(lim, rng, _vary(rng, 0.08), _vary(rng, 0.167, 0.2))))
@@ -127,7 +127,7 @@ def _chirp(lim: Limits, rng: np.random.Generator) -> np.ndarray:
 def program_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
     """Three part programs: a circle with Z plunge, a pocket with corners, a five-axis surface."""
     lim = limits_of(machine)
-    circle = _circle(0, 1, _vary(rng, 0.045, 0.3), _vary(rng, 0.08, 0.3), 3, lim, rng)
+    circle = _circle(0, 1, _vary(rng, 0.045, 0.3), _vary(rng, 0.08, 0.3), 3, lim)
     t = np.linspace(0.0, 1.0, len(circle))
     circle[:, 2] = -_vary(rng, 0.012) * (0.5 - 0.5 * np.cos(2 * math.pi * t))
     pocket = np.vstack([_corners(lim, rng, size, _vary(rng, 0.1, 0.3)) for size in (_vary(rng, 0.1), _vary(rng, 0.05))])
@@ -143,7 +143,7 @@ def exam_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
     home = np.array([0.02, -0.03, 0.01, -40.0 * DEG, 20.0 * DEG])
     runs = [
         ("exam_five_axis", _five_axis(lim, rng, home, (1, 2, 3, 2, 1), size=0.8)),
-        ("exam_circle_yz", _circle(1, 2, _vary(rng, 0.04, 0.3), _vary(rng, 0.07, 0.3), 2, lim, rng)),
+        ("exam_circle_yz", _circle(1, 2, _vary(rng, 0.04, 0.3), _vary(rng, 0.07, 0.3), 2, lim)),
     ]
     columns = []
     for k in range(5):
@@ -162,7 +162,7 @@ def programme(machine: dict, seed: int) -> list[TestRun]:
     return [run for maker, stream in zip(makers, streams) for run in maker(machine, np.random.default_rng(stream))]
 
 
-def _circle(first: int, second: int, radius: float, feed: float, turns: int, lim: Limits, rng: np.random.Generator) -> np.ndarray:
+def _circle(first: int, second: int, radius: float, feed: float, turns: int, lim: Limits) -> np.ndarray:
     """Full circles that start at 0, with the centre at -radius on `first`."""
 
     def curve(u: np.ndarray) -> np.ndarray:

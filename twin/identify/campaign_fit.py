@@ -55,7 +55,8 @@ def identify_campaign(
 
     `torque_constant_tolerance`: relative half width within which the torque constants are known (default: the machine file's
     parameter_tolerance). `progress` is called with the name of each step when it begins. With `gaps` the result is judged on the held-out
-    motion; its `refused` then gives the reason if no machine file may be written. Raises InputError if the recording lacks the signals.
+    motion; its `refused` then gives the reason if no machine file may be written. Without `gaps` the result is the machine of the regression,
+    even after a refinement. Raises InputError if the recording lacks the signals.
     """
     say = progress or (lambda _text: None)
     clock: dict[str, float] = {}
@@ -102,8 +103,7 @@ def identify_campaign(
         if refined is not None:
             stages["refined"] = refined
     findings += unidentified(machine, parameters)
-    best, refused, tables = stages.get("refined", found), "", {}
-    route = "refined" if "refined" in stages else "regression"
+    best, route, refused, tables = found, "regression", "", {}
     stage_of: dict[str, str] | None = None
     if gaps:
         say("gap on the held-out motion")
@@ -116,8 +116,6 @@ def identify_campaign(
         route = next((name for name, m in stages.items() if m is best), "each axis by itself")
         tables = {name: t for name, t in all_tables.items() if not isinstance(t, str)}
         clock["gaps"] = time.perf_counter() - started
-    else:
-        best, route = found, "regression"
     return Identification(
         machine, best, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
         tuple(r.name for r in training), _held_out_names(division), str(campaign.path),

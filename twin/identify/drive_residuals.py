@@ -28,10 +28,10 @@ from twin.simulation.setpoints import Setpoints, recorded_setpoints
 
 CLUSTER_S = 0.1
 
-TIMES = ("dsc_delay_s", "position_delay_s", "speed_reference_time_s")
+TIMES = ("dsc_delay_s", "speed_reference_time_s")
 """Times that are fitted directly, because they may be zero. Of all other values but the force, the logarithm is fitted."""
 
-STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "position_delay_s": 2e-5, "speed_reference_time_s": 1e-4}
+STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "speed_reference_time_s": 1e-4}
 """Steps of the difference quotient other than RELATIVE_STEP: force as a share of the peak command, delays in seconds."""
 
 RELATIVE_STEP = 0.02

@@ -152,7 +152,7 @@ LEAST_SKEW_S = {"motor_position": 5e-5, "velocity": 1e-4, "velocity_setpoint": 1
 """A smaller skew [s] is not corrected. An elastic drive train, or a current loop that differs from the file, causes as much (current: 0.1 ms)."""
 
 
-def channel_skews(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun | None) -> list[ChannelSkew]:
+def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[ChannelSkew]:
     """Skew of motor position, speed and current in one run; empty if the axis does not move enough."""
     if seen is None or np.ptp(seen.axis_position) < 1e-3 * (axis.max_velocity / 0.5) or seen.sliding.sum() < 100:
         return []
@@ -185,7 +185,7 @@ def channel_skews(machine: Machine, axis: Axis, run: MeasuredRun, seen: AxisRun 
     return out
 
 
-def setpoint_shift(axis: Axis, seen: AxisRun, period: float) -> float:
+def setpoint_shift(axis: Axis, seen: AxisRun) -> float:
     """Delay [s] of the speed set point against set point and scale, a whole number of samples (0: none).
 
     The residual of the position controller's law is smallest at the correct shift.
@@ -208,7 +208,7 @@ SHIFT_RATIO = 0.2
 """A shift is accepted if it reduces the residual below this fraction. Gains and delays that differ from the file leave more."""
 
 
-def coverage(machine: Machine, axis: Axis, runs: Sequence[AxisRun]) -> list[Finding]:
+def coverage(axis: Axis, runs: Sequence[AxisRun]) -> list[Finding]:
     """Findings about parameters of an axis that its runs do not excite, with the run that would."""
     name = axis.name
     if not runs or max(np.ptp(r.angle) for r in runs) < 0.2 * slides_above(axis):

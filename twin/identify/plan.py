@@ -314,6 +314,6 @@ def siemens_program(run: PlannedRun, machine: Machine) -> str:
 
 
 def _word(axis: Axis, value: float) -> str:
-    """Position word of an axis: 'X12.5' or 'A=-35.' in mm or degrees."""
+    """Position word of an axis: 'X=12.5000' or 'A=-35.0000' in mm or degrees."""
     number = f"{value * AXIS_UNITS[axis.kind].position[1]:.4f}"
     return f"{axis.name}={number}"

@@ -237,7 +237,7 @@ class _Law:
                 break
         assert fit is not None
         if self.recorded:
-            x = np.array([*x[:3], self._delay_of_feedforward(x[1])])
+            x = np.array([*x[:3], self._delay_of_feedforward()])
         return fit, x
 
     def _slopes(self, run: AxisRun, on: float, x: np.ndarray) -> np.ndarray:
@@ -250,7 +250,7 @@ class _Law:
         change = np.zeros(len(error)) if self.recorded else on * (self.fed(run, x[3] - h) - self.fed(run, x[3] + h)) / (2.0 * h)
         return np.column_stack([error, fed, -x[0] * moved, -x[1] * change])
 
-    def _delay_of_feedforward(self, weight: float) -> float:
+    def _delay_of_feedforward(self) -> float:
         """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined."""
         tp = self.runs[0].cycle
         grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE

@@ -64,7 +64,7 @@ def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
             findings.append(Finding("", item.axis, text))
     for axis in machine.axes:
         seen = [r for r in axis_runs[axis.name] if r is not None]
-        findings += coverage(machine, axis, seen)
+        findings += coverage(axis, seen)
     return Recording(runs, axis_runs, findings, skews or [])
 
 
@@ -140,11 +140,11 @@ def _mean_skews(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[s
     out = []
     for axis in machine.axes:
         items: dict[str, list[ChannelSkew]] = {}
-        for run, seen in zip(runs, axis_runs[axis.name]):
-            for skew in channel_skews(machine, axis, run, seen):
+        for seen in axis_runs[axis.name]:
+            for skew in channel_skews(machine, axis, seen):
                 items.setdefault(skew.signal, []).append(skew)
             if seen is not None and np.ptp(seen.axis_position) > 0.01 * axis.max_velocity:
-                shift = setpoint_shift(axis, seen, run.trace.period)
+                shift = setpoint_shift(axis, seen)
                 items.setdefault("velocity_setpoint", []).append(ChannelSkew(axis.name, "velocity_setpoint", shift, seen.cycle / 20.0))
         for signal, several in items.items():
             values = np.array([s.seconds for s in several])

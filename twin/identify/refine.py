@@ -54,7 +54,7 @@ FIELDS = {
     "torque_feedforward": 0.01,
 }
 # Gain and integral time of the speed loop keep the regression's values: in closed loop the fit would take a drive train's spring for them.
-# The same holds for the torque feedforward. Control values that the regression read from the control's own signals are not refined.
+# Control values that the regression read from the control's own signals are not refined.
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,7 @@ def refine_single_axis(record: Record, start: np.ndarray) -> np.ndarray:
     return start * found.x
 
 
-def residual_shapes(fit: SingleFit, period: float, lead: float = 0.0) -> dict[str, float]:
+def residual_shapes(fit: SingleFit, period: float) -> dict[str, float]:
     """Shapes that remain in the residual -> share of its variance, from a regression on one additional shape at a time."""
     v, q = fit.speed, fit.position
     shapes: dict[str, list[np.ndarray]] = {
