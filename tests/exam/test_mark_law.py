@@ -70,7 +70,8 @@ def entry(name: str, **numbers: float) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_the_true_law_has_the_right_shape(name: str) -> None:
-    assert shape_agreement(fault(name), {"laws": [entry(name)]}, MACHINE) > 0.999
+    filtered_at_a_cycle = name == "speed_set_point_smoothing"  # every 2 ms; the true lag of 4 ms is continuous
+    assert shape_agreement(fault(name), {"laws": [entry(name)]}, MACHINE) > (0.995 if filtered_at_a_cycle else 0.999)
 
 
 @pytest.mark.parametrize(
@@ -106,3 +107,8 @@ def test_a_law_elsewhere_or_none_has_no_shape() -> None:
     assert shape_agreement(fault("windage"), {}, MACHINE) == 0.0
     curve = {**entry("notch_filter"), "formula": "table", "points": [[0.0, 0.0], [1.0, 1.0]], "parameters": {"scale": {"value": 1.0}}}
     assert shape_agreement(fault("notch_filter"), {"laws": [curve]}, MACHINE) == 0.0
+
+
+def test_a_dead_time_that_is_longer_than_the_memory_of_the_tick_is_compared_at_the_cycle_of_its_controller() -> None:
+    late = {**entry("speed_set_point_smoothing"), "formula": "dead time", "parameters": {"time_s": {"value": 9e-3}}}
+    assert shape_agreement(fault("speed_set_point_smoothing"), {"laws": [late]}, MACHINE) < SIMILAR

@@ -26,6 +26,7 @@ from twin.exam.draw import (
     simulate,
     truth_of,
     truth_toml,
+    what_lacks,
     write_campaign,
 )
 from twin.exam.paths import limits_of, within_limits
@@ -446,3 +447,10 @@ def test_set_points_of_a_program_keep_their_period():
     assert np.abs(half.setpoint - whole.setpoint).max() < 1e-3 * moved.max()
     assert np.abs(half.load - whole.load).max() < 1e-3 * moved.max()
     assert np.abs(run(settings, points[::2], noise=False).load - whole.load[:201]).max() > 0.1 * moved.max()
+
+
+def test_a_machine_that_records_at_another_period_than_the_programme_is_refused() -> None:
+    machine = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
+    assert what_lacks(machine) is None
+    machine["measurement"]["sample_period_us"] = 2000.0
+    assert "sample_period_us = 2000" in (what_lacks(machine) or "")

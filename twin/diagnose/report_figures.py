@@ -158,7 +158,7 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
     axis = diagnosis.machine.axis(stretch.axis)
     margin = MARGIN * (stretch.stop - stretch.start)
     shown = np.flatnonzero((run.trace.time >= stretch.start - margin) & (run.trace.time <= stretch.stop + margin))
-    shown = shown[:: max(1, len(shown) // MOST_POINTS)]
+    shown = shown[:: max(1, -(-len(shown) // MOST_POINTS))]
     series = [
         ("measured", MEASURED, run.trace),
         ("machine file as it is", NOMINAL, diagnosis.predictions["before"][run.name].trace),

@@ -25,6 +25,9 @@ NORMAL: dict[str, str] = {effect.normal: effect.name for effect in EFFECTS.value
 NORMAL["damping"] = NORMAL["elasticity"]
 """Normal imperfection -> the effect that it is if it is large. Springs are measured by their compliance; `damping` is that of the drive train."""
 
+SPRING_EFFECT = NORMAL["elasticity"]
+"""Effect of the linear spring of a drive train."""
+
 SPRINGS = ("elasticity", "slip")
 """Normal imperfections with a stiffness; their compliance cannot be negative."""
 
@@ -100,6 +103,16 @@ def is_normal(machine: Machine, setting: Setting, thresholds: Thresholds) -> boo
     """Whether a setting is a normal imperfection: a spring that is no softer than the softest normal one."""
     kind = setting.effect.normal
     return bool(kind) and setting.parameters["stiffness"] >= _softest(machine, machine.axis(setting.axis), kind, thresholds)
+
+
+def spring_of(settings: Sequence[Setting], axis: str) -> Setting | None:
+    """The linear spring of an axis' drive train; None if it is rigid."""
+    return next((s for s in settings if s.axis == axis and s.effect.name == SPRING_EFFECT), None)
+
+
+def drive_train_of(settings: Sequence[Setting], axis: str) -> list[Setting]:
+    """Settings that separate motor and load of an axis: its spring, and a backlash, which contains one. Lead and cyclic errors do not."""
+    return [s for s in settings if s.axis == axis and (s.effect.name == SPRING_EFFECT or SPRING_EFFECT in s.effect.contains)]
 
 
 def _stiffest(machine: Machine, axis: Axis) -> float:

@@ -22,6 +22,7 @@ import math
 import numpy as np
 
 from .draw import PAUSE_S, Case, runs_of, simulate
+from .paths import PERIOD
 from .plant.measurement import sensors_of
 from .plant.parameters import AXES, settings_of
 from .plant.plant import Trace
@@ -59,7 +60,7 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
                 axes = [AXES.index(a) for a in groups[g]]
                 squares[i] += (changed[:, axes] / noise[:, axes] ** 2).sum()
                 travel[i] += moved[AXES.index(case.effects[i]["axis"])]
-        at = round(at + len(base.time) * 1e-3 + PAUSE_S, 3)
+        at = round(at + len(base.time) * PERIOD + PAUSE_S, 3)
     places = len(runs) * len(AXES) * len(SIGNALS)
     rows = [
         {

@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .paths import limits_of, path_of, together
+from .paths import PERIOD, limits_of, path_of, together
 from .plant.effects import LIBRARY, DrawContext, apply_effect, draw_effect
 from .plant.outside import OUTSIDE
 from .plant.parameters import AXES, Richness, Settings, draw_factors, load_of, pair_of, settings_of
@@ -213,8 +213,10 @@ def behaves(case: Case, machine: dict) -> bool:
 
 
 def what_lacks(machine: dict) -> str | None:
-    """Why the plant cannot be built from a machine's table; None if it can."""
+    """Why the plant cannot be built from a machine's table, or cannot play the programme; None if it can."""
     try:
+        if not math.isclose(us := machine["measurement"]["sample_period_us"], 1e6 * PERIOD):
+            return f"sample_period_us = {us:g}; the programme has set points every {1e6 * PERIOD:g} us"
         peaks_of(machine, draw_factors(np.random.default_rng(0), 0.0), runs_of(machine, 0, "all"))
     except (KeyError, ValueError) as error:
         return str(error)
@@ -229,8 +231,8 @@ def peaks_of(machine: dict, factors: dict, runs: list[TestRun]) -> tuple[np.ndar
     for r in runs:
         if r.name == "chirp":  # its high frequencies exceed the bandwidth of the loops
             continue
-        v = np.gradient(r.set_points, 1e-3, axis=0)
-        force = mass * np.gradient(v, 1e-3, axis=0) + s.viscous * v + s.coulomb * np.sign(np.round(v, 7))
+        v = np.gradient(r.set_points, PERIOD, axis=0)
+        force = mass * np.gradient(v, PERIOD, axis=0) + s.viscous * v + s.coulomb * np.sign(np.round(v, 7))
         force[:, 2] += s.load_mass[2] * s.gravity
         a, c = r.set_points[:, 3], r.set_points[:, 4]
         dx, dy = pair[5] * np.cos(c) - pair[6] * np.sin(c), pair[5] * np.sin(c) + pair[6] * np.cos(c)
@@ -313,7 +315,7 @@ def write_campaign(
             use_byte_stream_split=True,
         )
         lines.append(f'[[run]]\nfile = "{file}"\nfeedforward = "{test.feedforward}"\nstarted_at_s = {at:.3f}\n')
-        at = round(at + len(trace.time) * 1e-3 + PAUSE_S, 3)
+        at = round(at + len(trace.time) * PERIOD + PAUSE_S, 3)
         files.append(file)
     partial = folder / "campaign.toml.partial"  # written last and whole: its presence marks a complete campaign
     partial.write_text("\n".join(lines))

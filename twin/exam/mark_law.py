@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnose.law.measure import nominal_shapes
 from twin.effects import Setting, check_setting
-from twin.effects.law import law_in
+from twin.effects.law import cycle_of, law_in
 from twin.effects.law_filters import response
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -53,7 +53,7 @@ def shape_agreement(fault: Mapping[str, Any], answer: Mapping[str, Any], machine
         return 0.0
     if true.response:
         wanted = true.response(fault, 2j * np.pi * FREQUENCIES_HZ)
-        passed = [response(law_in(s).shape, s.parameters, machine.base_tick, FREQUENCIES_HZ) for s in settings]
+        passed = [response(law.shape, s.parameters, cycle_of(law, machine), FREQUENCIES_HZ) for s in settings for law in [law_in(s)]]
         return _correlation(wanted - 1.0, np.prod(passed, axis=0) - 1.0)
     assert true.values is not None
     x = _stroke(fault["width"]) if true.variable == "slack" else _measured_range(entries)

@@ -98,12 +98,12 @@ def _without_skew(
 ) -> tuple[list[ChannelSkew], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
     """Skew of each channel, applied correction by axis and signal [s], and the corrected axis runs."""
     axis_runs = _axis_runs(machine, runs, {})
-    skews = _mean_skews(machine, runs, axis_runs)
+    skews = _mean_skews(machine, axis_runs)
     correct: dict[str, dict[str, float]] = {}
     for done in range(SKEW_ROUNDS):
         # A current that is late by an odd number of samples has another phase of the saw-tooth, and a late motor angle makes all other
         # channels look late. Further rounds correct the remaining error.
-        skews, before = _total_skews(skews, _mean_skews(machine, runs, axis_runs), correct) if done else skews, correct
+        skews, before = _total_skews(skews, _mean_skews(machine, axis_runs), correct) if done else skews, correct
         correct = {}
         for item in skews:
             if abs(item.seconds) > max(LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
@@ -135,7 +135,7 @@ def _total_skews(before: Sequence[ChannelSkew], now: Sequence[ChannelSkew], corr
     return out
 
 
-def _mean_skews(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]) -> list[ChannelSkew]:
+def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) -> list[ChannelSkew]:
     """Skew of each channel: weighted mean over the runs, its standard deviation from their scatter."""
     out = []
     for axis in machine.axes:

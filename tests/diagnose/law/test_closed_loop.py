@@ -15,9 +15,11 @@ from twin.diagnose.law.acceptance import is_significant, remove_needless_slip, r
 from twin.diagnose.law.closed_loop import ClosedLoop, state_of, unknowns_of
 from twin.diagnose.law.laws import _AxisLaws, _search_from, laws_of
 from twin.diagnose.law.proposals import STRONG, WEAK
+from twin.diagnose.law.springs import with_rigid_drive_train
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import in_turn
+from twin.diagnose.tolerance import drive_train_of
 from twin.diagnose.view import view_of
 from twin.effects import settings_of, with_effects
 from twin.geometry.scurve import moves_in_turn
@@ -205,6 +207,14 @@ def test_a_play_is_measured_beside_the_elasticity_of_the_drive_train():
     assert own["law"]["length"] == pytest.approx(6e-6, rel=0.01)
     assert own["transmission_compliance"]["stiffness"] == pytest.approx(1.5e9, rel=0.05)
     assert laws.left["X"] < 0.001
+
+
+def test_a_lead_error_is_no_part_of_an_elastic_drive_train():
+    lead = {"name": "lead_error", "axis": "X", "fraction": 5e-5}
+    spring = {"name": "transmission_compliance", "axis": "X", "stiffness": 2e8}
+    state = state_of(X, with_effects(X, [lead, spring]), ("X",), DEFAULT)
+    assert [s.effect.name for s in drive_train_of(state.settings, "X")] == ["transmission_compliance"]
+    assert [s.effect.name for s in with_rigid_drive_train(state, "X").settings] == ["lead_error"]
 
 
 SLIP = {"name": "presliding", "axis": "X", "stiffness": 1.2e10}

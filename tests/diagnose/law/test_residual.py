@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.diagnose.law.test_closed_loop import X, runs_of
 from twin.diagnose.cross_validation import folds_of
+from twin.diagnose.law.candidates import Candidate, contribution_to_residual
 from twin.diagnose.law.laws import laws_of
-from twin.diagnose.law.residual import MECHANICS, residuals_of
+from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, residuals_of
 from twin.diagnose.law.wording import sentence
 from twin.diagnose.observe import observe
 from twin.diagnose.simulations import in_turn
@@ -19,6 +21,7 @@ from twin.effects import with_effects
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -66,3 +69,31 @@ def test_a_drive_without_lag_gets_none():
     views = [view_of(DRIVE, run) for run in strokes([], (0.06, 0.1, 0.12))]
     folds = folds_of(len(views))
     assert laws_of([observe(views, ("X",))], DRIVE, DRIVE, ["X"], folds, [DRIVE] * len(folds), in_turn).laws == ()
+
+
+def changed(run: MeasuredRun, left_out: str = "", every: int = 1) -> MeasuredRun:
+    """The run without a signal, recorded at every so many samples."""
+    trace = run.trace
+    return replace(
+        run, trace=Trace(trace.time[::every], {k: v[::every] for k, v in trace.signals.items() if k[1] != left_out}, trace.kinds)
+    )
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_runs_with_different_signals_share_the_variables_that_all_of_them_have(order: int) -> None:
+    runs = [runs_of([])[0], changed(runs_of([])[1], left_out="current")][::order]
+    found = {s.block: s for s in residuals_of([view_of(X, run) for run in runs], lambda m: m, ("X",), in_turn)}
+    assert "current" not in found["transmission"].motion
+    assert "velocity" in found["transmission"].motion
+
+
+def test_a_voltage_passes_the_current_loop_at_the_period_of_each_run() -> None:
+    runs = [runs_of([])[0], changed(runs_of([])[1], every=2)]
+    (samples,) = [s for s in residuals_of([view_of(X, run) for run in runs], lambda m: m, ("X",), in_turn) if s.block == CURRENT_LOOP]
+    voltage = np.sign(np.sin(np.arange(len(samples)) / 50.0))[:, None]
+    current = contribution_to_residual(samples, Candidate(CURRENT_LOOP, "voltage", "current"), X.axes[0], voltage)
+    first, second = samples.through
+    assert first.window == 2 * second.window
+    for loop, run in ((first, 0), (second, 1)):
+        rows = samples.run == run
+        assert np.array_equal(current[rows], loop.current(voltage[rows]))

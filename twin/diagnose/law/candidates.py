@@ -109,8 +109,9 @@ def zeroed_at_run_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
 
 def contribution_to_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.ndarray) -> np.ndarray:
     """Contribution (sample, n) of values of a law to the residual."""
-    if samples.through is not None:
-        return samples.through.current(columns, samples.first)
+    if samples.through:
+        begins = np.unique(samples.first)[1:]
+        return np.concatenate([loop.current(run) for loop, run in zip(samples.through, np.split(columns, begins), strict=True)])
     acting = columns * (factor if np.isscalar(factor := factor_of(samples, candidate, axis)) else np.asarray(factor)[:, None])
     return zeroed_at_run_start(samples, acting) if candidate.output == "displacement" else acting
 

@@ -21,7 +21,7 @@ from twin.diagnose.law.residual import ONE_RUN
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
+from twin.diagnose.tolerance import SPRING_EFFECT, UNIFORM, Nuisance, nuisances_of
 from twin.diagnose.tuning import zeros_of
 from twin.effects import Setting, settings_of, with_effects
 from twin.effects.law import NAME
@@ -143,7 +143,7 @@ def unknowns_of(state: State, axes: Sequence[str], tolerance: float, thresholds:
     found = []
     between_encoders = {s.axis for s in state.settings if s.effect.name == NAME and is_between_encoders(s)}
     for i, setting in enumerate(state.settings):
-        beside = setting.axis in between_encoders and setting.effect.block == "transmission"
+        beside = setting.axis in between_encoders and setting.effect.name == SPRING_EFFECT
         if setting.axis not in axes or (setting.effect.normal and not beside):
             continue
         for p in setting.effect.parameters:

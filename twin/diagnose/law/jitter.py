@@ -53,9 +53,9 @@ def jitter_of(samples: Samples) -> Described | None:
     y = np.array([robust_deviation(d[of == i]) if full[i] else 0.0 for i in range(BINS)])[full]
     if len(x) < BINS // 2 or not y.max() > 0.0:
         return None
-    rest, tau, exponent = _fitted(x, y)
-    if not EXPONENT[0] < exponent < EXPONENT[1]:
+    if not EXPONENT[0] < _fitted(x, y)[2] < EXPONENT[1]:
         return None
+    rest, tau, _ = _fitted(x, y, 1.0)
     evidence, runs_better = 0.0, 0.0
     for run in np.unique(part):
         rows, others = part == run, part != run
@@ -89,10 +89,8 @@ def _scatter(samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _fitted(x: np.ndarray, y: np.ndarray, exponent: float | None = None) -> tuple[float, float, float]:
-    """Scatter at rest, deviation in time and exponent n of y^2 = rest^2 + (tau x^n)^2 through standard deviations y (bin,) at speeds x (bin,).
-
-    The unit of x^n is that of x at its largest value.
-    """
+    """Scatter at rest, deviation in time and exponent n of y^2 = rest^2 + (tau top (x / top)^n)^2 through standard deviations y (bin,) at speeds
+    x (bin,) up to `top`."""
     top = float(x.max())
     u = x / top
 

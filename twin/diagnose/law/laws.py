@@ -29,7 +29,7 @@ from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
 from twin.diagnose.observe import Group
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.tolerance import is_normal
+from twin.diagnose.tolerance import drive_train_of, is_normal
 from twin.effects import Setting, check_setting, settings_of, with_effects
 from twin.machine.machine import Machine
 
@@ -50,7 +50,7 @@ class Law:
     setting: Setting
     measured: Described
     samples: Samples = field(repr=False)
-    explained: float
+    explained: float  # of a jitter, the share of the scatter of single samples
     probability: float
     deviations: dict[str, float]
     only_fold: int | None = None  # fold with the only run that shows the law; there, each half was predicted from the other
@@ -128,8 +128,6 @@ def _jitter(blocks: Sequence[Samples], axis: str, machine: Machine, probability:
 def _with_axis_of(machine: Machine, state: State, axis: str) -> Machine:
     """A machine with the values and effects of one axis taken from a state."""
     whole = state.corrected()
-    document = {**machine.document}
-    document["axis"] = {**document["axis"], axis: whole.document["axis"][axis]}
     effects = [e for e in machine.effects if e["axis"] != axis] + [e for e in whole.effects if e["axis"] == axis]
     return machine.with_values({f"axis.{axis}.{k}": v for k, v in _numbers_in(whole.document["axis"][axis])} | {"effect": effects})
 
@@ -162,8 +160,7 @@ def _search_axis(loop: ClosedLoop, state: State, blocks: Sequence[Samples], axis
     beside = _search_from(loop, state, axis, machine, say, removable=own, blocks=blocks, selections=(STRONG, WEAK))
     if len(own) > MOST_EFFECTS:
         return beside
-    in_drive_train = [s for s in state.settings if s.axis == axis and s.effect.block == "transmission"]
-    bent = any(not is_normal(machine, s, loop.group.thresholds) for s in in_drive_train)
+    bent = any(not is_normal(machine, s, loop.group.thresholds) for s in drive_train_of(state.settings, axis))
     if not own and (not bent or beside.left < LITTLE_LEFT):
         return beside
     say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")

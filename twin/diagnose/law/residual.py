@@ -90,8 +90,8 @@ class Samples:
 
     `part` (sample,) numbers the parts of the cross-validation: runs, or stretches of few runs; `run` (sample,) the runs. `motion` holds the
     variables of `_motion`, `others` those of other moving axes by name. `sigma` is the standard deviation of noise in y. `first` (sample,) is
-    the index of the first sample of each run. `passed` holds the outputs of a control block run by run, `through` the response of a current
-    loop to a voltage.
+    the index of the first sample of each run. `passed` holds the outputs of a control block run by run, `through` the responses of a current
+    loop to a voltage. Variables that only some runs recorded are left out.
     """
 
     axis: str
@@ -104,7 +104,7 @@ class Samples:
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
     passed: tuple[ControllerRun, ...] = ()
-    through: VoltageToCurrent | None = None
+    through: tuple[VoltageToCurrent, ...] = ()
 
     def __len__(self) -> int:
         return len(self.y)
@@ -167,13 +167,13 @@ def _concatenate(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
         np.concatenate(part),
         np.concatenate(run),
         np.concatenate(first),
-        {name: column(lambda p: p.motion, name) for name in pieces[0].motion},
+        {name: column(lambda p: p.motion, name) for name in pieces[0].motion if all(name in p.motion for p in pieces)},
         {
             other: {name: column(lambda p, o=other: p.others.get(o), name) for name in ("position", "velocity", "acceleration")}  # type: ignore[misc]
             for other in sorted(names)
         },
         tuple(passed for p in pieces for passed in p.passed),
-        pieces[0].through,
+        tuple(p.through for p in pieces if p.through is not None),
     )
 
 
@@ -186,7 +186,7 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
             continue
         twin = simulate_group(view, [name], machine_of)
         noisy = simulate_group(view, [name], machine_of, noise_seed=NOISE_SEED + r).trace
-        actual = replace(view, machine=machine_of(view.machine), references=view.references)
+        actual = replace(view, machine=machine_of(view.machine))
         axis = actual.machine.axis(name)
         motion = _motion(view, name, axis)
         others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}

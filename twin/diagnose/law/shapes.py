@@ -176,9 +176,7 @@ def _search_space(
     reach = max(abs(low), abs(high), 1e-12)
     widths = tuple(span * np.geomspace(0.004, 1.0, 10))
     inside = tuple(np.linspace(low + 0.05 * span, high - 0.05 * span, 12))
-    if candidate.variable == "direction":
-        return ["length"], [(candidate.length,)], [True], {"reach": 1.0}
-    if candidate.variable == "slack":
+    if candidate.variable in ("direction", "slack"):
         return ["length"], [(candidate.length,)], [True], {"reach": 1.0}
     if shape.name == "line":
         return [], [], [], {"reach": reach}

@@ -17,7 +17,7 @@ from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, State, is_between_
 from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, cross_validated_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, deflection_of, transmitted_force
 from twin.diagnose.law.shapes import Described
-from twin.diagnose.tolerance import Nuisance
+from twin.diagnose.tolerance import SPRING_EFFECT, Nuisance, drive_train_of, spring_of
 from twin.diagnose.view import RunView
 from twin.effects import Setting, check_setting, settings_of
 from twin.errors import InputError, TwinError
@@ -29,13 +29,11 @@ SMALL_DEFLECTION, LARGE_DEFLECTION = 0.3, 0.6
 STAGE_FORCES = (0.03, 0.9, 24)
 """Smallest and largest force at which a stiff stage may begin, as fractions of the largest force, and the number of forces that are tried."""
 
-SPRING_EFFECT = "transmission_compliance"
-"""Effect of the linear spring that a law over the windup complements."""
-
 
 def with_rigid_drive_train(state: State, axis: str) -> State:
     """The state with a rigid drive train on an axis."""
-    return replace(state, settings=tuple(s for s in state.settings if s.axis != axis or s.effect.block != "transmission"))
+    elastic = drive_train_of(state.settings, axis)
+    return replace(state, settings=tuple(s for s in state.settings if s not in elastic))
 
 
 def with_fitted_spring(state: State, axis: str, law: Described, samples: Samples) -> State:
@@ -47,15 +45,16 @@ def with_fitted_spring(state: State, axis: str, law: Described, samples: Samples
     columns = np.column_stack([nuisances_in(samples), law.column])
     loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     more = float(loss.coefficients[WINDUP_SLOPE])
-    own = next((s.parameters.get("stiffness", 0.0) for s in state.settings if (s.effect.name, s.axis) == (SPRING_EFFECT, axis)), 0.0)
-    return _with_spring(state, axis, own + more) if own + more > 0.0 else state
+    spring = spring_of(state.settings, axis)
+    stiffness = more + (spring.parameters["stiffness"] if spring else 0.0)
+    return _with_spring(state, axis, stiffness) if stiffness > 0.0 else state
 
 
 def _with_spring(state: State, axis: str, stiffness: float) -> State:
     """The state with a stiffness of the spring of an axis, and with the damping from which the fit then starts."""
-    settings = []
+    settings, spring = [], spring_of(state.settings, axis)
     for s in state.settings:
-        if (s.effect.name, s.axis) == (SPRING_EFFECT, axis):
+        if s is spring:
             values = {**s.parameters, "stiffness": stiffness}
             started = {p.name: p.fitted(state.machine, state.machine.axis(axis), values) for p in s.effect.parameters if p.fitted}
             s = replace(s, parameters=values | started)
@@ -70,13 +69,14 @@ def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted, axis: str, toleranc
     """
     state = fitted.state
     between = any(s.axis == axis and is_between_encoders(s) for s in laws_in(state))
-    if not between or _elastic(state.settings, axis) or not tolerance > 0.0:
+    if not between or drive_train_of(state.settings, axis) or not tolerance > 0.0:
         return fitted
     elasticity = Nuisance(axis, "elasticity", loop.group.thresholds)
     started = []
     for share in SHARES:
         machine = elasticity.apply(state.corrected(), 1.0 + share * state.machine.parameter_tolerance)
-        started += [replace(state, settings=(*state.settings, spring)) for spring in _elastic(settings_of(machine), axis)]
+        if spring := spring_of(settings_of(machine), axis):
+            started.append(replace(state, settings=(*state.settings, spring)))
     # the law took the part of the elasticity that it can imitate, and gives it back in the fit
     of_laws = fitted.columns[:, [u.setting is not None for u in fitted.unknowns]]
 
@@ -89,11 +89,6 @@ def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted, axis: str, toleranc
     if new is None or fitted.held_out - new.held_out < LEAST_EVIDENCE * loop.inflation(new.held_out):
         return fitted
     return new
-
-
-def _elastic(settings: Sequence[Setting], axis: str) -> list[Setting]:
-    """The settings that make the drive train of an axis elastic."""
-    return [s for s in settings if s.axis == axis and s.effect.block == "transmission" and "stiffness" in s.parameters]
 
 
 def stage_over_force(samples: Samples, curve: Curve) -> Described | None:

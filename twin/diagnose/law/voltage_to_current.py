@@ -24,14 +24,10 @@ class VoltageToCurrent:
     denominator: np.ndarray
     window: int
 
-    def current(self, voltage: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """Current [A] of voltages [V] (sample, n); `first` (sample,) is the index of the first sample of each run."""
-        out = np.empty_like(voltage)
-        begins = np.unique(first)
-        for begin, end in zip(begins, [*begins[1:], len(first)]):
-            run = lfilter(self.numerator, self.denominator, voltage[begin:end] - voltage[begin], axis=0)
-            out[begin:end] = np.column_stack([column - moving_mean(column, self.window) for column in run.T])
-        return out
+    def current(self, voltage: np.ndarray) -> np.ndarray:
+        """Current [A] of voltages [V] (sample, n) of one run."""
+        run = lfilter(self.numerator, self.denominator, voltage - voltage[0], axis=0)
+        return np.column_stack([column - moving_mean(column, self.window) for column in run.T])
 
 
 def voltage_to_current(view: RunView, axis: Axis) -> VoltageToCurrent:

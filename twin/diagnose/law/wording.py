@@ -63,10 +63,7 @@ def sentence(law: Law, machine: Machine) -> str:
     source = machine.axis(law.setting.from_axis) if law.setting.from_axis else axis
     described = law_in(law.setting)
     p = law.setting.parameters
-    what = {"force": "force", "friction": "friction", "torque": "torque", "displacement": "displacement"}.get(
-        described.output, described.output
-    )
-    head = f"a {what.replace('_', ' ')} on {law.axis}"
+    head = f"a {described.output.replace('_', ' ')} on {law.axis}"
     over = VARIABLES[described.variable].words.split(":")[0].split(" z ")[0] + (f" of {source.name}" if source is not axis else "")
     name = described.shape.name
     if described.shape.is_filter:
