@@ -77,7 +77,7 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
 def samples_of(channel: Channel, view: RunView) -> np.ndarray:
     """Sample numbers of a channel that does not cover the whole trace: position cycles, or samples at which the set point moves."""
     if channel.name == "controller":
-        return np.arange(0, len(view.trace.time), max(1, round(view.machine.position_cycle / view.trace.period)))
+        return np.arange(0, len(view.trace.time), view.samples_per_cycle)
     return np.flatnonzero(view.rows_of(channel.axis, channel.name))
 
 
@@ -134,7 +134,7 @@ def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = T
     ticks = max(1, round(trace.period / machine.base_tick))
     count = len(trace.time)
     setpoints = view.setpoints.part((a,))
-    every = round(machine.position_cycle / trace.period)
+    every = view.samples_per_cycle
     command = command_of(machine, commissioned_inertia(machine), setpoints, 0, -(-count // every))
     drives = drives_of(machine)
     if not limited:

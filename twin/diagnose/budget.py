@@ -31,6 +31,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation.gap import LEAST_NOISE, SignalGap, gap_unit, is_moving, sensor_noise
+from twin.units import AXIS_UNITS
 
 SIGNALS = ("position", "motor_position", "current")
 """Signals of a row; its multiple of noise is taken over them."""
@@ -219,7 +220,7 @@ def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None
     for axis in shown:
         own = machine.axis(axis)
         for signal in SIGNALS:
-            name = own.effort if signal == "current" else signal
+            name = own.recorded_as(signal)
             difference = other.get(axis, name) - base.get(axis, name)
             if signal == "current":
                 difference = difference[is_moving(view.trace, own)]
@@ -286,7 +287,7 @@ def noise_of(gaps: Mapping[str, Mapping[str, Mapping[str, SignalGap]]], machine:
     found: dict[tuple[str, str], float] = {}
     for axis in machine.axes:
         for signal in SIGNALS:
-            name = axis.effort if signal == "current" else signal
+            name = axis.recorded_as(signal)
             levels = [gap.noise for axes in gaps.values() if (gap := axes.get(axis.name, {}).get(name)) is not None and gap.noise > 0.0]
             if levels:
                 found[axis.name, signal] = float(np.sqrt(np.mean(np.square(levels)))) / gap_unit(axis, name)[1]
@@ -296,7 +297,7 @@ def noise_of(gaps: Mapping[str, Mapping[str, Mapping[str, SignalGap]]], machine:
 def _noise(machine: Machine, noise: Mapping[tuple[str, str], float], axis: str, signal: str) -> float:
     """Noise of a signal [SI]; if it was not recorded or is zero, that of its sensor."""
     own = machine.axis(axis)
-    name = own.effort if signal == "current" else signal
+    name = own.recorded_as(signal)
     return noise.get((axis, signal)) or sensor_noise(machine, own, name) or LEAST_NOISE.get(name, LEAST_NOISE["current"])
 
 
@@ -310,8 +311,7 @@ def document_of(budget: Budget, machine: Machine, probability: dict[Any, float],
     def row(r: Row) -> dict[str, Any]:
         key = r.setting.key if r.setting else None
         half = min(halves.get(key, 0.0), 1.0)
-        linear = r.axis not in machine.axis_names or machine.axis(r.axis).kind == "linear"
-        to = 1e6 if linear else float(np.degrees(3600.0))
+        unit, to = AXIS_UNITS[machine.axis(r.axis).kind if r.axis in machine.axis_names else "linear"].error
         return {
             "effect": r.name,
             "axis": r.axis,
@@ -321,7 +321,7 @@ def document_of(budget: Budget, machine: Machine, probability: dict[Any, float],
             "tool_point": 1e6 * r.tool_point,
             "alone": 1e6 * r.alone,
             "position": to * r.position,
-            "position_unit": "um" if linear else "arcsec",
+            "position_unit": unit,
             "scale": to * r.signals["position"],
             "motor": to * r.signals["motor_position"],
             "current": r.signals["current"],

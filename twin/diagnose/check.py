@@ -42,7 +42,7 @@ def _recorded(axis: Axis, signal: str, campaign: Campaign) -> bool:
         return True
     if signal in ("velocity", "velocity_setpoint") and not axis.has_speed_integral and axis.loops.speed_mean_cycles:
         signal = axis.effort  # the command contains the law of both controllers
-    return any(run.trace.has(axis.name, axis.effort if signal == "current" else signal) for run in campaign.runs)
+    return any(run.trace.has(axis.name, axis.recorded_as(signal)) for run in campaign.runs)
 
 
 def _plain(name: str) -> str:
@@ -73,7 +73,7 @@ def notes_of(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFA
         lacking: dict[str, list[str]] = {}
         for a in axes:
             if not _recorded(machine.axis(a), signal, campaign):
-                lacking.setdefault(machine.axis(a).effort if signal == "current" else signal, []).append(a)
+                lacking.setdefault(machine.axis(a).recorded_as(signal), []).append(a)
         notes += [f"no {name.replace('_', ' ')} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
     still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]
     if still:

@@ -136,7 +136,7 @@ def _around(values: np.ndarray, view: RunView) -> np.ndarray:
 
 def _cycle_samples(view: RunView, axis: Axis) -> int:
     """Samples per value of e."""
-    return max(1, round(view.machine.position_cycle / view.trace.period)) if view.trace.has(axis.name, "velocity_setpoint") else 1
+    return view.samples_per_cycle if view.trace.has(axis.name, "velocity_setpoint") else 1
 
 
 def _shows_command(view: RunView, axis: Axis) -> bool:

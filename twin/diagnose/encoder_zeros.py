@@ -18,7 +18,7 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.gap import encoders_noise
 from twin.simulation.two_encoders import has_both, motor_minus_scale, shifted
-from twin.units import ARCSEC
+from twin.units import AXIS_UNITS
 
 
 def with_common_zeros(
@@ -84,10 +84,9 @@ def at_rest_without_zeros(
 
 def notes_of_zeros(found: dict[str, float], machine: Machine) -> list[str]:
     """One line for each axis whose encoders have no common zero."""
-    units = {"linear": ("um", 1e6), "rotary": ("arcsec", 1.0 / ARCSEC)}
     lines = []
     for name, offset in found.items():
-        unit, factor = units[machine.axis(name).kind]
+        unit, factor = AXIS_UNITS[machine.axis(name).kind].error
         lines.append(
             f"axis {name}: the zeros of its two encoders differ by up to {offset * factor:.4g} {unit}; this is fitted in each run and is no fault"
         )

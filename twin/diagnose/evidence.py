@@ -15,7 +15,7 @@ from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
 
 BLOCKS_NEED = {
-    "position controller": (("position", "motor_position"), ("velocity_setpoint",)),
+    "position controller": (),  # seen through its channel, see `_is_seen`
     "speed controller": (("velocity",), ("velocity_setpoint",), ("current",)),
     "current loop": (MOTION, ("current",)),
     "mechanics": (MOTION, ("current",)),
@@ -71,7 +71,7 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     return any(
         view.moves(axis)
         and (block != "speed controller" or view.on_each_cycle)
-        and all(any(view.trace.has(axis, own.effort if s == "current" else s) for s in one_of) for one_of in BLOCKS_NEED[block])
+        and all(any(view.trace.has(axis, own.recorded_as(s)) for s in one_of) for one_of in BLOCKS_NEED[block])
         for view in next((f.group.views for f in diagnosis.found if axis in f.group.axes), ())
     )
 

@@ -1,4 +1,5 @@
-"""All thresholds of the diagnosis in one frozen object, each with value, unit, meaning and provenance.
+"""All thresholds of the search for effects in one frozen object, each with value, unit, meaning and provenance. Those of unlisted laws are
+constants of the modules in `twin.diagnose.law`.
 
     replace(DEFAULT, evidence=20.0)     the same diagnosis with one threshold changed
     listed(DEFAULT)                     all thresholds with unit, meaning and provenance

@@ -71,7 +71,8 @@ class Screened(NamedTuple):
 class GroupState:
     """State of the diagnosis of one group of axes. A step takes a state and returns the next one; states are never modified.
 
-    `response_cache` holds simulated responses to starts. It saves time and does not affect the result.
+    `response_cache` holds simulated responses to starts. A response is not simulated again when the group is linearised about a machine with
+    other imperfections, so a screening may use one about an earlier machine.
     """
 
     group: Group  # linearised about the machine with its normal imperfections

@@ -70,6 +70,11 @@ class RunView:
         """Is there a sample for each position cycle? A slower record lacks speed set points."""
         return self.on_cycles and self.trace.period < self.machine.position_cycle * (1.0 + SAME_PERIOD)
 
+    @property
+    def samples_per_cycle(self) -> int:
+        """Samples per position cycle, at least 1."""
+        return max(1, round(self.machine.position_cycle / self.trace.period))
+
     def moves(self, name: str) -> bool:
         """Does the axis move in this run, by its own set point or pushed by another axis?"""
         return self.trace.moves(name) or name in self.pushed

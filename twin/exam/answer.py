@@ -13,7 +13,7 @@ from twin.errors import InputError
 from twin.files import stamped, write_whole
 from twin.machine.machine import Machine, write_machine
 
-MACHINE, BASELINES, DIAGNOSIS, SEAL = "machine.toml", "baselines.json", "diagnosis.json", "answer.sha256"
+MACHINE, BASELINES, DIAGNOSIS, SEAL, FAILED = "machine.toml", "baselines.json", "diagnosis.json", "answer.sha256", "failed.txt"
 
 
 def write_answer(folder: Path, corrected: Machine, baselines: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> None:

@@ -3,8 +3,8 @@
     re-tuning           knows no effects: "none" if re-tuning within the tolerance leaves only noise, otherwise "unknown"
     nearest signature   names the effect whose simulated change of the signals is closest in direction to the residual of the
                         nominal twin; all toleranced parameters keep their nominal values
-    sparse regression   regresses the force residual of each axis (torque constant times measured minus simulated current) on
-                        textbook terms of mechanics by orthogonal matching pursuit and names the first term
+    sparse regression   regresses the current residual of each axis on each textbook term of mechanics alone and names the
+                        term that explains most
 
 Each answers {"verdict": ..., "effect": ..., "axis": ...}.
 """

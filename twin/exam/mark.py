@@ -24,7 +24,7 @@ from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace
 from twin.simulation.gap import Prediction, SignalGap, gap_of, predict_campaign
 
-from .answer import read_answer
+from .answer import FAILED, MACHINE, read_answer
 from .draw import Case, truth_of, write_campaign
 from .mark_budget import VISIBLE, mark_budget, what_of
 from .mark_law import laws_of_fault, shape_agreement
@@ -62,7 +62,7 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
         "true": [[e["name"], e["axis"]] for e in truth["effect"]],
         "outside": [[e["name"], e["axis"], e["block"]] for e in truth["outside"]],
     }
-    failure = place / "answer" / "failed.txt"
+    failure = place / "answer" / FAILED
     if failure.exists():
         nothing = mark_budget(truth, {"effects": []}) if "budget" in truth else None
         result |= {**NOT_DIAGNOSED, "budget": nothing, "failed": failure.read_text(encoding="utf-8", errors="replace").strip()}
@@ -196,7 +196,7 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
         return _level(gaps_of(traces))
 
     out: dict[str, Any] = {"before": level_of(_traces(before)), "floor": level_of({run.name: run.trace for run in again}) / math.sqrt(2.0)}
-    answer = place / "answer" / "machine.toml"
+    answer = place / "answer" / MACHINE
     if answer.exists():
         with contextlib.suppress(TwinError):
             out["after"] = level_of(_traces(predict_campaign(load_machine(answer), runs, realisations=REALISATIONS)))

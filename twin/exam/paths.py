@@ -2,7 +2,7 @@
 
 A move convolves a pulse of speed v with two boxes of length T1 = v/a and T2 = a/j, as a moving-average interpolator does, so that
 speed, acceleration and jerk stay below v, a and j. A contour is a curve over u in 0..1; du/dt starts and stops as a raised cosine,
-and the whole contour is slowed down until every axis keeps its limits.
+and the whole contour is slowed down until every axis keeps its limits of speed and acceleration.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def within_limits(points: np.ndarray, limits: Limits) -> np.ndarray:
 
 
 def contour(curve: Callable[[np.ndarray], np.ndarray], duration: float, limits: Limits, ramp: float = 0.6) -> np.ndarray:
-    """curve(u) [sample, axis] for u in 0..1, slowed down until every axis keeps its limits."""
+    """curve(u) [sample, axis] for u in 0..1, slowed down until every axis keeps its limits of speed and acceleration; the jerk is not checked."""
     for _ in range(40):
         points = curve(eased(duration, ramp))
         use = within_limits(points, limits)

@@ -27,6 +27,7 @@ from twin.errors import InputError
 from twin.files import write_whole
 from twin.stopping import PARENT, end_with_parent
 
+from .answer import DIAGNOSIS, FAILED
 from .budget import with_budget
 from .draw import Case, draw_case, truth_of, write_campaign
 from .plant.plant import PlantError
@@ -109,7 +110,7 @@ def unseal(text: str, out: Path) -> None:
 
 def is_answered(folder: str) -> bool:
     """Has this case an answer: a diagnosis, or the reason why there is none?"""
-    return any((Path(folder) / "answer" / name).exists() for name in ("diagnosis.json", "failed.txt"))
+    return any((Path(folder) / "answer" / name).exists() for name in (DIAGNOSIS, FAILED))
 
 
 def sit(question: Question, case: Case, folder: str, machine_file: str, quick: bool) -> float:
@@ -133,7 +134,7 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
             raise InputError(f"{folder}: the diagnosing process was killed (signal {-done.returncode}); repeat the command to continue")
         if done.returncode:
             answer.mkdir(parents=True, exist_ok=True)
-            write_whole(answer / "failed.txt", reason + "\n")
+            write_whole(answer / FAILED, reason + "\n")
             return time.perf_counter() - started
         write_whole(answer / "seconds.txt", f"{time.perf_counter() - started:.1f}\n")
     return _seconds(answer / "seconds.txt")

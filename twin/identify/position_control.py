@@ -39,7 +39,7 @@ STARTS = 3
 """Number of local minima of the grid that are refined."""
 
 GRID_ROWS = 4000
-"""Largest number of cycles used by the search; the final regression uses all."""
+"""Number of cycles from twice which on the search uses only every second, third, ... one; the final regression uses all."""
 
 GAIN_SIGNIFICANCE = 3.0
 """A gain is significant if it exceeds this many standard deviations."""

@@ -144,6 +144,10 @@ class Axis:
         """True if the speed controller has an integral part, which carries a constant force."""
         return math.isfinite(self.loops.speed_integral_time_s)
 
+    def recorded_as(self, signal: str) -> str:
+        """Name of a signal in a trace: that of the axis' own effort for 'current', otherwise the same."""
+        return self.effort if signal == "current" else signal
+
     @property
     def effort_unit(self) -> str:
         """Unit of the effort: A, V or Nm; N instead of Nm for a direct drive."""

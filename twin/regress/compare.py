@@ -16,7 +16,7 @@ from twin.regress.golden import Golden
 from twin.regress.outcome import Outcome
 from twin.regress.suite import Case
 from twin.replay.events import Event
-from twin.units import ARCSEC, AXIS_UNITS
+from twin.units import AXIS_UNITS
 
 TIME_TOLERANCE_S = 1e-9
 """Largest difference between stored and new sample times, for the rounding of the file."""
@@ -90,7 +90,7 @@ def signal_unit(machine: Machine, axis: str, signal: str) -> tuple[str, float]:
     """Printed unit of a signal's difference, and the factor from SI."""
     units = AXIS_UNITS[machine.axis(axis).kind]
     if signal in ("setpoint", "position", "motor_position"):
-        return ("um", 1e6) if machine.axis(axis).kind == "linear" else ("arcsec", 1.0 / ARCSEC)
+        return units.error
     if signal.startswith("velocity"):
         return units.speed
     unit = OTHER_UNITS[signal]

@@ -29,7 +29,7 @@ from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
 from twin.simulation.two_encoders import BOTH, with_equal_means
-from twin.units import ARCSEC, AXIS_UNITS
+from twin.units import AXIS_UNITS
 
 COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "torque")
 """Compared signals. Of the last three, only the output of the axis' speed controller is compared."""
@@ -194,7 +194,7 @@ def gap_of_campaign(
 def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
     """Display unit of a gap and factor from SI: um or arcsec, mm/s or deg/s; A, V, Nm or N."""
     if signal in ("position", "motor_position"):
-        return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
+        return AXIS_UNITS[axis.kind].error
     if signal == "velocity":
         return AXIS_UNITS[axis.kind].speed
     return (axis.motor_unit if OTHER_UNITS[signal] == "Nm" else OTHER_UNITS[signal], 1.0)

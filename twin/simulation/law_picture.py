@@ -15,7 +15,7 @@ from twin.effects.law_filters import response
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure, save_png
 from twin.report.colours import axis_colour, hexadecimal
-from twin.units import ARCSEC, AXIS_UNITS
+from twin.units import AXIS_UNITS
 
 SHOWN_TIME_S = 600.0
 """Range of a law over time."""
@@ -69,11 +69,6 @@ def shown_in(quantity: str, axis: Axis) -> tuple[str, float]:
     }[quantity]
 
 
-def small_length(axis: Axis) -> tuple[str, float]:
-    """Display unit of a position error and factor from SI: um or arcsec."""
-    return ("um", 1e6) if axis.kind == "linear" else ("arcsec", 1.0 / ARCSEC)
-
-
 def draw_response(place: Any, law: Law, numbers: Mapping[str, float], machine: Machine, colour: str) -> None:
     """Draw magnitude and phase of a filter over frequency, with a second scale for the phase."""
     cycle = cycle_of(law, machine)
@@ -107,7 +102,7 @@ def draw_laws(machine: Machine, path: Path) -> Path:
         x = np.linspace(low, high, 600)
         variable_unit, per = shown_in(VARIABLES[law.variable].quantity, source)
         output = OUTPUTS[law.block][law.output]
-        unit, factor = small_length(axis) if output.quantity == "length" else shown_in(output.quantity, axis)
+        unit, factor = AXIS_UNITS[axis.kind].error if output.quantity == "length" else shown_in(output.quantity, axis)
         place.plot(per * x, factor * law.values(x, setting.parameters, axis), color=hexadecimal(axis_colour(axis.name)), linewidth=1.8)
         if law.points:
             px, py = np.array(law.points).T

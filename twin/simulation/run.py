@@ -228,7 +228,7 @@ def _traces(lane: Lane, record: loop_record.Record, rows: int) -> tuple[Trace, T
     seen = dict(signals)
     for a, axis in enumerate(machine.axes):
         for channel in loop_record.MEASURED:
-            key = (axis.name, axis.effort if channel == "current" else channel)
+            key = (axis.name, axis.recorded_as(channel))
             if key != (axis.name, "torque"):  # a commanded torque is not measured
                 seen[key] = getattr(record, loop_record.SEEN + channel)[:rows, a]
     time = np.arange(rows) * lane.period

@@ -36,6 +36,11 @@ class Candidate:
     def is_friction(self) -> bool:
         return self.output == "friction"
 
+    @property
+    def wraps(self) -> float:
+        """Period of the variable, in its unit; 0 if it has none."""
+        return self.period or (2.0 * math.pi if self.variable == "turn" else 0.0)
+
 
 def candidates_of(samples: Samples, axis: Axis) -> Iterator[Candidate]:
     """All candidates for the residual of a block whose variables were recorded."""

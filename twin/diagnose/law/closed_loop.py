@@ -21,7 +21,7 @@ from twin.diagnose.law.residual import ONE_RUN
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import Mapper
-from twin.diagnose.tolerance import SPRING_EFFECT, UNIFORM, Nuisance, nuisances_of
+from twin.diagnose.tolerance import SPRING_EFFECT, UNIFORM, Nuisance, nuisances_of, tuned
 from twin.diagnose.tuning import zeros_of
 from twin.effects import Setting, settings_of, with_effects
 from twin.effects.law import NAME
@@ -83,10 +83,7 @@ class State:
     def machine_of(self, machine: Machine) -> Machine:
         """The machine of this state for a run with the given nominal machine."""
         machine = machine.with_values(dict(self.values)) if self.values else machine
-        for nuisance, deviation in zip(self.nuisances, self.deviations):
-            if deviation != 0.0:
-                machine = nuisance.apply(machine, 1.0 + deviation)
-        return with_effects(machine, self.settings)
+        return with_effects(tuned(self.nuisances, np.asarray(self.deviations))(machine), self.settings)
 
     def corrected(self) -> Machine:
         """The machine of this state."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import math
 
 import numpy as np
 
@@ -14,7 +13,8 @@ from twin.effects.law import OUTPUTS, VARIABLES, law_in
 from twin.effects.law_shapes import JITTER
 from twin.machine.machine import Machine
 from twin.report.figure import AMBER, BLUE, SOFT, new_figure
-from twin.simulation.law_picture import draw_response, shown_in, small_length
+from twin.simulation.law_picture import draw_response, shown_in
+from twin.units import AXIS_UNITS
 
 HARDLY = 0.002
 """Fraction of the samples below which a point counts as hardly measured."""
@@ -37,10 +37,10 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
             place.legend(loc="lower left")
             continue
         quantity = OUTPUTS[table.block][table.output].quantity
-        unit, factor = small_length(axis) if quantity == "length" else shown_in(quantity, axis)
+        unit, factor = AXIS_UNITS[axis.kind].error if quantity == "length" else shown_in(quantity, axis)
         x_unit, per = shown_in(VARIABLES[table.variable].quantity, source)
         if table.variable == "following_error":
-            x_unit, per = small_length(axis)
+            x_unit, per = AXIS_UNITS[axis.kind].error
         x = np.linspace(curve.x[0], curve.x[-1], 500)
         formula = table.values(x, law.setting.parameters, axis)
         # level and, over a speed, slope belong to the nominal machine: fit both curves to the same ones
@@ -68,7 +68,7 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
 def _sample_density(law: Law, at: np.ndarray) -> np.ndarray:
     """Fraction of the samples closest to each point (point,)."""
     x = variable_of(law.samples, law.measured.candidate)
-    period = law.measured.candidate.period or (2.0 * math.pi if law.measured.candidate.variable == "turn" else 0.0)
+    period = law.measured.candidate.wraps
     x = np.mod(x, period) if period else x
     edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
     share: np.ndarray = np.histogram(x, edges)[0] / max(len(x), 1)

@@ -262,12 +262,17 @@ def _curve_points(low: float, high: float, basis: Basis) -> np.ndarray:
     return np.sign(u) * u**2
 
 
-def measured_laws(samples: Samples, axis: Axis) -> list[Curve]:
-    """Curves of all candidates of a block that improve the prediction, best first."""
+def loss_without_law(samples: Samples) -> tuple[np.ndarray, float, Loss]:
+    """Nuisance columns (sample, n), scale of their residual, and the cross-validated loss of a fit of them alone."""
     columns = nuisances_in(samples)
     first = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
     scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
-    base = cross_validated_loss(samples, columns, scale)
+    return columns, scale, cross_validated_loss(samples, columns, scale)
+
+
+def measured_laws(samples: Samples, axis: Axis) -> list[Curve]:
+    """Curves of all candidates of a block that improve the prediction, best first."""
+    columns, scale, base = loss_without_law(samples)
     left = samples.y - columns @ base.coefficients
     candidates = [*candidates_of(samples, axis), *sines_of(samples, left, axis)]
     curves = [measure(samples, candidate, axis, base, columns, scale) for candidate in candidates]

@@ -41,7 +41,7 @@ OTHER_PERIOD_S = 4e-3
 """Sample period of the other blocks."""
 
 MOST_SAMPLES = 800
-"""Approximate limit of the number of samples of an axis in a run; more only take time."""
+"""Number of samples of an axis in a run from twice which on only every second, third, ... one is used; more only take time."""
 
 MOST_IN_A_ROW = 8000
 """Largest number of samples of an axis in a run for a block that needs consecutive samples."""
@@ -249,7 +249,7 @@ def _residual_of_block(view: RunView, axis: Axis, traces: Sequence[Trace], law: 
 
 def _position_controller_run(view: RunView, motion: dict[str, np.ndarray], difference: np.ndarray, noise: float) -> ControllerRun:
     """Nominal and recorded output of a position controller at its cycles; `difference` (sample,): recorded minus nominal."""
-    every = max(1, round(view.machine.position_cycle / view.trace.period))
+    every = view.samples_per_cycle
     wanted = motion["speed_setpoint"][::every]
     return ControllerRun("speed", wanted, wanted + difference[::every], noise, every * view.trace.period)
 
@@ -257,8 +257,8 @@ def _position_controller_run(view: RunView, motion: dict[str, np.ndarray], diffe
 def _speed_controller_run(view: RunView, axis: Axis, twin: Trace, difference: np.ndarray, noise: float) -> tuple[ControllerRun, ...]:
     """Nominal and recorded output of a speed controller, with their `difference` (sample,), and its sent and received set point.
 
-    The received set point is reconstructed from the residual by the inverse PI law, e = (T - I) / Kp, I += Kp T / Tn e. The current limit is
-    not applied, because the law with the sent set point may exceed it.
+    The received set point is reconstructed from the residual by the inverse PI law, e = (T - I) / Kp, I += Kp h / Tn e, with the torque T and
+    the sample period h. The current limit is not applied, because the law with the sent set point may exceed it.
     """
     trace = view.trace
     wanted = commanded_current(view, axis, trace)
@@ -361,7 +361,7 @@ def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarra
     error = law_error(trace, view, axis)
     if error is None or not view.trace.has(axis.name, "velocity_setpoint"):
         return None
-    every = max(1, round(view.machine.position_cycle / view.trace.period))
+    every = view.samples_per_cycle
     out = np.zeros(len(trace.time))
     where = np.zeros(len(trace.time), bool)
     out[::every], where[::every] = error, True

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from twin.diagnose.law.candidates import Candidate, contribution_to_residual, variable_of
-from twin.diagnose.law.measure import Curve, Loss, cross_validated_loss, huber, nuisances_in, scale_of
+from twin.diagnose.law.measure import Curve, Loss, cross_validated_loss, huber, loss_without_law
 from twin.diagnose.law.residual import Samples
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
@@ -84,8 +84,8 @@ class Described:
             head["from_axis"] = c.source
         if self.shape is None:
             head |= {"points": [list(p) for p in self.points], "between": "cubic"}
-            if c.variable == "turn" or c.period:
-                head["period"] = c.period or 2.0 * math.pi
+            if c.wraps:
+                head["period"] = c.wraps
         else:
             head["formula"] = SHAPES[self.shape].text(c.variable)
         length = {"length": c.length} if c.length and "length" not in self.numbers else {}
@@ -94,10 +94,7 @@ class Described:
 
 def described(samples: Samples, curve: Curve, axis: Axis) -> Described:
     """The curve as the formula with the best prediction, or as a table."""
-    columns = nuisances_in(samples)
-    first = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
-    scale = scale_of(samples.y - columns @ first.coefficients, samples.sigma)
-    base = cross_validated_loss(samples, columns, scale)
+    columns, scale, base = loss_without_law(samples)
     names = ("sine",) if curve.candidate.period else SUITS.get(curve.candidate.variable, ())
     found = [f for name in names if (f := _fit_shape(samples, curve, axis, SHAPES[name], columns, base, scale))]
     best = max(found, key=lambda d: d.predicts - PER_NUMBER * len(d.numbers), default=None)
@@ -110,7 +107,7 @@ def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
     """The curve as a table of a few points; its level belongs to the nominal machine and is removed."""
     places = np.unique(np.linspace(0, len(curve.x) - 1, TABLE_POINTS).round().astype(int))
     x = variable_of(samples, curve.candidate)
-    period = curve.candidate.period or (2.0 * math.pi if curve.candidate.variable == "turn" else 0.0)
+    period = curve.candidate.wraps
     y = np.interp(np.mod(x, period) if period else x, curve.x, curve.y)
     level = curve.y[-1] if curve.candidate.variable == "speed" else float(np.mean(y))
     column = contribution_to_residual(samples, curve.candidate, axis, (y - level)[:, None])[:, 0]

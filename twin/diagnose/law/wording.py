@@ -14,7 +14,8 @@ from twin.effects.law_shapes import TABLE
 from twin.machine.axis import Axis
 from twin.machine.machine import Machine
 from twin.simulation.effect_picture import display_unit, readable
-from twin.simulation.law_picture import shown_in, small_length
+from twin.simulation.law_picture import shown_in
+from twin.units import AXIS_UNITS
 
 PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width", "frequency_hz": "at"}
 """Prepositions of the parameters of a filter."""
@@ -49,7 +50,7 @@ def _display_unit(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, f
     of = next((n.of for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
     if of == "output":
         quantity = OUTPUTS[described.block][described.output].quantity
-        return small_length(axis) if quantity == "length" else shown_in(quantity, axis)
+        return AXIS_UNITS[axis.kind].error if quantity == "length" else shown_in(quantity, axis)
     if of == "variable":
         return shown_in(VARIABLES[described.variable].quantity, source)
     if of == "time":
@@ -73,7 +74,7 @@ def sentence(law: Law, machine: Machine) -> str:
     if described.shape.code == TABLE:
         low, high = (float(f([y for _, y in described.points])) * p["scale"] for f in (min, max))
         quantity = OUTPUTS[described.block][described.output].quantity
-        unit, factor = small_length(axis) if quantity == "length" else shown_in(quantity, axis)
+        unit, factor = AXIS_UNITS[axis.kind].error if quantity == "length" else shown_in(quantity, axis)
         return f"{head} that varies from {factor * low:.3g} to {factor * high:.3g} {unit} with the {over}"
     if name in ("gaussian", "exponential") and described.variable == "speed" and described.output == "friction":
         width = "width" if name == "gaussian" else "scale"

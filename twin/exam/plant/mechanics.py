@@ -36,49 +36,49 @@ DEAD_TIME_A = 0.2  # current scale of the voltage lost to an inverter's dead tim
 (
     RATIO,
     KT,
-    SATURATION,
-    DEAD_TIME,
+    SATURATION,  # 1/A^2
+    DEAD_TIME,  # V against the current
     KE,
     RESISTANCE,
-    INDUCTANCE,  # saturation 1/A^2, dead time V against the current
+    INDUCTANCE,
     MOTOR_MASS,
     LOAD_MASS,  # A, C: load mass is what comes on top of the pair's diagonal
-    ELASTIC,
+    ELASTIC,  # 1: motor and load are two masses
     STIFFNESS,
     DAMPING,
-    HARDENING,
+    HARDENING,  # coefficient of the cube of the deflection
     HALF_GAP,
-    SOFT,  # elastic 1: motor and load are two masses; hardening k3
+    SOFT,
     VISCOUS,
     ASYMMETRY,
-    WINDAGE,  # windage N s2/m2
-    COULOMB,
+    WINDAGE,  # N s2/m2
+    COULOMB,  # this and the next four: level of the dry friction
     WAVE,
     WAVE_NUMBER,
     EXCESS,
-    VELOCITY,  # friction level
-    BRISTLE,
-    BRISTLE_DAMPING,  # stiffness 0: exact stick-slip
-    STEADY_FORCE,
+    VELOCITY,
+    BRISTLE,  # stiffness; 0: exact stick-slip
+    BRISTLE_DAMPING,
+    STEADY_FORCE,  # constant force and weight of Z, against +q
     DISTURBANCE,
-    DISTURBANCE_W,  # steady: constant force and weight of Z, against +q
+    DISTURBANCE_W,
     FRAME_W,
     FRAME_ZETA,
     FRAME_RATIO,
-    RIPPLE,
-    RIPPLE_N,
+    RIPPLE,  # Nm at the motor
+    RIPPLE_N,  # periods a turn
     RIPPLE_PHASE,
-    COGGING,
-    COGGING_N,
-    COGGING_PHASE,  # Nm at the motor, periods a turn
+    COGGING,  # Nm at the motor
+    COGGING_N,  # periods a turn
+    COGGING_PHASE,
     LEAD,
     CYCLIC,
     CYCLIC_PHASE,
     ZERO_KEPT,  # 1: the motor encoder keeps its zero from run to run, 0: lead and cyclic error start at zero in each run
-    BED,
-    MOUNT,
+    BED,  # structural mode: mass M of the bed, 0 without one
+    MOUNT,  # stiffness of its mounts
     MOUNT_DAMPING,
-    ON_BED,  # structural mode: mass M of the bed, 0 without one; stiffness and damping of its mounts; mass of the load on it at A = C = 0
+    ON_BED,  # mass of the load on the bed at A = C = 0
 ) = range(45)
 
 

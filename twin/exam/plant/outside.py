@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 
 from .effects import ALL, ARCSEC, DrawContext, Effect, stable_damping
+from .mechanics import DEAD_TIME_A
 from .parameters import AXES, LINEAR, Settings
 
 
@@ -101,7 +102,7 @@ LAWS = {
     "speed_set_point_smoothing": TrueLaw("speed_setpoint", response=lambda p, s: 1.0 / (1.0 + p["time_constant_s"] * s)),
     "one_sided_speed_clip": TrueLaw("speed_setpoint", lambda p, x: np.minimum(x, p["limit"]) - x),
     "magnetic_saturation": TrueLaw("current", lambda p, x: x / np.sqrt(1.0 + (x / p["saturation_a"]) ** 2) - x),
-    "inverter_dead_time": TrueLaw("current", lambda p, x: -np.tanh(x / 0.2)),
+    "inverter_dead_time": TrueLaw("current", lambda p, x: -np.tanh(x / DEAD_TIME_A)),
     "windage": TrueLaw("speed", lambda p, x: x**2),
     "warming_friction": TrueLaw("time", lambda p, x: p["share"] * (1.0 - np.exp(-x / p["time_constant_s"]))),
     "hardening_spring": TrueLaw("windup", lambda p, x: x**3),
