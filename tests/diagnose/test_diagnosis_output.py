@@ -19,7 +19,7 @@ from twin.diagnose import diagnose, report
 from twin.diagnose.check import notes_of
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.output import write_proposal
-from twin.diagnose.wording import effect_title, interval_text, parameters_of, verdict_sentence
+from twin.diagnose.wording import effect_title, interval_text, parameters_of, verdict_sentence, where_text
 from twin.effects import BLOCKS, EFFECTS, settings_of
 from twin.exam.draw import draw_case
 from twin.machine.machine import default_machine_path, load_machine
@@ -210,6 +210,17 @@ def test_recording_opens_on_the_telling_stretch(diagnosed: Path, document: dict[
     stretch = document["where"][0]["stretch"]
     (played,) = read_layout(diagnosed / "diagnosis.rrd")["/time_panel"]["TimePanelBlueprint:time_selection"].values[0]
     assert (played["min"], played["max"]) == pytest.approx((1e9 * stretch["from_s"], 1e9 * stretch["to_s"]))
+
+
+def test_a_place_without_a_regressor_or_runs_is_said_without_them() -> None:
+    place = {"axis": "X", "block": "mechanics", "regime": "all", "scales_with": "-", "runs": [], "share": 0.7}
+    assert where_text(place) == "axis X, mechanics, all, share 70%"
+    assert (
+        where_text({**place, "scales_with": "sign v", "runs": ["a", "b", "c", "d"]})
+        == "axis X, mechanics, all, scales with sign v, share 70% (a, b, c)"
+    )
+    document = {"effects": [], "verdict": "unknown", "where": [place]}
+    assert verdict_sentence(document) == "Unknown: no known effect explains the gap in the mechanics of axis X."
 
 
 def test_numbers_have_engineering_units() -> None:

@@ -58,9 +58,19 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     if document["verdict"] == "law":
         return f"A law that no effect describes: {laws}" + (f"; in addition {names}." if names else ".")
     place = document["where"][0] if document["where"] else None
-    at = f" in the {place['block']} of axis {place['axis']}, scaling with {place['scales_with']}" if place else ""
+    at = f" in the {place['block']} of axis {place['axis']}" if place else ""
+    if place and place["scales_with"] != "-":
+        at += f", scaling with {place['scales_with']}"
     parts = listed([part for part in (names, laws) if part])
     return f"Unknown: no known effect explains the gap{at}" + (f"; part of it is {parts}." if parts else ".")
+
+
+def where_text(place: dict[str, Any]) -> str:
+    """A place in one line: 'axis X, mechanics, constant speed, scales with sign v, share 97% (reversal, circle_xy)'."""
+    known = [f"axis {place['axis']}", place["block"], place["regime"]]
+    known += [f"scales with {place['scales_with']}"] if place["scales_with"] != "-" else []
+    runs = f" ({', '.join(place['runs'][:3])})" if place["runs"] else ""
+    return f"{', '.join(known)}, share {place['share']:.0%}{runs}"
 
 
 def headline_number(entry: dict[str, Any]) -> str:
