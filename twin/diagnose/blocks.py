@@ -19,20 +19,17 @@ import numpy as np
 
 from twin.compiled_functions import compiled
 from twin.diagnose.channel import Channel
+from twin.diagnose.force_balance import MOTION, force_beyond_model
 from twin.diagnose.observe import Group
 from twin.diagnose.simulations import simulate_group
 from twin.diagnose.view import RunView
-from twin.effects import apply_effects, with_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
-from twin.simulation.decoupled_plant import loads_along
 from twin.simulation.drive_setpoints import received_from_nc, speed_set_point
 from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.position_command import command_of
 
-MOTION = ("velocity", "motor_position", "position")
-"""Signals of the motion of an axis; one of them is sufficient."""
 CHANNEL_SHOWS = {"controller": "position controller", "motor_minus_scale": "transmission"}
 """Block whose law a channel compares. The other channels show the mechanics in closed loop."""
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
@@ -182,41 +179,12 @@ def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, sp
 
 def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     """Drive force minus the force that the motion needs [N or Nm] while the axis slides, and the sample numbers."""
-    from scipy.signal import savgol_filter
-
-    count = len(trace.time)
-    window = max(7, round(view.thresholds.smooth_s / trace.period) | 1)
-    if count < 2 * window:
+    beyond = force_beyond_model(view, axis, trace)
+    if beyond is None:
         return np.zeros(0), np.zeros(0, int)
-    if view.trace.has(axis.name, "velocity"):
-        speed = trace.get(axis.name, "velocity")
-    else:
-        position = next(s for s in ("motor_position", "position") if view.trace.has(axis.name, s))
-        speed = np.gradient(trace.get(axis.name, position), trace.period)
-    v = savgol_filter(speed, window, 2)
-    acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
-    drive = savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio
-    inertia, bias = inertia_and_bias(view, axis, count)
-    force = drive - inertia * acceleration - axis.coulomb_friction * np.sign(v) - axis.viscous_friction * v - bias
-    slow = _moving_minimum(np.abs(v), window)
-    sliding = np.flatnonzero(slow > view.thresholds.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed)
-    return force[sliding], sliding
-
-
-def inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inertia including the rotor, and bias force, of an axis along the nominal motion (sample,)."""
-    group = [x.name for x in view.machine.axes if x.kind == "rotary"] if axis.kind == "rotary" else [axis.name]
-    index = [view.machine.axis_names.index(name) for name in group]
-    # springs have no mass: effects do not change inertia and bias
-    change = apply_effects(with_effects(view.machine.with_axes(group), []))
-    loads = loads_along(change, view.motion.part(tuple(index)))
-    column = group.index(axis.name)
-    rows = np.minimum(np.arange(count) * view.trace.period / view.machine.base_tick / loads.row_ticks, len(loads.inertia) - 1)
-    grid = np.arange(len(loads.inertia))
-    return (
-        np.interp(rows, grid, loads.inertia[:, column]) + axis.reflected_inertia,
-        np.interp(rows, grid, loads.bias[:, column]) - change.constant_force[column],
-    )
+    force, slides = beyond
+    sliding = np.flatnonzero(slides)
+    return -force[sliding], sliding
 
 
 def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
@@ -275,9 +243,3 @@ def moving_mean(values: np.ndarray, window: int) -> np.ndarray:
     """Centred moving mean over `window` samples (sample,)."""
     window = max(1, min(window | 1, len(values) - 1 + len(values) % 2))
     return np.convolve(np.pad(values, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(values)]
-
-
-def _moving_minimum(values: np.ndarray, window: int) -> np.ndarray:
-    from scipy.ndimage import minimum_filter1d
-
-    return minimum_filter1d(values, 2 * window)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.blocks import MOTION
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.diagnosis import Diagnosis
+from twin.diagnose.force_balance import MOTION
 from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
 

@@ -20,11 +20,11 @@ import functools
 import math
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
 from scipy.signal import lfilter, savgol_filter
 
-from twin.diagnose.blocks import MOTION, commanded_current, current_error, inertia_and_bias, moving_mean, shows_speed_controller
+from twin.diagnose.blocks import commanded_current, current_error, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
+from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothing_window, speed_of
 from twin.diagnose.law.voltage_to_current import VoltageToCurrent, voltage_to_current
 from twin.diagnose.law.zero_force import zero_force_offset
 from twin.diagnose.simulations import Mapper, simulate_group
@@ -194,7 +194,7 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
             functools.partial(_residual_of_block, actual, axis, (view.trace, twin.without_noise, noisy))
         )  # two blocks share a law
         for block, law, period in (
-            (MECHANICS, _forces, FORCE_PERIOD_S),
+            (MECHANICS, force_beyond_model, FORCE_PERIOD_S),
             ("transmission", _displacement, OTHER_PERIOD_S),
             (SPRING, _spring_force, FORCE_PERIOD_S),
             ("position controller", _speed_set_point, 0.0),
@@ -224,7 +224,7 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
             own = motion
             if block == CURRENT_LOOP:  # at rest, current noise around zero would switch the sign of a voltage
                 moving = view.reference(name)[2]
-                own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], _smoothing_window(view)))}
+                own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], smoothing_window(view)))}
             pieces.append(
                 _Piece(
                     r,
@@ -276,47 +276,10 @@ def _speed_controller_run(view: RunView, axis: Axis, twin: Trace, difference: np
 
 def _actuator_run(view: RunView, axis: Axis, difference: np.ndarray, noise: float) -> tuple[ControllerRun, ...]:
     """Commanded force of an actuator that acts at once in the model, and the delivered one: it differs by the force that the model lacks."""
-    driven = _force_and_acceleration(view, axis, view.trace)
+    driven = force_and_acceleration(view, axis, view.trace)
     if driven is None:
         return ()
     return (ControllerRun("torque", driven[0], driven[0] + difference, noise, view.trace.period, 1.0 / view.thresholds.smooth_s),)
-
-
-def _smoothing_window(view: RunView) -> int:
-    return max(7, round(view.thresholds.smooth_s / view.trace.period) | 1)
-
-
-def _speed(view: RunView, trace: Trace, axis: Axis) -> np.ndarray:
-    """Speed of an axis in a trace (sample,), from the same signal in the recorded trace of a run and in a simulated one, which has all signals."""
-    signal = next(s for s in ("velocity", "motor_position", "position") if view.trace.has(axis.name, s))
-    if signal == "velocity":
-        return trace.get(axis.name, "velocity")
-    speed: np.ndarray = np.gradient(trace.get(axis.name, signal), trace.period)
-    return speed
-
-
-def _forces(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Force on the load beyond the model, towards +q (sample,), and where the axis slides."""
-    driven = _force_and_acceleration(view, axis, trace)
-    if driven is None:
-        return None
-    window = _smoothing_window(view)
-    drive, acceleration = driven
-    v = savgol_filter(_speed(view, trace, axis), window, 2)
-    inertia, bias = inertia_and_bias(view, axis, len(trace.time))
-    friction = axis.coulomb_friction * np.sign(v) + axis.viscous_friction * v
-    least = view.thresholds.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed
-    sliding = minimum_filter1d(np.abs(v), 2 * window) > least
-    return inertia * acceleration + friction + bias - drive, sliding
-
-
-def _force_and_acceleration(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Motor force at the axis and acceleration (sample,) with equal smoothing; None without current or for a run that is too short."""
-    window = _smoothing_window(view)
-    if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
-        return None
-    acceleration = savgol_filter(_speed(view, trace, axis), window, 2, deriv=1, delta=trace.period)
-    return savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio, acceleration
 
 
 def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
@@ -338,7 +301,7 @@ def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, 
 
 def transmitted_force(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     """Transmitted force of the drive train: motor force minus inertia force of the rotor (sample,); None without current."""
-    driven = _force_and_acceleration(view, axis, trace)
+    driven = force_and_acceleration(view, axis, trace)
     return None if driven is None else np.asarray(driven[0] - axis.reflected_inertia * driven[1])
 
 
@@ -349,9 +312,9 @@ def deflection_of(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     The encoders have no common zero, and under a weight a run begins with a deflected drive train.
     """
     displaced = _displacement(view, axis, trace)
-    if displaced is None or len(trace.time) < 2 * _smoothing_window(view):
+    if displaced is None or len(trace.time) < 2 * smoothing_window(view):
         return None
-    deflection = np.asarray(savgol_filter(displaced[0], _smoothing_window(view), 2))
+    deflection = np.asarray(savgol_filter(displaced[0], smoothing_window(view), 2))
     force = transmitted_force(view, axis, trace)
     return deflection - (displaced[0][0] if force is None else zero_force_offset(deflection, force))
 
@@ -375,11 +338,11 @@ def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.nd
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:
     """Measured variables of laws (sample,): all of them with `axis`, otherwise only those that can act on another axis."""
-    trace, window = view.trace, _smoothing_window(view)
+    trace, window = view.trace, smoothing_window(view)
     own = axis or view.machine.axis(name)
     signal = next((s for s in ("position", "motor_position") if trace.has(name, s)), "setpoint")
     position = trace.get(name, signal)
-    speed = _speed(view, trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
+    speed = speed_of(view, trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
     if len(position) >= 2 * window:
         velocity = savgol_filter(speed, window, 2)
         acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
