@@ -12,6 +12,7 @@ import contextlib
 import json
 import math
 from pathlib import Path
+import re
 import tomllib
 from typing import Any
 
@@ -70,6 +71,16 @@ def read_json_table(path: Path, what: str = "a valid JSON file") -> dict[str, An
     if not isinstance(document, dict):
         raise InputError(f"{path}: not {what}: the content is not an object {{..}}; write it again")
     return document
+
+
+def toml_text(value: str) -> str:
+    """A TOML string."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def toml_key(name: str) -> str:
+    """A TOML key, quoted where it needs to be."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_text(name)
 
 
 @contextlib.contextmanager

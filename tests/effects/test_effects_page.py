@@ -10,10 +10,11 @@ import sys
 
 from tests.builders.script import script
 from tests.conftest import ROOT
-from twin.effects import EFFECTS
+from twin.effects import EFFECTS, check_setting
 from twin.effects.picture import Picture
+from twin.effects.readable import setting_text
 from twin.machine.machine import load_machine
-from twin.simulation.effect_picture import traces_of
+from twin.simulation.effect_picture import draw_effect, traces_of
 
 
 def test_page_agrees_with_the_library():
@@ -45,3 +46,18 @@ def test_example(tmp_path: Path):
     assert len(rows) == 3
     assert all(abs(float(simulated) - float(closed)) < 0.1 for simulated, closed in rows)
     assert load_machine(tmp_path / "loose_x.toml").effects[0]["name"] == "backlash"
+
+
+def test_an_effect_is_drawn_on_an_axis_that_takes_a_voltage_and_beside_a_slow_axis(tmp_path: Path):
+    voltage = load_machine(ROOT / "examples" / "emps" / "axis.toml")
+    assert draw_effect(EFFECTS["coulomb_friction"], voltage, tmp_path / "voltage.png").stat().st_size > 10_000
+    slow = load_machine().with_values({"axis.Y.max_acceleration_m_per_s2": 0.3})
+    axis, without, _, _ = traces_of(EFFECTS["cross_axis_coupling"], slow)
+    assert len(without.time) > 1000
+    assert axis.name == "X"
+
+
+def test_an_infinite_stiffness_has_a_text():
+    machine = load_machine()
+    setting = check_setting({"name": "transmission_compliance", "axis": "X", "stiffness": float("inf")}, machine, "test")
+    assert "inf" in setting_text(setting, machine)

@@ -1,17 +1,20 @@
 """A machine made from a recording alone has the numbers of the recorded machine, referred to the axis."""
 
 from pathlib import Path
+import re
 
 import numpy as np
 import pytest
 
 from twin.cli import main
 from twin.effects.change import total_inertia
+from twin.errors import InputError
+from twin.machine.from_recording import _runs_with_most_travel
 from twin.machine.holding import holding_of
 from twin.machine.lumped_file import Tuning, write_lumped_machine
 from twin.machine.lumps import AxisLumps, Law, Mechanics, lumps_of
-from twin.machine.machine import Machine, load_machine
-from twin.recordings.campaign import read_campaign
+from twin.machine.machine import Machine, load_machine, write_machine
+from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace, write_trace
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -108,3 +111,58 @@ def test_no_file_is_overwritten_and_a_source_is_required(tmp_path: Path, capsys:
     (tmp_path / "c").mkdir()
     assert main(["machine", "new", "--from-recording", str(tmp_path / "c"), "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_the_weight_over_the_travel_follows_the_travel(mikron: Machine) -> None:
+    holding_of(mikron)
+    narrow = holding_of(mikron.with_values({"axis.A.travel_deg": [-5.0, 5.0]}))
+    assert np.abs(narrow.angles[:, narrow.rotary.index("A")]).max() == pytest.approx(np.radians(5.0))
+
+
+def test_a_short_run_does_not_hide_the_long_ones() -> None:
+    def run(name: str, count: int, reach: float) -> MeasuredRun:
+        time = np.arange(count) * 2e-3
+        return MeasuredRun(name, Trace(time, {("X", "setpoint"): reach * np.sin(5.0 * time)}, {"X": "linear"}), None, 0.0)
+
+    assert [r.name for r in _runs_with_most_travel([run("short", 30, 1.0), run("long", 5000, 0.1)], ["X"])] == ["long"]
+
+
+def test_a_machine_file_with_a_byte_order_mark_is_checked_and_written_again(tmp_path: Path, mikron: Machine) -> None:
+    assert mikron.path is not None
+    for file in mikron.path.parent.iterdir():
+        if file.suffix in (".toml", ".xml"):
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+    marked = tmp_path / mikron.path.name
+    marked.write_bytes(b"\xef\xbb\xbf" + marked.read_bytes())
+    machine = load_machine(marked)
+    assert main(["machine", "check", str(marked)]) == 0
+    write_machine(machine.with_axis("X", position_gain_per_s=60.0), tmp_path / "again.toml")
+    assert load_machine(tmp_path / "again.toml").axis("X").loops.position_gain_per_s == 60.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("name =", "body = 3\nname =", "'body' must hold one table for each body"),
+        ("name =", "geometry = 1\nname =", "[geometry]: must be a table"),
+        ("name =", "driven_axes = []\nname =", "driven_axes = []"),
+    ],
+)
+def test_a_value_in_place_of_a_table_is_refused(tmp_path: Path, mikron: Machine, old: str, new: str, said: str) -> None:
+    assert mikron.path is not None
+    text = re.sub(r"(?ms)^\[(body|geometry)[^\n]*\n(?:(?!^\[).)*", "", mikron.path.read_text(encoding="utf-8"))
+    file = tmp_path / "m.toml"
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+    (tmp_path / mikron.model_path.name).write_bytes(mikron.model_path.read_bytes())
+    with pytest.raises(InputError, match=re.escape(said)):
+        load_machine(file)
+
+
+def test_names_of_joints_are_quoted(tmp_path: Path) -> None:
+    model = tmp_path / "slide.xml"
+    model.write_text(
+        '<mujoco><worldbody><body><joint name="robot/X" type="slide" axis="1 0 0" range="0 1"/><geom size="0.1" mass="5"/></body></worldbody></mujoco>',
+        encoding="utf-8",
+    )
+    assert main(["machine", "new", str(model), "--out", str(tmp_path / "new.toml")]) == 0
+    assert load_machine(tmp_path / "new.toml").axis_names == ("robot/X",)

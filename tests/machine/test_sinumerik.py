@@ -189,3 +189,11 @@ def test_each_datum_once() -> None:
         for what in ("number", "name", "key"):
             values = [getattr(d, what) for d in DATA[kind]]
             assert len(values) == len(set(values)), what
+
+
+def test_machine_data_of_a_spindle_belong_to_no_axis(tmp_path: Path) -> None:
+    lines = [f'N10000 $MN_AXCONF_MACHAX_NAME_TAB[{i}]="{name}"' for i, name in enumerate(("X1", "SP1", "Y1"))]
+    lines += [f"N32000 $MA_MAX_AX_VELO[AX{i}]={speed}" for i, speed in ((1, 10000), (3, 15000), (2, 500))]
+    (tmp_path / "nc.tea").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    found, _ = read_machine_data(tmp_path / "nc.tea", {"X": "linear", "Y": "linear"})
+    assert {axis: data[32000] for axis, data in found.items()} == {"X": 10000.0, "Y": 15000.0}

@@ -2,14 +2,19 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+import tomllib
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_mdf, write_tdms, write_xml
 from twin.cli import main
+from twin.documents import toml_key, toml_text
 from twin.recordings.formats.delimited import find_dialect
-from twin.recordings.signals import Clock, share_time
+from twin.recordings.formats.parquet import read as read_parquet
+from twin.recordings.signals import Clock, ReadOptions, share_time
 from twin.recordings.trace import Trace, read_trace
 
 TIME = np.arange(3000) * 1e-3
@@ -243,3 +248,15 @@ def test_a_measured_axis(tmp_path: Path) -> None:
         # conversion to mm rounds
         assert np.abs(trace.get("X", signal) - record[name].ravel()).max() <= 4e-16 * np.abs(record[name]).max()
     assert trace.period == pytest.approx(1e-3, rel=1e-12)
+
+
+def test_parquet_columns_that_differ_in_their_unit_are_two(tmp_path: Path) -> None:
+    table = pa.table({"time [s]": [0.0, 1e-3, 2e-3], "X.disturbance [N]": [1.0, 2.0, 3.0], "X.disturbance [A]": [4.0, 5.0, 6.0]})
+    pq.write_table(table, tmp_path / "r.parquet")
+    found = read_parquet(tmp_path / "r.parquet", ReadOptions(Clock(), None, tmp_path)).signals
+    assert {"X.disturbance [N]", "X.disturbance [A]"} <= set(found)
+
+
+@pytest.mark.parametrize("name", ["\U00020bb7", "a\x7fb", 'quote " and \\', "line\nbreak"])
+def test_any_name_is_a_toml_string_and_key(name: str) -> None:
+    assert tomllib.loads(f"{toml_key(name)} = {toml_text(name)}") == {name: name}

@@ -1,11 +1,14 @@
 """Traces keep their values through Parquet and CSV in any unit."""
 
 from pathlib import Path
+import re
 import tempfile
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from twin.errors import InputError
@@ -83,3 +86,15 @@ def test_whole_numbers_beyond_a_float_are_rounded(tmp_path: Path) -> None:
     table = {"time [s]": [0.0, 0.001], "X.setpoint [mm]": [0.0, 0.0], "X.counter [1]": pa.array([2**64 - 1, 2**64 - 2], pa.uint64())}
     pyarrow.parquet.write_table(pa.table(table), tmp_path / "a.parquet")
     assert read_trace(tmp_path / "a.parquet").get("X", "counter")[0] == 2.0**64
+
+
+def test_two_columns_of_an_axis_must_agree_on_its_kind(tmp_path: Path) -> None:
+    table = pa.table({"time [s]": [0.0, 1e-3, 2e-3], "X.setpoint [mm]": [0.0, 1.0, 2.0], "X.position [deg]": [0.0, 1.0, 2.0]})
+    pq.write_table(table, tmp_path / "t.parquet")
+    with pytest.raises(InputError, match=re.escape("X.position [deg]")):
+        read_trace(tmp_path / "t.parquet")
+
+
+def test_a_trace_with_only_a_current_is_written_again(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"time [s]": [0.0, 1e-3, 2e-3], "X.current [A]": [0.0, 1.0, 2.0]}), tmp_path / "t.parquet")
+    assert "X.current [A]" in read_trace(tmp_path / "t.parquet").to_table().column_names

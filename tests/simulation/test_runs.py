@@ -10,6 +10,7 @@ import pytest
 from tests.builders.small_machine import write_small_machine
 from tests.conftest import swings
 from twin.cli import main
+from twin.effects import with_effects
 from twin.errors import SimulationError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.trace import Trace, read_trace, write_trace
@@ -147,3 +148,12 @@ def test_memory_grows_with_the_trace_only(mikron: Machine, monkeypatch: pytest.M
     # twice the trace: the set points are assembled while the record exists
     assert long - short < 2.0 * (long_trace - short_trace) + 50_000
     assert long < 5e6
+
+
+def test_the_drift_of_a_scale_does_not_move_an_axis_that_is_controlled_on_its_motor_encoder(mikron: Machine) -> None:
+    machine = mikron.with_axes(["X"]).with_values({"axis.X.encoder": "motor"})
+    drifting = with_effects(machine, [{"name": "thermal_drift", "axis": "X", "rate": 4e-7}])
+    still = Setpoints(np.zeros((50, 1)), 1e-3)
+    run = simulate(drifting, still, sample_period=1e-3, started_at=20.0)
+    assert np.abs(run.trace.get("X", "motor_position")).max() < 1e-8
+    assert np.abs(run.trace.get("X", "velocity")).max() < 1e-6

@@ -164,9 +164,14 @@ def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
             f"torque feedforward was commissioned with {commissioned:.3g} kg m2, {commissioned / c.inertia:.2f} times the model's {c.inertia:.3g}",
         )
     if not axis.has_speed_integral and c.holding > 1e-9:
-        sag = held_force(machine, axis) * axis.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)
+        sag = (
+            (held_force(machine, axis) + axis.constant_force) * axis.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)
+        )
         error, factor = AXIS_UNITS[axis.kind].error
-        yield "unusual", f"the speed controller has no integral part: the weight causes a following error of {sag * factor:.3g} {error}"
+        yield (
+            "unusual",
+            f"the speed controller has no integral part: the force that holds it causes a following error of {sag * factor:.3g} {error}",
+        )
     yield from _loop_findings(c)
     # mechanics and measuring system compared with the loops
     speed = c.margins[-2]

@@ -34,5 +34,5 @@ def assumed_values(machine: Machine) -> list[str]:
             elif ASSUMED in getattr(getattr(value, "trivia", None), "comment", ""):
                 found.append(".".join((*path, key)))
 
-    walk(tomlkit.parse(machine.path.read_text(encoding="utf-8")), ())
+    walk(tomlkit.parse(machine.path.read_text(encoding="utf-8-sig")), ())
     return found

@@ -2,7 +2,7 @@
 
 A path uses the key names of a screw or gear axis with a servo motor: `axis.X.motor.torque_constant_nm_per_a`. `in_file` translates
 it to the keys and units of the file, which differ for actuators, direct drives and SINUMERIK machine data. Tables are never
-changed in in_file: a changed document shares all unchanged tables.
+changed in place: a changed document shares all unchanged tables.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def check_document(document: Mapping[str, Any], where: str) -> None:
     if not isinstance(order, list) or sorted(map(str, order)) != sorted(axes):
         raise InputError(f"{where}: axis_order = {order} does not list the axes {', '.join(axes)}; name each of them once")
     driven = document.get("driven_axes", order)
-    if not isinstance(driven, list) or not set(map(str, driven)) <= set(axes):
+    if not isinstance(driven, list) or not driven or not set(map(str, driven)) <= set(axes):
         raise InputError(f"{where}: driven_axes = {driven}; name axes of this machine: {', '.join(axes)}")
     if not isinstance(document.get("effect", []), list):
         raise InputError(f"{where}: 'effect' must be a list of tables; write [[effect]]")
@@ -61,7 +61,10 @@ def check_document(document: Mapping[str, Any], where: str) -> None:
     for name, tool in tools.items():
         keys.check_table(tool, keys.TOOL, f"{where}: [tool.{name}]")
     _check_for_programs(document, where)
-    for name, table in document.get("body", {}).items():
+    bodies = document.get("body", {})
+    if not isinstance(bodies, dict):
+        raise InputError(f"{where}: 'body' must hold one table for each body; write [body.NAME] and below it mass_kg")
+    for name, table in bodies.items():
         _check_body(table, f"{where}: [body.{name}]")
 
 

@@ -74,7 +74,7 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         raise InputError(f"{folder}: no axis moves in its runs; record a move")
     tried = _runs_with_most_travel(runs, common)
     if not tried:
-        raise InputError(f"{folder}: no run has 40 samples; record a longer move")
+        raise InputError(f"{folder}: no run has {LEAST_SAMPLES} samples; record a longer move")
     tunings = {one.name: Tuning(max(one.law.lag, 0.5e-3), FIRST_INTEGRAL_S, one.law.delay) for one in lumps}
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
 
@@ -94,16 +94,20 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     return NewMachine(tuple(lumps), followed)
 
 
+LEAST_SAMPLES = 40
+"""Fewest samples of a run that is used."""
+
+
 def _runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
     """The runs with the most travel per second, LONGEST_TRIED_S in all; the last one is shortened."""
 
     def travel(run: MeasuredRun) -> float:
-        return sum(float(np.abs(np.diff(run.trace.get(a, "setpoint"))).sum()) for a in axes) / max(run.trace.time[-1], 1e-9)
+        return sum(float(np.abs(np.diff(run.trace.get(a, "setpoint"))).sum()) for a in axes) / (run.trace.time[-1] - run.trace.time[0])
 
     out, total = [], 0.0
-    for run in sorted(runs, key=travel, reverse=True):
+    for run in sorted((run for run in runs if len(run.trace.time) >= LEAST_SAMPLES), key=travel, reverse=True):
         count = min(len(run.trace.time), int((LONGEST_TRIED_S - total) / run.trace.period))
-        if count < 40:
+        if count < LEAST_SAMPLES:
             break
         trace = replace(run.trace, time=run.trace.time[:count], signals={k: v[:count] for k, v in run.trace.signals.items()})
         out.append(replace(run, trace=trace.select(axes)))

@@ -150,6 +150,8 @@ MEASUREMENT = {
 
 def check_table(table: Mapping[str, Any], keys: Mapping[str, Key], where: str, also: tuple[str, ...] = ()) -> None:
     """Check that each key is known, each required key is present and each value is possible. `also`: keys checked elsewhere."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: must be a table; write key = value below it")
     for given in table:
         if given not in keys and given not in also:
             raise InputError(f"{where}: unknown key '{given}'; {nearest(given, [*keys, *also])}")

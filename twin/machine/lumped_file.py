@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import json
 import math
 from pathlib import Path
-import re
 from xml.sax.saxutils import escape
 
+from twin.documents import toml_key
 from twin.files import write_whole
 from twin.machine.commented import ASSUMED, commented, number_line
 from twin.machine.lumps import AxisLumps
@@ -99,7 +99,7 @@ def _part_of(period: float, longest: float) -> float:
 def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     linear, m = one.kind == "linear", one.forces
     known = m is not None and m.force_per_unit is not None
-    table = f"axis.{_key(one.name)}"
+    table = f"axis.{toml_key(one.name)}"
     unit = ("N" if linear else "Nm") if known else _COMMAND_UNIT[m.effort] if m else "Nm"
     per = "m" if linear else "rad"
     lumped = BY_LOAD if known else LUMP
@@ -269,10 +269,6 @@ def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
                 lines.append(number_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), "measured"))
     currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
     return [*lines, *([number_line("current_noise_a", max(currents), "measured")] if currents else [])]
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def _xml(text: str) -> str:

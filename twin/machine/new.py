@@ -15,6 +15,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from twin.documents import toml_key, toml_text
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.machine.commented import ASSUMED, commented, number_line
@@ -140,15 +141,15 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
         "position_cycle_us": POSITION_CYCLE_S * 1e6,
         **cycles,
     }
-    names = ", ".join(f'"{f.name}"' for f in facts)
+    names = ", ".join(toml_text(f.name) for f in facts)
     lines = [
         f"# Machine file of {model.name}, begun by: twin machine new",
         "# 'assumed' marks a number that was assumed so that the machine runs: replace it by a value of the data sheet or your own measurement,",
         "# and state its source there. For missing, impossible or unusual values run:  twin machine check FILE",
         "# Units are part of the keys. Numbers from the model hold with all joints at zero.",
         "",
-        f'name = "{beside.stem}"',
-        f'model = "{beside.name}"',
+        f"name = {toml_text(beside.stem)}",
+        f"model = {toml_text(beside.name)}",
         "gravity_m_per_s2 = 9.81",
         f"parameter_tolerance = 0.01                 # {ASSUMED}; tolerance of the parameters below",
         f"axis_order = [{names}]",
@@ -187,7 +188,7 @@ def _axis(f: JointFacts, structure: str, data: MachineData) -> list[str]:
     needed = (abs(f.weight) + friction + damping * speed) * ratio + (load + rotor) * acceleration / ratio
     peak = f.limits.effort * ratio if f.limits.effort else SPARE_CURRENT * needed
     of_model = "from the model" if f.limits.friction or f.limits.damping else ASSUMED
-    lines = ["", f"[axis.{f.name}]", f'kind = "{"linear" if f.linear else "rotary"}"', f'structure = "{structure}"']
+    lines = ["", f"[axis.{toml_key(f.name)}]", f'kind = "{"linear" if f.linear else "rotary"}"', f'structure = "{structure}"']
     lines += [_travel_line(f, data), *_motion_lines(f, ratio, rotor, data)]
     lines += [
         number_line("coulomb_friction_nm", _round(friction * ratio), f"{of_model}, at the motor"),
@@ -196,7 +197,7 @@ def _axis(f: JointFacts, structure: str, data: MachineData) -> list[str]:
         *_loops(f, structure, load + rotor, data),
     ]
     if data.values.get("commissioned.inertia_kg_m2"):  # 0 on a control without one
-        lines += [f"[axis.{f.name}.commissioned]", data.line("commissioned.inertia_kg_m2", 0.0)]
+        lines += [f"[axis.{toml_key(f.name)}.commissioned]", data.line("commissioned.inertia_kg_m2", 0.0)]
     return lines
 
 
@@ -229,14 +230,14 @@ def _drive(f: JointFacts, structure: str, peak: float, motor_speed: float, data:
     of_peak = "from the model's effort" if f.limits.effort else f"{ASSUMED}: {SPARE_CURRENT:g} times full acceleration"
     if structure != STRUCTURES[0]:
         return [
-            f"[axis.{f.name}.actuator]",
+            f"[axis.{toml_key(f.name)}.actuator]",
             'command = "torque"                         # what the speed controller commands: torque, current or voltage',
             number_line("peak_torque_nm", _round(peak), of_peak),
         ]
     constant = data.values.get("motor.torque_constant_nm_per_a", 1.0)
     emf = _round(constant / math.sqrt(3.0))
     return [
-        f"[axis.{f.name}.motor]",
+        f"[axis.{toml_key(f.name)}.motor]",
         data.line("motor.torque_constant_nm_per_a", constant),
         number_line("back_emf_v_s_per_rad", emf, f"{ASSUMED}: torque constant / sqrt(3)"),
         number_line("resistance_ohm", 0.5),
@@ -250,7 +251,7 @@ def _loops(f: JointFacts, structure: str, inertia: float, data: MachineData) -> 
     """Gains, feedforward and delays for an inertia at the motor [kg m2]."""
     speed_gain = _round(2.0 * math.pi * SPEED_LOOP_HZ * inertia)
     lines = [
-        f"[axis.{f.name}.loops]",
+        f"[axis.{toml_key(f.name)}.loops]",
         data.line("loops.position_gain_per_s", POSITION_GAIN),
         data.line("loops.speed_gain_nm_s_per_rad", speed_gain, f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz"),
     ]

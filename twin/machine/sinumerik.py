@@ -118,7 +118,7 @@ def with_plain_keys(table: Mapping[str, Any], where: str) -> dict[str, Any]:
         target: Any = plain
         if last in ("0", "1"):
             target = target.setdefault(tables[0], [None, None])
-            if not isinstance(target, list):
+            if not isinstance(target, list) or len(target) != 2:
                 raise InputError(f"{where}: {tables[0]} = {target!r} and software limits in [sinumerik] disagree; keep one")
             slot: Any = int(last)
             present = target[slot] is not None
@@ -222,8 +222,7 @@ def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[
         number, index, value = int(match[1]), [part.strip() for part in (match[4] or "").split(",")], match[5]
         if number == 10000 and index[0].isdigit():  # AXCONF_MACHAX_NAME_TAB[0]="X1"
             same = [n for n in names if value in (n, f"{n}1")]
-            if same:
-                of_index[f"AX{int(index[0]) + 1}"] = same[0]
+            of_index[f"AX{int(index[0]) + 1}"] = same[0] if same else ""  # a spindle, for example
             continue
         axis = of_index.get(index[-1], index[-1] if index[-1] in axes else "")
         known = {d.number for d in (*DATA[axes[axis]], *WITHOUT_KEY)} if axis else set(CYCLES)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 import json
 import re
 
+from twin.documents import toml_text
 from twin.recordings.propose import Proposal
 
 
@@ -30,11 +31,11 @@ def map_text(proposal: Proposal, files: Iterable[str]) -> str:
             lines.append(f"# doubtful, not used: {column.doubt}")
         lines.append(f"{mark}[[column]]")
         remark = f"   # {column.remark}" if column.remark else ""
-        unit = f"{mark}unit = {_text(column.unit)}" + ("" if column.signal.startswith(("current", "torque", "voltage")) else remark)
+        unit = f"{mark}unit = {toml_text(column.unit)}" + ("" if column.signal.startswith(("current", "torque", "voltage")) else remark)
         lines += [
-            f"{mark}name = {_text(column.name)}",
-            f"{mark}axis = {_text(column.axis)}",
-            f"{mark}signal = {_text(column.signal)}",
+            f"{mark}name = {toml_text(column.name)}",
+            f"{mark}axis = {toml_text(column.axis)}",
+            f"{mark}signal = {toml_text(column.signal)}",
             unit,
         ]
         if column.extra:
@@ -57,11 +58,6 @@ def _grouped(names: Sequence[str]) -> list[str]:
         match = re.fullmatch(r"(.*[(|\[])(\w+)([)\]]?)", name)
         groups.setdefault((match[1], match[3]) if match else (name, ""), []).append(match[2] if match else "")
     return [f"{stem}{' '.join(numbers)}{end}" for (stem, end), numbers in groups.items()]
-
-
-def _text(value: str) -> str:
-    """A TOML string."""
-    return json.dumps(value, ensure_ascii=False)
 
 
 def _one_line(text: str) -> str:

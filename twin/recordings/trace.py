@@ -129,7 +129,7 @@ class Trace:
         """Unit in which a signal of an axis is written."""
         if axis == PROGRAM:
             return "1"
-        unit = unit_of(signal, self.kinds[axis])
+        unit = unit_of(signal, self.kinds.get(axis, "linear"))  # without a kind no signal depends on it
         return "N" if unit == "Nm" and axis in self.forces else unit
 
     def to_table(self) -> pa.Table:
@@ -232,7 +232,7 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
         if axis != PROGRAM:
             if axes is not None and axis not in axes:
                 raise InputError(f"{path}: column '{name}': unknown axis {axis}; {nearest(axis, axes)}")
-            kind = _kind_from_unit(axis, signal, unit, (axes or {}).get(axis), f"{path}: column '{name}'")
+            kind = _kind_from_unit(axis, signal, unit, (kinds if axes is None else axes).get(axis), f"{path}: column '{name}'")
             if kind:
                 kinds[axis] = kind
             if unit == "N" and OTHER_UNITS.get(signal) == "Nm":

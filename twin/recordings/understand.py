@@ -46,7 +46,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Understood:
-    """All information about a run. `notes` are shown to the user; `late` are the estimated skews."""
+    """All information about a run. `notes` are shown to the user; `skews` are the estimated skews."""
 
     run: RunMap
     channels: tuple[Channel, ...]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.documents import toml_text
 from twin.errors import InputError
 from twin.files import beside, stamped, write_whole
 from twin.recordings.campaign import EVENTS
@@ -102,11 +103,15 @@ def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Seq
     """Write campaign.toml and import.json."""
     lines = ["# imported by 'twin import'; import.json records the details"]
     if mapping.machine_name:
-        lines.append(f"machine = {_text(mapping.machine_name)}")
+        lines.append(f"machine = {toml_text(mapping.machine_name)}")
     for known, traces in runs:
         for trace in traces:
-            lines += ["", f"[[run]]  # from {', '.join(known.run.files)}".replace("\n", " "), f"file = {_text(trace.name + '.parquet')}"]
-            lines += [f"feedforward = {_text(trace.feedforward)}"] if trace.feedforward else []
+            lines += [
+                "",
+                f"[[run]]  # from {', '.join(known.run.files)}".replace("\n", " "),
+                f"file = {toml_text(trace.name + '.parquet')}",
+            ]
+            lines += [f"feedforward = {toml_text(trace.feedforward)}"] if trace.feedforward else []
             lines.append(f"started_at_s = {trace.started_at_s:.6f}")
             lines += _facts(known, trace)
     content = {"runs": {trace.name: _record(known, trace) for known, traces in runs for trace in traces}}
@@ -140,10 +145,10 @@ def _facts(known: Understood, trace: Written) -> list[str]:
         channel_keys += ["against = true"] if item is not None and item.against else []
         channel_keys += ["unsigned = true"] if (axis, signal) in known.unsigned else []
         if channel_keys:
-            lines += ["[[run.channel]]", f"axis = {_text(axis)}", f"signal = {_text(signal)}", *channel_keys]
+            lines += ["[[run.channel]]", f"axis = {toml_text(axis)}", f"signal = {toml_text(signal)}", *channel_keys]
     labels = {name: value for (piece, name), value in known.labels.items() if piece == trace.piece}
     if labels:
-        lines += ["[run.labels]", *(f"{_text(name)} = {value:.9g}" for name, value in labels.items())]
+        lines += ["[run.labels]", *(f"{toml_text(name)} = {value:.9g}" for name, value in labels.items())]
     return lines
 
 
@@ -187,8 +192,3 @@ def _record(known: Understood, trace: Written) -> Mapping[str, Any]:
         ],
         "notes": list(known.notes),
     }  # fmt: skip
-
-
-def _text(value: str) -> str:
-    """A TOML string."""
-    return json.dumps(value)

@@ -67,15 +67,17 @@ class CampaignGap:
     def verdict(self) -> str:
         """One sentence: axes that agree with the twin, then each other axis with its largest gap."""
         axes = list(dict.fromkeys(axis for run in self.runs.values() for axis in run))
+        compared = {row.axis for row in self.rows()}
         worst: dict[str, Outlier] = {}
         for row in self.outliers:
             worst.setdefault(row.axis, row)
-        good = [axis for axis in axes if axis not in worst]
+        good = [axis for axis in axes if axis in compared and axis not in worst]
         parts = [f"{listed(good)} as {'they' if len(good) > 1 else 'it'} should be"] if good else []
         parts += [
             f"{axis} {row.times_noise:.3g} x noise in run {row.run} ({row.signal.replace('_', ' ')})"
             for axis, row in sorted(worst.items(), key=lambda item: -item[1].times_noise)
         ]
+        parts += [f"{listed(left)} not compared (no measured signal)"] if (left := [a for a in axes if a not in compared]) else []
         return "; ".join(parts)
 
     def summary_table(self) -> str:

@@ -45,7 +45,7 @@ FASTEST = 1.25
 
 
 class DriveSums(NamedTuple):
-    """Accumulators of the loop. They have no axes if the load is not load_sums."""
+    """Accumulators of the loop. They have no axes if the load is not counted."""
 
     sums: np.ndarray  # (axis, D_...)
     torque: np.ndarray  # (axis, class) largest driving torque, Nm at the motor

@@ -79,7 +79,9 @@ def traces_of(effect: Effect, machine: Machine) -> tuple[Axis, Trace, Trace, dic
         few = few.with_feedforward(shown.feedforward)
     if pushing:
         push, steady = setpoint("acceleration", few.axis(pushing.name)), setpoint("constant speed", axis)
-        moves = {axis.name: steady, pushing.name: np.pad(push, (200, len(steady) - 200 - len(push)), mode="edge")}
+        count = max(len(steady), len(push) + 200)
+        padded = np.pad(push, (200, count - 200 - len(push)), mode="edge")
+        moves = {axis.name: np.pad(steady, (0, count - len(steady)), mode="edge"), pushing.name: padded}
     else:
         moves = {axis.name: setpoint(shown.move, axis)}
     position = np.column_stack([moves.get(a.name, np.zeros(len(moves[axis.name]))) for a in few.axes])
@@ -104,10 +106,11 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
     error_unit, error_factor = units.error
     speed_unit, speed_factor = units.speed
     moving = pushing.name if pushing else axis.name
+    effort = f"{'motor current' if axis.effort == 'current' else axis.effort}\n{axis.effort_unit}"
     rows = (
         (f"speed of {moving}\n{speed_unit}", lambda t: speed_factor * np.gradient(t.get(moving, "setpoint"), t.period)),
         (f"error less delay\n{error_unit}", lambda t: error_factor * (delayed_set_point(t, axis) - t.get(axis.name, "position"))),
-        ("motor current\nA", lambda t: smoothed(t.get(axis.name, "current"), shown.smooth_s, t.period)),
+        (effort, lambda t: smoothed(t.get(axis.name, axis.effort), shown.smooth_s, t.period)),
         (f"motor − scale\n{error_unit}", lambda t: error_factor * motor_minus_scale(t, axis.name)),
     )
     grey, colour = hexadecimal(SETPOINT_COLOUR), hexadecimal(axis_colour(axis.name))
@@ -128,7 +131,7 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
                 place.plot(having.time, of(having), color=colour, linewidth=1.1)
             place.set_ylabel(label)
             place.margins(x=0.0)
-            floor(place, 1e-3 * (1.0 if "current" not in label else 10.0))
+            floor(place, 1e-3 * (1.0 if label != effort else 10.0))
         figure.legend(places[-1].lines, ["without", "with"], loc="lower right", ncols=2, frameon=False, borderaxespad=0.1)
         places[-1].set_xlabel("time in s")
         figure.align_ylabels(places)

@@ -143,6 +143,11 @@ def predict_each(jobs: Sequence[Job], *, threads: int | None = None, progress: C
     return [results[i] for i in range(len(jobs))]
 
 
+def compared_signals(trace: Trace, axis: Axis) -> list[str]:
+    """Recorded signals of an axis that are compared; of the efforts only the axis' own."""
+    return [s for s in COMPARED if trace.has(axis.name, s) and (s not in EFFORTS or s == axis.effort)]
+
+
 def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[str, dict[str, SignalGap]]:
     """Gap by axis and signal, for the signals of the run."""
     table: dict[str, dict[str, SignalGap]] = {}
@@ -153,9 +158,7 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
         # an effort is compared in motion only, which needs set points; the other signals of an axis without them count over the whole run
         known = run.trace.has(axis.name, "setpoint") or run.trace.has(axis.name, axis.effort)
         in_motion = is_moving(run.trace, axis) if known else np.zeros(len(run.trace.time), bool)
-        for signal in COMPARED:
-            if not run.trace.has(axis.name, signal) or (signal in EFFORTS and signal != axis.effort):
-                continue
+        for signal in compared_signals(run.trace, axis):
             difference = run.trace.get(axis.name, signal) - prediction.trace.get(axis.name, signal)
             scatter = prediction.scatter[axis.name, signal]
             moving = in_motion
@@ -185,7 +188,7 @@ def gap_of_campaign(
     machine: Machine, campaign: Campaign, progress: Callable[[str], None] | None = None
 ) -> dict[str, dict[str, dict[str, SignalGap]]]:
     """Gap of every run of a campaign: run -> axis -> signal."""
-    if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
+    if not any(compared_signals(run.trace, axis) for run in campaign.runs for axis in machine.axes):
         raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
     predictions = predict_campaign(machine, campaign.runs, progress=progress)
     return {run.name: gap_of(machine, run, predictions[run.name]) for run in campaign.runs}

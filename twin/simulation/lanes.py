@@ -157,7 +157,7 @@ def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives
 
     Returns the torque (axis,) [Nm at the motor] that holds gravity and constant forces.
     """
-    start = setpoints.start - actual.scale_offset
+    start = setpoints.start - np.where(drives.on_motor_encoder, 0.0, actual.scale_offset)
     constant = actual.constant_force_at(start) + setpoints.external_force_at_start
     held_force = plant.place_at_rest(start, constant, actual)
     sag = _sag(actual.machine, held_force)

@@ -171,10 +171,10 @@ def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
 def inertial_key(machine: Machine) -> tuple[object, ...]:
     """Cache key: all that masses, inertias and weights of the compiled model depend on.
 
-    The key holds the content of the model files, geometry, bodies, gravity, and mass, rotor and ratio of each driven axis. Friction, motors
-    and loops are not part of it.
+    The key holds the content of the model files, geometry, bodies, gravity, and mass, rotor, ratio and travel of each driven axis: weights are
+    calculated over the travel of rotary axes. Friction, motors and loops are not part of it.
     """
-    axes = tuple((axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio) for axis in machine.axes)
+    axes = tuple((axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio, axis.travel) for axis in machine.axes)
     geometry = tuple((key, str(value)) for key, value in sorted(machine.geometry.items()))
     return (str(machine.model_path), state_of_model(machine.model_path), axes, machine.bodies, geometry, machine.gravity)
 

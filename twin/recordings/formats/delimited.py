@@ -222,7 +222,9 @@ def _heading(lines: list[str], width: int, delimiter: str, given: Mapping[str, A
     units_at: int | None = None
     names_at = full[-1] if full else None
     if "header_line" in given:
-        names_at = int(given["header_line"]) - 1
+        if isinstance(line := given["header_line"], bool) or not isinstance(line, int):
+            raise InputError(f"{path}: [csv] header_line = {line!r}; give the number of a line")
+        names_at = line - 1
         if not 0 <= names_at < len(lines):
             raise InputError(f"{path}: [csv] header_line = {names_at + 1}, but numbers begin in line {len(lines) + 1}; correct it")
         units_at = names_at + 1 if given.get("units_row") and names_at + 1 < len(lines) else None

@@ -27,11 +27,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
         table = file.read()
         names = table.column_names
     columns: dict[str, tuple[np.ndarray, str]] = {}
+    plain_names = [split_heading(name)[0] for name in names]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{path}: column '{name}' occurs twice; remove one")
         column = table.column(name)
         if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
             plain, unit = split_heading(name)
-            columns[plain] = (column.cast(pa.float64(), safe=False).to_numpy(), unit)
+            columns[plain if plain_names.count(plain) == 1 else name] = (column.cast(pa.float64(), safe=False).to_numpy(), unit)
     return Recording(path, "Parquet", share_time(columns, options.clock, str(path)), None, (f"Parquet: {len(columns)} columns",))
