@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twin.cli import main as twin_command
-from twin.effects import check_setting, settings_of, with_effects
+from twin.effects import apply_effects, check_setting, settings_of, with_effects
 from twin.effects.law import law_of
 from twin.effects.law_filters import RING, filter_row, filtered, response
 from twin.effects.law_shapes import SHAPES, TABLE, row_of, values_of
@@ -184,6 +184,14 @@ def test_a_curve_goes_through_its_points_and_stays_beyond_them():
         ({"points": [[0.0, 1.0]]}, "either a formula or points"),
         ({"width": -1.0}, "out of bounds"),
         ({"colour": 1.0}, "no parameter 'colour'"),
+        (
+            {"block": "position controller", "output": "set_point", "variables": ["following_error"]},
+            "following_error is known to speed only, not to set_point",
+        ),
+        (
+            {"block": "position controller", "output": "set_point", "variables": ["speed_setpoint"]},
+            "speed_setpoint is known to speed and received_speed only",
+        ),
     ],
 )
 def test_a_faulty_law_is_refused_in_one_line(change: dict, said: str):
@@ -209,3 +217,28 @@ def test_the_page_lists_and_draws_the_laws_of_a_machine(tmp_path: Path, capsys: 
     assert "height * e^(-((x - at) / width)^2)" in said
     assert "on axis X: A law of the mechanics: friction over speed without sign" in said
     assert (tmp_path / "law.png").stat().st_size > 2000
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ({"block": "mechanics", "output": "force", "variables": ["position"], "formula": "line"}, ""),
+        (
+            {"block": "transmission", "output": "force", "variables": ["position"], "formula": "line"},
+            "a force of the transmission needs a spring",
+        ),
+        (
+            {"block": "transmission", "output": "force", "variables": ["windup"], "formula": "line", "from_axis": "Y"},
+            "or backlash to axis Y",
+        ),
+    ],
+)
+def test_a_law_of_a_spring_that_is_not_there_is_refused(law: dict, said: str):
+    spring = {"name": "transmission_compliance", "axis": "X", "stiffness": 1e8}
+    elastic = [spring] if "from_axis" in law else []
+    machine = with_effects(MACHINE, [*elastic, {"name": "law", "axis": "X", "height": 10.0, "reach": 0.1, **law}])
+    if not said:
+        apply_effects(machine)
+        return
+    with pytest.raises(InputError, match=said):
+        apply_effects(machine)

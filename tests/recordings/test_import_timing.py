@@ -12,6 +12,7 @@ from tests.builders.recorded_files import MAP, Array, move, write_csv, write_xml
 from twin.cli import main
 from twin.errors import InputError
 from twin.machine.machine import load_machine
+from twin.recordings.campaign import read_campaign
 from twin.recordings.signals import Clock, known_unit, split_heading
 from twin.recordings.skew import skews_of
 from twin.recordings.timing import timing_of
@@ -179,6 +180,9 @@ def test_skew_is_reported_and_corrected_on_request(tmp_path: Path, capsys: pytes
     assert taken["speed"] == pytest.approx(4e-3, abs=5e-5)
     (trace,) = imported(tmp_path, file, MAP + "skew_ms = 4.0\n").values()
     assert np.abs(trace.get("X", "current") - columns["strom"][: len(trace.time)]).max() < 1e-9
+    fact = read_campaign(tmp_path / "out").runs[0].fact("X", "current")
+    assert fact is not None
+    assert (fact.latency, fact.latency_left) == (pytest.approx(4e-3, abs=5e-4), pytest.approx(0.0, abs=5e-4))
 
 
 def test_following_error_motor_turns_force_and_signs(tmp_path: Path) -> None:

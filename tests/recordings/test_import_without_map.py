@@ -10,6 +10,7 @@ from tests.builders.recorded_files import edge_columns, move, write_csv, write_e
 from twin.cli import main
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.names import meaning_of
+from twin.recordings.signals import split_heading
 
 TIME = np.arange(3000) * 2e-3
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -200,3 +201,42 @@ def test_a_robot_with_two_encoders(tmp_path: Path) -> None:
         assert run.fact(axis, "position").offset_left == 0.0
     content = json.loads((tmp_path / "out" / "import.json").read_text(encoding="utf-8"))
     assert content["runs"]["FF_A"]["period_s"] == 0.004
+
+
+def test_positions_in_metres_beside_a_speed_without_unit(tmp_path: Path) -> None:
+    m = move(TIME)
+    table = {"t": TIME, "Lagesollwert X [m]": m["soll"] / 1e3, "Lageistwert X [m]": m["ist"] / 1e3, "Drehzahlistwert X": m["speed"] / 1e3}
+    (run,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table)).values()
+    assert np.ptp(run.trace.get("X", "position")) == pytest.approx(np.ptp(m["ist"]) / 1e3, rel=1e-3)
+    assert np.abs(run.trace.get("X", "velocity") * 1e3 - m["speed"]).max() < 2e-3 * np.abs(m["speed"]).max()
+
+
+def test_a_following_error_in_another_unit_than_the_set_point(tmp_path: Path) -> None:
+    m = move(TIME)
+    table = {
+        "t": TIME,
+        "Lagesollwert X [mm]": m["soll"],
+        "Schleppabstand X [um]": 1e3 * (m["soll"] - m["ist"]),
+        "Drehzahlistwert X": m["speed"],
+    }
+    (run,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table)).values()
+    assert np.abs(run.trace.get("X", "velocity") * 1e3 - m["speed"]).max() < 2e-3 * np.abs(m["speed"]).max()
+
+
+def test_recordings_with_different_feedforward_have_no_common_one(tmp_path: Path) -> None:
+    m = move(TIME)
+    table = {"t": TIME, "Lagesollwert X": m["soll"], "Lageistwert X": m["ist"]}
+    files = [
+        write_csv(tmp_path / f"{name}.csv", {**table, "VEL_FFW|X": speed})
+        for name, speed in (("on", m["speed"]), ("off", 0.0 * m["speed"]))
+    ]
+    assert {run.feedforward for run in imported(tmp_path, *files).values()} == {None}
+    assert "it differs between the recordings" in (tmp_path / "out" / "map.toml").read_text(encoding="utf-8")
+    (run,) = imported(tmp_path / "one", files[0]).values()
+    assert run.feedforward == "velocity"
+
+
+def test_a_bracketed_index_is_no_unit() -> None:
+    assert split_heading("pos_cmd[1]") == ("pos_cmd[1]", "")
+    assert split_heading("program.block [1]") == ("program.block", "1")
+    assert split_heading("pos_cmd [mm]") == ("pos_cmd", "mm")

@@ -164,6 +164,10 @@ class Law:
         return axis.loops.position_gain_per_s if self.variable == "following_error" else 1.0
 
 
+SERVED = {"following_error": ("speed",), "speed_setpoint": ("speed", "received_speed")}
+"""Variables of the position controller that come up within a cycle -> outputs that are calculated after them."""
+
+
 def law_of(table: Mapping[str, Any], where: str) -> Law:
     """The law of a table. Raises InputError for an invalid table."""
     block = one_of(table, "block", OUTPUTS, f"{where}: law", "mechanics")
@@ -179,6 +183,8 @@ def law_of(table: Mapping[str, Any], where: str) -> Law:
     only = VARIABLES[variable].only
     if only and block not in only:
         raise InputError(f"{where}: law: {variable} is available in the {only[0]} only, not in the {block}; use another variable")
+    if output not in (served := SERVED.get(variable, (output,))):
+        raise InputError(f"{where}: law: {variable} is known to {' and '.join(served)} only, not to {output}; use another output")
     if ("formula" in table) == ("points" in table):
         raise InputError(f"{where}: law: give either a formula or points = [[x, y], ...]")
     if "formula" in table:
@@ -297,10 +303,13 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
         "displacement": (MEASURE, law_terms.motor_law if law.block == "transmission" else law_terms.scale_law),
     }[law.output]
     source = from_axis or axis
-    if law.variable == "windup" and axis.name not in change.couplings:
-        raise InputError(
-            f"law on axis {axis.name}: a law over the windup needs a spring; add a transmission_compliance or backlash to the axis"
-        )
+    springs = [("a law over the windup", source)] if law.variable == "windup" else []
+    springs += [("a force of the transmission", axis)] if (law.block, law.output) == ("transmission", "force") else []
+    for what, needs in springs:
+        if needs.name not in change.couplings:
+            raise InputError(
+                f"law on axis {axis.name}: {what} needs a spring; add a transmission_compliance or backlash to axis {needs.name}"
+            )
     if law.output == "voltage" and not axis.has_current_loop:
         raise InputError(f"law on axis {axis.name}: a voltage needs a current loop; the {axis.effort} of this axis is a command")
     cycle = cycle_of(law, machine)

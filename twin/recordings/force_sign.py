@@ -37,7 +37,7 @@ class ForceSign:
 
 
 def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> ForceSign:
-    """Sign of a current, torque or voltage (sample,) relative to a position (sample,), in any units."""
+    """Sign of a current, torque or voltage (sample,) in any unit, relative to a position (sample,) [m or rad]."""
     if len(force) < 60 or not np.ptp(force) > 0.0 or not np.ptp(position) > 0.0:
         return ForceSign()
     motion, f = low_passed(position, period, BAND_HZ), low_passed(force, period, BAND_HZ)

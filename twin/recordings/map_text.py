@@ -16,7 +16,9 @@ def map_text(proposal: Proposal, files: Iterable[str]) -> str:
         f"# proposed by 'twin import' for {', '.join(files)} from column names and recorded numbers",
         "# edit it, and import again with: twin import FILES --map THIS_FILE --out CAMPAIGN",
     ]
-    if proposal.feedforward:
+    if proposal.mixed_feedforward:
+        lines.append('# feedforward: it differs between the recordings; write a [[run]] with file = "..." and feedforward = "..." for each')
+    elif proposal.feedforward:
         lines.append(f'feedforward = "{proposal.feedforward}"           # from the recorded feedforward signals')
     else:
         lines.append('# feedforward = "off"         # off | velocity | velocity+torque: feedforward in use; the recording does not show it')

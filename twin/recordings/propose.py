@@ -62,7 +62,8 @@ class Proposal:
     left_out: list[str] = field(default_factory=list)
     unknown: list[str] = field(default_factory=list)
     labels: list[str] = field(default_factory=list)
-    feedforward: str | None = None
+    feedforward: str | None = None  # of all recordings
+    mixed_feedforward: bool = False  # it differs between them
 
     @property
     def used(self) -> list[Proposed]:
@@ -91,13 +92,21 @@ def propose(recordings: Sequence[Recording]) -> Proposal:
         else:
             _axis(axis, _signals_of_one_recording(recordings, own), out)
     moving = {c.axis for c in out.used if c.signal == "setpoint"}
+    modes = {_feedforward_in(r, [c for c in out.columns if c.axis in moving]) for r in recordings} - {None}
+    out.feedforward = modes.pop() if len(modes) == 1 else None
+    out.mixed_feedforward = bool(modes)
+    return out
+
+
+def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str | None:
+    """The feedforward that a recording shows; None if it has no feedforward signal of these columns."""
     speeds, torques = (
-        [r.signals[c.name] for r in recordings for c in out.columns if c.signal == signal and c.axis in moving and c.name in r.signals]
+        [recording.signals[c.name] for c in columns if c.signal == signal and c.name in recording.signals]
         for signal in ("velocity_feedforward", "torque_feedforward")
     )
-    if speeds:
-        out.feedforward = "off" if not any(map(_changes, speeds)) else "velocity+torque" if any(map(_changes, torques)) else "velocity"
-    return out
+    if not speeds:
+        return None
+    return "off" if not any(map(_changes, speeds)) else "velocity+torque" if any(map(_changes, torques)) else "velocity"
 
 
 def _signals_of_one_recording(recordings: Sequence[Recording], own: Mapping[str, tuple[Meaning, str]]) -> dict[str, tuple[Meaning, Signal]]:
@@ -157,9 +166,9 @@ def _axis(axis: str, found: Mapping[str, tuple[Meaning, Signal]], out: Proposal)
     called = f"axis {axis}" + (f" ({label})" if label else "")
     rows = _longest(found["setpoint"][1])
     time = _first_block(found["setpoint"][1].time)[rows]  # type: ignore[arg-type]
-    values = {signal: _interpolated(one, time) for signal, (_, one) in found.items()}
     kind, sure = _kind(found, label)
     unit = {s: meaning.unit or {"linear": "mm", "rotary": "deg"}[kind] for s, (meaning, _) in found.items()}
+    values = {signal: _in_mm_or_deg(_interpolated(one, time), unit[signal], kind) for signal, (_, one) in found.items()}
     to_si = RECORDED_UNITS[unit["setpoint"]][1] if dimension_recorded(unit["setpoint"]) in ("length", "angle") else 1e-3
     full = _first_block(found["setpoint"][1].values)
     if float(np.ptp(full)) * to_si < STILL_SI:
@@ -179,7 +188,8 @@ def _columns(
     unit: Mapping[str, str],
     time: np.ndarray,
 ) -> list[Proposed]:
-    """Columns of a moving axis with units, signs and doubts. `values` (sample,) of each signal at `time` [s], in recorded units."""
+    """Columns of a moving axis with units, signs and doubts. `values` (sample,) of each signal at `time` [s]: positions in mm or deg, other signals
+    in recorded units."""
     setpoint = values["setpoint"]
     other = "deg for a rotary" if kind == "linear" else "mm for a linear"
     assumed = "" if found["setpoint"][0].unit else f"assumed: the file gives no unit; {other} axis"
@@ -194,7 +204,7 @@ def _columns(
         meaning, one = found[signal]
         column = Proposed(one.name, axis, signal, unit[signal])
         if signal in ("setpoint", "position", "motor_position", "following_error"):
-            column = replace(column, remark=assumed, doubt=_doubt_of_position(signal, values, unit))
+            column = replace(column, remark=assumed, doubt=_doubt_of_position(signal, values))
         elif not _changes(one):
             column = replace(column, unit=unit[signal] if meaning.unit else "", doubt="it never changes")
         elif signal in _NEAR:
@@ -202,7 +212,7 @@ def _columns(
         elif signal == "acceleration":
             column = replace(column, unit=meaning.unit or f"{unit['setpoint']}/s2")
         elif signal in ("current", "torque", "voltage") and position is not None:
-            sign = force_sign(values[signal], position, period, kind)
+            sign = force_sign(values[signal], position / MM_OR_DEG[kind], period, kind)
             column = replace(column, sign=sign.sign, remark=sign.remark, doubt=sign.doubt)
         columns.append(column)
     measured = [c for c in columns if c.signal in ("position", "motor_position")]
@@ -213,15 +223,24 @@ def _columns(
     return columns
 
 
-def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray], unit: Mapping[str, str]) -> str:
+MM_OR_DEG = {"linear": 1e3, "rotary": 180.0 / np.pi}
+"""mm in a metre, degrees in a radian."""
+
+
+def _in_mm_or_deg(values: np.ndarray, unit: str, kind: str) -> np.ndarray:
+    """A length or an angle in mm or degrees; the values of any other unit as they are."""
+    return values * RECORDED_UNITS[unit][1] * MM_OR_DEG[kind] if dimension_recorded(unit) in ("length", "angle") else values
+
+
+def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray]) -> str:
     """Reason to doubt a position that does not follow the set point or the other encoder; "" if there is none."""
     if signal in ("setpoint", "following_error"):
         return ""
-    y = values[signal] * RECORDED_UNITS[unit[signal]][1]
+    y = values[signal]
     if not np.ptp(y) > 0.0:
         return "it never changes"
     for other in ("motor_position", "setpoint"):
-        if other in values and other != signal and (x := values[other] * RECORDED_UNITS[unit[other]][1]).any() and np.ptp(x) > 0.0:
+        if other in values and other != signal and (x := values[other]).any() and np.ptp(x) > 0.0:
             slope, offset = np.polyfit(x - x.mean(), y, 1)
             left = float(np.std(y - offset - slope * (x - x.mean()))) / float(np.ptp(x))
             if other == "motor_position" and signal == "position" and left > APART:

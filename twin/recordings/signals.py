@@ -133,7 +133,8 @@ def known_unit(text: str) -> str:
 def split_heading(text: str) -> tuple[str, str]:
     """('Pos X', 'mm') from 'Pos X [mm]' or 'Pos X (mm)'; the heading and '' if the brackets contain no unit."""
     match = _IN_BRACKETS.match(text.strip())
-    unit = known_unit(match[2] or match[3] or "") if match and not (match[3] or "").strip().isdigit() else ""  # name(1) is an index
+    index = match and ((match[3] or "").strip().isdigit() or re.search(r"\w\[1\]$", text.strip()))  # name(1), name[1]
+    unit = known_unit(match[2] or match[3] or "") if match and not index else ""
     return (match[1].strip(), unit) if match and unit and match[1].strip() else (text.strip(), "")
 
 

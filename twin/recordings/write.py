@@ -128,13 +128,14 @@ def _facts(known: Understood, trace: Written) -> list[str]:
     lines = []
     skews = {(item.axis, item.signal): item for item in known.skews}
     taken = {c.key: c.source.skew_s for c in known.channels}
+    given = {c.key: c.column.skew_s for c in known.channels}  # by the map; the skews are those that are left beside it
     factors = {c.key: c.column.factor for c in known.channels}
     for axis, signal in trace.units:
         channel_keys: list[str] = []
         item = skews.get((axis, signal))
         back = taken.get((axis, signal), 0.0)
         if item is not None and (item.clear or back):
-            channel_keys += [f"latency_s = {item.seconds:.6g}", f"latency_deviation_s = {item.deviation:.3g}"]
+            channel_keys += [f"latency_s = {item.seconds + given.get((axis, signal), 0.0):.6g}", f"latency_deviation_s = {item.deviation:.3g}"]
         elif back:
             channel_keys.append(f"latency_s = {back:.6g}")
         channel_keys += [f"taken_back_s = {back:.6g}"] if back else []
