@@ -225,3 +225,43 @@ def test_the_language_of_a_file_is_detected(write, name: str, text: str, languag
 def test_other_languages_are_named(write, text: str, language: str) -> None:
     with pytest.raises(InputError, match=language):
         dialect(Source(write(text, "part.nc")))
+
+
+def test_parameters_of_a_zero_offset_begin_with_its_x(read) -> None:
+    """#5221 is X of G54, #5242 Y of G55, #5230 the rotation of G54."""
+    assert places(read("G10 L2 P1 X7. Y3.\nG10 L2 P2 X1. Y2.\nG1 X#5221 Y#5242 F100\n", "part.ngc")) == [[14, 5]]
+    assert places(read("#5221=7.\nG54\nG1 X1. Y1. F100\n", "part.nc")) == [[8, 1]]
+    assert places(read("G10 L2 P1 R90.\nG1 X#5230 F100\n", "part.ngc")) == [[0, 90]]
+
+
+def test_linuxcnc_has_30_parameters_of_a_subprogram(read) -> None:
+    assert places(read("#30=10\n#31=11\n#33=13\nG1 X#30 Y#31 F100\nX#33\n", "part.ngc")) == [[10, 11], [13, 11]]
+
+
+def test_arrays_of_a_sinumerik_are_filled(read) -> None:
+    text = "DEF REAL A[3]=REP(5)\nDEF REAL B[2,2]=SET(1,2,3,4)\nDEF REAL C[3]=SET(7,8)\nG1 X=A[0] Y=A[2] F100\nX=B[0,1] Y=B[1,1]\nX=C[1] Y=C[2]\n"
+    assert places(read(text)) == [[5, 5], [2, 4], [8, 0]]
+
+
+@pytest.mark.parametrize(("name", "word"), [("part.ngc", "G53"), ("part.mpf", "SUPA")])
+def test_all_axes_of_a_block_in_machine_coordinates_are_absolute(read, name: str, word: str) -> None:
+    program = read(f"G0 X1 A5\nG91\n{word} G0 X10 A10\n{word} G0 X10 A10\n", name)
+    assert np.allclose(program.moves.target[1:, 0], 10e-3)
+    assert np.allclose(np.degrees(program.moves.target[1:, 3]), 10.0)
+
+
+def test_inverse_time_feed_is_asked_for_in_every_block(read) -> None:
+    for text in ("G93\nG1 X10. F2\nX20.\n", "G90 G93\nG1 X10. F2\nX20.\n"):
+        with pytest.raises(InputError, match="every block needs its own F"):
+            read(text, "part.nc")
+
+
+def test_a_modal_macro_is_not_called_by_its_own_moves(read) -> None:
+    text = "G90 G0 X0 Y0 Z0\nG66 P9100 Z5.\nX10.\nX20.\nG67\nX30.\nM30\nO9100\nG0 Z#26\nG0 Z0.\nM99\n"
+    assert places(read(text, "part.nc"), 3) == [[10, 0, 0], [10, 0, 5], [10, 0, 0], [20, 0, 0], [20, 0, 5], [20, 0, 0], [30, 0, 0]]
+
+
+def test_a_code_of_the_machine_builder_leaves_the_words_of_the_move(read) -> None:
+    (end,) = places(read("G0 X1. Y0\nG2 X11. Y0. R5. F100 M123\n", "part.nc"))[-1:]
+    assert end == [11, 0]
+    assert places(read("G1 X5. F100 M123 P7\n", "part.nc")) == [[5, 0]]

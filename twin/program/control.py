@@ -63,14 +63,12 @@ class Control(ControlState):
         angles = [math.nan, math.nan]
         for name, (value, how, column) in words.items():
             si = self.si(name, value)
-            relative = how == "IC" or (how == "" and not self.absolute)
+            relative = how == "IC" or (how == "" and not self.absolute and not suppress)
             if name in LINEAR:
                 if how in ("DC", "ACP", "ACN"):
                     raise WordError(f"{how}() is for rotary axes; use AC() or IC()", column)
                 i = INDEX[name]
-                point[i] = start[i] + si if relative and not suppress else si
-                if relative and suppress:
-                    point[i] = si
+                point[i] = start[i] + si if relative else si
             elif name in ROTARY:
                 i = INDEX[name]
                 offset, now = (0.0 if suppress else self.offset[i]), out.position[i]

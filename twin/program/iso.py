@@ -23,6 +23,7 @@ from twin.program.iso_lines import SEPARATOR, message_text
 from twin.program.iso_modes import IsoModes
 from twin.program.iso_motion import POLAR, REFERENCES
 from twin.program.source import Unit
+from twin.program.tables import ISO_M, WORDS_OF_M
 from twin.program.words import NUMBER
 
 _ALIKE: tuple[set[float], ...] = (
@@ -198,6 +199,9 @@ class Iso(IsoModes):
         if "D" in w and not self.linuxcnc:
             self._other_radius(w.pop("D"))
         self._move_words(codes, w)
+        if any(number == 29 or ISO_M.get(number) is None for number in m_codes):  # the machine builder's own: what no move has used is theirs
+            for name in WORDS_OF_M:
+                w.pop(name, None)
         if 9 in codes:
             self.stop(0.0)
         if pause is not None:

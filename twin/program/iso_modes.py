@@ -12,7 +12,7 @@ from twin.program.control_state import INCH, LINEAR, Item
 from twin.program.expressions import WordError
 from twin.program.iso_calls import IsoCalls
 from twin.program.source import Unit
-from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED
+from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED, WORDS_OF_M
 
 _NOT_IN_LINUXCNC: dict[float, str] = {
     76: "threading is not simulated",
@@ -59,6 +59,7 @@ class IsoModes(IsoCalls, ABC):
         for number in (93, 94, 95):
             if number in codes:
                 self.set_feed_mode(number)
+                self.settle_plain()
         for number in (20, 21, 70, 71):
             if number in codes:
                 self.set_unit(INCH if number in (20, 70) else 1e-3, feed=True)
@@ -177,7 +178,7 @@ class IsoModes(IsoCalls, ABC):
                 self._modes(number)
             else:
                 self.note(f"M{number}: {entry[1] if entry else 'a code of the machine builder, without effect on the motion'}")
-                for name in ("P", "Q", "R", "E", "L", "D", "K") if entry is None or number in (19, 62, 63, 64, 65, 66, 67, 68, 29) else ():
+                for name in WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else ():
                     w.pop(name, None)
             if number in (48, 49, 50, 51, 52, 53):
                 w.pop("P", None)

@@ -106,7 +106,7 @@ class IsoMotion(IsoDrilling):
             self._queue(move, None if corner is None else (corner[0], corner[1].value * self.unit))
         else:
             self.go(kind, point, angles, vector, arc, suppress=suppress, tolerance=arcs.iso_tolerance(self.unit))
-        if self.modal_macro is not None:
+        if self.modal_macro is not None and all(frame.name != "G66" for frame in self.flow.frames):  # not after moves of the macro itself
             unit, at, variables = self.modal_macro
             if frame := self.flow.call(unit, at, name="G66", style="macro"):
                 frame.variables = dict(variables)

@@ -100,7 +100,7 @@ class IsoVariables(IsoFrames):
             )
         if key == 0:
             return Null(0.0)
-        if key <= 33:
+        if key <= (30 if self.linuxcnc else 33):
             return frame.variables.get(key, Null(0.0))
         if (value := self._system_value(key)) is not None:
             return value
@@ -143,7 +143,7 @@ class IsoVariables(IsoFrames):
         elif not self.linuxcnc and (tool := _of_tool(key)) is not None:
             name, (what, wear) = tool
             self.tools.set_value(name, what, value * self.unit, wear=wear)
-        elif 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and (k := (key - 5201) % 20) <= 10:
+        elif 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and 1 <= (k := (key - 5200) % 20) <= 10:
             self._write_system(n, k, value)
         else:
             self.numbers[key] = value
@@ -186,7 +186,7 @@ class IsoVariables(IsoFrames):
             return self._own(self.shift if self.shift_on else self.shift_kept, key - 5210) * factor + 0.0
         if key == 5220:
             return float(self.system)
-        if 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and (k := (key - 5201) % 20) <= 10:
+        if 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and 1 <= (k := (key - 5200) % 20) <= 10:
             if k == 10:
                 return self.turned[n]
             return self._own(self.systems[n], k) * (self.unit / 1e-3 if k not in (4, 5, 6) else 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 import re
@@ -62,11 +63,16 @@ class SinumerikVariables(SinumerikFrames):
                 if math.prod(sizes) > MOST_ELEMENTS:
                     raise WordError(f"an array of {math.prod(sizes)} elements is too large", s.column)
                 store[("size",)] = float(len(sizes))
-            if value.strip():
-                values = re.match(r"\s*(?:SET|REP)?\s*\((.*)\)\s*\Z", value) if shape[2] else None
-                for k, (item, _) in enumerate(split_arguments(values[1]) if values else [(value, 0)]):
-                    if item and match[1] != "FRAME":
-                        store[(float(k),) if shape[2] else ()] = self._value_of(item, s.column)
+                places = list(itertools.product(*(map(float, range(n)) for n in sizes)))
+            else:
+                places = [()]
+            if value.strip() and match[1] != "FRAME":
+                values = re.match(r"\s*(SET|REP)?\s*\((.*)\)\s*\Z", value) if shape[2] else None
+                items = [item for item, _ in split_arguments(values[2])] if values else [value]
+                if values and values[1] == "REP" and items[:1]:  # one value for all elements
+                    store[("default",)] = self._value_of(items[0], s.column)
+                else:
+                    store |= {place: self._value_of(item, s.column) for place, item in zip(places, items) if item}
             frame.variables[shape[1]] = store
             if match[1] == "FRAME":
                 self.frame_variables[shape[1]] = self._frame_of(value, s.column)

@@ -63,6 +63,9 @@ ISO_G: dict[float, tuple[str, str]] = {
 }  # fmt: skip
 """G codes of ISO programs."""
 
+WORDS_OF_M = ("P", "Q", "R", "E", "L", "D", "K")
+"""Words that an M code of ISO programs may carry."""
+
 ISO_M: dict[int, tuple[str, str]] = {
     0: (ACTS, "exact stop, then on"), 1: (ACTS, "exact stop, then on"), 2: (ACTS, "end"), 30: (ACTS, "end"), 6: (ACTS, "tool change"),
     60: (ACTS, "exact stop, then on"), 98: (ACTS, "call of O with P, L times"), 198: (ACTS, "as M98, from another memory"), 99: (ACTS, "end of a subprogram; P the block to go on at"),
