@@ -6,6 +6,7 @@ import pytest
 from twin.compare.align import PATH, TIME, aligned
 from twin.compare.compare import compare
 from twin.compare.machines import differing_numbers
+from twin.effects import with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
@@ -49,3 +50,12 @@ def test_machines(mikron: Machine) -> None:
     path = "axis.X.loops.position_gain_per_s"
     (number,) = differing_numbers(mikron, mikron.with_values({path: 99.0}))
     assert (number.path, number.second) == (path, 99.0)
+
+
+def test_couplings_to_several_axes_are_compared(mikron: Machine) -> None:
+    def coupled(of_y: float) -> Machine:
+        sizes = {"Y": of_y, "Z": 60.0}
+        return with_effects(mikron, [{"name": "cross_axis_coupling", "axis": "X", "from_axis": a, "mass": k} for a, k in sizes.items()])
+
+    (number,) = differing_numbers(coupled(40.0), coupled(90.0))
+    assert (number.first, number.second) == (40.0, 90.0)

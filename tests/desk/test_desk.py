@@ -196,3 +196,13 @@ def test_a_disconnected_browser_is_not_an_error(folder: Path, capsys: pytest.Cap
             except fault:
                 desk.handle_error(None, ("127.0.0.1", 1))
             assert bool(capsys.readouterr().err) == said
+
+
+def test_a_link_that_leads_nowhere_and_a_hidden_file_are_left_out(folder: Path) -> None:
+    (folder / "old.html").symlink_to(folder / "gone.html")
+    (folder / ".report.html").write_text("<title>half</title>", encoding="utf-8")
+    try:
+        assert not {"old.html", ".report.html"} & {entry.path for entry in entries_in(folder)}
+    finally:
+        (folder / "old.html").unlink()
+        (folder / ".report.html").unlink()

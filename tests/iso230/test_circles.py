@@ -169,3 +169,11 @@ def test_the_flank_touches_the_ruling(part: ConeFrustum | SShape) -> None:
         tip, axis = next(iter(part.poses()))
         surface = np.array([p + h * g for p, g, _ in map(part.ruling, np.linspace(0, 1, 2001)) for h in (0.0, 10.0, 20.0)])
         assert np.linalg.norm(np.cross(surface - tip, axis), axis=1).min() == pytest.approx(part.tool_radius, abs=1e-6)
+
+
+def test_a_table_has_a_plane_of_two_axes_and_no_set_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = ["iso", "230-4", str(EXAMPLES / "ballbar.csv"), "--radius-mm", "100"]
+    assert main([*given, "--plane", "XX"]) == 2
+    assert "give --radius-mm and --plane" in capsys.readouterr().err
+    assert main([*given, "--plane", "XY", "--diagnosis", str(tmp_path)]) == 2
+    assert "--diagnosis needs the trace" in capsys.readouterr().err

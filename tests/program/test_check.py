@@ -118,3 +118,10 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "holds no part program" in refused(capsys, "check", str(tmp_path))
     (tmp_path / "far.mpf").write_text(FAR, encoding="utf-8")
     assert "add --place auto" in refused(capsys, "run", str(tmp_path / "far.mpf"))
+
+
+def test_a_part_that_fits_nowhere_is_understood(tmp_path: Path, mikron: Machine) -> None:
+    file = tmp_path / "long.mpf"
+    file.write_text("G1 X-2000 F1000\nX2000\n", encoding="utf-8")
+    found = check.check_program(file, mikron, place=True)
+    assert (found.understood, found.fits, found.moves) == (True, False, 2)

@@ -265,3 +265,8 @@ def test_a_code_of_the_machine_builder_leaves_the_words_of_the_move(read) -> Non
     (end,) = places(read("G0 X1. Y0\nG2 X11. Y0. R5. F100 M123\n", "part.nc"))[-1:]
     assert end == [11, 0]
     assert places(read("G1 X5. F100 M123 P7\n", "part.nc")) == [[5, 0]]
+
+
+def test_a_number_of_four_hundred_digits_is_refused(read) -> None:
+    with pytest.raises(InputError, match="the number is too large"):
+        read(f"O1\nG1 X1. F100\nM{'9' * 400}\n", "part.nc")

@@ -20,14 +20,16 @@ import pytest
 from tests.builders.other_structures import write_slides
 from tests.builders.small_machine import write_small_machine
 from twin.cli import main
+from twin.cli.regress import _is_smaller
 from twin.effects import EFFECTS
+from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.regress import run_suite
-from twin.regress.compare import compare, signal_unit
+from twin.regress.compare import Check, compare, signal_unit
 from twin.regress.golden import Golden, read_golden
 from twin.regress.outcome import Feature, Outcome
 from twin.regress.runners import machine_of, run_case
-from twin.regress.suite import COMPARED, Case, read_suite
+from twin.regress.suite import COMPARED, SIGNAL_UNITS, Case, read_suite
 
 HERE = Path(__file__).resolve().parents[2]
 SHIPPED = read_suite(HERE / "examples/regression")
@@ -455,3 +457,14 @@ def test_usage(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     one_line(capsys, "no such suite")
     assert main(["regress", str(suite), "--list"]) == 0
     assert "u_move" in capsys.readouterr().out
+
+
+def test_every_signal_that_a_suite_may_compare_has_a_unit(mikron: Machine) -> None:
+    assert all(signal_unit(mikron, "X", signal)[0] in units for signal, units in SIGNAL_UNITS.items())
+
+
+def test_a_gap_that_became_smaller_is_a_result_to_store() -> None:
+    check = Check("gap of position", "X", "um", 0.0, 0.5, golden=5.0, now=4.0)
+    assert _is_smaller(check)
+    assert not _is_smaller(replace(check, now=5.0))
+    assert not _is_smaller(replace(check, now=6.0))

@@ -329,3 +329,12 @@ def test_a_port_in_use_is_reported(run: Path, capsys: pytest.CaptureFixture[str]
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert "cannot be used" in refused(capsys, run, "--serve", "--port", str(taken.getsockname()[1]))
+
+
+@pytest.mark.parametrize("runs", ["run = 5", 'run = ["a"]'])
+def test_a_campaign_whose_runs_are_no_tables_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], runs: str) -> None:
+    (tmp_path / "campaign.toml").write_text(runs + "\n", encoding="utf-8")
+    assert main(["replay", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "defect" not in error
+    assert error.count("\n") == 1

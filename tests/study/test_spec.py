@@ -11,6 +11,7 @@ import trimesh
 
 from tests.builders.refused import refused
 from tests.builders.study_files import FACTOR, GRID, RUN, write_meshes, write_move, write_spec
+from twin.effects import with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.simulation.lanes import commissioned_inertia
@@ -279,3 +280,17 @@ def test_a_wrong_study_file_gives_one_line(tmp_path: Path, capsys: pytest.Captur
     message = refused(capsys, "study", str(spec), "--out", str(tmp_path / "out"))
     for word in words:
         assert word in message
+
+
+def test_effects_of_one_name_on_one_axis_are_all_kept(mikron: Machine) -> None:
+    coupled = with_effects(mikron, [{"name": "cross_axis_coupling", "axis": "X", "from_axis": a, "mass": 40.0} for a in "YZ"])
+    assert len(coupled.effects) == 2
+    assert with_numbers(coupled, {}).effects == coupled.effects
+    changed = with_numbers(coupled, {"effect.backlash.Y.clearance": 1e-5})
+    assert [(e["name"], e["axis"]) for e in changed.effects] == [("cross_axis_coupling", "X")] * 2 + [("backlash", "Y")]
+
+
+@pytest.mark.parametrize("key", ["tied", "constraint"])
+def test_a_number_in_place_of_tables_is_refused(tmp_path: Path, key: str) -> None:
+    with pytest.raises(InputError, match=rf"'{key}' must be a list of tables; write \[\[{key}\]\]"):
+        read_study(write_spec(tmp_path, f"{key} = 5\n" + FACTOR + GRID))

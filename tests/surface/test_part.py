@@ -124,3 +124,9 @@ def test_meshes_of_a_part_can_lie_elsewhere(folder: Path) -> None:
     assert moved.files == (Path("/elsewhere/1.stl"),)
     assert moved.stock == moved.surfaces[0].shape == MeshFile(Path("/elsewhere/1.stl"), None)
     assert moved.surfaces[1] == part.surfaces[1]
+
+
+def test_two_surfaces_of_one_name_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "part.toml").write_text(TOOL + PLANE + 'name = "wall"\n' + PLANE + 'name = "wall"\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r"two of \[\[surface\]\] have the name 'wall'"):
+        read_part(tmp_path / "part.toml")

@@ -69,6 +69,8 @@ def carry_out(args: argparse.Namespace) -> int:
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}: give 1 or more")
     zone_spacing = args.zone_um * 1e-6 if args.zone_um else None
+    if zone_spacing and not any(surface.zone_spacing for surface in part.surfaces):
+        raise InputError(f"--zone-um: {args.part} has no zone; add zone_um to a [[surface]]")
     check_rays(part, zone_spacing)
     measured = read_height_map(Path(args.measured)) if args.measured else None
     out = output_folder(args.out or Path("out") / f"cut_{Path(args.input).stem}")

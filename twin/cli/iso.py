@@ -86,12 +86,13 @@ def _positioning(args: argparse.Namespace, machine: Machine, plot: Path) -> dict
     results = {axis: positioning(one) for axis, one in readings.items()}
     draw_positioning(results, kinds, plot)
     scale = {axis: (1e3, "mm") if kind == "linear" else (180.0 / math.pi, "deg") for axis, kind in kinds.items()}
-    print(f"ISO 230-2, k = 2, {len(next(iter(readings.values())).target)} positions")
+    print("ISO 230-2, k = 2")
     for axis, result in results.items():
         unit, factor = AXIS_UNITS[kinds[axis]].error
         found = {name: f"{value * factor:.2f}" for name, value in result.numbers.items()}
         rows = [[name, found[name], *(found.get(f"{name}_{way}", "-") for way in ("forward", "backward"))] for name in "AREMB"]
         rows.append(["mean B", found["B_mean"], "-", "-"])
+        print(f"{f'axis {axis}: ' if axis else ''}{len(readings[axis].target)} positions")
         print(table([f"{f'axis {axis}, ' if axis else ''}{unit}", "both directions", "forward", "backward"], rows, left=1))
     print(_MEANING)
     axes = {
@@ -130,7 +131,7 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
     tests: list[tuple[str, dict[str, CircleTest]]] = []
     recorded: list[tuple[Trace, str | None, Ballbar | None]] = []
     if source.is_file() and is_table(source):
-        if args.radius_mm is None or len(args.plane) != 2:
+        if args.radius_mm is None or len(args.plane) != 2 or args.plane[0] == args.plane[1]:
             raise InputError(f"{source}: a ballbar table needs its radius and plane; give --radius-mm and --plane XY")
         plane = (args.plane[0], args.plane[1])
         for axis in plane:
@@ -152,6 +153,8 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
                     tests[-1][1]["predicted"] = _predicted(trace, machine.with_feedforward(feedforward), test, ballbar)
         if not tests:
             raise InputError(problems[0] if problems else f"{source}: no run with a circle")
+    if args.diagnosis and not recorded:
+        raise InputError(f"{source}: --diagnosis needs the trace, run or campaign of the test; a table has no set points")
     if args.campaign and recorded:
         raise InputError(f"{source}: already a recording; give it to 'twin diagnose' (a single trace: 'twin import' first)")
     rows, circles, budgets = [], [], []

@@ -28,8 +28,12 @@ def differing_numbers(a: Machine, b: Machine) -> list[Number]:
 def _plain(machine: Machine) -> dict[str, Any]:
     """The document with effects by name and axis, without names of machine and model."""
     document = {key: value for key, value in machine.document.items() if key not in ("effect", "model", "name")}
-    tables = [setting.table() for setting in settings_of(machine)]
-    effects = {f"{e['name']}.{e['axis']}": {k: v for k, v in e.items() if k not in ("name", "axis")} for e in tables}
+    effects: dict[str, Any] = {}
+    for setting in settings_of(machine):
+        own = {k: v for k, v in setting.table().items() if k not in ("name", "axis")}
+        path = f"{setting.effect.name}.{setting.axis}"
+        same = sum(name.partition("#")[0] == path for name in effects)  # several laws, or couplings to several axes
+        effects[f"{path}#{same + 1}" if same else path] = own
     return {**document, "effect": effects}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+import contextlib
 from dataclasses import dataclass
 from datetime import datetime
 import html
@@ -62,9 +63,14 @@ def entries_in(folder: Path) -> list[Entry]:
     """All entries below a folder, newest first."""
     found = []
     for place, names in _folders(folder):
-        entry = _entry(folder, place, names)
+        entry = None
+        with contextlib.suppress(OSError):  # a running command may replace its files, and a link may lead nowhere
+            entry = _entry(folder, place, names)
         found += [entry] if entry is not None else []
-        found += [_page(folder, place / name) for name in sorted(names) if name.endswith(".html") and (entry is None or name != REPORT)]
+        for name in sorted(names):
+            if name.endswith(".html") and (entry is None or name != REPORT):
+                with contextlib.suppress(OSError):
+                    found.append(_page(folder, place / name))
         if len(found) >= MOST:
             break
     return sorted(found[:MOST], key=lambda entry: entry.written, reverse=True)
@@ -77,7 +83,7 @@ def _folders(folder: Path) -> Iterator[tuple[Path, set[str]]]:
         if len(here.relative_to(folder).parts) >= DEEPEST:
             below.clear()
         below[:] = sorted(name for name in below if not name.startswith("."))
-        yield here, set(files)
+        yield here, {name for name in files if not name.startswith(".")}
 
 
 def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:

@@ -20,9 +20,6 @@ from twin.simulation.setpoint_limits import LimitWatch
 from twin.simulation.setpoints import setpoints_of
 from twin.units import AXIS_UNITS
 
-NO_PROGRAM = (".md", ".txt.md", ".py", ".json", ".toml", ".png", ".pdf", ".html", ".xml", ".c", ".h", ".sh", ".ini", ".hal", ".log")
-"""File endings that are skipped in a folder; a file that is named directly may have any ending."""
-
 
 @dataclass(frozen=True)
 class Checked:
@@ -54,7 +51,7 @@ def programs_in(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise InputError(f"{path}: no such program or folder; give a part program or a folder of them")
-    found = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in PROGRAM_ENDINGS and p.suffix.lower() not in NO_PROGRAM)
+    found = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in PROGRAM_ENDINGS)
     if not found:
         raise InputError(f"{path}: holds no part program; their names end in {', '.join(PROGRAM_ENDINGS)}")
     return found
@@ -71,12 +68,13 @@ def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bo
                 return Checked(
                     path, True, False, moves=len(error.program), reason=str(error).removeprefix(where), notes=error.program.notes
                 )
-            program = placed(error.program)
-    except OutsideTravel as error:
-        return Checked(path, True, False, reason=str(error).removeprefix(where))
+            try:
+                program = placed(error.program)
+            except InputError as no_place:
+                reason = str(no_place).removeprefix(where)
+                return Checked(path, True, False, moves=len(error.program), reason=reason, notes=error.program.notes)
     except InputError as error:
-        reason = str(error).removeprefix(where)
-        return Checked(path, "no place on the table" in reason, False, reason=reason)
+        return Checked(path, False, False, reason=str(error).removeprefix(where))
     if not plan:
         return Checked(path, True, True, moves=len(program), notes=program.notes)
     watch = LimitWatch(machine, machine.position_cycle)

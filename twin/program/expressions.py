@@ -270,7 +270,10 @@ class Expression:
         if match := _NUMBER.match(self.text, self.at):
             self.at = match.end()
             digits = match[0].split("EX")
-            return float(digits[0]) * (10.0 ** max(-300, min(300, int(digits[1]))) if len(digits) > 1 else 1.0)
+            number = float(digits[0]) * (10.0 ** max(-300, min(300, int(digits[1]))) if len(digits) > 1 else 1.0)
+            if not math.isfinite(number):
+                raise self.fail("the number is too large", at)
+            return number
         if char in ("+", "-"):
             self.at += 1
             value = self._number(self.atom(), at)

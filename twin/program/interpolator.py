@@ -111,6 +111,7 @@ def _pieces(
                 yield piece
                 at = piece.axes[-1]
                 total += len(piece.axes)
+                _check_length(total * period, period, program, last, most)
         if pause > 0.0 or last == len(program) - 1:
             rest = pause + (REST if last == len(program) - 1 else 0.0)
             total += rest / period

@@ -135,7 +135,10 @@ def _facts(known: Understood, trace: Written) -> list[str]:
         item = skews.get((axis, signal))
         back = taken.get((axis, signal), 0.0)
         if item is not None and (item.clear or back):
-            channel_keys += [f"latency_s = {item.seconds + given.get((axis, signal), 0.0):.6g}", f"latency_deviation_s = {item.deviation:.3g}"]
+            channel_keys += [
+                f"latency_s = {item.seconds + given.get((axis, signal), 0.0):.6g}",
+                f"latency_deviation_s = {item.deviation:.3g}",
+            ]
         elif back:
             channel_keys.append(f"latency_s = {back:.6g}")
         channel_keys += [f"taken_back_s = {back:.6g}"] if back else []

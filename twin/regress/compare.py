@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.recordings.trace import OTHER_UNITS, Trace
+from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS, Trace
 from twin.regress.golden import Golden
 from twin.regress.outcome import Outcome
 from twin.regress.suite import Case
@@ -89,9 +89,9 @@ def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
 def signal_unit(machine: Machine, axis: str, signal: str) -> tuple[str, float]:
     """Printed unit of a signal's difference, and the factor from SI."""
     units = AXIS_UNITS[machine.axis(axis).kind]
-    if signal in ("setpoint", "position", "motor_position"):
+    if signal in POSITIONS:
         return units.error
-    if signal.startswith("velocity"):
+    if signal in SPEEDS:
         return units.speed
     unit = OTHER_UNITS[signal]
     return (machine.axis(axis).motor_unit if unit == "Nm" else unit, 1.0)

@@ -22,7 +22,7 @@ from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common, signal_unit
 from twin.regress.golden import Golden, golden_of, write_small
 from twin.regress.outcome import Outcome
-from twin.regress.suite import Case
+from twin.regress.suite import SIGNAL_UNITS, Case
 from twin.regress.where import Place
 
 PLOTTED = ("setpoint", "position", "velocity", "current", "voltage", "torque")
@@ -73,7 +73,7 @@ def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, 
     from twin.report.figure import RED, SOFT
 
     above: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "ncols": 3}
-    signals = [s for s in PLOTTED if s in case.tolerance and before.has(axis, s) and after.has(axis, s)]
+    signals = [s for s in dict.fromkeys((*PLOTTED, *SIGNAL_UNITS)) if s in case.tolerance and before.has(axis, s) and after.has(axis, s)]
     figure, panels = new_figure(len(signals), 2, width=13.0, height=2.3, sharex=True)
     colour = hexadecimal(axis_colour(axis))
     for row, signal in zip(panels, signals):

@@ -94,7 +94,7 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
         for one in machining.cuts:
             factors.append(_magnification(one.finest, end))
             shown.append(_log_cut(recording, scene.part_path, one, end, factors[-1]))
-        recording.log(SUMMARY, rr.TextDocument(_numbers(machining, end, factors[0]), media_type="text/markdown"), static=True)
+        recording.log(SUMMARY, rr.TextDocument(_numbers(machining, end), media_type="text/markdown"), static=True)
         bounds = np.array(scene_bounds(scene))
         recording.send_blueprint(
             _layout(scene.body_paths[0], scene.part_path, bounds, machining, shown, factors, shapes_of_tool(scene, shapes))
@@ -212,12 +212,14 @@ def _layout(
     )
 
 
-def _numbers(machining: Machining, end: float, factor: float) -> str:
+def _numbers(machining: Machining, end: float) -> str:
     """Deviations of every cut as a table in markdown."""
     rows = []
     for one in machining.cuts:
         height = one.finest.height * 1e6
-        rows.append(f"| {one.surface.name} | {one.level.label} | {height.min():.2f} | {height.max():.2f} | {height.std():.2f} |")
+        rows.append(
+            f"| {one.surface.name} | {one.level.label} | {height.min():.2f} | {height.max():.2f} | {np.sqrt(np.mean(height**2)):.2f} |"
+        )
     return "\n".join(
         [
             f"# {machining.part.name}",
@@ -227,7 +229,7 @@ def _numbers(machining: Machining, end: float, factor: float) -> str:
             "|---|---|---:|---:|---:|",
             *rows,
             "",
-            f"Colours end at {end * 1e6:g} um. The surface on the right is magnified {factor:g} times along its normals. "
+            f"Colours end at {end * 1e6:g} um. The surface on the right is magnified along its normals, as its title says. "
             "The tabs switch between the levels: what appears with *commanded* is the interpolator's, what appears with *followed* the drives'.",
             *(f"\n{note}" for note in machining.part.notes),
         ]

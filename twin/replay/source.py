@@ -59,8 +59,9 @@ def _of_folder(path: Path) -> Source:
     if recordings or trace is not None:
         return Source(path, name, check_recording(recordings[0]) if recordings else None, trace)
     if (path / "campaign.toml").is_file():
-        files = [path / str(run.get("file", "")) for run in _tables_of(path / "campaign.toml").get("run", [])]
-        files = [file for file in files if file.is_file()]
+        runs = _tables_of(path / "campaign.toml").get("run", [])
+        named = [path / str(run.get("file", "")) for run in (runs if isinstance(runs, list) else []) if isinstance(run, dict)]
+        files = [file for file in named if file.is_file()]
         if files:
             others = ", ".join(file.name for file in files[1:])
             note = f"{files[0].name} of {len(files)} runs of the campaign is shown; others: {others}" if others else ""

@@ -151,7 +151,7 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
     """The machine with other numbers, by path; raises InputError for impossible ones."""
     changed: dict[str, Any] = {}
     added: dict[str, float] = {}
-    effects = {(table["name"], table["axis"]): dict(table) for table in machine.effects}
+    effects = [dict(table) for table in machine.effects]  # an axis may have several laws, or couplings to several axes
     inertias: dict[str, float] = {}
     for path, value in values.items():
         *tables, last = path.split(".")
@@ -159,7 +159,10 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
             inertias[last] = value
         elif path.startswith("effect."):
             _, name, axis = tables
-            effects.setdefault((name, axis), {"name": name, "axis": axis})[last] = value
+            mine = next((table for table in effects if (table["name"], table["axis"]) == (name, axis)), None)
+            if mine is None:
+                effects.append(mine := {"name": name, "axis": axis})
+            mine[last] = value
         elif path.startswith(ADDED_MASS):
             for axis in carrying_axes(path, machine, "study"):
                 mass = f"axis.{axis}.moving_mass_kg"
@@ -184,7 +187,7 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
             table = machine.document["body"][mass.split(".")[1]]
             changed[inertia] = [(1.0 + more / before) * value for value in changed.get(inertia, table["inertia_kg_m2"])]
     if effects:
-        changed["effect"] = copy.deepcopy(list(effects.values()))
+        changed["effect"] = copy.deepcopy(effects)
     machine = machine.with_values(changed)
     return machine.with_values(_rotors(machine, inertias)) if inertias else machine
 

@@ -155,7 +155,9 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     )
     check_apart(factors, path)
     design = _rows_by_number(design, factors, f"{path}: [design]")
-    tied = tuple(tied_of(table, factors, machine, f"{path}: tied {i + 1}") for i, table in enumerate(document.get("tied", [])))
+    tied = tuple(
+        tied_of(table, factors, machine, f"{path}: tied {i + 1}") for i, table in enumerate(_tables(document, "tied", path, least=0))
+    )
     part = _part(document, path, str(path), None)
     runs = tuple(_run(table, path, f"{path}: run {i + 1}", part) for i, table in enumerate(_tables(document, "run", path)))
     for what, names in (("factor", [f.name for f in factors]), ("run", [r.name for r in runs])):
@@ -204,7 +206,7 @@ def _constraints(document: Mapping[str, Any], path: Path) -> tuple[Constraint, .
         for key, default in (("least_phase_margin_deg", LEAST_PHASE_MARGIN_DEG), ("most_time_at_limit", MOST_TIME_AT_LIMIT))
     )
     found = list(standing(margin, share))
-    for i, table in enumerate(document.get("constraint", [])):
+    for i, table in enumerate(_tables(document, "constraint", path, least=0)):
         where = f"{path}: constraint {i + 1}"
         known_table(table, ("response", "least", "most"), where)
         if not isinstance(table.get("response"), str):
@@ -223,9 +225,11 @@ def _bound(table: Mapping[str, Any], key: str, where: str, default: float = 0.0)
     return float(value)
 
 
-def _tables(document: Mapping[str, Any], key: str, path: Path) -> list[Any]:
+def _tables(document: Mapping[str, Any], key: str, path: Path, least: int = 1) -> list[Any]:
     tables = document.get(key, [])
-    if not isinstance(tables, list) or not tables:
+    if not isinstance(tables, list):
+        raise InputError(f"{path}: '{key}' must be a list of tables; write [[{key}]]")
+    if len(tables) < least:
         raise InputError(f"{path}: no [[{key}]]; give at least one")
     return tables
 

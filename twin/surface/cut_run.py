@@ -9,7 +9,7 @@ from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace
 from twin.simulation.result import Run
-from twin.surface.levels import LEVELS, levels_of_program, levels_of_trace
+from twin.surface.levels import AS_FILED, LEVELS, levels_of_program, levels_of_trace
 from twin.surface.machining import Machining, machine_part
 from twin.surface.part import Part, read_part
 
@@ -17,7 +17,8 @@ from twin.surface.part import Part, read_part
 def cut(
     moved: Run | Trace | str | Path, part: str | Path | Part, machine: Machine | None = None, *, levels: Sequence[str] = LEVELS
 ) -> Machining:
-    """Remove material along the tool path of a run, a trace, or a part program (which is simulated first).
+    """Remove material along the tool path of a run, a trace, or a part program, which is simulated first with the
+    feedforward of the machine.
 
     `part` is a part file (tool, stock, surfaces; see examples/parts). `levels` are the paths to cut: 'programmed' (programs only),
     'commanded' (set points), 'followed' (positions). The result holds the heights of every cut surface [m]; `report_of` in
@@ -29,6 +30,6 @@ def cut(
     machine = machine or (moved.machine if isinstance(moved, Run) else load_machine())
     known = part if isinstance(part, Part) else read_part(part)
     if isinstance(moved, str | Path):
-        return machine_part(known, levels_of_program(Path(moved), machine, known.tool, list(levels), ["velocity+torque"]))
+        return machine_part(known, levels_of_program(Path(moved), machine, known.tool, list(levels), [AS_FILED]))
     trace = moved.trace if isinstance(moved, Run) else moved
     return machine_part(known, levels_of_trace(trace, machine, known.tool, list(levels), "cut"))

@@ -154,6 +154,9 @@ def part_from_document(document: Mapping[str, Any], folder: Path, where: str) ->
         stock=mesh_file(stock, "mesh", folder, in_stock) if "mesh" in stock else None,
         notes=tuple(map(str, listed(document, "notes", where, []))),
     )
+    names = [surface.name for surface in part.surfaces]
+    if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
+        raise InputError(f"{where}: two of [[surface]] have the name '{twice}'; give each its own")
     _check_tool(part, where)
     return part
 
