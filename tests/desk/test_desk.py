@@ -130,6 +130,10 @@ def test_an_action_needs_the_token_of_the_page(folder: Path) -> None:
         assert ask(desk, "/replay", [("token", desk.token), ("path", "../..")])[0] == 404
         assert ask(desk, "/replay", [("token", desk.token), ("path", "first")])[0] == 303
         assert started == [["replay", str(folder / "first")]]
+        own = json.loads((folder / "first" / "summary.json").read_text(encoding="utf-8")) | {"machine_file": "mine.toml"}
+        (folder / "first" / "summary.json").write_text(json.dumps(own), encoding="utf-8")
+        ask(desk, "/replay", [("token", desk.token), ("path", "first")])
+        assert started[-1] == ["replay", str(folder / "first"), "--machine", "mine.toml"]
 
 
 class InThisProcess:

@@ -1,6 +1,7 @@
 """Execution of studies: rows, tables, resumption, limits, output files."""
 
 from concurrent.futures import Future
+from dataclasses import replace
 import json
 from pathlib import Path
 import re
@@ -18,12 +19,12 @@ from tests.builders.study_files import FACTOR, GRID, rows_of, write_meshes, writ
 from twin.cli import main
 from twin.errors import InputError
 from twin.geometry.scurve import moves_in_turn
-from twin.machine.machine import load_machine
+from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace, read_trace, write_trace
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 from twin.study.design import variants_of
-from twin.study.evaluate import Answer, evaluate, work_of
+from twin.study.evaluate import Answer, _source, evaluate, files_of_study, motion_of, work_of
 from twin.study.execution import Workers, carry_out, fingerprint
 from twin.study.results import answers_of, surrogate_from, table_of
 from twin.study.spec import read_study
@@ -429,3 +430,20 @@ def test_sobol_indices_come_with_the_sobol_design(tmp_path: Path) -> None:
     assert len(rows) == 16
     assert set(response.sobol) == {"S1", "S1_conf", "ST", "ST_conf"}
     assert table_of(study, rows).num_rows == 16
+
+
+def test_a_program_with_a_subprogram_beside_it(tmp_path: Path, mikron: Machine) -> None:
+    """The limits vary, so that each variant interpolates the program; an error names the files of the user."""
+    (tmp_path / "main.mpf").write_text("G1 X1 F1000\nL100\nM30\n", encoding="utf-8")
+    (tmp_path / "L100.spf").write_text("G1 X5 F1000\nM17\n", encoding="utf-8")
+    run = '[[run]]\ninput = "main.mpf"\n'
+    factor = '[[factor]]\npath = "axis.X.max_acceleration_m_per_s2"\nrange = [2.0, 3.0]\n'
+    spec = write_spec(tmp_path, factor + GRID, run)
+    study = read_study(spec)
+    assert {"main.mpf", "L100.spf"} <= {file.name for file in files_of_study(study)}
+    source = _source(study, study.runs[0], None)
+    setpoints, _ = motion_of(source, mikron)
+    assert np.ptp(setpoints.position[:, 0]) == pytest.approx(5e-3, abs=1e-6)
+    broken = replace(source, program=(("main.mpf", b"G1 X1 F1000\nG1 Q!\n"), *source.program[1:]))
+    with pytest.raises(InputError, match=re.escape(str(tmp_path / "main.mpf"))):
+        motion_of(broken, mikron)

@@ -123,7 +123,9 @@ class _Answer(BaseHTTPRequestHandler):
             self._to(f"/file/{quote(out.relative_to(self.server.folder).as_posix())}/report.html")
 
     def _replay(self, entry: Entry) -> None:
-        self.server.start(["replay", str(self.server.folder / entry.path)])
+        folder = self.server.folder / entry.path
+        rebuilt = entry.machine_file and not any(folder.glob("*.rrd"))  # from the trace, so on the machine of the run
+        self.server.start(["replay", str(folder), *(["--machine", str(entry.machine_file)] if rebuilt else [])])
         self._to("/")
 
     def _from_here(self) -> bool:

@@ -83,7 +83,7 @@ class Program:
     """A part program: start of the axes (5,), moves, and modes that the program set.
 
     `feedforward`: set by the first FFWON or FFWOF (None if neither: the machine file decides). `notes`: one line for each word
-    without an effect here (spindle, coolant); `messages`: the texts of MSG.
+    without an effect here (spindle, coolant); `messages`: the texts of MSG; `files`: subprograms that were read from other files.
     """
 
     path: Path
@@ -93,6 +93,7 @@ class Program:
     feedforward: str | None = None
     notes: tuple[str, ...] = ()
     messages: tuple[str, ...] = field(default=())
+    files: tuple[Path, ...] = ()
 
     def __len__(self) -> int:
         return len(self.moves)

@@ -124,6 +124,7 @@ def _understand(source: Source, machine: Machine) -> Collector:
         raise InputError(f"{place_of(where, front.line, front.block, column)}: {error}") from None
     except RecursionError:
         raise InputError(f"{place_of(path, front.line, front.block)}: calls or brackets are nested too deeply; take some apart") from None
+    front.out.files = tuple(front.folder.read)
     return front.out
 
 

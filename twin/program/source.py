@@ -116,6 +116,7 @@ class Folder:
         self.path = path
         self.files: dict[str, Path] | None = None
         self.units: dict[str, Unit | None] = {}
+        self.read: list[Path] = []  # files that were used
 
     def find(self, *names: str) -> Unit | None:
         """The program in the first of these files that exists in the folder."""
@@ -135,5 +136,6 @@ class Folder:
                 key = found.name
                 if key not in self.units:
                     self.units[key] = units_of(Source(found))[0]
+                    self.read.append(found)
                 return self.units[key]
         return None

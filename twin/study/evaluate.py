@@ -45,7 +45,8 @@ class Source:
     name: str
     feedforward: str | None
     setpoints: Setpoints | None = None
-    program: tuple[bytes, str] = (b"", "")  # content and ending of the file
+    program: tuple[tuple[str, bytes], ...] = ()  # name in the folder and content of the program, then of its subprograms
+    folder: str = ""  # of the program, for messages
     commanded: ToolPath | None = None
     programmed: ToolPath | None = None
     part: Part | None = None
@@ -83,7 +84,15 @@ def files_of_study(study: Study) -> list[Path]:
     """All files that the results depend on, except machine file and study file, whose numbers are compared instead."""
     parts = [run.part for run in study.runs if run.part]
     meshes = _part_files(read_part(part) for part in parts)
-    return [*_model_files(study.machine).values(), *(run.input for run in study.runs), *parts, *meshes.values()]
+    inputs = [file for run in study.runs for file in _program_files(run.input, study.machine)]
+    return [*_model_files(study.machine).values(), *inputs, *parts, *meshes.values()]
+
+
+def _program_files(path: Path, machine: Machine) -> list[Path]:
+    """The input of a run, and the subprograms that a program reads from other files."""
+    from twin.program import read_program
+
+    return [path, *read_program(path, machine).files] if path.suffix.lower() in PROGRAM_ENDINGS else [path]
 
 
 def _model_files(machine: Machine) -> dict[str, Path]:
@@ -181,7 +190,9 @@ def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
     from twin.program import read_program
 
     feedforward = run.feedforward or read_program(run.input, machine).feedforward
-    source = Source(run.name, feedforward, program=(run.input.read_bytes(), run.input.suffix), part=part)
+    folder = run.input.parent
+    files = tuple((file.relative_to(folder).as_posix(), file.read_bytes()) for file in _program_files(run.input, machine))
+    source = Source(run.name, feedforward, program=files, folder=str(folder), part=part)
     # the interpolator depends on limits, travels, cycles, frames, tools and, for exact stops, on the position gain
     if varies(study, (*GEOMETRY, "control")) or any(word in p for p in study.varied for word in (".max_", ".travel_", ".position_gain_")):
         return source
@@ -239,9 +250,12 @@ def _planned(source: Source, machine: Machine, programmed: bool) -> tuple[Setpoi
     from twin.program import interpolate, read_program
     from twin.surface.levels import programmed_path
 
-    content, ending = source.program
     with tempfile.TemporaryDirectory(prefix="twin-study-") as folder:
-        path = Path(folder) / f"program{ending}"
-        path.write_bytes(content)
-        program = read_program(path, machine)
+        for name, content in source.program:
+            (Path(folder) / name).parent.mkdir(exist_ok=True)
+            (Path(folder) / name).write_bytes(content)
+        try:
+            program = read_program(Path(folder) / source.program[0][0], machine)
+        except InputError as error:
+            raise InputError(str(error).replace(folder, source.folder)) from None
     return setpoints_of(interpolate(program, machine), machine), programmed_path(program) if programmed else None
