@@ -43,7 +43,7 @@ def record(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     machine = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
     case = Case(SEED, "worn", 1.0, WORN, unit_factors(), Richness.off())
-    there = _circle(0, 1, RADIUS, FEED, TURNS, limits_of(machine), np.random.default_rng(SEED))
+    there = _circle(0, 1, RADIUS, FEED, TURNS, limits_of(machine))
     both = np.vstack([there, there * np.array([1.0, -1.0, 1.0, 1.0, 1.0])])
     trace = simulate(case, machine, TestRun("circle", "test", "off", both))
     columns = {key: v for key, v in columns_of(trace, ("setpoint", "position")).items() if key.startswith(("time", "X.", "Y."))}

@@ -297,9 +297,9 @@ def test_rules_of_other_structures(tmp_path: Path, mikron: Machine) -> None:
     text = machine_text("XZ").replace('structure = "P/PI"', 'structure = "P/P"').replace("speed_integral_time_s = 0.02\n", "")
     found = check_machine(load_machine(write_slides(tmp_path, text.replace("5e-8", "5e-5"))))[1]
     texts = {axis: [f.text for f in found if f.axis == axis] for axis in "XZ"}
-    assert any("the weight causes a following error of" in t for t in texts["Z"])
+    assert any("the force that holds it causes a following error of" in t for t in texts["Z"])
     others = [*texts["X"], *(f.text for f in check_machine(mikron.with_axes(["Z"]))[1])]
-    assert not any("the weight causes" in t for t in others)
+    assert not any("the force that holds it causes" in t for t in others)
     assert any("times the Coulomb friction: the axis hums at rest" in t for t in texts["X"])
     assert any(", fewer than 10 steps" in t for t in check_texts(tmp_path, "motor_encoder_resolution_m = 1e-5"))
 

@@ -230,7 +230,9 @@ class Collector:
             if moves.traori[0]:
                 start[:3] = self.kinematics.with_tool_length(moves.tool_length[0]).linear_axes(start[None, :3], start[None, 3:])[0]
             moves = moves.take(np.arange(1, len(moves)))
-        program = mv.Program(self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes), tuple(self.messages), self.files)
+        program = mv.Program(
+            self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes), tuple(self.messages), self.files
+        )
         if not len(moves) or not np.any((np.abs(program.starts() - moves.target) > 1e-12).any(axis=1) | (moves.kind == mv.ARC)):
             raise InputError(
                 f"{self.path}: the program moves no axis from its start; a first rapid move defines the start, so add a move after it"
