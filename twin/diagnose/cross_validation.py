@@ -101,8 +101,8 @@ def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -
     """Robust loss on held-out runs, each fold predicted by the fit without it.
 
     With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: holding out rows f moves the optimum by
-    -(N - X_f'X_f)^-1 X_f' r_f, so that the held-out residual is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f. A fold that alone determines a parameter is predicted by the fit to all
-    runs and costs `evidence_in_sample - evidence`.
+    -(N - X_f'X_f)^-1 X_f' r_f, so that the held-out residual is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f. A fold that alone determines a
+    parameter is predicted by the fit to all runs and costs `evidence_in_sample - evidence`.
     """
     group, t = state.group, state.thresholds
     linear = _linear(group, fit)

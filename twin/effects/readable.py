@@ -45,9 +45,8 @@ def interval_text(unit: str, value: float, low: float, high: float, parameter: P
     shown, factor, offset = readable_unit(unit, value, parameter)
     numbers = [factor * (x - offset) for x in (value, low, high)]
     half = 0.5 * abs(numbers[2] - numbers[1])
-    known = (
-        -math.floor(math.log10(abs(numbers[0]))) - 1 if numbers[0] and math.isfinite(numbers[0]) else 0
-    )  # decimals of the leading digit, minus one
+    size = abs(numbers[0]) if math.isfinite(numbers[0]) else 0.0
+    known = -math.floor(math.log10(size)) - 1 if size else 0  # decimals of the leading digit, minus one
     decimals = FEWEST_DIGITS + known
     if half > 0.0 and math.isfinite(half):
         decimals = min(1 - math.floor(math.log10(half)), MOST_DIGITS + known)

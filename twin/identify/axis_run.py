@@ -150,8 +150,8 @@ class _Cycles:
     count: int
 
     @property
-    def ends(self) -> np.ndarray:
-        """(cycle + 1,) first sample of each cycle, and that after the last one."""
+    def bounds(self) -> np.ndarray:
+        """(cycle + 1,) first sample of each cycle, and the sample after the last one."""
         return self.first + self.samples * np.arange(self.count + 1)
 
     def window(self, values: np.ndarray) -> np.ndarray:
@@ -160,7 +160,7 @@ class _Cycles:
 
     def starts(self, values: np.ndarray) -> np.ndarray:
         """(cycle,) first sample of each."""
-        return values[self.ends[:-1]]
+        return values[self.bounds[:-1]]
 
     def means(self, values: np.ndarray) -> np.ndarray:
         """(cycle,)"""
@@ -193,13 +193,13 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         return None if values is None else make(values)
 
     time = trace.time - trace.time[0]
-    start = time[cycles.ends[:-1]]
+    start = time[cycles.bounds[:-1]]
     middle = start + cycle / 2.0
     setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
     position, encoder = recorded("position"), recorded("motor_position")
     motor = encoder if encoder is not None else signals.get("position")
-    angle = motor[cycles.ends] / axis.ratio
-    spline = CubicSpline(time[cycles.ends], angle)
+    angle = motor[cycles.bounds] / axis.ratio
+    spline = CubicSpline(time[cycles.bounds], angle)
     effort, speed = recorded(axis.effort), recorded("velocity")
     limited, clipped = _limits(signals, cycles, setpoint)
     pushed, added = _known_torques(trace, machine, axis)

@@ -89,8 +89,10 @@ def _scatter(samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _fitted(x: np.ndarray, y: np.ndarray, exponent: float | None = None) -> tuple[float, float, float]:
-    """Scatter at rest, deviation in time and exponent n of y^2 = rest^2 + (tau top (x / top)^n)^2 through standard deviations y (bin,) at speeds
-    x (bin,) up to `top`."""
+    """Scatter at rest, deviation in time tau and exponent n of y^2 = rest^2 + (tau top (x / top)^n)^2.
+
+    y (bin,) are the standard deviations at the speeds x (bin,), whose largest is `top`; n is fixed if `exponent` is given.
+    """
     top = float(x.max())
     u = x / top
 
