@@ -24,7 +24,7 @@ from twin.diagnose.corrected import (
 from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
 from twin.diagnose.law.acceptance import LEAST_CLOSED
 from twin.diagnose.law.laws import Laws
-from twin.diagnose.law.step import ALL_BUT, find_unlisted_laws, gap_remains, many_effects_explain, predictions_with_laws
+from twin.diagnose.law.step import ALL_BUT, find_unlisted_laws, gap_remains, many_effects_explain, predictions_with_laws, unexplained_share
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
@@ -104,7 +104,20 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
                 best, least_share = corrected, share
             if least_share < ALL_BUT or _closes_the_gap(best, setup.machine):
                 break
-    return best
+    return _as_probable_as_complete(best, setup.machine)
+
+
+def _as_probable_as_complete(correction: Validated, machine: Machine) -> Validated:
+    """The correction, each law with a probability of at most the share of its axis' squared gap above noise that the correction closes.
+
+    Beside a large unexplained gap a law describes a part of something unknown, however clearly it predicts that part.
+    """
+    if correction.laws is None:
+        return correction
+    after = correction.held_out.levels(machine, correction.runs)
+    closed = {axis: 1.0 - min(unexplained_share(before, after[axis]), 1.0) for axis, before in correction.before.items() if axis in after}
+    laws = tuple(replace(law, probability=min(law.probability, closed[law.axis])) for law in correction.laws.laws)
+    return replace(correction, laws=replace(correction.laws, laws=laws))
 
 
 def _closes_the_gap(correction: Validated, machine: Machine) -> bool:
