@@ -1,5 +1,6 @@
 """Gaps on held-out runs, including folds whose machine cannot be simulated."""
 
+from dataclasses import dataclass
 import math
 from types import SimpleNamespace
 
@@ -83,6 +84,18 @@ def test_axes_that_a_correction_makes_worse_keep_the_machine_file(mikron):
         assert machine_of(stays).document == nominal
 
 
+@dataclass(frozen=True)
+class _Law:
+    axis: str = "X"
+    probability: float = 0.98
+
+
+@dataclass(frozen=True)
+class _Laws:
+    laws: tuple[_Law, ...]
+    corrected: str
+
+
 def with_proposed_laws(monkeypatch, levels, laws):
     """`with_laws` for axis X: levels of its signals over noise without a law ("nominal") and with each of `laws`; and the laws it asked for."""
 
@@ -94,7 +107,7 @@ def with_proposed_laws(monkeypatch, levels, laws):
     def proposed(*_):
         for law in laws:
             asked.append(law)
-            yield SimpleNamespace(laws=[SimpleNamespace(axis="X")], corrected=law)
+            yield _Laws((_Law(),), law)
 
     predictions = {which: {"after": {run.name: which for run in RUNS}} for which in levels}
     monkeypatch.setattr(corrected, "gap_of", gaps)
