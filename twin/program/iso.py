@@ -199,9 +199,7 @@ class Iso(IsoModes):
         if "D" in w and not self.linuxcnc:
             self._other_radius(w.pop("D"))
         self._move_words(codes, w)
-        if any(
-            number == 29 or ISO_M.get(number) is None for number in m_codes
-        ):  # the machine builder's own: what no move has used is theirs
+        if any(number == 29 or number not in ISO_M for number in m_codes):  # codes of the machine builder have what no move used
             for name in WORDS_OF_M:
                 w.pop(name, None)
         if 9 in codes:

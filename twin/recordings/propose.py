@@ -16,7 +16,7 @@ from twin.recordings.force_sign import force_sign
 from twin.recordings.names import Meaning, meaning_of
 from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Recording, Signal
 from twin.recordings.timing import timing_of
-from twin.units import RECORDED_UNITS, dimension_recorded
+from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded
 
 STILL_SI = 2e-6
 """An axis whose set point moves less than this [m or rad] is at rest."""
@@ -212,7 +212,7 @@ def _columns(
         elif signal == "acceleration":
             column = replace(column, unit=meaning.unit or f"{unit['setpoint']}/s2")
         elif signal in ("current", "torque", "voltage") and position is not None:
-            sign = force_sign(values[signal], position / MM_OR_DEG[kind], period, kind)
+            sign = force_sign(values[signal], position / AXIS_UNITS[kind].position[1], period, kind)
             column = replace(column, sign=sign.sign, remark=sign.remark, doubt=sign.doubt)
         columns.append(column)
     measured = [c for c in columns if c.signal in ("position", "motor_position")]
@@ -223,13 +223,9 @@ def _columns(
     return columns
 
 
-MM_OR_DEG = {"linear": 1e3, "rotary": 180.0 / np.pi}
-"""mm in a metre, degrees in a radian."""
-
-
 def _in_mm_or_deg(values: np.ndarray, unit: str, kind: str) -> np.ndarray:
     """A length or an angle in mm or degrees; the values of any other unit as they are."""
-    return values * RECORDED_UNITS[unit][1] * MM_OR_DEG[kind] if dimension_recorded(unit) in ("length", "angle") else values
+    return values * RECORDED_UNITS[unit][1] * AXIS_UNITS[kind].position[1] if dimension_recorded(unit) in ("length", "angle") else values
 
 
 def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray]) -> str:

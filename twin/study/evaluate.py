@@ -189,10 +189,9 @@ def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
         return Source(run.name, run.feedforward, setpoints, commanded=commanded, part=part)
     from twin.program import read_program
 
-    feedforward = run.feedforward or read_program(run.input, machine).feedforward
-    folder = run.input.parent
-    files = tuple((file.relative_to(folder).as_posix(), file.read_bytes()) for file in _program_files(run.input, machine))
-    source = Source(run.name, feedforward, program=files, folder=str(folder), part=part)
+    program, folder = read_program(run.input, machine), run.input.parent
+    files = tuple((file.relative_to(folder).as_posix(), file.read_bytes()) for file in (run.input, *program.files))
+    source = Source(run.name, run.feedforward or program.feedforward, program=files, folder=str(folder), part=part)
     # the interpolator depends on limits, travels, cycles, frames, tools and, for exact stops, on the position gain
     if varies(study, (*GEOMETRY, "control")) or any(word in p for p in study.varied for word in (".max_", ".travel_", ".position_gain_")):
         return source
