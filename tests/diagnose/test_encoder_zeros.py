@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from twin.diagnose.view import view_of
 from twin.effects import with_effects
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, load_machine
-from twin.recordings.campaign import MeasuredRun
-from twin.recordings.trace import Trace
+from twin.recordings.campaign import MeasuredRun, read_campaign
+from twin.recordings.trace import Trace, write_trace
 from twin.simulation.gap import gap_of, predict
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -48,6 +49,19 @@ def test_constant_windup_is_no_gap_if_encoders_have_no_common_zero(elastic: Mach
     assert all(run.own_zeros == {"Z"} for run in runs)
     gap = gap_of(YZ, runs[0], predict(elastic, runs[0]))["Z"]["motor_position"]
     assert gap.rms < 2.0 * gap.noise
+
+
+@pytest.mark.parametrize("taken_out", [True, False])
+def test_an_offset_that_the_import_took_out_leaves_no_common_zero(elastic: Machine, tmp_path: Path, taken_out: bool) -> None:
+    """The steady windup of the spring went with the offset; it must not speak against the spring."""
+    run = recorded(elastic, "Z", "run")
+    centred = float(np.mean(motor_minus_scale(run.trace, "Z")))
+    write_trace(shifted(run.trace, YZ.axis("Z"), centred), tmp_path / "run.parquet")
+    channel = f'axis = "Z"\nsignal = "position"\noffset_m = {centred}\noffset_taken_out = {str(taken_out).lower()}\n'
+    (tmp_path / "campaign.toml").write_text(f'[[run]]\nfile = "run.parquet"\n[[run.channel]]\n{channel}', encoding="utf-8")
+    (read,) = read_campaign(tmp_path, YZ).runs
+    gap = gap_of(YZ, read, predict(elastic, read))["Z"]["motor_position"]
+    assert (gap.rms < 2.0 * gap.noise) == taken_out
 
 
 def test_constants_after_correction_are_zeros_but_a_trend_is_not(elastic: Machine) -> None:

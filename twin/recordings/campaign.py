@@ -85,7 +85,7 @@ class MeasuredRun:
     facts      findings of the import, by (axis, signal)
     labels     values of label columns
     events     program blocks in order of time
-    own_zeros  axes whose encoders have no common zero; comparisons remove the mean of their difference from the trace
+    own_zeros  axes whose encoders have no common zero, such as those with an offset taken out; comparisons remove the mean of their difference
     ballbar    the instrument that measured the positions instead of scales
     """
 
@@ -202,7 +202,8 @@ def _read_run(folder: Path, table: dict, where: str, machine: Machine | None, ev
     name = Path(table["file"]).stem
     facts, labels = _facts(table.get("channel", []), where), _labels(table.get("labels", {}), where)
     ballbar = _ballbar(table["ballbar"], trace, f"{where}: ballbar") if "ballbar" in table else None
-    return MeasuredRun(name, trace, feedforward, float(started_at), facts, labels, tuple(events.get(name, ())), ballbar=ballbar)
+    centred = frozenset(axis for (axis, signal), fact in facts.items() if signal == "position" and fact.offset_taken_out)
+    return MeasuredRun(name, trace, feedforward, float(started_at), facts, labels, tuple(events.get(name, ())), centred, ballbar)
 
 
 def _ballbar(table: object, trace: Trace, where: str) -> Ballbar:
