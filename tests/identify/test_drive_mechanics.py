@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.builders.other_structures import write_slides
+from tests.builders.other_structures import slides, write_slides
 from twin.geometry.scurve import moves_in_turn
 from twin.identify.drive_fit import DriveFits, fit_drives
 from twin.identify.drive_mechanics import _predicts_better
@@ -71,6 +71,32 @@ def test_a_single_move_shows_neither(machine: Machine) -> None:
     assert (found.presliding_stiffness, found.mode_mass_share) == (0.0, 0.0)
 
 
+FAST = {"control.position_cycle_us": 125.0, "control.speed_cycle_us": 125.0}
+
+
+def along_its_path(machine: Machine, exact: bool) -> MeasuredRun:
+    """A recording of an unknown control: path and current alone; the path is the set point, exactly or nearly."""
+    position = moves_in_turn(0.0, WAYS, 0.05, 1.0, 60.0, 0.3, 1.25e-4)[1]
+    simulated = simulate(machine.with_values(FAST), Setpoints(position[:, None], 1.25e-4), sample_period=1.25e-4).trace
+    path = simulated.get("Z", "position")
+    signals = {("Z", "setpoint"): path if exact else path + 1e-9, ("Z", "position"): path, ("Z", "current"): simulated.get("Z", "current")}
+    return MeasuredRun("made", Trace(simulated.time, signals, simulated.kinds), "velocity", 0.0)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_without_the_control_a_mode_needs_the_recorded_path(machine: Machine, exact: bool) -> None:
+    run = along_its_path(changed(machine, MODE), exact)
+    stiff = {"loops.speed_gain_nm_s_per_rad": 0.3, "loops.position_delay_s": 0.0, "loops.position_gain_per_s": 100.0}
+    follower = changed(machine, stiff).with_values(FAST)
+    fits = fit_drives(follower, [run], {"Z": [np.ones(len(run.trace.time), bool)]}, known=[("Z", "position_delay_s")])
+    found = fits.machine.axis("Z")
+    if exact:
+        assert found.mode_frequency_hz == pytest.approx(29.0, rel=0.05)
+        assert found.mode_mass_share == pytest.approx(0.35, abs=0.15)
+    else:  # errors of an assumed control would pass for a mode
+        assert found.mode_mass_share == 0.0
+
+
 @pytest.mark.parametrize(("ways", "count"), [([0.004], 0), ([0.004, -0.003], 2), ([0.004, 0.001, -0.005], 3), ([0.004, -0.004] * 4, FOLDS)])
 def test_folds_are_whole_moves(machine: Machine, ways: list[float], count: int) -> None:
     run = recording(machine, ways)
@@ -90,3 +116,20 @@ def test_one_fold_that_is_predicted_worse_is_enough_to_refuse() -> None:
     assert not _predicts_better([-5.9, -4.9], [-5.0, -5.0])
     assert not _predicts_better([-5.01, -5.01], [-5.0, -5.0])
     assert not _predicts_better([-5.5, np.inf], [-5.0, -5.0])
+
+
+def test_the_whole_load_may_swing_behind_its_rotor(tmp_path: Path) -> None:
+    """A drive of two masses: the share is at its upper bound, and the rotor is fitted beside it. Without a rotor such a fit is refused."""
+    rigid = slides(tmp_path, "B", (125, 125)).with_values({"axis.B.loops.velocity_feedforward": 1.0})
+    mode = {"axis.B.mode_frequency_hz": 12.0, "axis.B.mode_mass_share": MOST_MODE_SHARE, "axis.B.mode_damping_ratio": 0.03}
+    position = moves_in_turn(0.0, [0.3, -0.3, 0.3, -0.2], 1.0, 10.0, 600.0, 0.4, 1.25e-4)[1]
+    simulated = simulate(rigid.with_values(mode), Setpoints(position[:, None], 1.25e-4), sample_period=1e-3).trace
+    run = MeasuredRun(
+        "made",
+        Trace(simulated.time, {k: v for k, v in simulated.signals.items() if k[1] in ("setpoint", "position", "torque")}, simulated.kinds),
+        "velocity",
+        0.0,
+    )
+    found = fit_drives(rigid, [run], {"B": [np.ones(len(run.trace.time), bool)]}).machine.axis("B")
+    assert found.mode_frequency_hz == pytest.approx(12.0, rel=0.05)
+    assert found.mode_mass_share == pytest.approx(MOST_MODE_SHARE, rel=0.05)

@@ -13,15 +13,16 @@ import math
 import numpy as np
 
 from twin.errors import SimulationError
-from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveResiduals
+from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveResiduals, follows_recorded_path
 from twin.identify.drive_search import LEAST_IMPROVEMENT, Search, machine_found, score_of, searched
 from twin.identify.moves import folds_of
 from twin.machine.machine import Machine
 from twin.machine.parameters import parameter
 from twin.recordings.campaign import MeasuredRun
+from twin.simulation.two_encoders import BOTH
 
-FREQUENCIES_HZ = (12.0, 18.0, 27.0, 41.0, 62.0)
-"""Initial frequencies of a structural mode. Beds on their mounts and columns are between 10 and 80 Hz."""
+FREQUENCIES_HZ = (8.0, 12.0, 18.0, 27.0, 41.0, 62.0)
+"""Initial frequencies of a structural mode. Arms of large robots are below 10 Hz, beds on their mounts and columns between 10 and 80 Hz."""
 
 MODE_START = (0.3, 0.05)
 """Initial mass share and damping ratio of a structural mode."""
@@ -61,11 +62,19 @@ def with_mechanics(
     best: Mapping[str, Search],
     say: Callable[[str], None] | None = None,
 ) -> dict[str, Search]:
-    """`best` with richer mechanics on the axes where they are accepted. An axis needs a compared position and at least two moves."""
+    """`best` with richer mechanics on the axes where they are accepted.
+
+    An axis needs at least two moves, and a compared position or a set point that is its recorded path: otherwise errors of an assumed
+    control would pass for mechanics.
+    """
     recording = _Recording(runs, rows, known, say)
     best = dict(best)
     folds = {n: folds_of(machine.axis(n), runs, rows[n]) for n in best}
-    asked = [n for n, s in best.items() if folds[n] and _is_open(machine, n) and {"position", "motor_position"} & set(s.base[n])]
+    asked = [
+        n
+        for n, s in best.items()
+        if folds[n] and _is_open(machine, n) and (_has_position(s, n) or follows_recorded_path(machine.axis(n), runs))
+    ]
     left_out = _scores_left_out(recording, folds, {n: best[n] for n in asked})
     for slip, frequencies in ((True, ()), (False, FREQUENCIES_HZ), (True, FREQUENCIES_HZ)):
         found = _fitted(recording, machine, {n: best[n] for n in asked}, slip, frequencies)
@@ -75,6 +84,10 @@ def with_mechanics(
             if _predicts_better(scores[n], left_out[n]):
                 best[n], left_out[n] = s, scores[n]
     return best
+
+
+def _has_position(search: Search, name: str) -> bool:
+    return any(s in search.base[name] for s in BOTH)
 
 
 def _is_open(machine: Machine, name: str) -> bool:
@@ -119,9 +132,15 @@ def _starts(machine: Machine, best: Mapping[str, Search], slip: bool, frequencie
 
 
 def _is_narrow(search: Search, name: str) -> bool:
-    """Whether the intervals of pre-sliding and mode are within NARROW and no value is at a bound of its range."""
+    """Whether the intervals of pre-sliding and mode are within NARROW and no value is at a bound of its range.
+
+    The mass share may be at its upper bound if the rotor is fitted, too: then the whole load swings, as in a drive of two masses.
+    """
     fit = search.work.result(name, search.x[name], search.base[name], search.jacobian[name])
-    if any(not low * 1.01 < fit.values[f] < high / 1.01 for f, (low, high) in RANGES.items() if f in fit.values):
+    ranges = dict(RANGES)
+    if search.work.fits_rotor(name):
+        ranges["mode_mass_share"] = (ranges["mode_mass_share"][0], math.inf)
+    if any(not low * 1.01 < fit.values[f] < high / 1.01 for f, (low, high) in ranges.items() if f in fit.values):
         return False
     return all(math.exp(min(1.96 * fit.deviations[f] / fit.values[f], 40.0)) < NARROW[f] for f in NARROW if f in fit.values)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Axis, Machine
-from twin.machine.parameters import parameter
+from twin.machine.parameters import MOST_MODE_SHARE, parameter
 from twin.machine.toleranced import path_of
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.least_squares import RELATED
@@ -25,6 +25,7 @@ from twin.simulation.nominal_motion import motion_of, nominal_motion
 from twin.simulation.result import Run
 from twin.simulation.run import SimulationJob, simulate_each
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
+from twin.simulation.two_encoders import BOTH
 
 CLUSTER_S = 0.1
 
@@ -44,7 +45,7 @@ ONE_WAY = 1e-3
 
 SLIP = "presliding_stiffness"
 MODE = ("mode_frequency_hz", "mode_mass_share", "mode_damping_ratio")
-RANGES = {"mode_frequency_hz": (5.0, 200.0), "mode_mass_share": (1e-3, 0.9), "mode_damping_ratio": (2e-3, 0.5)}
+RANGES = {"mode_frequency_hz": (5.0, 200.0), "mode_mass_share": (1e-3, MOST_MODE_SHARE), "mode_damping_ratio": (2e-3, 0.5)}
 """Bounds of the search for a structural mode."""
 
 SETTLING_S = 0.1
@@ -77,6 +78,13 @@ def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
     """
     tried = has_ideal_actuator(axis) and axis.has_speed_integral and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
     return not (tried and any(r.trace.has(axis.name, axis.effort) for r in runs))
+
+
+def follows_recorded_path(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
+    """Is the set point of an axis its recorded path in all runs that move it, as for a drive whose control is unknown?"""
+    moved = [r.trace for r in runs if r.trace.moves(axis.name)]
+    recorded = [[t.get(axis.name, s) for s in BOTH if t.has(axis.name, s)] for t in moved]
+    return bool(moved) and all(any(np.array_equal(t.get(axis.name, "setpoint"), q) for q in paths) for t, paths in zip(moved, recorded))
 
 
 class DriveResiduals:
@@ -223,6 +231,11 @@ class DriveResiduals:
             return out
         return {path_of(axis, "moving_mass"): inertia / axis.ratio**2}
 
+    def fits_rotor(self, name: str) -> bool:
+        """Is `inertia` that of the rotor alone, beside a load whose inertia is that of the model?"""
+        axis = self.machine.axis(name)
+        return "inertia" in self.fields[name] and axis.moving_mass_kg is None and axis.ratio != 1.0 and axis.rotor_inertia_kg_m2 > 0.0
+
     def residuals(self, x: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]] | None:
         """Measured less simulated on the training rows, by axis and signal, in units of the signal's range; None if it diverges."""
         return self.residuals_of([x])[0]
@@ -273,6 +286,8 @@ class DriveResiduals:
                 if k < len(self.fields[n]):
                     f = self.fields[n][k]
                     amount[n] = {"constant_force": STEP_OF["constant_force"]}.get(f, 1e3 * STEP_OF[f] if f in STEP_OF else RELATIVE_STEP)
+                    if self._decoded(n, f, at[n][k] + amount[n]) == self._decoded(n, f, at[n][k]):
+                        amount[n] = -amount[n]  # the value is at its upper bound
                     at[n][k] += amount[n]
             turned.append(at)
             amounts.append(amount)
