@@ -1,0 +1,52 @@
+"""A record with few digits: its step is found, and counts as noise of its channels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.diagnose.test_encoder_zeros import YZ, recorded
+from twin.diagnose.observe import observe
+from twin.diagnose.view import view_of
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.roughness import step_of
+
+STEP_M = 20e-6
+
+
+def rounded(values: np.ndarray, step: float) -> np.ndarray:
+    return np.round(values / step) * step
+
+
+@pytest.mark.parametrize("step", [1e-6, 0.5, 3e-9])
+def test_the_step_of_rounded_values_is_found(step: float) -> None:
+    rng = np.random.default_rng(0)
+    values = rounded(1000.0 * step * rng.standard_normal(500) + 0.3 * step, step)
+    assert step_of(values) == pytest.approx(step, rel=1e-6)
+    assert step_of(57.3 * values) == pytest.approx(57.3 * step, rel=1e-6)  # another unit
+
+
+@pytest.mark.parametrize(
+    "values",
+    [np.random.default_rng(1).standard_normal(500), np.zeros(10), np.arange(3.0), np.zeros(0), np.array([0.0, 1.0, 2.0, 3.4, 4.0])],
+)
+def test_values_off_any_grid_have_no_step(values: np.ndarray) -> None:
+    assert step_of(values) == 0.0
+
+
+def with_rounded(run: MeasuredRun, signal: str) -> MeasuredRun:
+    key = ("Y", signal)
+    return replace(run, trace=replace(run.trace, signals={**run.trace.signals, key: rounded(run.trace.signals[key], STEP_M)}))
+
+
+@pytest.mark.parametrize(("signal", "channel"), [("motor_position", "motor_minus_scale"), ("position", "position")])
+def test_few_digits_of_an_encoder_are_noise(signal: str, channel: str) -> None:
+    run = recorded(YZ, "Y", "run")
+
+    def level(of: MeasuredRun) -> float:
+        return float(np.median(next(c for c in observe([view_of(YZ, of)], ("Y",)).channels if c.name == channel).sigma))
+
+    assert level(with_rounded(run, signal)) == pytest.approx(STEP_M / np.sqrt(12.0), rel=0.3)
+    assert level(run) < 0.1 * STEP_M / np.sqrt(12.0)
