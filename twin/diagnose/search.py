@@ -224,7 +224,7 @@ def _without_redundant_effects(state: GroupState, context: Context) -> GroupStat
 
 
 def _evidence_margin(state: GroupState, i: int, all_free: Tuning, context: Context) -> float:
-    """Evidence for effect i next to the others, minus the evidence it needs [nat]; -inf if its size is implausible.
+    """Evidence for effect i next to the others, minus the evidence it needs [nat]; -inf if its size is implausible, inf if the others need it.
 
     `all_free` is the tuning with the slopes of all effects as free columns; the other effects are refitted with it.
     """
@@ -244,7 +244,10 @@ def _evidence_margin(state: GroupState, i: int, all_free: Tuning, context: Conte
     if linear is not None and (clear := margin(linear)) > needed:
         return clear
     others = [s for j, s in enumerate(state.fit.settings) if j != i]
-    return margin(simulated_response(state.group, others, context.mapper) if others else np.zeros(state.group.size))
+    try:
+        return margin(simulated_response(state.group, others, context.mapper) if others else np.zeros(state.group.size))
+    except TwinError:  # the others cannot be simulated without it: a spring that is too stiff alone, behind a backlash
+        return math.inf
 
 
 def response_without(state: GroupState, i: int) -> np.ndarray | None:

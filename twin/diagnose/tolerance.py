@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
-from twin.effects.change import FASTEST_MODE, load_inertia
+from twin.effects.change import FASTEST_MODE, load_inertia, reduced_mass
 from twin.machine.machine import Axis, Machine
 from twin.machine.toleranced import TOLERANCED, field_value, path_of, toleranced
 
@@ -58,7 +58,7 @@ class Nuisance:
                 )
             if share < self.thresholds.least_imperfection:
                 return machine
-            stiffness = min(_softest(machine, axis, self.quantity, self.thresholds) / share, _stiffest(machine, axis))
+            stiffness = min(_softest(machine, axis, self.quantity, self.thresholds) / share, _stiffest(machine, axis, self.quantity))
             return with_added(machine, [Setting(EFFECTS[NORMAL[self.quantity]], self.owner, {"stiffness": stiffness})])
         return machine.with_axis(self.owner, **{TOLERANCED[self.quantity]: factor * field_value(axis, self.quantity)})
 
@@ -115,9 +115,10 @@ def drive_train_of(settings: Sequence[Setting], axis: str) -> list[Setting]:
     return [s for s in settings if s.axis == axis and (s.effect.name == SPRING_EFFECT or SPRING_EFFECT in s.effect.contains)]
 
 
-def _stiffest(machine: Machine, axis: Axis) -> float:
-    """Largest stiffness that the simulation step resolves [N/m, Nm/rad]."""
-    return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * load_inertia(machine, axis)
+def _stiffest(machine: Machine, axis: Axis, quantity: str) -> float:
+    """Largest stiffness that the simulation step resolves [N/m, Nm/rad]: of a drive train between rotor and load, of a contact under the load."""
+    mass = reduced_mass(machine, axis) if quantity == "elasticity" else load_inertia(machine, axis)
+    return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * mass
 
 
 def nuisances_of(machine: Machine, axes: Sequence[str], thresholds: Thresholds = DEFAULT) -> tuple[Nuisance, ...]:

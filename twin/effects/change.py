@@ -115,9 +115,8 @@ class Change:
         return load_inertia(self.machine, axis)
 
     def reduced_mass(self, axis: Axis) -> float:
-        """Rotor and load in series: m1 m2 / (m1 + m2)."""
-        load, rotor = self.load_inertia(axis), axis.reflected_inertia
-        return load * rotor / (load + rotor)
+        """Rotor and load in series [kg, kg m2], see `reduced_mass`."""
+        return reduced_mass(self.machine, axis)
 
     def rotor_offset(self, index: int, held: float) -> float:
         """Rotor minus load position of a coupled axis at rest."""
@@ -178,6 +177,12 @@ def upward(machine: Machine, axis: Axis) -> float:
 def weight(machine: Machine, axis: Axis) -> float:
     """Weight on a linear axis [N], 0 for a rotary or horizontal axis."""
     return (axis.moving_mass_kg or 0.0) * machine.gravity * abs(upward(machine, axis)) if axis.kind == "linear" else 0.0
+
+
+def reduced_mass(machine: Machine, axis: Axis) -> float:
+    """Rotor and load of an axis in series, m1 m2 / (m1 + m2) [kg, kg m2], without the part of the load that swings in a structural mode."""
+    load, rotor = (1.0 - axis.mode_mass_share) * load_inertia(machine, axis), axis.reflected_inertia
+    return load * rotor / (load + rotor)
 
 
 def total_inertia(machine: Machine, axis: Axis) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from twin.effects.change import Change, load_inertia
+from twin.effects.change import Change, load_inertia, reduced_mass
 from twin.effects.effect import Parameter, effect
 from twin.effects.picture import Picture
 from twin.machine.machine import Axis, Machine
@@ -90,7 +90,5 @@ def transmission_compliance(change: Change, axis: Axis, stiffness: float, dampin
 
 
 def _screw_damping(machine: Machine, axis: Axis, stiffness: float) -> float:
-    load = load_inertia(machine, axis)
-    reduced = load * axis.reflected_inertia / (load + axis.reflected_inertia)
-    stable = COMPLIANCE_STABLE * axis.loops.position_gain_per_s * load
-    return max(2.0 * COMPLIANCE_DAMPING_RATIO * math.sqrt(stiffness * reduced), stable)
+    stable = COMPLIANCE_STABLE * axis.loops.position_gain_per_s * load_inertia(machine, axis)
+    return max(2.0 * COMPLIANCE_DAMPING_RATIO * math.sqrt(stiffness * reduced_mass(machine, axis)), stable)
