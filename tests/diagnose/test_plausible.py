@@ -55,6 +55,7 @@ def test_an_effect_with_an_undetermined_size_is_removed(slope: float, kept: bool
         ("viscous_friction", 1.05, 0.01, False),
         ("viscous_friction", 0.95, 0.01, False),
         ("backlash", 4e-6, 1.5e-6, True),
+        ("backlash", 4e-6, 2.5e-6, False),  # a logarithmic size, known within a factor of 3.4
         ("position_dependent_friction", 0.09, 0.03, True),
         ("position_dependent_friction", 0.09, 0.13, False),  # from -17 to 35 %
     ],

@@ -143,7 +143,6 @@ class Thresholds:
     near_noise: float = _of(0.02, "share", "relative excess over noise, or over another fit, that counts as none")
     quiet: float = _of(0.25, "1", "mean square above noise up to which a quick look skips an axis")
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
-    undetermined_size: float = _of(5.0, "sizes", "half width of a 95 % interval from which the size is undetermined")
     invisible: float = _of(1e-9, "share of the evidence", "possible gain below which an effect is invisible at any size")
 
     smallest_size: float = _of(0.02, "smallest usual size", "a smaller effect is implausible: every machine has a little of most effects")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
-import math
 
 import numpy as np
 
@@ -60,23 +59,15 @@ def without_implausible(state: GroupState, machine: Machine, mapper: Mapper) -> 
 
 
 def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:
-    """For each effect: is its size determined, given its shape, and larger than zero and than the tolerance explains?
-
-    The interval of a logarithmic size never contains zero: without a similar toleranced parameter only the first condition applies.
-    """
+    """For each effect: is its 95 % interval beyond zero and beyond what the tolerance explains? That of a logarithmic size is taken as linear."""
     sizes = state.fit.sizes()
-    given_shape = np.diag(sizes.information) / (sizes.prior_weight * state.inflation)
     deviations = np.sqrt(np.maximum(np.diag(sizes.covariance(state.inflation)), 0.0))
     determined = [True] * len(sizes.settings)
-    for free, precision, deviation in zip(sizes.free, given_shape, deviations):
+    for free, deviation in zip(sizes.free, deviations):
         setting = sizes.settings[free.setting]
         size = setting.effect.size
-        if free.parameter is not size:
-            continue
-        value, within = size.deviation(setting.size), within_tolerance(setting, machine)
-        relative = free.unit if free.logarithmic else free.unit / max(value, 1e-30)
-        has_size = 1.96 * relative < state.thresholds.undetermined_size * math.sqrt(float(precision))
-        half = 1.96 * float(deviation) * free.unit * (abs(setting.size) if free.logarithmic else 1.0)
-        is_more = value - half > within or (free.logarithmic and not within)
-        determined[free.setting] = has_size and is_more
+        if free.parameter is size:
+            value = size.deviation(setting.size)
+            half = 1.96 * float(deviation) * free.unit * (value if free.logarithmic else 1.0)
+            determined[free.setting] = value - half > within_tolerance(setting, machine)
     return determined
