@@ -5,7 +5,7 @@
 The recordings are those of the MIT-licensed project Robot_Identification (J. Weigand and others); they are not part of this repository.
 The first one is fitted, the others are held out. The robot's position controller is unknown, so the twin follows the measured path of the
 motors, and torque and second encoder are compared. Gravity, coupling with other axes and the change of inertia are given by the authors'
-model along the path as a known load.
+model along the path as a known load. The twin starts with rigid axes; identification finds the elasticity of the arm as a structural mode.
 """
 
 from __future__ import annotations
@@ -19,31 +19,28 @@ import sys
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 from scipy.io import loadmat
-from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from twin.cli.parser import show_and_run
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine, load_machine
+from twin.machine.parameters import MOST_MODE_SHARE
 from twin.recordings.campaign import MeasuredRun, read_campaign
-from twin.recordings.trace import LOADS, write_trace
+from twin.recordings.trace import LOADS, Trace, write_trace
 from twin.simulation.gap import is_moving, predict
 from twin.simulation.summary import table
 
 AXES = ("1", "2", "3")
-SMOOTHED = 15
-"""Number of samples over which the path of a motor is smoothed before the twin follows it."""
+CYCLE_S = 0.125e-3
+"""Cycle of the twin's control, which follows a spline through the recorded path. Commands that are constant for the 4 ms of the record would cause
+a saw-tooth in the torque as large as the torque of the inertia."""
 
-KNOWN_HZ = 28.0
-"""The smoothed path has no content above this frequency, so no machine file can explain the recorded torque there."""
-
-FOLLOWED_S = 0.5e-3
-"""Cycle of the twin's control, and of the record after resampling (spline). A command that is constant for the 4 ms of the record would cause a
-saw-tooth in the torque as large as the torque of the inertia."""
-
-LAG_S = 4e-3
+LAG_S = 2e-3
 """Lag of the twin's speed loop on this path [s]."""
+
+DAMPING = 0.05
+"""Assumed damping ratio of the authors' stiffness, which their parameters lack. From 0.02 to 0.2 the gaps change by 1 %."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,16 +60,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         published.parent.mkdir(parents=True, exist_ok=True)
         (published.parent / "axes.xml").write_text(model_xml(models[0]), encoding="utf-8")
         published.write_text(machine_text(models[0]), encoding="utf-8")
-        machine = load_machine(published)
+        rigid = load_machine(published)
         runs = [following(run, model) for run, model in zip(read_campaign(out / "imported").runs, models)]
-        write_campaign(out / "fitted", runs[:1], machine.name)
+        write_campaign(out / "fitted", [resampled(runs[0])], rigid.name)
         identified = out / "identified" / "machine.toml"
         show_and_run("identify", out / "fitted", "--machine", published, "--out", identified)
-        print(gaps_text({"published": machine, "identified": load_machine(identified)}, runs))
-        print(bounds_text(machine, runs))
-        print(angle_text(machine, runs))
+        machines = {"rigid": rigid, "their stiffness": with_stiffness(rigid, models[0]), "identified": load_machine(identified)}
+        predicted = {label: [predict(machine, run, realisations=1).trace for run in runs] for label, machine in machines.items()}
+        print(gaps_text(machines, runs, predicted))
+        print(modes_text(machines))
+        print(angle_text(rigid.axis("2"), runs, predicted["identified"]))
         if args.diagnose:
-            write_campaign(out / "both", runs, machine.name)
+            write_campaign(out / "both", runs, rigid.name)
             show_and_run("diagnose", out / "both", "--machine", identified, "--out", out / "diagnosis")
     except TwinError as error:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
@@ -81,25 +80,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def write_campaign(folder: Path, runs: Sequence[MeasuredRun], machine: str) -> None:
-    """A campaign of these runs."""
+    """A campaign of these runs. The import took out the constant difference of the encoders, so that the mean of their difference carries nothing."""
     folder.mkdir(parents=True, exist_ok=True)
     lines = [f"machine = {json.dumps(machine)}"]
     for run in runs:
         write_trace(run.trace, folder / f"{run.name}.parquet")
         lines.append(f'[[run]]\nfile = "{run.name}.parquet"\nfeedforward = "velocity"')
+        for (axis, signal), fact in run.facts.items():
+            if axis in AXES and fact.offset_taken_out:
+                lines.append(
+                    f'[[run.channel]]\naxis = "{axis}"\nsignal = "{signal}"\noffset_rad = {fact.offset:.9g}\noffset_taken_out = true'
+                )
     (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 @dataclass(frozen=True)
 class Model:
-    """The authors' model of axes 1 to 3: parameters (axis,), and inertia and load along the path (axis, sample) at the joint [kg m2, Nm]."""
+    """The authors' model of axes 1 to 3: parameters (axis,), inertia and load along the path (axis, sample) at the joint, SI."""
 
     ratio: np.ndarray
     rotor: np.ndarray
     coulomb: np.ndarray
     viscous: np.ndarray
+    stiffness: np.ndarray
     inertia: np.ndarray
-    load: np.ndarray  # gravity, Coriolis torque and torque by the other axes' accelerations
+    load: np.ndarray  # gravity, Coriolis torque, torque by the other axes' accelerations and by the change of inertia
 
 
 def model_of(file: Path) -> Model:
@@ -108,32 +113,37 @@ def model_of(file: Path) -> Model:
     p, axes = content["para"], slice(0, len(AXES))
     load = content["tau_g_init"][axes, None] + content["tau_g_all"][axes] + content["tau_c_all"][axes] + content["tau_a_all"][axes]
     coulomb = p.f_coul[axes] + 0.5 * np.pi * p.f_a[axes]
-    return Model(p.u[axes], p.J_mr[axes], coulomb, p.f_vis[axes], content["m_all"][axes], load)
+    inertia = content["m_all"][axes]
+    changing = (inertia - inertia.mean(axis=1, keepdims=True)) * content["ref_kin"].phi_r_all_d2.T[axes]
+    return Model(p.u[axes], p.J_mr[axes], coulomb, p.f_vis[axes], p.c_rad_ode[axes], inertia, load + changing)
 
 
 def following(run: MeasuredRun, model: Model) -> MeasuredRun:
-    """The run with the path of each motor as its set point, and the authors' loads beyond mean inertia and friction as known loads."""
-    signals = {}
+    """The run with the path of each motor as its set point, and the authors' loads beyond mean inertia and friction as known loads.
+
+    The path is not smoothed: the arms vibrate at 7 to 10 Hz, and the motors feel it up to the highest recorded frequencies.
+    """
+    signals: dict[tuple[str, str], np.ndarray] = {}
     for a, name in enumerate(AXES):
-        path = savgol_filter(run.trace.get(name, "motor_position"), SMOOTHED, 3)
-        acceleration = savgol_filter(run.trace.get(name, "motor_position"), SMOOTHED, 3, deriv=2, delta=run.trace.period)
-        count = len(path)
-        changing = (model.inertia[a, :count] - model.inertia[a].mean()) * acceleration
-        signals[name, "setpoint"] = path
-        signals[name, LOADS["Nm"]] = -(model.load[a, :count] + changing)
         signals |= {(name, s): run.trace.get(name, s) for s in ("position", "motor_position", "torque")}
+        signals[name, "setpoint"] = signals[name, "motor_position"]
+        signals[name, LOADS["Nm"]] = -model.load[a, : len(run.trace.time)]
+    return replace(run, trace=replace(run.trace, signals=signals, kinds=dict.fromkeys(AXES, "rotary")), feedforward="velocity")
+
+
+def resampled(run: MeasuredRun) -> MeasuredRun:
+    """The run with a sample in every cycle of the twin's control, by splines, as identification requires. It holds no more than before."""
     before = run.trace.time
-    time = before[0] + FOLLOWED_S * np.arange(round((before[-1] - before[0]) / FOLLOWED_S) + 1)
-    between = {key: CubicSpline(before, values)(time) for key, values in signals.items()}
-    trace = replace(run.trace, time=time, signals=between, kinds=dict.fromkeys(AXES, "rotary"))
-    return replace(run, trace=trace, feedforward="velocity")
+    time = before[0] + CYCLE_S * np.arange(round((before[-1] - before[0]) / CYCLE_S) + 1)
+    signals = {key: make_interp_spline(before, values, k=5)(time) for key, values in run.trace.signals.items()}
+    return replace(run, trace=replace(run.trace, time=time, signals=signals))
 
 
 def machine_text(model: Model) -> str:
     """A machine file: three rotary axes whose drives take a torque."""
     lines = [
         'name = "KR300, axes 1 to 3"\nmodel = "axes.xml"\ngravity_m_per_s2 = 0.0   # given along the path\nparameter_tolerance = 0.05',
-        f'axis_order = ["1", "2", "3"]\n[control]\nspeed_cycle_us = {FOLLOWED_S * 1e6:g}\nposition_cycle_us = {FOLLOWED_S * 1e6:g}',
+        f'axis_order = ["1", "2", "3"]\n[control]\nspeed_cycle_us = {CYCLE_S * 1e6:g}\nposition_cycle_us = {CYCLE_S * 1e6:g}',
     ]
     for a, name in enumerate(AXES):
         u, inertia = model.ratio[a], model.rotor[a] + model.inertia[a].mean() / model.ratio[a] ** 2
@@ -158,9 +168,7 @@ position_gain_per_s = 20.0
 speed_gain_nm_s_per_rad = {inertia / LAG_S:.6g}
 speed_integral_time_s = 0.05
 velocity_feedforward = 1.0""")
-    lines.append(
-        f"\n[measurement]\nsample_period_us = {FOLLOWED_S * 1e6:g}\nrotary_encoder_noise_deg = 0.0002\nmotor_encoder_noise_rad = 1e-6"
-    )
+    lines.append("\n[measurement]\nsample_period_us = 4000\nrotary_encoder_noise_deg = 0.0002\nmotor_encoder_noise_rad = 1e-6")
     return "\n".join(lines) + "\n"
 
 
@@ -174,86 +182,63 @@ def model_xml(model: Model) -> str:
     return f'<mujoco model="kr300"><compiler angle="radian" inertiafromgeom="false"/><worldbody>{bodies}</worldbody></mujoco>\n'
 
 
-def gaps_text(machines: Mapping[str, Machine], runs: Sequence[MeasuredRun]) -> str:
-    """RMS gap of torque [Nm at the motor], total and below KNOWN_HZ, and of the second encoder [arcsec], where the axes move."""
+def with_stiffness(rigid: Machine, model: Model) -> Machine:
+    """The machine with the authors' stiffness between motor and arm, as a structural mode: as much of the arm swings as a file may say."""
+    values: dict[str, float] = {}
+    for a, name in enumerate(AXES):
+        values[f"axis.{name}.mode_frequency_hz"] = float(np.sqrt(model.stiffness[a] / model.inertia[a].mean()) / (2.0 * np.pi))
+        values[f"axis.{name}.mode_mass_share"] = MOST_MODE_SHARE
+        values[f"axis.{name}.mode_damping_ratio"] = DAMPING
+    return rigid.with_values(values)
+
+
+def gaps_text(machines: Mapping[str, Machine], runs: Sequence[MeasuredRun], predicted: Mapping[str, Sequence[Trace]]) -> str:
+    """RMS gap of the torque [Nm at the motor] and of the second encoder [arcsec] where the axes move."""
     rows = []
     for number, run in enumerate(runs):
-        simulated = {label: predict(machine, run, realisations=1).trace for label, machine in machines.items()}
-        known = butter(4, KNOWN_HZ, fs=1.0 / run.trace.period, output="sos")
         for name in AXES:
+            moving = is_moving(run.trace, machines["rigid"].axis(name))
             row = [run.name, "fitted" if number == 0 else "held out", name]
-            for signal, factor, slow in (("torque", 1.0, False), ("torque", 1.0, True), ("position", np.degrees(1.0) * 3600.0, False)):
-                for label, machine in machines.items():
-                    off = run.trace.get(name, signal) - simulated[label].get(name, signal)
-                    off = (sosfiltfilt(known, off) if slow else off)[is_moving(run.trace, machine.axis(name))]
-                    row.append(f"{float(np.sqrt(np.mean(off**2))) * factor:.3g}")
+            for signal, factor in (("torque", 1.0), ("position", np.degrees(1.0) * 3600.0)):
+                off = [(run.trace.get(name, signal) - predicted[label][number].get(name, signal))[moving] for label in machines]
+                row += [f"{_rms(gap) * factor:.3g}" for gap in off]
+                row += [f"{1.0 - _rms(off[-1]) / _rms(off[0]):.0%}"] if signal == "torque" else []
             rows.append(row)
-    compared = ("torque", f"below {KNOWN_HZ:g} Hz", "second encoder")
-    heading = ["run", "", "axis", *(f"{c}, {m}" for c in compared for m in machines)]
-    return "\nRMS of the gap, torque in Nm at the motor, second encoder in arcsec:\n" + table(heading, rows, left=3)
+    first, second = [f"torque, {m}" for m in machines], [f"second encoder, {m}" for m in machines]
+    return "\nRMS of the gap, torque in Nm at the motor, second encoder in arcsec:\n" + table(
+        ["run", "", "axis", *first, "reduced by", *second], rows, left=3
+    )
 
 
-def bounds_text(machine: Machine, runs: Sequence[MeasuredRun]) -> str:
-    """How small a gap any law of position, speed and acceleration could leave of the torque [Nm at the motor], where the axes move.
+def modes_text(machines: Mapping[str, Machine]) -> str:
+    """Natural frequencies of the arm with the motor held [Hz]."""
+    rows = [[name, *(f"{machines[m].axis(name).mode_frequency_hz:.2f}" for m in ("their stiffness", "identified"))] for name in AXES]
+    return "\nNatural frequency of the arm with the motor held, Hz:\n" + table(["axis", "by their stiffness", "identified"], rows, left=1)
 
-    `friction` has inertia, constant and friction over the speed; `place` lets all of them change with the position, too. Each is fitted by
-    least squares to the first run, and to the run itself: no law of that form leaves less there.
+
+def angle_text(axis: Axis, runs: Sequence[MeasuredRun], predicted: Sequence[Trace]) -> str:
+    """Torque over the angle of axis 2 that the model lacks, from each recording alone: least squares on what is left, beside friction.
+
+    R2 compares the curve of the first recording with that of the other one over the angles of the other one, without the constant.
     """
+    curves = []
+    for run, trace in zip(runs, predicted):
+        path, moving = run.trace.get(axis.name, "setpoint"), is_moving(run.trace, axis)
+        speed = np.gradient(path, run.trace.period)
+        columns = np.column_stack([np.ones_like(path), np.sign(speed), speed, path, path**2])[moving]
+        left = (run.trace.get(axis.name, "torque") - trace.get(axis.name, "torque"))[moving]
+        curves.append(np.linalg.lstsq(columns, left, rcond=None)[0][-2:] / axis.ratio / 1e3)
     rows = []
-    known = butter(4, KNOWN_HZ, fs=1.0 / runs[0].trace.period, output="sos")
-    for run in runs[1:]:
-        for name in AXES:
-            axis = machine.axis(name)
-            moving = is_moving(run.trace, axis)
-            off = run.trace.get(name, "torque")
-            row = [run.name, name, f"{_rms((off - sosfiltfilt(known, off))[moving]):.3g}"]
-            for place in (False, True):
-                columns, torque = _law(run, axis, place)
-                for fitted in (runs[0], run):
-                    taken, wanted = _law(fitted, axis, place)
-                    values = np.linalg.lstsq(taken[is_moving(fitted.trace, axis)], wanted[is_moving(fitted.trace, axis)], rcond=1e-9)[0]
-                    row.append(f"{_rms((torque - columns @ values)[moving]):.3g}")
-            rows.append(row)
-    heading = ["run", "axis", f"torque above {KNOWN_HZ:g} Hz", "friction", "fitted to itself", "and place", "fitted to itself"]
-    return "\nRMS of what any law leaves of the torque, in Nm at the motor:\n" + table(heading, rows, left=2)
-
-
-def angle_text(machine: Machine, runs: Sequence[MeasuredRun]) -> str:
-    """Torque over the angle of axis 2 that the authors' model lacks, by least squares beside inertia and friction, from each recording alone.
-
-    Two shapes: a parabola about angle zero and a free one. R2 compares the curve of the first recording with that of the other one over the
-    angles of the other one; the constant is left out, because the friction's is the same.
-    """
-    axis, rows = machine.axis("2"), []
-    for label, powers in (("parabola about zero", (2,)), ("free parabola", (1, 2))):
-        curves = []
-        for run in runs:
-            columns, torque = _law(run, axis, place=False)
-            path, moving = run.trace.get("2", "setpoint"), is_moving(run.trace, axis)
-            taken = np.column_stack([columns[:, [0, 1, 2, 3, 5]], *(path**n for n in powers)])
-            curves.append(np.linalg.lstsq(taken[moving], torque[moving], rcond=None)[0][-len(powers) :] / axis.ratio)
-        for run, own in zip(runs[1:], curves[1:]):
-            path = run.trace.get("2", "setpoint")
-            angles = np.linspace(path.min(), path.max(), 100)
-            first, second = (sum(c * angles**n for c, n in zip(curve, powers)) for curve in (curves[0], own))
-            agreement = 1.0 - float(np.var(first - second) / np.var(second))
-            coefficients = [", ".join(f"{c / 1e3:.2f}" for c in curve) for curve in (curves[0], own)]
-            rows.append([run.name, label, *coefficients, f"{agreement:.2f}"])
-    heading = ["run", "torque over angle of axis 2", "from the first run [kNm/rad^n]", "from this run", "R2"]
-    return "\nTorque over the angle that the authors' model lacks, at the joint:\n" + table(heading, rows, left=2)
-
-
-def _law(run: MeasuredRun, axis: Axis, place: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Columns (sample, term) of a law, each of RMS near 1, and the torque (sample,) less the given loads [Nm at the motor]."""
-    path = run.trace.get(axis.name, "setpoint")
-    speed = np.gradient(path, run.trace.period)
-    acceleration = np.gradient(speed, run.trace.period)
-    v, a, q = speed / 0.5, acceleration / 2.0, path / 0.5
-    sign = np.tanh(v / 0.03)
-    terms = [a, sign, v, np.ones_like(v), np.abs(v), v * np.abs(v), v**3, *(sign * np.exp(-np.abs(v) / w) for w in (0.05, 0.2, 0.8))]
-    if place:
-        terms += [t * shape for t in (a, sign, v, np.ones_like(v), v * np.abs(v)) for shape in (q, q**2)]
-    return np.column_stack(terms), run.trace.get(axis.name, "torque") + run.trace.get(axis.name, LOADS["Nm"]) * axis.ratio
+    for run, own in zip(runs[1:], curves[1:]):
+        path = run.trace.get(axis.name, "setpoint")
+        angles = np.linspace(path.min(), path.max(), 100)
+        first, second = (c[0] * angles + c[1] * angles**2 for c in (curves[0], own))
+        coefficients = [", ".join(f"{c:.2f}" for c in curve) for curve in (curves[0], own)]
+        rows.append([run.name, *coefficients, f"{1.0 - float(np.var(first - second) / np.var(second)):.2f}"])
+    heading = ["run", "from the first run [kNm/rad, kNm/rad2]", "from this run", "R2"]
+    return f"\nTorque over the angle of axis {axis.name} that the model lacks, at the joint, as a parabola:\n" + table(
+        heading, rows, left=1
+    )
 
 
 def _rms(values: np.ndarray) -> float:
