@@ -62,14 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         published.write_text(machine_text(models[0]), encoding="utf-8")
         rigid = load_machine(published)
         runs = [following(run, model) for run, model in zip(read_campaign(out / "imported").runs, models)]
-        write_campaign(out / "fitted", [resampled(runs[0])], rigid.name)
+        fine = [resampled(run) for run in runs]
+        write_campaign(out / "fitted", fine[:1], rigid.name)
         identified = out / "identified" / "machine.toml"
         show_and_run("identify", out / "fitted", "--machine", published, "--out", identified)
         machines = {"rigid": rigid, "their stiffness": with_stiffness(rigid, models[0]), "identified": load_machine(identified)}
-        predicted = {label: [predict(machine, run, realisations=1).trace for run in runs] for label, machine in machines.items()}
-        print(gaps_text(machines, runs, predicted))
+        predicted = {label: [predict(machine, run, realisations=1).trace for run in fine] for label, machine in machines.items()}
+        print(gaps_text(machines, fine, predicted))
         print(modes_text(machines))
-        print(angle_text(rigid.axis("2"), runs, predicted["identified"]))
+        print(angle_text(rigid.axis("2"), fine, predicted["identified"]))
         if args.diagnose:
             write_campaign(out / "both", runs, rigid.name)
             show_and_run("diagnose", out / "both", "--machine", identified, "--out", out / "diagnosis")
