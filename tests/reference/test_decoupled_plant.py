@@ -58,8 +58,19 @@ def test_nominal_axis_agrees_with_the_engine(nominal, axes):
     ids=lambda e: e["name"],
 )
 def test_axis_with_an_effect_agrees_with_the_engine(nominal, effect):
+    agrees_with_the_engine(nominal, [effect])
+
+
+def test_axis_with_friction_at_the_motor_agrees_with_the_engine(nominal):
     machine, setpoints, trace = nominal
-    changed = with_effects(machine, [effect])
+    spring = {"name": "transmission_compliance", "axis": "X", "stiffness": 5e7}
+    stribeck = {"name": "stribeck", "axis": "X", "excess": 300.0, "velocity": 0.01}
+    agrees_with_the_engine((machine.with_axis("X", friction_side="motor"), setpoints, trace), [spring, stribeck])
+
+
+def agrees_with_the_engine(nominal, effects):
+    machine, setpoints, trace = nominal
+    changed = with_effects(machine, effects)
     full = simulate(changed, setpoints).trace
     alone = decoupled_trace(changed, setpoints, trace, ("X",))
     assert np.abs(full.get("X", "position") - trace.get("X", "position")).max() > 0.1e-6  # the effect does something

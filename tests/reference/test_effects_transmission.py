@@ -10,6 +10,8 @@ from scipy.signal import chirp
 
 from tests.builders.one_axis import MACHINE, NO_COULOMB, TICK, axis_of, follow, steady, there_and_back
 from twin.effects import apply_effects, load_inertia, with_effects
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 AXES = ("X", "Y", "A", "C")
 
@@ -126,6 +128,36 @@ def test_transmission_compliance_deflects_under_weight_friction_and_acceleration
     moved = follow("X", steady(0.05, 0.6), [{"name": "transmission_compliance", "stiffness": 5e7}])
     expected = (x.coulomb_friction + x.viscous_friction * 0.05) / 5e7
     assert motor_minus_scale(moved, "X")[-321:].mean() == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize("extra", [[], [{"name": "stribeck", "excess": 300.0, "velocity": 1.0}]])
+def test_friction_at_the_motor_does_not_deflect_the_drive_train(extra):
+    """`friction_side = "motor"`: the same current at constant speed as with friction on the load, and no deflection but that of acceleration."""
+    x = axis_of("X")
+    effects = [{"name": "transmission_compliance", "stiffness": 5e7, "axis": "X"}, *({**e, "axis": "X"} for e in extra)]
+    traces = {
+        side: simulate(
+            with_effects(MACHINE.with_axes(["X"]).with_axis("X", friction_side=side), effects),
+            Setpoints(steady(0.05, 0.6)[:, None], 1e-3),
+            sample_period=TICK,
+        ).trace
+        for side in ("load", "motor")
+    }
+    friction = x.coulomb_friction + x.viscous_friction * 0.05 + sum(e["excess"] for e in extra)  # below this velocity of Stribeck
+    assert motor_minus_scale(traces["load"], "X")[-321:].mean() == pytest.approx(friction / 5e7, rel=5e-3)
+    assert abs(motor_minus_scale(traces["motor"], "X")[-321:].mean()) < 0.005 * friction / 5e7
+    currents = [trace.get("X", "current")[-321:].mean() for trace in traces.values()]
+    assert currents[1] == pytest.approx(currents[0], rel=1e-3)
+    frictions = [trace.get("X", "torque_friction")[-321:].mean() for trace in traces.values()]
+    assert frictions[1] == pytest.approx(frictions[0], rel=1e-3)
+
+
+def test_without_a_spring_the_side_of_friction_changes_nothing():
+    moved = [
+        simulate(MACHINE.with_axes(["X"]).with_axis("X", friction_side=side), Setpoints(steady(0.05, 0.2)[:, None], 1e-3)).trace
+        for side in ("load", "motor")
+    ]
+    assert np.array_equal(moved[0].get("X", "current"), moved[1].get("X", "current"))
 
 
 def test_compliance_and_backlash_together_are_springs_in_series():

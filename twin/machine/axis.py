@@ -97,6 +97,7 @@ class Axis:
     commissioned_inertia          [kg m2 at the motor] of the torque feedforward; None: that of the model in the home pose
     effort                        signal that the speed controller commands: current, voltage or torque
     encoder                       measuring system that closes the position loop: scale (at the load) or motor
+    friction_side                 where friction acts if an elastic drive train separates motor and load: load (guideways) or motor (gear of a robot)
     presliding_stiffness          [N/m or Nm/rad at the axis] of friction below break-away, as in the effect of that name, which takes its place; 0: rigid
     mode_frequency_hz             natural frequency of a structural mode in the axis' direction with the axis held (bed on its mounts, carried part)
     mode_mass_share               m / (M + m) of the axis' mass m and the bed's M, or share of a swinging part in the moving mass; 0: no mode
@@ -122,6 +123,7 @@ class Axis:
     structure: str = keys.STRUCTURES[0]
     effort: str = "current"
     encoder: str = "scale"
+    friction_side: str = "load"
     presliding_stiffness: float = 0.0
     mode_frequency_hz: float = 0.0
     mode_mass_share: float = 0.0
@@ -192,7 +194,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     if "sinumerik" in table:
         table = sinumerik.with_plain_keys(table, where)
     structure = _word(table, "structure", keys.STRUCTURES, where)
-    encoder = _word(table, "encoder", keys.ENCODERS, where)
+    words = {key: _word(table, key, allowed, where) for key, allowed in keys.WORDS.items()}
     direct = _word(table, "drive", keys.DRIVES[kind], where) == "direct"
     if checked:
         _check_keys(name, kind, direct, structure, table, where)
@@ -227,7 +229,8 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         commissioned_inertia=typed["commissioned"].get("commissioned_inertia"),
         structure=structure,
         effort=effort,
-        encoder=encoder,
+        encoder=words["encoder"],
+        friction_side=words["friction_side"],
         **own,
     )
 
@@ -238,7 +241,7 @@ def _check_keys(name: str, kind: str, direct: bool, structure: str, table: Mappi
     endless = kind == "rotary" and table.get("travel_deg") == "endless"
     if endless:
         del own["travel_deg"]
-    keys.check_table(table, own, where, ("kind", *(["travel_deg"] if endless else []), "structure", "encoder", "drive", *parts))
+    keys.check_table(table, own, where, ("kind", *(["travel_deg"] if endless else []), "structure", *keys.WORDS, "drive", *parts))
     for part, part_keys in parts.items():
         if part not in table and part != "commissioned":
             raise InputError(f"{where}: table [axis.{name}.{part}] is missing; add it")

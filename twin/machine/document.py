@@ -171,7 +171,7 @@ def _is_allowed(document: Mapping[str, Any], path: str) -> bool:
     kind, direct = table.get("kind"), table.get("drive") == "direct"
     own, below = keys.tables_of_axis(str(kind), direct, table.get("structure", keys.STRUCTURES[0]), table, f"[axis.{parts[1]}]")
     if len(parts) == 3:
-        return parts[2] in own or parts[2] in ("encoder", "commissioned")
+        return parts[2] in own or parts[2] in (*keys.WORDS, "commissioned")
     return parts[3] in below.get(parts[2], {})
 
 

@@ -16,7 +16,8 @@ from twin.machine.parameters import INFINITE, PARAMETERS, Key, not_negative, pos
 STRUCTURES = ("P/PI/PI", "P/PI", "P/P")
 """Position, speed and current controller of an axis. The first is a servo drive; the others end in an ideal actuator."""
 
-ENCODERS = ("scale", "motor")
+WORDS = {"encoder": ("scale", "motor"), "friction_side": ("load", "motor")}
+"""Optional words of an axis; the first one is the default."""
 DRIVES = {"linear": ("screw", "direct"), "rotary": ("gear",)}
 
 

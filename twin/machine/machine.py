@@ -180,7 +180,7 @@ class Machine:
         kind = self.axis(name).kind
         values = {}
         for typed, value in numbers.items():
-            key = typed if typed == "encoder" else key_of(typed, kind)
+            key = typed if typed in keys.WORDS else key_of(typed, kind)
             number = isinstance(value, int | float) and not isinstance(value, bool)
             values[f"axis.{name}.{key}"] = file_from_typed(key, value) if number else value
         return self._changed(values, checked=False)

@@ -94,12 +94,14 @@ class _Memory:
         vectors: np.ndarray,
         load: np.ndarray,
         rotor: np.ndarray,
+        friction: np.ndarray,
     ) -> None:
         """`header`: base tick [s], ticks per row of the series, first tick. `constants` (dof, _PER_DOF), series (row, dof), `vectors`
-        (_VECTORS, dof); `load` and `rotor` (axis,) are the degrees of freedom of each axis."""
+        (_VECTORS, dof); `load`, `rotor` and `friction` (axis,) are the degrees of freedom of each axis."""
         tick, row_ticks, first_tick = header
         rows, dofs = inertia.shape
-        self.header, self.constants, self.inertia, self.bias, self.load, self.rotor = header, constants, inertia, bias, load, rotor
+        self.header, self.constants, self.inertia, self.bias = header, constants, inertia, bias
+        self.load, self.rotor, self.friction = load, rotor, friction
         self._constants = np.concatenate([[tick, dofs, rows, row_ticks], constants.ravel(), inertia.ravel(), bias.ravel()])
         self._state = np.concatenate([[first_tick], vectors.ravel()])
         self.vectors = v = self._state[1:].reshape(_VECTORS, dofs)
@@ -115,11 +117,12 @@ class _Memory:
             passive=v[_PASSIVE],
             constraint=v[_CONSTRAINT],
             frictionloss=v[_LEVEL],
-            coulomb_level=v[_LEVEL, load].copy(),
+            coulomb_level=v[_LEVEL, friction].copy(),
             load_position=load,
             load_dof=load,
             rotor_position=rotor,
             rotor_dof=rotor,
+            friction_dof=friction,
             actuator=rotor,
         )
 
@@ -148,7 +151,9 @@ class DecoupledPlant:
         inertia[:-1, :n] = loads.inertia + reflected
         bias[:-1, :n] = loads.bias
         inertia[-1], bias[-1] = inertia[-2], bias[-2]  # values after the end of the motion
-        rotor = np.arange(n)
+        vectors = np.zeros((_VECTORS, dofs))
+        vectors[_LEVEL, :n] = [axis.coulomb_friction for axis in axes]
+        rotor, friction = np.arange(n), np.arange(n)
         for i, a in enumerate(split):
             # the softness of the friction constraint is inversely proportional to the inertia, here without the rotor
             constants[a, _SOFTNESS] *= inertia[0, a] / loads.inertia[0, a]
@@ -156,11 +161,15 @@ class DecoupledPlant:
             inertia[:, n + i] = reflected[a]
             constants[n + i] = (0.0, 1.0, 1.0, 1.0 / axes[a].ratio)
             rotor[a] = n + i
-        vectors = np.zeros((_VECTORS, dofs))
-        vectors[_LEVEL, :n] = [axis.coulomb_friction for axis in axes]
+            if axes[a].friction_side == "motor":
+                friction[a] = n + i
+                constants[n + i, _VISCOUS], constants[n + i, _REFERENCE] = constants[a, _VISCOUS], constants[a, _REFERENCE]
+                constants[n + i, _SOFTNESS] = constants[a, _SOFTNESS] * loads.inertia[0, a] / reflected[a]
+                vectors[_LEVEL, n + i] = vectors[_LEVEL, a]
+                constants[a, _VISCOUS], vectors[_LEVEL, a] = 0.0, 0.0
         header = (change.machine.base_tick, loads.row_ticks, -float(change.lead_ticks))
         self._split = split
-        self._memory = _Memory(header, constants, inertia, bias, vectors, np.arange(n), rotor)
+        self._memory = _Memory(header, constants, inertia, bias, vectors, np.arange(n), rotor, friction)
         self.start_bias = loads.bias[0]
         self.engine = self._memory.engine
 
@@ -196,6 +205,7 @@ class JoinedPlants:
             np.concatenate([part.vectors for part in parts], axis=1),
             np.concatenate([part.load + at for part, at in zip(parts, first)]),
             np.concatenate([part.rotor + at for part, at in zip(parts, first)]),
+            np.concatenate([part.friction + at for part, at in zip(parts, first)]),
         )
         self.engine = self._memory.engine
 

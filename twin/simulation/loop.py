@@ -91,6 +91,7 @@ class Engine(NamedTuple):
     load_dof: np.ndarray
     rotor_position: np.ndarray
     rotor_dof: np.ndarray
+    friction_dof: np.ndarray  # where friction acts: of the load, or of the rotor
     actuator: np.ndarray
 
 
@@ -230,7 +231,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
 
     if has_force:
         for a in range(axes):
-            engine.frictionloss[engine.load_dof[a]] = engine.coulomb_level[a]
+            engine.frictionloss[engine.friction_dof[a]] = engine.coulomb_level[a]
     return -1
 
 
@@ -349,13 +350,11 @@ def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
     for a in range(len(engine.load_dof)):
         x = signals[a]
         engine.ctrl[engine.actuator[a]] += x[X_MOTOR_TORQUE]
-        engine.frictionloss[engine.load_dof[a]] = max(x[X_FRICTION_LEVEL], 0.0)
-        on_load = x[X_LOAD_FORCE] + x[X_FRICTION_FORCE]
-        if engine.rotor_dof[a] == engine.load_dof[a]:
-            engine.applied[engine.load_dof[a]] = on_load + x[X_ROTOR_FORCE]
-        else:
-            engine.applied[engine.load_dof[a]] = on_load
-            engine.applied[engine.rotor_dof[a]] = x[X_ROTOR_FORCE]
+        engine.frictionloss[engine.friction_dof[a]] = max(x[X_FRICTION_LEVEL], 0.0)
+        engine.applied[engine.rotor_dof[a]] = 0.0
+        engine.applied[engine.load_dof[a]] = x[X_LOAD_FORCE]
+        engine.applied[engine.friction_dof[a]] += x[X_FRICTION_FORCE]
+        engine.applied[engine.rotor_dof[a]] += x[X_ROTOR_FORCE]
 
 
 @compiled(inline=True)

@@ -65,6 +65,6 @@ def record_control(a, row, record, drives, state, signals):  # type: ignore[no-u
 @compiled(inline=True)
 def record_forces(a, row, record, engine, drives, signals):  # type: ignore[no-untyped-def]
     """Record the torque balance of axis `a` in the step after the tick."""
-    dof = engine.load_dof[a]
+    dof = engine.friction_dof[a]
     record.torque_friction[row, a] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
-    record.torque_gravity[row, a] = engine.bias[dof] * drives.ratio[a]
+    record.torque_gravity[row, a] = engine.bias[engine.load_dof[a]] * drives.ratio[a]

@@ -49,8 +49,8 @@ STAGES = 8
     X_LOAD_FORCE,  # force on the load
     X_ROTOR_FORCE,  # force on the rotor, at the axis
     X_MOTOR_TORQUE,  # torque added to the motor torque, Nm
-    X_FRICTION_LEVEL,  # Coulomb friction of the load, N or Nm
-    X_FRICTION_FORCE,  # friction on the load beyond the model's Coulomb and viscous friction
+    X_FRICTION_LEVEL,  # Coulomb friction, N or Nm
+    X_FRICTION_FORCE,  # friction beyond the model's Coulomb and viscous friction
     X_CURRENT,  # motor current, A, or the command of an axis without current loop
     X_SPEED_SETPOINT,  # axis units/s
     X_FOLLOWING_ERROR,  # delayed set point minus the measured position of the position loop

@@ -30,11 +30,12 @@ class MujocoPlant:
             passive=data.qfrc_passive,
             constraint=data.qfrc_constraint,
             frictionloss=model.dof_frictionloss,
-            coulomb_level=model.dof_frictionloss[plant.load_dof],
+            coulomb_level=model.dof_frictionloss[plant.friction_dof],
             load_position=plant.load_position,
             load_dof=plant.load_dof,
             rotor_position=plant.rotor_position,
             rotor_dof=plant.rotor_dof,
+            friction_dof=plant.friction_dof,
             actuator=plant.actuator,
         )
 

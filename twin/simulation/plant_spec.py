@@ -45,6 +45,7 @@ class Plant:
     load_dof: np.ndarray
     rotor_position: np.ndarray
     rotor_dof: np.ndarray
+    friction_dof: np.ndarray  # of the load, or of the rotor
     actuator: np.ndarray
     coulomb: np.ndarray  # nominal Coulomb friction at the axis, N or Nm
 
@@ -70,6 +71,7 @@ def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: S
     data = mujoco.MjData(model)
     joints = [model.joint(axis.name) for axis in machine.axes]
     rotors = [model.joint(f"{axis.name}.rotor") if axis.name in split_axes else joint for axis, joint in zip(machine.axes, joints)]
+    rubbing = [rotor if axis.friction_side == "motor" else joint for axis, joint, rotor in zip(machine.axes, joints, rotors)]
 
     def index(values: Sequence[int]) -> np.ndarray:
         return np.array(values, np.int64).reshape(len(machine.axes))
@@ -81,6 +83,7 @@ def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: S
         load_dof=index([j.dofadr[0] for j in joints]),
         rotor_position=index([j.qposadr[0] for j in rotors]),
         rotor_dof=index([j.dofadr[0] for j in rotors]),
+        friction_dof=index([j.dofadr[0] for j in rubbing]),
         actuator=index([model.actuator(axis.name).id for axis in machine.axes]),
         coulomb=np.array([axis.coulomb_friction for axis in machine.axes]),
     )
@@ -280,24 +283,35 @@ def _set_geometry(spec: mujoco.MjSpec, machine: Machine) -> None:
 def _set_drive(spec: mujoco.MjSpec, axis: Axis, split: bool) -> None:
     """Set friction, gear ratio and rotor of one axis; with `split` the rotor gets its own joint."""
     joint = spec.joint(axis.name)
-    joint.frictionloss = axis.coulomb_friction
-    joint.damping = [axis.viscous_friction, 0.0, 0.0]
     joint.armature = 0.0
-    if joint.solref_friction[0] == SOFT_FRICTION_S:  # the default of MuJoCo creeps
-        joint.solref_friction = STICKING[0]
-        joint.solimp_friction = STICKING[1]
+    _set_friction(joint, axis)
     actuator = spec.actuator(axis.name)
     if actuator is None:
         actuator = spec.add_actuator(name=axis.name, target=axis.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.gear = [1.0 / axis.ratio, 0.0, 0.0, 0.0, 0.0, 0.0]
     actuator.armature = axis.rotor_inertia_kg_m2
     if split:
-        body = spec.worldbody.add_body(
-            name=f"{axis.name}.rotor", mass=ROTOR_BODY_MASS, inertia=[ROTOR_BODY_MASS] * 3, explicitinertial=True
-        )
+        rubs = axis.friction_side == "motor"
+        # the softness of a friction constraint follows the mass of the body, to which an armature does not count
+        mass = axis.reflected_inertia if rubs else ROTOR_BODY_MASS
+        body = spec.worldbody.add_body(name=f"{axis.name}.rotor", mass=mass, inertia=[mass] * 3, explicitinertial=True)
         # a horizontal slide in axis units, on which gravity does not act
-        body.add_joint(name=f"{axis.name}.rotor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
+        rotor = body.add_joint(name=f"{axis.name}.rotor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
         actuator.target = f"{axis.name}.rotor"
+        if rubs:
+            actuator.armature = 0.0
+            rotor.solref_friction, rotor.solimp_friction = joint.solref_friction, joint.solimp_friction
+            _set_friction(rotor, axis)
+            joint.frictionloss, joint.damping = 0.0, [0.0, 0.0, 0.0]
+
+
+def _set_friction(joint: mujoco.MjsJoint, axis: Axis) -> None:
+    """Give the Coulomb and viscous friction of an axis to a joint."""
+    joint.frictionloss = axis.coulomb_friction
+    joint.damping = [axis.viscous_friction, 0.0, 0.0]
+    if joint.solref_friction[0] == SOFT_FRICTION_S:  # the default of MuJoCo creeps
+        joint.solref_friction = STICKING[0]
+        joint.solimp_friction = STICKING[1]
 
 
 def _lock(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:

@@ -153,6 +153,7 @@ def machine_text(model: Model) -> str:
 kind = "rotary"
 structure = "P/PI"
 encoder = "motor"
+friction_side = "motor"
 travel_deg = "endless"
 max_velocity_rev_per_min = 20.0
 max_acceleration_rev_per_s2 = 1.0
