@@ -186,7 +186,7 @@ def robot(out: Path) -> list[Base]:
     """Axes 1 to 3 of the KR300 as examples/real/kr300 prepares them: the path of the motors as set points, and the known loads."""
     import pyarrow.parquet
 
-    file, machine = out / "fitted" / "FF_A.parquet", out / "identified" / "machine.toml"
+    file, machine = out / "both" / "FF_A.parquet", out / "identified" / "machine.toml"
     if not (file.is_file() and machine.is_file()):
         return []
     content = pyarrow.parquet.read_table(file).to_pydict()
@@ -194,7 +194,7 @@ def robot(out: Path) -> list[Base]:
     for axis in ("1", "2", "3"):
         table = {k: np.asarray(v, float) for k, v in content.items() if k.startswith(("time", f"{axis}."))}
         claims = frozenset({("backlash", "1")} if axis == "1" else ())
-        bases.append(Base(Recording(f"kr300 {axis}", table, write_csv, {}), machine, claims, (3000, 6000), of_page=1.0))
+        bases.append(Base(Recording(f"kr300 {axis}", table, write_csv, {}), machine, claims, (400, 1200), of_page=1.0))
     return bases
 
 

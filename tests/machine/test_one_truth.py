@@ -18,6 +18,7 @@ from tests.machine.test_sinumerik import with_machine_data
 from twin.effects import with_effects
 from twin.errors import InputError
 from twin.machine.axis import Axis, Loops, Motor
+from twin.machine.keys import WORDS
 from twin.machine.machine import FEEDFORWARD, Machine, load_machine, write_machine
 from twin.machine.parameters import PARAMETERS, SPREAD, file_from_typed, key_of, parameter, typed_from_file
 from twin.simulation.run import simulate
@@ -206,7 +207,7 @@ def test_a_change_does_not_modify_the_original_machine(mikron: Machine) -> None:
 
 def test_every_number_of_an_axis_is_in_the_table(mikron: Machine) -> None:
     """The typed view has exactly the numbers of the table."""
-    typed = {f.name for f in dataclasses.fields(Axis)} - {"name", "kind", "motor", "loops", "structure", "effort", "encoder"}
+    typed = {f.name for f in dataclasses.fields(Axis)} - {"name", "kind", "motor", "loops", "structure", "effort", *WORDS}
     typed |= {f"motor.{f.name}" for f in dataclasses.fields(Motor)} | {f"loops.{f.name}" for f in dataclasses.fields(Loops)}
     assert {p.field for p in PARAMETERS} == typed
     assert all(parameter(field).field == field for field in SPREAD.values())

@@ -344,6 +344,7 @@ BAD_STRUCTURE = {
     "half a cycle": ("speed_mean_cycles = 2", "speed_mean_cycles = 1.5", "expected a whole number"),
     "too many cycles": ("speed_mean_cycles = 2", "speed_mean_cycles = 17", "impossible"),
     "encoder": ('encoder = "motor"', 'encoder = "both"', "encoder = .both."),
+    "side of friction": ('encoder = "motor"', 'encoder = "motor"\nfriction_side = "both"', "friction_side = .both."),
     "drive": ('drive = "direct"', 'drive = "belt"', "drive = .belt."),
     "screw of a direct drive": ('drive = "direct"', 'drive = "direct"\nscrew_lead_m_per_rev = 0.01', "unknown key .screw_lead_m_per_rev."),
 }

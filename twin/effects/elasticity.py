@@ -80,7 +80,7 @@ def _first_mode(machine: Machine, axis: Axis) -> tuple[float, float]:
 def transmission_compliance(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
     """Spring and damper between motor and load.
 
-    F = stiffness (motor position - load position) + damping (their speeds' difference); friction on the load. First mode
+    F = stiffness (motor position - load position) + damping (their speeds' difference); friction on the load, or as `friction_side` says. First mode
     sqrt(stiffness / load) / 2 pi with the motor held. Default damping: ratio 0.08 on the reduced mass, at least 1.4 Kv load.
     Source: Altintas et al. 2011 (machine tool feed drives).
     """

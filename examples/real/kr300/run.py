@@ -71,8 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(gaps_text(machines, fine, predicted))
         print(modes_text(machines))
         print(angle_text(rigid.axis("2"), fine, predicted["identified"]))
+        write_campaign(out / "both", runs, rigid.name)
         if args.diagnose:
-            write_campaign(out / "both", runs, rigid.name)
             show_and_run("diagnose", out / "both", "--machine", identified, "--out", out / "diagnosis")
     except TwinError as error:
         print(f"run.py: {' '.join(str(error).split())}", file=sys.stderr)
