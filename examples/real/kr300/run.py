@@ -23,9 +23,9 @@ from scipy.interpolate import make_interp_spline
 from scipy.io import loadmat
 
 from twin.cli.parser import show_and_run
+from twin.effects import with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine, load_machine
-from twin.machine.parameters import MOST_MODE_SHARE
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import LOADS, Trace, write_trace
 from twin.simulation.gap import is_moving, predict
@@ -38,9 +38,6 @@ a saw-tooth in the torque as large as the torque of the inertia."""
 
 LAG_S = 2e-3
 """Lag of the twin's speed loop on this path [s]."""
-
-DAMPING = 0.05
-"""Assumed damping ratio of the authors' stiffness, which their parameters lack. From 0.02 to 0.2 the gaps change by 1 %."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         machines = {"rigid": rigid, "their stiffness": with_stiffness(rigid, models[0]), "identified": load_machine(identified)}
         predicted = {label: [predict(machine, run, realisations=1).trace for run in fine] for label, machine in machines.items()}
         print(gaps_text(machines, fine, predicted))
-        print(modes_text(machines))
+        print(modes_text(models[0], machines["identified"]))
         print(angle_text(rigid.axis("2"), fine, predicted["identified"]))
         write_campaign(out / "both", runs, rigid.name)
         if args.diagnose:
@@ -185,13 +182,10 @@ def model_xml(model: Model) -> str:
 
 
 def with_stiffness(rigid: Machine, model: Model) -> Machine:
-    """The machine with the authors' stiffness between motor and arm, as a structural mode: as much of the arm swings as a file may say."""
-    values: dict[str, float] = {}
-    for a, name in enumerate(AXES):
-        values[f"axis.{name}.mode_frequency_hz"] = float(np.sqrt(model.stiffness[a] / model.inertia[a].mean()) / (2.0 * np.pi))
-        values[f"axis.{name}.mode_mass_share"] = MOST_MODE_SHARE
-        values[f"axis.{name}.mode_damping_ratio"] = DAMPING
-    return rigid.with_values(values)
+    """The machine with the authors' stiffness of the joints, between motor and second encoder."""
+    return with_effects(
+        rigid, [{"name": "transmission_compliance", "axis": n, "stiffness": float(k)} for n, k in zip(AXES, model.stiffness)]
+    )
 
 
 def gaps_text(machines: Mapping[str, Machine], runs: Sequence[MeasuredRun], predicted: Mapping[str, Sequence[Trace]]) -> str:
@@ -212,9 +206,10 @@ def gaps_text(machines: Mapping[str, Machine], runs: Sequence[MeasuredRun], pred
     )
 
 
-def modes_text(machines: Mapping[str, Machine]) -> str:
+def modes_text(model: Model, identified: Machine) -> str:
     """Natural frequencies of the arm with the motor held [Hz]."""
-    rows = [[name, *(f"{machines[m].axis(name).mode_frequency_hz:.2f}" for m in ("their stiffness", "identified"))] for name in AXES]
+    theirs = np.sqrt(model.stiffness / model.inertia.mean(axis=1)) / (2.0 * np.pi)
+    rows = [[name, f"{by:.2f}", f"{identified.axis(name).mode_frequency_hz:.2f}"] for name, by in zip(AXES, theirs)]
     return "\nNatural frequency of the arm with the motor held, Hz:\n" + table(["axis", "by their stiffness", "identified"], rows, left=1)
 
 
