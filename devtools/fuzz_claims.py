@@ -170,7 +170,13 @@ def pages(data: Path, out: Path) -> list[Base]:
     """The recordings in `data`, with the machine files that the examples wrote to `out`; a recording without its file is left out."""
     bases = []
     emps = frozenset(
-        {("viscous_asymmetry", "X"), ("torque_ripple", "X"), ("law of mechanics over speed", "X"), ("law of mechanics over position", "X")}
+        {
+            ("viscous_asymmetry", "X"),
+            ("torque_ripple", "X"),
+            ("law of mechanics over speed", "X"),
+            ("law of mechanics over position", "X"),
+            ("law of mechanics over turn", "X"),
+        }
     )
     for recording in real(data):
         if recording.name == "emps":
@@ -193,8 +199,7 @@ def robot(out: Path) -> list[Base]:
     bases = []
     for axis in ("1", "2", "3"):
         table = {k: np.asarray(v, float) for k, v in content.items() if k.startswith(("time", f"{axis}."))}
-        claims = frozenset({("backlash", "1")} if axis == "1" else ())
-        bases.append(Base(Recording(f"kr300 {axis}", table, write_csv, {}), machine, claims, (400, 1200), of_page=1.0))
+        bases.append(Base(Recording(f"kr300 {axis}", table, write_csv, {}), machine, frozenset(), (400, 1200), of_page=1.0))
     return bases
 
 
