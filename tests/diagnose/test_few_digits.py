@@ -36,6 +36,13 @@ def test_values_off_any_grid_have_no_step(values: np.ndarray) -> None:
     assert step_of(values) == 0.0
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-8])
+def test_a_ramp_is_no_grid(noise: float) -> None:
+    """At constant speed the values are evenly spaced, here by 30 um, with a rest before it."""
+    ramp = 3e-5 * np.concatenate([np.zeros(50), np.arange(500.0)])
+    assert step_of(ramp + noise * np.random.default_rng(2).standard_normal(len(ramp))) == 0.0
+
+
 def with_rounded(run: MeasuredRun, signal: str) -> MeasuredRun:
     key = ("Y", signal)
     return replace(run, trace=replace(run.trace, signals={**run.trace.signals, key: rounded(run.trace.signals[key], STEP_M)}))

@@ -19,6 +19,9 @@ LEAST_LEVELS = 3
 OFF_GRID = 0.02
 """Largest deviation of a level from the grid, in steps."""
 
+LEAST_UNEVEN = 0.1
+"""Smallest share of second differences that are a step or more. A ramp at constant speed has evenly spaced values, too, but even differences."""
+
 
 def robust_deviation(values: np.ndarray) -> float:
     """Standard deviation about zero, from the median of the magnitudes; robust against outliers."""
@@ -37,5 +40,8 @@ def step_of(values: np.ndarray) -> float:
     gaps = gaps[gaps > SAME_LEVEL * np.abs(levels).max(initial=0.0)]
     if len(gaps) < LEAST_LEVELS:
         return 0.0
-    counts = gaps / gaps.min()
-    return float(gaps.min()) if np.abs(counts - np.round(counts)).max() < OFF_GRID else 0.0
+    step = float(gaps.min())
+    counts = gaps / step
+    if np.abs(counts - np.round(counts)).max() >= OFF_GRID or np.mean(np.abs(np.diff(values, 2)) > 0.5 * step) < LEAST_UNEVEN:
+        return 0.0
+    return step
