@@ -55,6 +55,7 @@ def sheet(machine: Machine) -> str:
         each(lambda a: _g(a.loops.drive_torque_feedforward) if a.loops.drive_torque_feedforward else "-"),
     )
     row("loop closed on", "", each(lambda a: a.encoder))
+    row("friction on", "", each(lambda a: a.friction_side))
     row(
         "pre-sliding stiffness",
         "N/um (Nm/mrad)",
