@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
-import math
 from typing import NamedTuple
 
 import mujoco
@@ -26,7 +25,7 @@ import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
-from twin.diagnose.noise import correlation_of, sigma_of
+from twin.diagnose.noise import correlation_of, sigma_of, sigma_of_steps
 from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_group, simulate_groups
 from twin.diagnose.tolerance import normal_slip
@@ -34,7 +33,6 @@ from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
-from twin.recordings.roughness import step_of
 from twin.recordings.trace import Trace
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
 from twin.simulation.lanes import commissioned_inertia
@@ -389,21 +387,13 @@ def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[
     return replace(rigid, channels=plain), replace(group, channels=seen)
 
 
-def _of_few_digits(view: RunView, channel: Channel) -> float:
-    """Standard deviation [SI] of a channel due to the steps of its record; 0 without steps. A channel of both encoders has the steps of both."""
-    effort = view.machine.axis(channel.axis).effort
-    signals = {"motor_minus_scale": BOTH, "current": (effort,)}.get(channel.name, (channel.name,))
-    steps = [step_of(view.trace.get(channel.axis, s)) for s in signals if view.trace.has(channel.axis, s)]
-    return float(np.hypot.reduce(steps)) / math.sqrt(12.0) if steps else 0.0
-
-
 def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
     """The channel with noise estimated from realisations and from `rough` (sample,), the residual of its own record."""
     axis, t = view.machine.axis(channel.axis), channel.thresholds
-    signal = {"motor_minus_scale": "position", "current": axis.effort}.get(channel.name, channel.name)
-    noisier = t.noisier if sensor_noise(view.machine, axis, signal) > 0.0 else None
+    signals = {"motor_minus_scale": BOTH, "current": (axis.effort,)}.get(channel.name, (channel.name,))
+    noisier = t.noisier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
     sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
-    sigma = np.maximum(sigma, _of_few_digits(view, channel))
+    sigma = np.maximum(sigma, sigma_of_steps([view.trace.get(axis.name, s) for s in signals if view.trace.has(axis.name, s)]))
     if channel.name == "position":  # the rest position is random within the normal slip
         at_rest = rests(view, channel.axis, t.break_away_s)[view.rows_of(channel.axis, channel.name)]
         sigma = np.hypot(sigma, np.where(at_rest, t.resting * normal_slip(axis, t), 0.0))
