@@ -34,10 +34,10 @@ def text() -> str:
     parts = []
     for title, table, prefix in (
         ("SINUMERIK, G", SINUMERIK_G, "G"),
-        ("SINUMERIK, M (any other is the machine builder's and noted)", SINUMERIK_M, "M"),
+        ("SINUMERIK, M (any other is not known, and noted as such)", SINUMERIK_M, "M"),
         ("SINUMERIK, names", SINUMERIK_NAMES, ""),
         ("ISO, Fanuc and LinuxCNC, G", ISO_G, "G"),
-        ("ISO, M (any other is the machine builder's and noted)", ISO_M, "M"),
+        ("ISO, M (any other is not known, and noted as such)", ISO_M, "M"),
     ):
         lines = [f"\n#### {title}\n", "| words | | meaning here |", "|---|---|---|"]
         lines += [f"| `{words}` | {kind} | {meaning} |" for words, kind, meaning in rows(table, prefix)]

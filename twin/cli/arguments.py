@@ -80,12 +80,12 @@ def add_place(parser: argparse.ArgumentParser) -> None:
 
 def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> tuple[Program | None, Trace]:
     """Set points of a program (with the program) or of a trace (without); `place` 'auto' shifts a part into the travel."""
-    from twin.program.read import PROGRAM_ENDINGS
+    from twin.program.read import is_program
     from twin.recordings import read_trace
 
     source = shipped_example(source)
 
-    if source.suffix.lower() not in PROGRAM_ENDINGS:
+    if not is_program(source):
         return None, read_trace(source, axes=machine.kinds, need=("setpoint",))
     from twin.program import interpolate
 

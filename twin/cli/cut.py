@@ -11,7 +11,7 @@ from twin.cli.arguments import add_machine, machine_of
 from twin.errors import InputError, nearest
 from twin.files import output_folder, shipped_example, write_json
 from twin.machine.machine import FEEDFORWARD, Machine
-from twin.program.read import PROGRAM_ENDINGS
+from twin.program.read import is_program
 from twin.progress import Progress
 from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trace
 from twin.surface.machining import Machining, check_rays, machine_part, report_of
@@ -141,7 +141,7 @@ def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], word
     """The tool paths to cut, from a program, a run folder or a trace."""
     from twin.recordings.trace import read_trace
 
-    if source.suffix.lower() in PROGRAM_ENDINGS:
+    if is_program(source):
         return levels_of_program(source, machine, part.tool, levels, words, progress)
     file = source / "trace.parquet" if source.is_dir() else source
     if source.is_dir() and not file.is_file():

@@ -8,7 +8,7 @@ from pathlib import Path
 from twin.cli.arguments import add_machine, add_place, machine_of, picture_file, program_of_input
 from twin.errors import InputError
 from twin.files import shipped_example
-from twin.program.read import PROGRAM_ENDINGS
+from twin.program.read import PROGRAM_ENDINGS, is_program
 from twin.progress import Progress
 
 
@@ -27,11 +27,11 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.recordings.trace import written
 
     machine = machine_of(args)
-    source, out = Path(args.program), Path(args.out)
-    if source.suffix.lower() not in PROGRAM_ENDINGS:
+    source, out = shipped_example(args.program), Path(args.out)
+    if source.is_file() and not is_program(source):
         raise InputError(f"{source}: not a program; give a file ending in {', '.join(PROGRAM_ENDINGS)}")
     plot = picture_file(args.plot) if args.plot else None
-    program = program_of_input(shipped_example(source), machine, args.place)
+    program = program_of_input(source, machine, args.place)
     with Progress("interpolating") as bar:
         traces = [interpolate(program, machine, progress=bar)] if plot else set_point_blocks(program, machine, progress=bar)
         for trace in written(traces, out):

@@ -40,7 +40,7 @@ def from_centre(
     if abs(radius - radius_end) > tolerance:
         raise ArcError(
             f"the arc does not close: the radius is {radius * 1e3:.4f} mm at its start and {radius_end * 1e3:.4f} mm at its end; "
-            "correct the end point or I J K (from the start; absolute as I=AC(..))"
+            "correct the end point or I J K"
         )
     sense = -1.0 if clockwise else 1.0
     angle = sense * (math.atan2(last[1], last[0]) - math.atan2(first[1], first[0]))

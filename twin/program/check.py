@@ -13,12 +13,15 @@ import numpy as np
 
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
+from twin.program.collect import MovesNothing
 from twin.program.interpolator import set_point_blocks
 from twin.program.place import OutsideTravel, placed
-from twin.program.read import PROGRAM_ENDINGS, read_program
+from twin.program.read import PROGRAM_ENDINGS, is_program, read_program
 from twin.simulation.setpoint_limits import LimitWatch
 from twin.simulation.setpoints import setpoints_of
 from twin.units import AXIS_UNITS
+
+NO_MOVE = "the program moves no axis"
 
 
 @dataclass(frozen=True)
@@ -51,9 +54,9 @@ def programs_in(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise InputError(f"{path}: no such program or folder; give a part program or a folder of them")
-    found = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in PROGRAM_ENDINGS)
+    found = sorted(p for p in path.rglob("*") if p.is_file() and is_program(p))
     if not found:
-        raise InputError(f"{path}: holds no part program; their names end in {', '.join(PROGRAM_ENDINGS)}")
+        raise InputError(f"{path}: holds no part program; their names end in {', '.join(PROGRAM_ENDINGS)}, or .txt or nothing")
     return found
 
 
@@ -73,6 +76,8 @@ def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bo
             except InputError as no_place:
                 reason = str(no_place).removeprefix(where)
                 return Checked(path, True, False, moves=len(error.program), reason=reason, notes=error.program.notes)
+    except MovesNothing as nothing:
+        return Checked(path, True, True, duration_s=0.0, notes=(*nothing.notes, NO_MOVE), reason=NO_MOVE)
     except InputError as error:
         return Checked(path, False, False, reason=str(error).removeprefix(where))
     if not plan:

@@ -7,7 +7,7 @@ line and block.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 
@@ -46,11 +46,20 @@ class Modes:
     rapid_distance: float = math.inf
     feed_mode: int = 94
     feed_unit: float = 1e-3  # m
+    feed_of_all: bool = False  # F counts the ways of X Y Z A C together, a degree as a unit of length; else that of X Y Z
     spindle: float = 0.0
     brisk: bool = False
     feedforward: bool = True
     tool_length: float = 0.0  # that TRAORI works with
     spindle_tool_length: float = 0.0  # of the tool in the spindle, whose tip moves where TRAORI is off
+
+
+class MovesNothing(InputError):
+    """A program that is understood and moves no axis, such as one that only computes; `notes` are those of the program."""
+
+    def __init__(self, message: str, notes: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.notes = notes
 
 
 class Collector:
@@ -79,6 +88,7 @@ class Collector:
         self.files: tuple[Path, ...] = ()
         self.missing: dict[str, tuple[int, int, str]] = {}  # an axis that this machine lacks: where it first moved
         self.feedforward: str | None = None
+        self.mixed_feed = ""  # note where F meets X Y Z and A C in one block
         self.angles: list[np.ndarray] = []  # settled (row, 2)
         self.settled = 0
         self.last_angles = np.array(self.position[3:])
@@ -158,7 +168,7 @@ class Collector:
     def finish(self) -> mv.Program:
         """The checked program."""
         if not self.kinds:
-            raise InputError(f"{self.path}: the program moves no axis; give at least one move, e.g. G1 X10 F1000")
+            raise MovesNothing(f"{self.path}: the program moves no axis; give at least one move, e.g. G1 X10 F1000", tuple(self.notes))
         for line, block, name in self.missing.values():
             raise self.fail(line, block, f"axis {name} moves, and this machine has {self.own_axes}; use a machine file with that axis")
         self.settle()
@@ -217,7 +227,8 @@ class Collector:
         )
         program = self._with_start(moves)
         self._stop_at_reversals(program)
-        self._feeds(program, column("feed_mode", int), column("feed_unit", float), column("spindle", float))
+        self._feeds(program, column("feed_mode", int), column("feed_unit", float), column("spindle", float), column("feed_of_all", bool))
+        program = replace(program, notes=tuple(self.notes))
         self._check_travel(program)
         return program
 
@@ -234,15 +245,17 @@ class Collector:
             self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes), tuple(self.messages), self.files
         )
         if not len(moves) or not np.any((np.abs(program.starts() - moves.target) > 1e-12).any(axis=1) | (moves.kind == mv.ARC)):
-            raise InputError(
-                f"{self.path}: the program moves no axis from its start; a first rapid move defines the start, so add a move after it"
-            )
+            text = f"{self.path}: the program moves no axis from its start; a first rapid move defines the start, so add a move after it"
+            raise MovesNothing(text, program.notes)
         return program
 
-    def _feeds(self, program: mv.Program, mode: np.ndarray, unit: np.ndarray, spindle: np.ndarray) -> None:
-        """Convert F words to m/s of the tip, or rad/s if only A and C move (in place)."""
+    def _feeds(self, program: mv.Program, mode: np.ndarray, unit: np.ndarray, spindle: np.ndarray, of_all: np.ndarray) -> None:
+        """Convert F words to m/s of the tip, or rad/s if only A and C move (in place).
+
+        Where F counts all axes, F = sqrt(tip^2 + turn^2) / time with a degree as a unit of length, so the tip has the share tip / sqrt(..).
+        """
         moves = program.moves
-        mode, unit, spindle = (v[-len(moves) :] for v in (mode, unit, spindle))
+        mode, unit, spindle, of_all = (v[-len(moves) :] for v in (mode, unit, spindle, of_all))
         way = moves.target - program.starts()
         tip = np.linalg.norm(way[:, :3], axis=1)
         arc = moves.kind == mv.ARC
@@ -255,6 +268,11 @@ class Collector:
         length = np.where(moves.rotary, turn, tip)
         per_minute = np.where(moves.rotary, rad_from_deg(1.0), unit)
         value = moves.feed * np.where(mode == 95, spindle, 1.0) * per_minute / 60.0
+        mixed = (tip >= 1e-12) & (turn > 0.0) & ~moves.traori & (mode != 93) & (moves.kind != mv.RAPID) & np.isfinite(moves.feed)
+        if mixed.any() and self.mixed_feed:
+            self.notes[self.mixed_feed] = None
+        shared = mixed & of_all
+        value[shared] *= tip[shared] / np.hypot(tip, turn / rad_from_deg(1.0) * unit)[shared]
         inverse_time = (mode == 93) & np.isfinite(moves.feed)
         value[inverse_time] = length[inverse_time] * moves.feed[inverse_time] / 60.0
         moves.feed[:] = np.where(moves.kind == mv.RAPID, np.inf, value)

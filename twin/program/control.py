@@ -102,7 +102,6 @@ class Control(ControlState):
         *,
         suppress: bool = False,
         space_arc: SpaceArc | None = None,
-        tolerance: Callable[[float], float] = lambda radius: arcs.CLOSING_TOLERANCE,
     ) -> None:
         """One move to a point in program coordinates (machine coordinates if `suppress`); `arc`: centre, clockwise, turns more."""
         self._feed_given(kind)
@@ -111,7 +110,9 @@ class Control(ControlState):
                 raise WordError("the move after G40 must be straight, not an arc; add a straight move", 1)
             self.after_compensation = False
             self.settle_plain()
-        said = Programmed(kind, angles, vector, self.feed * self.override, self.line, self.block, len(self.out.all_modes) - 1, tolerance)
+        said = Programmed(
+            kind, angles, vector, self.feed * self.override, self.line, self.block, len(self.out.all_modes) - 1, self.closing()
+        )
         if self.comp is not None and not suppress:
             self._beside(said, self.here(), point, arc, space_arc)
             return
@@ -184,7 +185,25 @@ class Control(ControlState):
                 raise WordError(f"{name} does not lie in the plane G{self.plane}; select the plane with G17, G18 or G19", column)
             absolute = how == "AC" or (how == "" and self.centre_absolute)
             middle[i] = value * self.unit + (0.0 if absolute else start[i])
+        gap = _gap(start, point, middle, a, b)
+        if gap > self.closing()(float(np.linalg.norm((start - middle)[[a, b]]))):
+            raise arcs.ArcError(
+                f"the arc does not close: its radius is {gap * 1e3:.4f} mm greater or smaller at its end; {self._as_meant(start, point, words)}"
+            )
         return middle
+
+    def _as_meant(self, start: np.ndarray, point: np.ndarray, words: dict[str, Item]) -> str:
+        """What to do about an open arc: whether it closes with another meaning of I J K."""
+        a, b, _ = arcs.PLANES[self.plane]
+        given = np.array([words["IJK"[i]].value * self.unit if "IJK"[i] in words else 0.0 for i in range(3)])
+        limit = self.closing()(float(np.linalg.norm(given - start)))
+        names = " ".join("IJK"[i] for i in sorted((a, b)))
+        if not self.centre_absolute and _gap(start, point, given, a, b) <= limit:
+            how = "write G90.1 before" if self.iso else f"write {'IJK'[a]}=AC(..) {'IJK'[b]}=AC(..)"
+            return f"it closes if {names} are absolute: {how}, or post them from the start"
+        if not self.centre_absolute and _gap(start, point, start - given, a, b) <= limit:
+            return f"it closes with the signs of {names} turned, from the centre to the start: post them from the start to the centre"
+        return f"correct the end point or {names} (from the start" + (")" if self.iso else "; absolute as I=AC(..))")
 
     def stop(self, pause: float) -> None:
         """An exact stop at the end of the last move, then a pause [s] (G9, M0)."""
@@ -325,6 +344,11 @@ class Control(ControlState):
         if np.linalg.norm(point - start) > 1e-12 or e.turns or whole:
             self._put(said, start, point, arc)
         self.comp, self.after_compensation = comp, after
+
+
+def _gap(start: np.ndarray, end: np.ndarray, centre: np.ndarray, a: int, b: int) -> float:
+    """Difference of the radii at both ends of an arc in the plane of the axes a and b [m]."""
+    return float(abs(np.hypot(*(start - centre)[[a, b]]) - np.hypot(*(end - centre)[[a, b]])))
 
 
 def _vector(v: np.ndarray) -> Vector:

@@ -16,6 +16,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.machine.machine import Machine
+from twin.program import arcs
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
 from twin.program.compensation import Compensation
 from twin.program.expressions import WordError
@@ -197,6 +198,10 @@ class ControlState:
             rapid_distance=adispos,
         )
         self.out.set_modes(replace(modes, **changes))  # type: ignore[arg-type]
+
+    def closing(self) -> Callable[[float], float]:
+        """The largest difference of the radii of an arc by its radius [m]."""
+        return arcs.iso_tolerance(self.unit) if self.iso else lambda radius: arcs.CLOSING_TOLERANCE
 
     def set_frames(self) -> None:
         """Apply the frames of the language; each front end implements it."""

@@ -83,7 +83,7 @@ class Corners(Control):
         if start is not None and arc is None and space is None and np.linalg.norm(point - start) > 0:
             self.tangent = (point - start) / np.linalg.norm(point - start)
         elif start is not None and (arc is not None or space is not None):
-            centre, normal, _ = space or arcs.from_centre(start, point, arc[0], self.plane, arc[1], arc[2])  # type: ignore[index]
+            centre, normal, _ = space or arcs.from_centre(start, point, arc[0], self.plane, arc[1], arc[2], self.closing()(np.inf))  # type: ignore[index]
             way = np.cross(normal, point - centre)
             self.tangent = way / np.linalg.norm(way)
         self.feed, self.line, self.block = now

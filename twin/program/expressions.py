@@ -163,12 +163,13 @@ ISO = Grammar(
     },
     {},
 )
+_ON_BITS = {"AND": (4, _bits(lambda a, b: a & b)), "OR": (3, _bits(lambda a, b: a | b)), "XOR": (3, _bits(lambda a, b: a ^ b))}
 FANUC = replace(
     ISO,
-    operators=ISO.operators
-    | {"AND": (4, _bits(lambda a, b: a & b)), "OR": (3, _bits(lambda a, b: a | b)), "XOR": (3, _bits(lambda a, b: a ^ b))},
+    operators={**ISO.operators, **_ON_BITS, "AN": _ON_BITS["AND"], "XO": _ON_BITS["XOR"]},
+    functions={**ISO.functions, **{name[:2]: work for name, work in ISO.functions.items() if name not in ("SQR", "LN", "POW")}},
 )
-"""ISO as a Fanuc reads it: AND, OR and XOR work on the bits and bind like * and +, ahead of a comparison."""
+"""ISO as a Fanuc reads it: AND, OR and XOR work on the bits and bind like * and +, ahead of a comparison; two letters of a word are enough."""
 _NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:EX([+-]?\d{1,3}))?", re.A)
 _NAME = re.compile(r"[A-Z_$][A-Z0-9_$]*", re.A)
 _SIGN = re.compile(r"==|<>|<=|>=|<<|\*\*|[-+*/<>]")
@@ -305,7 +306,7 @@ class Expression:
             return self.grammar.constants[name]
         if name in self.grammar.functions and self.peek() == self.grammar.opening:
             arguments = self.arguments()
-            if name == "ATAN" and self.peek() == "/":
+            if name in ("ATAN", "AT") and self.peek() == "/":
                 self.at += 1
                 arguments += [self.atom()]
             return self._apply(name, self.grammar.functions[name], tuple(arguments), at)

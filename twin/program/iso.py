@@ -6,6 +6,7 @@ parameters. Where the dialects differ, a note gives the chosen meaning.
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 from pathlib import Path
 import re
@@ -45,6 +46,12 @@ class Iso(IsoModes):
             + "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
             + rf"(?:F({NUMBER})\s*)?;?\s*$",
             re.A,
+        )
+        self.out.set_modes(replace(self.out.modes, feed_of_all=not linuxcnc))
+        self.out.mixed_feed = (
+            "F beside X Y Z with A or C: it counts X Y Z alone, as on LinuxCNC"
+            if linuxcnc
+            else "F beside X Y Z with A or C: it counts all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
         )
         self.set_frames()
 

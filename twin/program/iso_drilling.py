@@ -27,6 +27,7 @@ class IsoDrilling(IsoVariables):
         super().__init__(path, machine, linuxcnc=linuxcnc)
         self.cycle: dict[str, Any] | None = None
         self.sticky: dict[str, float] = {}
+        self.given_absolute: dict[str, bool] = {}  # of the words in `sticky`: under G90
         self.initial = 0.0  # height at which the cycles began [m]
         self.retract_to_start = True  # G98
 
@@ -34,9 +35,10 @@ class IsoDrilling(IsoVariables):
         """A drilling cycle at the holes of the block."""
         assert self.cycle is not None
         number = self.cycle["g"]
-        for name in (*ROTARY, *OTHER):
-            if name in coordinates:
-                raise WordError(f"Cannot put {name} in a canned cycle; move {name} in a block before", coordinates[name].column)
+        turned = {n: coordinates.pop(n) for n in (*ROTARY, *OTHER) if n in coordinates}
+        for name in turned if self.linuxcnc else ():
+            if name in turned:
+                raise WordError(f"Cannot put {name} in a canned cycle; move {name} in a block before", turned[name].column)
         a, b, across = arcs.PLANES[self.plane]
         named = {n: coordinates[n].value for n in coordinates}
         absolute = {n: self.absolute or coordinates[n].how == "AC" for n in coordinates}  # G16 gives places
@@ -45,9 +47,11 @@ class IsoDrilling(IsoVariables):
                 if number not in USED_BY.get(name, CYCLES) or (self.linuxcnc and name == "P" and number in (73, 83)):
                     self.note(f"G{number}: {name} is not used by this cycle; one that uses it finds it")
                 self.sticky[name] = w.pop(name).value
+                self.given_absolute[name] = self.absolute
         depth_axis = LINEAR[across]
         if depth_axis in named:
             self.sticky["Z"] = named.pop(depth_axis)
+            self.given_absolute["Z"] = self.absolute
         repeats = 1
         for name in ("L", "K"):
             if name in w:
@@ -55,7 +59,7 @@ class IsoDrilling(IsoVariables):
                 repeats = int(word.value)
                 if repeats != word.value:
                     raise WordError(f"{name}{word.value:g} is not a whole number of repetitions; correct it", word.column)
-        if not (coordinates or codes & CYCLES or repeats != 1):
+        if not (coordinates or turned or codes & CYCLES or repeats != 1):
             return
         if "Z" not in self.sticky or "R" not in self.sticky:
             missing = depth_axis if "Z" not in self.sticky else "R"
@@ -70,11 +74,15 @@ class IsoDrilling(IsoVariables):
             raise WordError(f"the cycle repeats more than {MOST_REPEATS} times", 1)
         here = self.here() / self.unit
         start_height, initial = float(here[across]), self.initial / self.unit
-        if self.absolute:
-            safe, depth = self.sticky["R"], self.sticky["Z"]
-        else:
-            safe = initial + self.sticky["R"]
-            depth = safe + self.sticky["Z"]
+        as_given = {"R": self.absolute, "Z": self.absolute} if self.linuxcnc else self.given_absolute
+        safe = self.sticky["R"] + (0.0 if as_given["R"] else initial)
+        depth = self.sticky["Z"] + (0.0 if as_given["Z"] else safe)
+        if (as_given["R"], as_given["Z"]) != (self.given_absolute["R"], self.given_absolute["Z"]):
+            self.note(
+                "G90, G91 in an active cycle: R and Z are taken anew by the mode in force, as on LinuxCNC; other controls keep the levels"
+            )
+        elif not self.linuxcnc and not self.absolute == as_given["R"] == as_given["Z"]:
+            self.note("G90, G91 in an active cycle: R and Z keep their levels, as on a Fanuc; in .ngc files they are taken anew")
         if self.linuxcnc and self.plane != 17 and number in (74, 84):
             raise WordError(f"G{number} outside G17 is not read: LinuxCNC itself moves other axes there; write the moves", 1)
         if (depth > safe) != (number == 87) and depth != safe:
@@ -90,6 +98,7 @@ class IsoDrilling(IsoVariables):
         pause = self.sticky.get("P", 0.0) if number in USED_BY["P"] else 0.0
         if not self.linuxcnc:
             pause /= 1000.0
+            self.note("P of drilling cycles is a dwell in ms, as on a Fanuc; in .ngc files in s, and G81, G83 use none") if pause else None
         if number in (73, 83, 85, 81) and self.linuxcnc:
             pause = 0.0
         cycle = Drilling(
@@ -98,7 +107,7 @@ class IsoDrilling(IsoVariables):
         )  # fmt: skip
         if number in (73, 83):
             self.note("G73, G83: the tool backs off by 0.254 mm, a parameter on the control")
-        nothing = [math.nan, math.nan]
+        _, angles = self.target(turned, False)
         if start_height < safe and number != 87:
             self._height(across, safe)
         for _ in range(repeats):
@@ -106,7 +115,7 @@ class IsoDrilling(IsoVariables):
             for name, value in named.items():
                 i = INDEX[name]
                 point[i] = value * self.unit if absolute[name] else point[i] + value * self.unit
-            self.go(mv.RAPID, point, nothing)
+            self.go(mv.RAPID, point, angles)
             if number == 87:
                 self._bore_back(across, safe, depth, initial, aside, pause)
                 continue

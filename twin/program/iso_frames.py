@@ -26,6 +26,7 @@ class IsoFrames(IsoLines):
     def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
         super().__init__(path, machine)
         self.linuxcnc = linuxcnc
+        self.tools.modal_h = not linuxcnc
         self.systems = {n: self.frame_table(_system_name(n)) for n in range(1, 10)}
         self.turned = dict.fromkeys(range(1, 10), 0.0)  # deg, by system
         self.parameter_lines = False  # behind G10 L50, up to G11
@@ -123,6 +124,9 @@ class IsoFrames(IsoLines):
             return
         number = int(w.pop("P").value) if "P" in w else 0
         if what == 20 and not self.linuxcnc:
+            self.note(
+                f"G10 L20: it sets the additional offset G54.1 P{number}, as on a Fanuc; on LinuxCNC (.ngc), grbl and Mach this place gets the coordinates"
+            )
             number, what = self._additional(number), 2
         number = number or self.system
         if number not in self.systems:
@@ -167,6 +171,8 @@ class IsoFrames(IsoLines):
         self.set_frames()
 
     def _g52(self, w: dict[str, Item]) -> None:
+        if not self.linuxcnc:
+            self.note("G52: a local shift beside that of G92, as on a Fanuc; in .ngc files the same as G92")
         for i, value in self._named_offsets(w).items():
             if self.linuxcnc:
                 self.shift = self.shift.copy()

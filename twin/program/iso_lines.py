@@ -18,17 +18,17 @@ OWORD = re.compile(
 )
 PROGRAM = re.compile(r"\s*[O:]\s*(\d+|<[^>]*>)\s*$", re.A)
 _NUMBERED = re.compile(r"\s*N\s*(\d+)(?:\.\d*)?", re.A)
-_IF = re.compile(r"\s*IF\s*(\[.*\])\s*(?:GOTO\s*(.+?)|THEN\s*(.+?))\s*$", re.A)
-_WHILE = re.compile(r"\s*WHILE\s*(\[.*\])\s*DO\s*(\d+)\s*$", re.A)
-_DO = re.compile(r"\s*(DO|END)\s*(\d+)\s*$", re.A)
-_GOTO = re.compile(r"\s*GOTO\s*(.+?)\s*$", re.A)
-_WORDS_GOTO = re.compile(r"(\s*(?:N\d+\s*)?#.*?=.*?[\d\]\s.])GOTO\s*(\d+|#.+|\[.+\])\s*$", re.A)
+_IF = re.compile(r"\s*IF\s*(\[.*\])\s*(?:GO(?:TO)?\s*(.+?)|TH(?:EN)?\s*(.+?))\s*$", re.A)
+_WHILE = re.compile(r"\s*WH(?:ILE)?\s*(\[.*\])\s*DO\s*(\d+)\s*$", re.A)
+_DO = re.compile(r"\s*(DO|END?)\s*(\d+)\s*$", re.A)
+_GOTO = re.compile(r"\s*GO(?:TO)?\s*(.+?)\s*$", re.A)
+_WORDS_GOTO = re.compile(r"(\s*(?:N\d+\s*)?#.*?=.*?[\d\]\s.])GO(?:TO)?\s*(\d+|#.+|\[.+\])\s*$", re.A)
 _MAIN_BLOCK = re.compile(r"(\s*):(\d+)(?=\s*[A-Z])", re.A)
 COMMENT = re.compile(r"\(([^()]*(?:\([^()]*\)[^()]*)*)\)?")
 _ACTIVE = re.compile(r"\s*(DEBUG|PRINT|MSG)\s*,(.*)$", re.S | re.I)
 _LOG = re.compile(r"\s*(LOGOPEN|LOGAPPEND|LOGCLOSE|LOG|PROBEOPEN|PROBECLOSE|PY|ABORT)\b\s*,?", re.I)
 LINUXCNC = re.compile(r"^\s*(?:N\d+\s*)?O[ \t]*(?:<[^>]*>|\d+[ \t]*(?:SUB|IF|WHILE|DO|REPEAT|CALL)\b)|#[ \t]*<", re.I | re.M)
-_OUTPUT = re.compile(r"(?:N\d+\s*)?(?:[BD]PRNT\s*\[|POPEN\b|PCLOS\b)", re.A)
+_OUTPUT = re.compile(r"(?:N\d+\s*)?(?:[BD]P(?:RNT)?\s*\[|PO(?:PEN)?\b\s*$|PC(?:LOS)?\b\s*$)", re.A)
 """Commands of a macro that print to a file or an interface."""
 SEPARATOR = "\x01"
 _IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
@@ -80,7 +80,7 @@ class IsoLines(Corners):
         if SEPARATOR in text:
             return None
         number = _NUMBERED.match(body)
-        start = number.end() if number and re.match(r"\s*(IF|WHILE|DO|END|GOTO)\b|\s*(DO|END|GOTO)\s*\d", body[number.end() :]) else 0
+        start = number.end() if number and re.match(r"\s*(?:IF|WH(?:ILE)?|DO|END?|GO(?:TO)?)(?:\b|\s*\d)", body[number.end() :]) else 0
         rest = " " * start + body[start:]
         if match := _IF.match(rest):
             if match[2]:

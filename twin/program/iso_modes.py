@@ -12,7 +12,7 @@ from twin.program.control_state import INCH, LINEAR, Item
 from twin.program.expressions import WordError
 from twin.program.iso_calls import IsoCalls
 from twin.program.source import Unit
-from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED, WORDS_OF_M
+from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED, UNKNOWN_M, WORDS_OF_M
 
 _NOT_IN_LINUXCNC: dict[float, str] = {
     76: "threading is not simulated",
@@ -25,6 +25,10 @@ _ONLY_IN_LINUXCNC: dict[float, str] = dict.fromkeys((33, 33.1), "threading is no
 _WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22: "XYZIJK", 60: ""}
 
 
+F_WITH_UNIT = {
+    True: "F beside G20 or G21: it is in the unit before them, since LinuxCNC carries F out first",
+    False: "F beside G20 or G21: it is in the new unit; in .ngc files in the one before",
+}
 _MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
 """Modes that M70 and M73 of LinuxCNC store besides unit and feed."""
 
@@ -60,12 +64,17 @@ class IsoModes(IsoCalls, ABC):
             if number in codes:
                 self.set_feed_mode(number)
                 self.settle_plain()
-        for number in (20, 21, 70, 71):
-            if number in codes:
-                self.set_unit(INCH if number in (20, 70) else 1e-3, feed=True)
-        if "F" in w and 65 not in codes:
-            item = w.pop("F")
-            self.set_feed(item.value, item.column)
+        units = [INCH if number in (20, 70) else 1e-3 for number in (20, 21, 70, 71) if number in codes]
+        given = w.pop("F") if "F" in w and 65 not in codes else None
+        if given and self.linuxcnc:
+            self.set_feed(given.value, given.column)
+        for unit in units:
+            if given and unit != self.unit:
+                self.note(F_WITH_UNIT[self.linuxcnc])
+            self.set_unit(unit, feed=True)
+        if given:
+            if not self.linuxcnc:
+                self.set_feed(given.value, given.column)
         elif self.out.modes.feed_mode == 93 and self.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
             raise WordError("under G93 every block needs its own F; add it", 1)
         if "S" in w:
@@ -177,7 +186,7 @@ class IsoModes(IsoCalls, ABC):
             elif number in (70, 71, 72, 73) and self.linuxcnc:
                 self._modes(number)
             else:
-                self.note(f"M{number}: {entry[1] if entry else 'a code of the machine builder, without effect on the motion'}")
+                self.note(f"M{number}: {entry[1] if entry else UNKNOWN_M}")
                 for name in WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else ():
                     w.pop(name, None)
             if number in (48, 49, 50, 51, 52, 53):

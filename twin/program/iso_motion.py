@@ -105,7 +105,7 @@ class IsoMotion(IsoDrilling):
             move = Move(kind, point, angles, vector, arc, None, suppress, self.feed, self.line, self.block)
             self._queue(move, None if corner is None else (corner[0], corner[1].value * self.unit))
         else:
-            self.go(kind, point, angles, vector, arc, suppress=suppress, tolerance=arcs.iso_tolerance(self.unit))
+            self.go(kind, point, angles, vector, arc, suppress=suppress)
         if self.modal_macro is not None and all(frame.name != "G66" for frame in self.flow.frames):  # not after moves of the macro itself
             unit, at, variables = self.modal_macro
             if frame := self.flow.call(unit, at, name="G66", style="macro"):
@@ -215,7 +215,7 @@ class IsoMotion(IsoDrilling):
         self.feed, self.motion = feed, None
 
     def _dwell(self, w: dict[str, Item]) -> None:
-        name = next((n for n in ("P", "X", "U") if n in w), None)
+        name = next((n for n in (("P",) if self.linuxcnc else ("P", "X", "U")) if n in w), None)
         if name is None:
             raise WordError("G4 needs its time, e.g. G4 P1.5", 1)
         item = w.pop(name)
@@ -243,6 +243,8 @@ class IsoMotion(IsoDrilling):
                 self.note("G64 Q: merging of collinear blocks, which the rounding here always does")
         if number == 61.1 and not self.linuxcnc:
             self.note("G61.1: high accuracy of Mazak and Mitsubishi, corners are rounded as under G64; in .ngc files an exact stop")
+        if number == 61 and not self.linuxcnc:
+            self.note("G61: exact stop; in .ngc files exact path, without a stop")
         self.rounding = 60 if number == (61.1 if self.linuxcnc else 61) else 64
         if number == 61 and self.linuxcnc:
             self.tolerance = 1e-6
@@ -278,4 +280,8 @@ class IsoMotion(IsoDrilling):
             )
         if not radius:
             self.note("G41, G42 with radius 0: the contour is the path")
+        if radius and not self.linuxcnc:
+            self.note(
+                "G41, G42: the tool comes to the contour at a right angle to it, as on a Fanuc; in .ngc files beside its first corner"
+            )
         self.compensate(1 if number < 42 else -1, radius, along_next=not self.linuxcnc)

@@ -42,6 +42,8 @@ class IsoVariables(IsoFrames):
         return value
 
     def _expression(self, text: str, at: int, column: int = 1) -> Expression:
+        if not self.linuxcnc and ("AND" in text or "OR" in text):
+            self.note("AND, OR, XOR work on the bits of whole numbers, as on a Fanuc; in .ngc files they are logical")
         return Expression(text, ISO if self.linuxcnc else FANUC, self._named, self._hash, at, column)
 
     def _named(self, expression: Expression, name: str, at: int) -> float:

@@ -40,6 +40,26 @@ APT = (".apt", ".cls", ".cl", ".aptsource", ".ncl", ".cldata", ".cld")
 PROGRAM_ENDINGS = (*SINUMERIK_ENDINGS, *ISO_ENDINGS, *APT)
 """Common file endings of part programs; `read_program` accepts any."""
 
+AMBIGUOUS = ("", ".txt", ".h")
+"""Endings of programs and of other files: the text decides."""
+_BLOCK = re.compile(
+    r"\s*(?:[%(;]|[O:]\d+\s*$|/?\s*(?:N\d+\s*)?[GMTSFXYZABCR]\s*[-+.=\d#\[]|\d*\s*(?:BEGIN PGM|TOOL CALL|L |CC? |CYCL |LBL |BLK FORM))",
+    re.I | re.A,
+)
+
+
+def is_program(path: Path) -> bool:
+    """Whether a file is a part program, by its ending, or by its first lines where the ending does not tell."""
+    if path.suffix.lower() in PROGRAM_ENDINGS:
+        return True
+    if path.suffix.lower() not in AMBIGUOUS or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(4000)
+    lines = [line for line in head.decode("latin-1").splitlines()[:40] if line.strip()]
+    return b"\0" not in head and 2 * sum(bool(_BLOCK.match(line)) for line in lines) > len(lines)
+
+
 SNIFFED_LINES = 3000
 _SINUMERIK = re.compile(
     r"^\s*%_N_|^\s*;\s*\$PATH|\bM?CALL\s+CYCLE\d|\bCYCLE\d{2,4}\s*\(|\bTRAORI\b|\bA?TRANS\b|\bSUPA\b|\bMSG\s*\(|\b[XYZ]\s*=|=\s*(?:IC|AC|DC)\s*\(|"
@@ -48,9 +68,10 @@ _SINUMERIK = re.compile(
 )
 _APT = re.compile(r"^\s*(?:PARTNO|TOOL PATH/|GOTO\s*/|FEDRAT\s*/|LOADTL\s*/|MULTAX|SPINDL\s*/|CUTTER\s*/|FROM\s*/|UNITS\s*/|\$\$)", re.M)
 _ISO = re.compile(r"^\s*[O:]\d{2,}|\bG43\s*H|#\d+\s*=|#<|\bM98\s*P|\bG9[89]\b|\bG8[1-9]\b|\bO<|\bG5[4-9]\.1", re.M | re.I)
+DIN_ISO = "a HEIDENHAIN program in DIN/ISO"
 _OTHER = (
     (re.compile(r"^\s*\d*\s*BEGIN\s+PGM\b", re.M), "a HEIDENHAIN Klartext program"),
-    (re.compile(r"^%\S+\s+G7[01]\s*\*", re.M), "a HEIDENHAIN program in DIN/ISO"),
+    (re.compile(r"^%\s*\S+\s+G7[01]\b", re.M), DIN_ISO),
     (re.compile(r"^\$\S+%\s*$|^\s*(?:N\d+\s*)?(?:CALL\s+O[A-Z0-9]+|V[CS]\d+\s*=|RTS\s*$)", re.M), "an OKUMA OSP program"),
     (re.compile(r"^\s*(?:%L\s+\w+|#VAR\b|\$(?:IF|FOR|WHILE|SWITCH)\b)|\bV\.[LGPE]\.\w", re.M), "an ISG or Beckhoff program"),
     (re.compile(r"^\s*%@MACRO\b|^\s*[@#]\d+\s*:=", re.M | re.I), "a SYNTEC macro"),
@@ -64,6 +85,11 @@ _OTHER = (
 _BOTH = (
     (re.compile(r"^%\d", re.M), re.compile(r"\bG7[79]\s*[HN]|\bER-?\d|\bG0*[01]\s+G52\s*[XYZ]"), "a NUM program"),
     (re.compile(r"^\s*M1(?:04|09|40)\s+S\d", re.M), re.compile(r"^\s*G[01]\b[^\n;]*\bE-?[\d.]", re.M), "a program of a 3-D printer"),
+    (
+        re.compile(r"\b[XYZ][-+\d.]+[^\n;(]*\bM9[12]\b", re.M),
+        re.compile(r"^\s*(?:N\d+\s*)?I[+-][\d.]+\s*J[+-][\d.]+\s*\*?\s*$|\bM13\b|\bG98\s*L\d|\bD0?0\s*Q\d", re.M),
+        DIN_ISO,
+    ),
 )
 """Languages recognised by two marks together."""
 _FADAL = re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M)

@@ -49,6 +49,7 @@ class Sinumerik(SinumerikModes):
         super().__init__(path, machine, units)
         self.flow = Flow(units[0], self)
         self.plain_block = _plain_block(*self.out.kinematics.letters)
+        self.out.mixed_feed = "F beside X Y Z with A or C: it counts X Y Z alone, the setting as delivered (FGROUP changes it)"
         self.set_frames()
 
     def run(self) -> Any:

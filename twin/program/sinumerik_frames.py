@@ -19,6 +19,7 @@ class SinumerikFrames(SinumerikLines):
 
     def __init__(self, path: Path, machine: Machine) -> None:
         super().__init__(path, machine)
+        self.shifted: dict[int, float] = {}  # axis whose offset has changed -> its position then
         self.settable: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self.chosen = "G500"
         self.basic = np.eye(3), np.zeros(5)
@@ -46,7 +47,18 @@ class SinumerikFrames(SinumerikLines):
             offset = np.concatenate([offset[:3] + matrix @ origin + self.to_part(), offset[3:]])
             matrix = matrix @ inner
             self.fixed_axis = matrix[:, arcs.PLANES[self.plane][2]].copy()
+        if self.out.kinds:
+            self.shifted |= {i: self.out.position[i] for i in range(5) if abs(offset[i] - self.offset[i]) > 1e-12}
         self.set_frame(matrix, offset)
+
+    def note_increments(self, coordinates: dict[str, Item]) -> None:
+        """State the assumption where an axis goes on by an increment behind a change of its offset."""
+        for name, (_, how, _) in coordinates.items():
+            i = INDEX.get(name)
+            if i in self.shifted and (how == "IC" or (how == "" and not self.absolute)) and self.shifted[i] == self.out.position[i]:
+                self.note(
+                    "G91, IC() behind a change of the frame: the increment alone is moved, not the change (SD42440 0; with 1 the control adds it)"
+                )
 
     def swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
         """CYCLE800: start a tilted plane, with the tool perpendicular to it."""

@@ -8,11 +8,11 @@ from pathlib import Path
 from twin.machine.machine import Machine
 from twin.program import sinumerik_cycles as cycles
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
-from twin.program.control_state import INCH, LINEAR, Item
+from twin.program.control_state import INCH, ROTARY, Item
 from twin.program.expressions import WordError
 from twin.program.sinumerik_calls import SinumerikCalls
 from twin.program.source import Unit, plain_name
-from twin.program.tables import NOTE, REFUSED, SINUMERIK_M, SINUMERIK_NAMES
+from twin.program.tables import NOTE, REFUSED, SINUMERIK_M, SINUMERIK_NAMES, UNKNOWN_M
 from twin.program.words import Word, split_arguments
 from twin.units import rad_from_deg
 
@@ -119,7 +119,7 @@ class SinumerikModes(SinumerikCalls):
                 self.note(f"M{number}: the program continues after an exact stop")
                 pause = 0.0
             elif number not in (2, 17, 30):
-                self.note(f"M{number}: {entry[1] if entry else 'a code of the machine builder, without effect on the motion'}")
+                self.note(f"M{number}: {entry[1] if entry else UNKNOWN_M}")
         return pause
 
     def _name(self, word: Word, calls: list[Word], cycle: Word | None) -> None:
@@ -130,8 +130,6 @@ class SinumerikModes(SinumerikCalls):
         if kind == REFUSED:
             raise WordError(f"{name} is not supported: {meaning}", word.column)
         if kind == NOTE:
-            if name == "FGROUP" and {t for t, _ in split_arguments(word.text or "")} - set(LINEAR) - {""}:
-                self.note("FGROUP: the feed is that of the tool tip all the same")
             self.note(f"{name}: {meaning}")
         elif name in WITHOUT_VALUE and given:
             raise WordError(f"{name} takes no value; remove '{given[:20]}'", word.column)
@@ -149,6 +147,10 @@ class SinumerikModes(SinumerikCalls):
             if out.feedforward is None:
                 out.feedforward = "velocity+torque" if name == "FFWON" else "off"
             out.set_modes(replace(out.modes, feedforward=name == "FFWON"))
+        elif name == "FGROUP":
+            axes = {self.slot_of.get(t, t) for t, _ in split_arguments(word.text or "")} - {""}
+            out.set_modes(replace(out.modes, feed_of_all=bool(axes & set(ROTARY))))
+            self.note("FGROUP: F counts X Y Z alone, or with A or C all axes, a degree as a mm (FGREF as delivered)")
         elif name in ("SOFT", "BRISK"):
             out.set_modes(replace(out.modes, brisk=name == "BRISK"))
         elif name == "MSG":

@@ -98,6 +98,7 @@ class SinumerikMotion(SinumerikVariables):
         start = np.array(self.out.position[:3]) if suppress else self._from()
         if self.held is not None and (suppress or any(n in coordinates for n in ROTARY) or vector):
             self._release()
+        self.note_increments(coordinates)
         point, angles = self.target(coordinates, suppress, start)
         arc, space = None, None
         if kind == mv.ARC and about_pole and by_name is None and "AR" not in extra:

@@ -76,7 +76,7 @@ ISO_M: dict[int, tuple[str, str]] = {
     70: (ACTS, "LinuxCNC: keeps the modes"), 71: (ACTS, "LinuxCNC: forgets them"), 72: (ACTS, "LinuxCNC: brings back the modes"), 73: (ACTS, "LinuxCNC: keeps the modes for the end of the subprogram"),
     128: (REFUSED, "use G43.4"), 97: (ACTS, "call of a block N of this program with P, L times (Haas)"),
 }  # fmt: skip
-"""M codes of ISO programs; any other is the machine builder's and noted."""
+"""M codes of ISO programs; any other is not known, and noted as such."""
 
 SINUMERIK_G: dict[float, tuple[str, str]] = {
     0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, CR=, AR=, TURN="), 3: (ACTS, "arc counter-clockwise"),
@@ -114,7 +114,8 @@ SINUMERIK_M: dict[int, tuple[str, str]] = {
     6: (ACTS, "tool change"), **dict.fromkeys((3, 4, 5, 19, 40, 41, 42, 43, 44, 45, 70), (NOTE, "spindle, " + NOTHING)),
     **dict.fromkeys((7, 8, 9), (NOTE, "coolant, " + NOTHING)),
 }  # fmt: skip
-"""M codes of SINUMERIK programs; any other is the machine builder's and noted."""
+"""M codes of SINUMERIK programs; any other is not known, and noted as such."""
+UNKNOWN_M = "not known: what it does is set by the builder of the machine; here it changes nothing"
 
 
 def _group(kind: str, meaning: str, names: str) -> dict[str, tuple[str, str]]:
@@ -137,9 +138,10 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(NOTE, "a lower limit that the program sets is not simulated; those of the machine file count", "FL OVRA OVRRAP ACC ACCLIM VELOLIM JERKLIM VELOLIMA JERKLIMA"),
     **_group(NOTE, "a parameter of the path that is not simulated; feed and tolerance of the tool tip count", "FGREF STOLF CTOLG0 OTOLG0 ATOL FRC FRCM"),
     **_group(ACTS, "feed of the path in percent; feed of this block alone", "OVR FB"),
+    **_group(ACTS, "the axes that F counts: with A or C all of them, a degree as a mm, otherwise X Y Z; also before the first FGROUP", "FGROUP"),
     **_group(ACTS, "offsets and modes of the control that are read where they are 0, and refused elsewhere", "OFFN TOFFL TOFFR TOFF TCARR CUTMOD FXS CUTMODK DISC"),
     **_group(NOTE, "a call that moves no axis of this machine, " + NOTHING, (
-        "SETMS FGROUP WORKPIECE GROUP_BEGIN GROUP_END GROUP_ADDEND WRITE DELETE GETD GET RELEASE WAITP WAITM WAITE WAITS WAITMC WAITENC SETM CLEARM INIT "
+        "SETMS WORKPIECE GROUP_BEGIN GROUP_END GROUP_ADDEND WRITE DELETE GETD GET RELEASE WAITP WAITM WAITE WAITS WAITMC WAITENC SETM CLEARM INIT "
         "START EXTERN LOCK UNLOCK CANCEL DISABLE ENABLE CLRINT SETAL SETINT NEWCONF DELT RESETMON GETT GETSELT GETTCOR TOOLENV CPROT CPROTDEF EXTCALL_OFF "
         "PUNCHACC POLF LIFTFAST DELAYFSTON DELAYFSTOF HIGHSPEED LOADWCS MMC FGRP CYCLE_HSC CYCLE207 ISD EXTCLOSE EXTOPEN STRINGIS CYCLE208")),
     **_group(ACTS, "five-axis transformation on or off; X Y Z are then the tool tip in the part frame", "TRAORI TRAFOOF"),

@@ -25,6 +25,8 @@ class Tools:
         self.prepared = out.modes.spindle_tool_length  # of the tool that the next change brings
         self.prepared_name = self.name = ""
         self.changes_by_m6 = False
+        self.modal_h = False  # a later H alone chooses another length while G43 is in force (Fanuc)
+        self.length_on = False
         self.written: dict[tuple[str, str, bool], float] = {}  # by the program itself [m]: tool, radius or length, whether it is wear
 
     def block(self, words: Mapping[str, tuple[Value, int]]) -> None:
@@ -69,9 +71,13 @@ class Tools:
     def _iso(self, words: Mapping[str, tuple[Value, int]], spindle: float) -> float:
         if "G43" in words:
             self.out.notes["G43: its length is used under TRAORI or G43.4; without it X Y Z are positions of the axes"] = None
+            self.length_on = self.modal_h
             return self._length(words["H"]) if "H" in words else spindle
         if "G49" in words:
+            self.length_on = False
             return 0.0
+        if "H" in words and self.length_on:
+            return self._length(words["H"])
         if "H" in words:
             raise WordError("H chooses a tool length together with G43; write G43 H.. in one block", words["H"][1])
         return self.out.modes.tool_length

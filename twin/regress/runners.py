@@ -111,11 +111,11 @@ def _check_compared(case: Case, machine: Machine, trace: Trace) -> None:
 
 
 def _setpoints(case: Case, machine: Machine, setpoints_of: Callable[..., Any]) -> tuple[Any, Any, Any]:
-    from twin.program import PROGRAM_ENDINGS, interpolate, read_program
+    from twin.program import interpolate, is_program, read_program
     from twin.recordings.trace import read_trace
 
     source = case.path("input")
-    if source.suffix.lower() not in PROGRAM_ENDINGS:
+    if not is_program(source):
         return None, None, setpoints_of(read_trace(source, axes=machine.kinds, need=("setpoint",)), machine)
     program = read_program(source, machine)
     commanded = interpolate(program, machine)

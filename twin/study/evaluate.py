@@ -18,7 +18,7 @@ from twin.geometry.kinematics import kinematics_of
 from twin.geometry.tool_path import ToolPath, path_of_axes
 from twin.machine.machine import Machine
 from twin.machine.model_file import files_of, state_of_model
-from twin.program.read import PROGRAM_ENDINGS
+from twin.program.read import is_program
 from twin.recordings.trace import read_trace
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
@@ -92,7 +92,7 @@ def _program_files(path: Path, machine: Machine) -> list[Path]:
     """The input of a run, and the subprograms that a program reads from other files."""
     from twin.program import read_program
 
-    return [path, *read_program(path, machine).files] if path.suffix.lower() in PROGRAM_ENDINGS else [path]
+    return [path, *read_program(path, machine).files] if is_program(path) else [path]
 
 
 def _model_files(machine: Machine) -> dict[str, Path]:
@@ -181,7 +181,7 @@ def _answer(machine: Machine, work: Work) -> Answer:
 
 def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
     machine = study.machine
-    if run.input.suffix.lower() not in PROGRAM_ENDINGS:
+    if not is_program(run.input):
         trace = read_trace(run.input, axes=machine.kinds, need=("setpoint",))
         setpoints = setpoints_of(trace, machine)
         # with varying geometry the same axis positions give another tool path on each variant
