@@ -21,9 +21,9 @@ from twin.program import moves as mv
 from twin.program.apt_drilling import CYCLES, PER_MINUTE, PER_REVOLUTION, Cycle, cycle_of, strokes
 from twin.program.apt_words import FREE_TEXT, NOT_SIMULATED, WITHOUT_EFFECT, is_number, listed, moves_nothing, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
-from twin.program.control_state import INCH
 from twin.program.machine_file import first_feed
 from twin.program.source import Source
+from twin.program.state import INCH
 
 UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
 LONGEST_STATEMENT = 20_000

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.program import moves as mv
 from twin.program.apt_words import is_number
-from twin.program.control_state import INCH
+from twin.program.state import INCH
 
 PER_MINUTE = {"MMPM": 1e-3, "IPM": INCH, "PERMIN": None}
 PER_REVOLUTION = {"MMPR": 1e-3, "IPR": INCH, "PERREV": None}

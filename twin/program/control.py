@@ -1,6 +1,6 @@
-"""Moves of the control, used by both languages: targets of blocks, arcs, stops, cycles, radius compensation.
+"""Moves of the control, used by all languages: targets of blocks, arcs, stops, cycles, radius compensation.
 
-Moves are passed to the collector in machine coordinates; `twin.program.control_state` has the modal state.
+Moves are passed to the collector in machine coordinates; `twin.program.state` has the modal state.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.compensation import GOUGE, Compensation, CompensationError, Element
-from twin.program.control_state import INDEX, LINEAR, ROTARY, ControlState, Item
 from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, drill
 from twin.program.expressions import WordError
+from twin.program.state import INDEX, LINEAR, ROTARY, Item, State
 
 LONGEST_DWELL = 3600.0
 SAME_SCALE = 1e-9
@@ -42,8 +42,11 @@ class Programmed(NamedTuple):
     tolerance: Callable[[float], float]
 
 
-class Control(ControlState):
+class Control:
     """Makes the moves of the blocks one after the other."""
+
+    def __init__(self, state: State) -> None:
+        self.state = state
 
     # ------------------------------------------------------------------ moves
 
@@ -52,18 +55,18 @@ class Control(ControlState):
 
         `start` (3,): start of the move; default: position of the tool.
         """
-        out = self.out
-        if any(n in words and (words[n].how not in ("", "AC") or not self.absolute) for n in ROTARY):
+        out = self.state.out
+        if any(n in words and (words[n].how not in ("", "AC") or not self.state.absolute) for n in ROTARY):
             out.position[3:] = [float(v) for v in out.settle()]
-        if suppress and self.comp is not None:
+        if suppress and self.state.comp is not None:
             raise WordError("a block in machine coordinates is inside G41 or G42; write G40 and a move before", 1)
         if start is None:
-            start = np.array(out.position[:3]) if suppress else self.here()
+            start = np.array(out.position[:3]) if suppress else self.state.here()
         point = start.copy()
         angles = [math.nan, math.nan]
         for name, (value, how, column) in words.items():
-            si = self.si(name, value)
-            relative = how == "IC" or (how == "" and not self.absolute and not suppress)
+            si = self.state.si(name, value)
+            relative = how == "IC" or (how == "" and not self.state.absolute and not suppress)
             if name in LINEAR:
                 if how in ("DC", "ACP", "ACN"):
                     raise WordError(f"{how}() is for rotary axes; use AC() or IC()", column)
@@ -71,7 +74,7 @@ class Control(ControlState):
                 point[i] = start[i] + si if relative else si
             elif name in ROTARY:
                 i = INDEX[name]
-                offset, now = (0.0 if suppress else self.offset[i]), out.position[i]
+                offset, now = (0.0 if suppress else self.state.offset[i]), out.position[i]
                 if relative:
                     goal = now + si
                 elif how in ("DC", "ACP", "ACN"):
@@ -83,14 +86,18 @@ class Control(ControlState):
                     goal = si + offset
                 angles[i - 3] = goal
             else:
-                self.move_other(name, self.other_axes[name] + si if relative else si)
+                self.move_other(name, self.state.other_axes[name] + si if relative else si)
         return point, angles
 
     def move_other(self, name: str, value: float) -> None:
         """Record an axis that this machine lacks; a value other than zero is reported at the end."""
-        self.other_axes[name] = value
-        if value and "other" not in self.out.missing:
-            self.out.missing["other"] = (self.line, self.block, next((n for n, slot in self.slot_of.items() if slot == name), name))
+        self.state.other_axes[name] = value
+        if value and "other" not in self.state.out.missing:
+            self.state.out.missing["other"] = (
+                self.state.line,
+                self.state.block,
+                next((n for n, slot in self.state.slot_of.items() if slot == name), name),
+            )
 
     def go(
         self,
@@ -104,26 +111,33 @@ class Control(ControlState):
         space_arc: SpaceArc | None = None,
     ) -> None:
         """One move to a point in program coordinates (machine coordinates if `suppress`); `arc`: centre, clockwise, turns more."""
-        self._feed_given(kind)
-        if self.after_compensation and self.comp is None:
+        self.feed_given(kind)
+        if self.state.after_compensation and self.state.comp is None:
             if arc is not None or space_arc is not None:
                 raise WordError("the move after G40 must be straight, not an arc; add a straight move", 1)
-            self.after_compensation = False
-            self.settle_plain()
+            self.state.after_compensation = False
+            self.state.settle_plain()
         said = Programmed(
-            kind, angles, vector, self.feed * self.override, self.line, self.block, len(self.out.all_modes) - 1, self.closing()
+            kind,
+            angles,
+            vector,
+            self.state.feed * self.state.override,
+            self.state.line,
+            self.state.block,
+            len(self.state.out.all_modes) - 1,
+            self.state.closing(),
         )
-        if self.comp is not None and not suppress:
-            self._beside(said, self.here(), point, arc, space_arc)
+        if self.state.comp is not None and not suppress:
+            self._beside(said, self.state.here(), point, arc, space_arc)
             return
-        self._put(said, self.here() if not suppress else np.array(self.out.position[:3]), point, arc, suppress, space_arc)
+        self._put(said, self.state.here() if not suppress else np.array(self.state.out.position[:3]), point, arc, suppress, space_arc)
 
-    def _feed_given(self, kind: int) -> None:
-        if kind != mv.RAPID and math.isnan(self.feed):
+    def feed_given(self, kind: int) -> None:
+        if kind != mv.RAPID and math.isnan(self.state.feed):
             text = "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block, or feed_mm_min in [program] of the machine file"
-            if self.path.suffix.lower() == ".spf":
+            if self.state.path.suffix.lower() == ".spf":
                 text = "no feed is programmed yet, which a call gives this subprogram; read the program that calls it"
-            raise self.out.fail(self.line, self.block, text)
+            raise self.state.out.fail(self.state.line, self.state.block, text)
 
     def _put(
         self,
@@ -136,19 +150,19 @@ class Control(ControlState):
     ) -> None:
         """Pass a move to the collector, in machine coordinates."""
         kind, angles, vector, feed, line, block, mode, tolerance = said
-        out = self.out
-        goal = point if suppress else self.to_machine(point)
+        out = self.state.out
+        goal = point if suppress else self.state.to_machine(point)
         circle = space_arc
         if arc is not None:
             centre, clockwise, turns = arc
             radius = float(np.linalg.norm(start - centre))
-            circle = arcs.from_centre(start, point, centre, self.plane, clockwise, turns, tolerance(radius))
+            circle = arcs.from_centre(start, point, centre, self.state.plane, clockwise, turns, tolerance(radius))
         if circle is not None:
             out.arcs[len(out.kinds)] = circle if suppress else self._turned(circle)
-        if self.fixed_axis is not None and vector is None and math.isnan(angles[0]) and math.isnan(angles[1]):
-            vector = _vector(self.fixed_axis)
-        elif vector is not None and self.matrix is not None:
-            vector = _vector(self.matrix @ np.array(vector))
+        if self.state.fixed_axis is not None and vector is None and math.isnan(angles[0]) and math.isnan(angles[1]):
+            vector = _vector(self.state.fixed_axis)
+        elif vector is not None and self.state.matrix is not None:
+            vector = _vector(self.state.matrix @ np.array(vector))
         out.add(kind, (*map(float, goal), *angles), vector, math.inf if kind == mv.RAPID else feed, line, block)
         out.mode_of[-1] = mode
         out.position[:3] = [float(v) for v in goal]
@@ -161,32 +175,32 @@ class Control(ControlState):
     def _turned(self, circle: SpaceArc) -> SpaceArc:
         """An arc in machine coordinates; a mirror reverses its direction."""
         centre, normal, angle = circle
-        if self.matrix is not None:
-            gram = self.matrix.T @ self.matrix
+        if self.state.matrix is not None:
+            gram = self.state.matrix.T @ self.state.matrix
             if not np.allclose(gram, np.eye(3) * gram[0, 0], atol=1e-9):
                 raise WordError("an arc under a SCALE that differs between axes is no arc; scale all axes alike", 1)
-            normal = self.matrix @ normal / math.sqrt(gram[0, 0]) * math.copysign(1.0, np.linalg.det(self.matrix))
-        return self.to_machine(centre), normal, angle
+            normal = self.state.matrix @ normal / math.sqrt(gram[0, 0]) * math.copysign(1.0, np.linalg.det(self.state.matrix))
+        return self.state.to_machine(centre), normal, angle
 
     def arc_centre(self, start: np.ndarray, point: np.ndarray, words: dict[str, Item], radius: float | None) -> np.ndarray:
         """Centre (3,) from I J K or the radius, program coordinates."""
-        clockwise = self.motion == 2
+        clockwise = self.state.motion == 2
         if radius is not None and words:
             raise WordError("the circle is given twice, by its centre (I J K) and by its radius; keep one", 1)
         if radius is not None:
-            return arcs.centre_from_radius(start, point, radius, self.plane, clockwise)
-        a, b, _ = arcs.PLANES[self.plane]
+            return arcs.centre_from_radius(start, point, radius, self.state.plane, clockwise)
+        a, b, _ = arcs.PLANES[self.state.plane]
         middle = start.copy()
         for name, (value, how, column) in words.items():
             i = "IJK".index(name)
-            if i not in (a, b) and value == 0.0 and not (how == "AC" or self.centre_absolute):
+            if i not in (a, b) and value == 0.0 and not (how == "AC" or self.state.centre_absolute):
                 continue  # some posts write all three
             if i not in (a, b):
-                raise WordError(f"{name} does not lie in the plane G{self.plane}; select the plane with G17, G18 or G19", column)
-            absolute = how == "AC" or (how == "" and self.centre_absolute)
-            middle[i] = value * self.unit + (0.0 if absolute else start[i])
+                raise WordError(f"{name} does not lie in the plane G{self.state.plane}; select the plane with G17, G18 or G19", column)
+            absolute = how == "AC" or (how == "" and self.state.centre_absolute)
+            middle[i] = value * self.state.unit + (0.0 if absolute else start[i])
         gap = _gap(start, point, middle, a, b)
-        if gap > self.closing()(float(np.linalg.norm((start - middle)[[a, b]]))):
+        if gap > self.state.closing()(float(np.linalg.norm((start - middle)[[a, b]]))):
             raise arcs.ArcError(
                 f"the arc does not close: its radius is {gap * 1e3:.4f} mm greater or smaller at its end; {self._as_meant(start, point, words)}"
             )
@@ -194,69 +208,69 @@ class Control(ControlState):
 
     def _as_meant(self, start: np.ndarray, point: np.ndarray, words: dict[str, Item]) -> str:
         """What to do about an open arc: whether it closes with another meaning of I J K."""
-        a, b, _ = arcs.PLANES[self.plane]
-        given = np.array([words["IJK"[i]].value * self.unit if "IJK"[i] in words else 0.0 for i in range(3)])
-        limit = self.closing()(float(np.linalg.norm(given - start)))
+        a, b, _ = arcs.PLANES[self.state.plane]
+        given = np.array([words["IJK"[i]].value * self.state.unit if "IJK"[i] in words else 0.0 for i in range(3)])
+        limit = self.state.closing()(float(np.linalg.norm(given - start)))
         names = " ".join("IJK"[i] for i in sorted((a, b)))
-        if not self.centre_absolute and _gap(start, point, given, a, b) <= limit:
-            how = "write G90.1 before" if self.iso else f"write {'IJK'[a]}=AC(..) {'IJK'[b]}=AC(..)"
+        if not self.state.centre_absolute and _gap(start, point, given, a, b) <= limit:
+            how = "write G90.1 before" if self.state.iso else f"write {'IJK'[a]}=AC(..) {'IJK'[b]}=AC(..)"
             return f"it closes if {names} are absolute: {how}, or post them from the start"
-        if not self.centre_absolute and _gap(start, point, start - given, a, b) <= limit:
+        if not self.state.centre_absolute and _gap(start, point, start - given, a, b) <= limit:
             return f"it closes with the signs of {names} turned, from the centre to the start: post them from the start to the centre"
-        return f"correct the end point or {names} (from the start" + (")" if self.iso else "; absolute as I=AC(..))")
+        return f"correct the end point or {names} (from the start" + (")" if self.state.iso else "; absolute as I=AC(..))")
 
     def stop(self, pause: float) -> None:
         """An exact stop at the end of the last move, then a pause [s] (G9, M0)."""
-        if self.comp is not None:
+        if self.state.comp is not None:
             raise WordError("an exact stop or a halt inside G41 or G42 is not simulated; write it after G40", 1)
-        if self.out.kinds:
-            self.out.stops[len(self.out.kinds) - 1] = pause
+        if self.state.out.kinds:
+            self.state.out.stops[len(self.state.out.kinds) - 1] = pause
 
     def dwell(self, seconds: float) -> None:
         """A dwell at the current position."""
         if not 0.0 <= seconds <= LONGEST_DWELL:
             raise WordError(f"a dwell of {seconds:g} s is out of range; give 0 to 3600 s", 1)
-        out = self.out
-        if self.comp is not None:
+        out = self.state.out
+        if self.state.comp is not None:
             out.notes["G4 inside G41 or G42 is omitted: the tool does not dwell on the contour"] = None
             return
         out.pauses[len(out.kinds)] = seconds
-        out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.line, self.block)
+        out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.state.line, self.state.block)
 
     def drill(self, cycle: Drilling) -> None:
         """The steps of a drilling cycle at this place, along the normal of the plane."""
-        across = arcs.PLANES[self.plane][2]
-        feed = self.feed
+        across = arcs.PLANES[self.state.plane][2]
+        feed = self.state.feed
         for what, value, share in drill(cycle):
             if what == DWELL:
                 self.dwell(value)
                 continue
-            point = self.here()
-            point[across] = value * self.unit
+            point = self.state.here()
+            point[across] = value * self.state.unit
             if what in (ASIDE, BACK):
-                for i, step in zip(arcs.PLANES[self.plane][:2], cycle.aside):
-                    point[i] += step * self.unit * (1.0 if what == ASIDE else -1.0)
-            self.feed = feed * share
+                for i, step in zip(arcs.PLANES[self.state.plane][:2], cycle.aside):
+                    point[i] += step * self.state.unit * (1.0 if what == ASIDE else -1.0)
+            self.state.feed = feed * share
             self.go(mv.LINE if what == FEED else mv.RAPID, point, [math.nan, math.nan])
-        self.feed = feed
+        self.state.feed = feed
 
     # ------------------------------------------------------------------ cutter radius
 
     def compensate(self, side: int, radius: float, *, along_next: bool, corners_meet: bool = False) -> None:
         """G40 (0), G41 (1) or G42 (-1) from the next move on."""
-        if self.comp is not None:
-            if side and (side > 0) == (self.comp.offset * radius > 0) and self.comp.tool_radius == abs(radius):
+        if self.state.comp is not None:
+            if side and (side > 0) == (self.state.comp.offset * radius > 0) and self.state.comp.tool_radius == abs(radius):
                 return
             if side:
                 raise WordError("G41 and G42 change sides or radius without G40; write G40 and a move between them", 1)
             self._end_compensation()
         if side and radius:
-            if self.out.modes.traori and not self._stands_across():
+            if self.state.out.modes.traori and not self._stands_across():
                 raise WordError(
                     "G41 and G42 need a tool perpendicular to the plane G17, G18 or G19; let the CAM system output the tool centre", 1
                 )
-            self.programmed = self.here()
-            self.comp = Compensation(
+            self.state.programmed = self.state.here()
+            self.state.comp = Compensation(
                 abs(radius) / self._scale(),
                 (side > 0) == (radius > 0),
                 along_next=along_next,
@@ -264,71 +278,71 @@ class Control(ControlState):
                 emit=self._emit,
                 tool_radius=abs(radius),
             )
-        self.settle_plain()
+        self.state.settle_plain()
 
     def _scale(self) -> float:
         """Scale of the frame in the active plane (SCALE, G51); it scales the contour, not the radius of the tool."""
-        if self.matrix is None:
+        if self.state.matrix is None:
             return 1.0
-        first, second = (float(np.linalg.norm(self.matrix[:, i])) for i in arcs.PLANES[self.plane][:2])
+        first, second = (float(np.linalg.norm(self.state.matrix[:, i])) for i in arcs.PLANES[self.state.plane][:2])
         if abs(first - second) > SAME_SCALE * first:
             raise WordError("G41 and G42 need the same scale along both axes of the plane; scale them alike, or write G40", 1)
         return first
 
     def _stands_across(self) -> bool:
         """Whether the tool is along the normal of the active plane; relevant under a transformation."""
-        normal = np.eye(3)[arcs.PLANES[self.plane][2]]
-        if self.matrix is not None:
-            normal = self.matrix @ normal
-        axis = self.fixed_axis
+        normal = np.eye(3)[arcs.PLANES[self.state.plane][2]]
+        if self.state.matrix is not None:
+            normal = self.state.matrix @ normal
+        axis = self.state.fixed_axis
         if axis is None:
-            machine = np.concatenate([np.zeros(3), self.out.settle()])
-            axis = self.out.kinematics.forward(machine)[1][0]
+            machine = np.concatenate([np.zeros(3), self.state.out.settle()])
+            axis = self.state.out.kinematics.forward(machine)[1][0]
         return abs(float(axis @ normal)) > (1.0 - 1e-9) * float(np.linalg.norm(axis) * np.linalg.norm(normal))
 
     def _end_compensation(self) -> None:
-        assert self.comp is not None
-        comp = self.comp
+        assert self.state.comp is not None
+        comp = self.state.comp
         try:
             stands = comp.finish()
         except CompensationError as error:
             raise WordError(str(error), 1) from None
-        self.comp = None
-        self.after_compensation = stands is not None
-        self.settle_plain()
+        self.state.comp = None
+        self.state.after_compensation = stands is not None
+        self.state.settle_plain()
 
     def _beside(self, said: Programmed, start: np.ndarray, point: np.ndarray, arc: Arc | None, space_arc: SpaceArc | None) -> None:
         """Queue a move of the contour for radius compensation."""
-        assert self.comp is not None
+        assert self.state.comp is not None
         if space_arc is not None or said.vector is not None or not all(math.isnan(v) for v in said.angles):
             raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before", 1)
-        a, b, c = arcs.PLANES[self.plane]
-        mode = self.out.all_modes[said.mode]
+        a, b, c = arcs.PLANES[self.state.plane]
+        mode = self.state.out.all_modes[said.mode]
         centre, sense, turns, length = None, 0, 0, float(np.linalg.norm(point - start))
         if arc is not None:
             circle = arcs.from_centre(
-                start, point, arc[0], self.plane, arc[1], arc[2], said.tolerance(float(np.linalg.norm(start - arc[0])))
+                start, point, arc[0], self.state.plane, arc[1], arc[2], said.tolerance(float(np.linalg.norm(start - arc[0])))
             )
             centre, sense, turns = circle[0][[a, b]], (-1 if arc[1] else 1), arc[2]
             length = math.hypot(circle[2] * float(np.hypot(*(start[[a, b]] - centre))), point[c] - start[c])
         if mode.feed_mode == 93:  # G93 gives the time of the contour; the tool keeps the same speed
-            self.out.set_modes(replace(self.out.modes, feed_mode=94))
-            said = said._replace(feed=said.feed * length / mode.feed_unit, mode=len(self.out.all_modes) - 1)
-            self.out.set_modes(mode)
+            self.state.out.set_modes(replace(self.state.out.modes, feed_mode=94))
+            said = said._replace(feed=said.feed * length / mode.feed_unit, mode=len(self.state.out.all_modes) - 1)
+            self.state.out.set_modes(mode)
         element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, said)
         element.whole = centre is not None and float(np.hypot(*(element.b - element.a))) < 1e-9
-        self.programmed = point.copy()
+        self.state.programmed = point.copy()
         try:
-            self.comp.add(element)
+            self.state.comp.add(element)
         except CompensationError as error:
             raise WordError(str(error), 1) from None
 
     def _emit(self, e: Element) -> None:
         """Emit a finished element of the compensation."""
-        a, b, c = arcs.PLANES[self.plane]
-        comp, self.comp = self.comp, None
-        after, self.after_compensation = self.after_compensation, False
-        start, point = self.here(), np.zeros(3)
+        a, b, c = arcs.PLANES[self.state.plane]
+        comp, self.state.comp = self.state.comp, None
+        after, self.state.after_compensation = self.state.after_compensation, False
+        start, point = self.state.here(), np.zeros(3)
         point[[a, b]], point[c] = e.b, e.across[1]
         said: Programmed = e.move
         arc, whole = None, e.whole and float(np.hypot(*(e.b - start[[a, b]]))) < GOUGE
@@ -343,7 +357,7 @@ class Control(ControlState):
             said = said._replace(kind=mv.LINE)
         if np.linalg.norm(point - start) > 1e-12 or e.turns or whole:
             self._put(said, start, point, arc)
-        self.comp, self.after_compensation = comp, after
+        self.state.comp, self.state.after_compensation = comp, after
 
 
 def _gap(start: np.ndarray, end: np.ndarray, centre: np.ndarray, a: int, b: int) -> float:

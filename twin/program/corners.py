@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.control import Arc, Control, SpaceArc, Vector
@@ -48,47 +46,50 @@ CUT_OFF = ("CHR", ",C")
 """Words that give the distance of the chamfer from the corner; CHF gives the length of the chamfer."""
 
 
-class Corners(Control):
+class Corners:
     """Moves that are emitted at once, or wait for their corner."""
 
-    def __init__(self, path: Path, machine: Machine) -> None:
-        super().__init__(path, machine)
+    def __init__(self, control: Control) -> None:
+        self.control, self.state = control, control.state
         self.tangent: np.ndarray | None = None
         self.every_corner = 0.0  # RNDM [m]
         self.held: Held | None = None  # RND, CHF or CHR that waits for the next move
 
-    def _from(self) -> np.ndarray:
+    def start(self) -> np.ndarray:
         """Start of the next move (3,): position of the tool after the waiting move."""
-        return self.held.move.point.copy() if self.held is not None else self.here()
+        return self.held.move.point.copy() if self.held is not None else self.state.here()
 
-    def _queue(self, move: Move, corner: tuple[str, float] | None) -> None:
+    def queue(self, move: Move, corner: tuple[str, float] | None) -> None:
         """Emit a move, or hold it until the next move defines its corner; `corner`: word and size [m]."""
         if self.every_corner and corner is None and move.kind == mv.LINE:
             corner = "RNDM", self.every_corner
         if self.held is not None:
             self._cut_corner(self.held, move)
         if corner is not None and corner[1] > 0.0:
-            self.held = Held(*corner, move._replace(point=move.point.copy()), self.here())
+            self.held = Held(*corner, move._replace(point=move.point.copy()), self.state.here())
             return
         self._go(move)
 
     def _go(self, move: Move) -> None:
         """Emit a move with its feed and line; keep the direction at its end for CT."""
         kind, point, angles, vector, arc, space, suppress, feed, line, block = move
-        now = self.feed, self.line, self.block
-        self.feed, self.line, self.block = feed, line, block
-        start = self.here() if not suppress else None
-        self.go(kind, point, angles, vector, arc, suppress=suppress, space_arc=space)
+        now = self.state.feed, self.state.line, self.state.block
+        self.state.feed, self.state.line, self.state.block = feed, line, block
+        start = self.state.here() if not suppress else None
+        self.control.go(kind, point, angles, vector, arc, suppress=suppress, space_arc=space)
         self.tangent = None
         if start is not None and arc is None and space is None and np.linalg.norm(point - start) > 0:
             self.tangent = (point - start) / np.linalg.norm(point - start)
         elif start is not None and (arc is not None or space is not None):
-            centre, normal, _ = space or arcs.from_centre(start, point, arc[0], self.plane, arc[1], arc[2], self.closing()(np.inf))  # type: ignore[index]
+            if space is None:
+                assert arc is not None
+                space = arcs.from_centre(start, point, arc[0], self.state.plane, arc[1], arc[2], self.state.closing()(np.inf))
+            centre, normal, _ = space
             way = np.cross(normal, point - centre)
             self.tangent = way / np.linalg.norm(way)
-        self.feed, self.line, self.block = now
+        self.state.feed, self.state.line, self.state.block = now
 
-    def _release(self) -> None:
+    def release(self) -> None:
         """Emit a waiting move at full length."""
         if self.held is not None:
             what, _, move, _ = self.held
@@ -108,7 +109,7 @@ class Corners(Control):
         if not straight or min(lengths) < 1e-9:
             if what == "RNDM":
                 if following.kind != mv.RAPID and not following.is_straight:
-                    self.note("RNDM: a corner between a line and an arc is not rounded; write it as blocks where it is no tangent")
+                    self.state.note("RNDM: a corner between a line and an arc is not rounded; write it as blocks where it is no tangent")
                 self._go(before)
                 return
             raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)
@@ -135,7 +136,7 @@ class Corners(Control):
             normal = np.cross(u, v)
             normal = normal / np.linalg.norm(normal)
             centre = first + size * np.cross(normal, u)
-            axis = arcs.PLANES[self.plane][2]
+            axis = arcs.PLANES[self.state.plane][2]
             if abs(abs(normal[axis]) - 1.0) > 1e-9:
-                raise WordError(f"{what} does not lie in the plane G{self.plane}; select the plane", 1)
+                raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane", 1)
             self._go(cut_off._replace(kind=mv.ARC, arc=(centre, bool(normal[axis] < 0), 0)))

@@ -1,6 +1,6 @@
-"""Execution order of the blocks of a program: labels, jumps, loops, conditions, calls, for both languages.
+"""Execution order of the blocks of a program: labels, jumps, loops, conditions, calls, for all languages.
 
-A front end classifies each line (`twin.program.structures.Statement`), and `Flow` executes it. Limits on blocks, jumps and calls prevent
+The lines of a language classify each line (`twin.program.structures.Statement`), and `Flow` executes it. Limits on blocks, jumps and calls prevent
 endless programs.
 """
 
@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from twin.errors import InputError
 from twin.program.expressions import WordError
 from twin.program.source import Unit
+from twin.program.state import State
 from twin.program.structures import Statement, loop_around, partners, structures_of
 
 MOST_BLOCKS = 2_000_000  # that run, with repeats
@@ -38,30 +39,44 @@ class Frame:
     on_return: Callable[[], None] | None = None
 
 
-class FrontEnd(Protocol):
-    """Interface of a language for the flow."""
-
-    line: int
-    block: int
-    reads: list[Any] | None  # values of the variables that an expression reads are added to it
+class Lines(Protocol):
+    """How a language writes lines: a line without comment, the statement of the flow in it, the labels of a program."""
 
     def clean(self, text: str) -> str: ...
     def statement(self, text: str) -> Statement | None: ...
+    def labels(self, unit: Unit) -> dict[str, list[int]]: ...
+
+
+class Values(Protocol):
+    """Variables and expressions of a language."""
+
     def number_of(self, text: str, column: int) -> float: ...
     def assign(self, name: str, value: float, column: int) -> None: ...
+
+
+class Calls(Protocol):
+    """Statements of a language that the flow does not know, and the end of a program that does not end itself."""
+
+    def other(self, statement: Statement, frame: Frame) -> None: ...
+    def runs_into(self, what: str, column: int) -> None: ...
+
+
+class Blocks(Protocol):
+    """Executes blocks; `fast` returns False for one that must be read word by word."""
+
     def fast(self, text: str, line: int) -> bool: ...
     def words(self, text: str) -> None: ...
-    def other(self, statement: Statement, frame: Frame) -> None: ...
-    def labels(self, unit: Unit) -> dict[str, list[int]]: ...
-    def returned(self, frame: Frame) -> None: ...
-    def runs_into(self, what: str, column: int) -> None: ...
 
 
 class Flow:
     """Executes the blocks of a program."""
 
-    def __init__(self, unit: Unit, front: FrontEnd) -> None:
-        self.front = front
+    values: Values
+    calls: Calls
+    blocks: Blocks
+
+    def __init__(self, unit: Unit, state: State, lines: Lines) -> None:
+        self.state, self.lines = state, lines
         self.frames = [Frame(unit, unit.first)]
         self.ran = self.jumps = self.same_jumps = 0
         self._seen: dict[tuple, tuple] = {}
@@ -72,10 +87,10 @@ class Flow:
         """The running program or subprogram."""
         return self.frames[-1]
 
-    def run(self) -> None:
+    def run(self, blocks: Blocks, values: Values, calls: Calls) -> None:
         """Execute all blocks until the program ends."""
-        front = self.front
-        fast = front.fast
+        self.blocks, self.values, self.calls = blocks, values, calls
+        state, fast = self.state, blocks.fast
         while not self.ended and self.frames:
             frame = self.frames[-1]
             lines, offset = frame.unit.lines, frame.unit.offset
@@ -85,14 +100,14 @@ class Flow:
                 if fast(text, offset + at + 1):
                     self.advance(frame)
                     continue
-                front.line, front.block = offset + at + 1, -1
+                state.line, state.block = offset + at + 1, -1
                 self._run_line(frame, at, text)
                 if self.ended or self.frames[-1] is not frame:
                     break
             else:
                 if not frame.style:
-                    front.runs_into("the end of the file", 1)
-                self.back("end")
+                    calls.runs_into("the end of the file", 1)
+                self.back()
 
     def _run_line(self, frame: Frame, at: int, text: str) -> None:
         """Execute one line and advance `frame.at`, except at a call, which advances it at its end."""
@@ -104,15 +119,15 @@ class Flow:
             return
         depth = len(self.frames)
         if known:
-            self.front.words(known)  # type: ignore[arg-type]
+            self.blocks.words(known)  # type: ignore[arg-type]
         if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
             self.advance(frame)
 
     def _statement(self, text: str) -> Statement | str:
-        clean = self.front.clean(text)
+        clean = self.lines.clean(text)
         if not clean.strip():
             return ""
-        return self.front.statement(clean) or clean
+        return self.lines.statement(clean) or clean
 
     def advance(self, frame: Frame) -> None:
         """Advance to the next line, or back to the start of a repeated part at its end."""
@@ -151,10 +166,9 @@ class Flow:
         self.frames.append(frame)
         return frame
 
-    def back(self, how: str, target: str = "") -> None:
-        """The end of a program or subprogram: RET, M17, M99, endsub, or the end of its lines (`end`)."""
+    def back(self, target: str = "") -> None:
+        """The end of a program or subprogram: RET, M17, M99, endsub, or the end of its lines."""
         frame = self.frame
-        self.front.returned(frame) if how != "end" else None
         if frame.again > 0:
             frame.again -= 1
             frame.at, frame.repeats, frame.counters = frame.first, [], {}
@@ -175,7 +189,7 @@ class Flow:
 
     def _follow(self, frame: Frame, at: int, s: Statement) -> None:
         """Execute a statement of the flow."""
-        front, kind = self.front, s.kind
+        kind = s.kind
         if kind == "if":
             self._branch(frame, at, s)
         elif kind in ("elseif", "else"):  # the part before it has run
@@ -196,7 +210,7 @@ class Flow:
             self._loop(frame, self._partners(frame, at, s)[0], not self._value(s.text, s.column), s.column)
         elif kind == "for":
             name, first, last = s.rest
-            front.assign(name, self._value(first, s.column), s.column)
+            self.values.assign(name, self._value(first, s.column), s.column)
             if self._value(name, s.column) <= self._value(last, s.column):
                 self.advance(frame)
             else:
@@ -204,7 +218,7 @@ class Flow:
         elif kind == "endfor":
             opener = self._partners(frame, at, s)[0]
             name, _, last = frame.unit.statements[opener].rest  # type: ignore[attr-defined]
-            front.assign(name, self._value(name, s.column) + 1.0, s.column)
+            self.values.assign(name, self._value(name, s.column) + 1.0, s.column)
             self._loop(frame, opener, self._value(name, s.column) <= self._value(last, s.column), s.column)
         elif kind == "times":
             count = int(self._value(s.text, s.column))
@@ -228,7 +242,7 @@ class Flow:
             if kind in ("loop", "repeat", "do"):
                 self._partners(frame, at, s)
         elif kind == "sub":
-            front.runs_into("a subprogram", s.column)
+            self.calls.runs_into("a subprogram", s.column)
             self._behind(frame, self._partners(frame, at, s)[-1])
         elif kind == "goto":
             self._goto(frame, s)
@@ -236,16 +250,16 @@ class Flow:
             self._repeat(frame, at, s)
         else:
             depth = len(self.frames)
-            front.other(s, frame)
+            self.calls.other(s, frame)
             if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
                 self.advance(frame)
 
     def _value(self, text: str, column: int) -> float:
         """The value of a condition or of the bound of a loop."""
         reads: list[Any] = []
-        self.front.reads = reads
-        value = self.front.number_of(text, column)
-        self.front.reads = None
+        self.state.reads = reads
+        value = self.values.number_of(text, column)
+        self.state.reads = None
         self.decided(text, (value, *reads))
         return value
 
@@ -330,9 +344,9 @@ class Flow:
     def place(self, frame: Frame, target: str, direction: str, column: int) -> int:
         """Line of a label or block number; `direction` F: forwards, B: backwards, C: a missing target is ignored."""
         if target.startswith("="):  # a block number by an expression
-            target = f"N{int(self.front.number_of(target[1:], column))}"
+            target = f"N{int(self.values.number_of(target[1:], column))}"
         if frame.unit.labels is None:
-            frame.unit.labels = self.front.labels(frame.unit)
+            frame.unit.labels = self.lines.labels(frame.unit)
         places = frame.unit.labels.get(target, [])
         forward = [i for i in places if i > frame.at]
         back = [i for i in places if i <= frame.at]
@@ -347,7 +361,7 @@ class Flow:
     def _repeat(self, frame: Frame, at: int, s: Statement) -> None:
         word, name, end, times_text = s.rest
         if frame.unit.labels is None:
-            frame.unit.labels = self.front.labels(frame.unit)
+            frame.unit.labels = self.lines.labels(frame.unit)
 
         def label(text: str) -> int:
             places = frame.unit.labels.get(text, [])  # type: ignore[union-attr]
@@ -365,7 +379,7 @@ class Flow:
             last = closing[0] if closing and (closing[0] < at or first > at) else (at - 1 if first < at else len(frame.unit.lines) - 1)
         if last < first or first <= at <= last:
             raise WordError(f"REPEAT {name}: the part to repeat holds the REPEAT itself or is empty; move the labels", s.column)
-        times = int(self.front.number_of(times_text, s.column)) if times_text else 1
+        times = int(self.values.number_of(times_text, s.column)) if times_text else 1
         if len(frame.repeats) >= 20:
             raise WordError("more than 20 REPEAT inside each other; correct the labels", s.column)
         if times <= 0:

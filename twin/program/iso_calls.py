@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from twin.machine.machine import Machine
-from twin.program.control_state import Item
 from twin.program.expressions import WordError
 from twin.program.flow import Frame
 from twin.program.iso_drilling import MOST_REPEATS
@@ -15,36 +11,36 @@ from twin.program.iso_lines import COMMENT, OWORD, PROGRAM, between_percents, su
 from twin.program.iso_motion import IsoMotion
 from twin.program.machine_file import moves_no_axis
 from twin.program.source import Folder, Unit
+from twin.program.state import Item
 from twin.program.structures import Statement
 
 MACRO = dict(zip("ABCIJKDEFHMQRSTUVWXYZ", (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26)))
 """Letter of G65 -> variable that it sets."""
 
 
-class IsoCalls(IsoMotion, ABC):
+class Executor(Protocol):
+    """Executes blocks, as text or as G codes, M codes and words."""
+
+    def words(self, text: str) -> None: ...
+    def execute(self, g: list[tuple[float, int]], m: list[tuple[float, int]], words: dict[str, Item]) -> None: ...
+
+
+class IsoCalls:
     """Calls and returns."""
 
-    def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> None:
-        super().__init__(path, machine, linuxcnc=linuxcnc)
-        self.unit_read = between_percents(unit)
-        self.folder = Folder(path)
+    def __init__(self, moves: IsoMotion, front: Executor, unit: Unit) -> None:
+        self.moves, self.state, self.flow, self.values, self.front = moves, moves.state, moves.flow, moves.values, front
+        self.unit_read = unit
+        self.folder = Folder(self.state.path)
         self.main_seen = False
-
-    @abstractmethod
-    def words(self, text: str) -> None:
-        """One block."""
-
-    @abstractmethod
-    def execute(self, g: list[tuple[float, int]], m: list[tuple[float, int]], words: dict[str, Item]) -> None:
-        """Execute the words of a block in the order of the control."""
 
     def other(self, s: Statement, frame: Frame) -> None:
         """O-words of calls, program numbers, IF .. THEN."""
         if s.kind == "then":
-            if self.number_of(s.text, s.column):
-                self.words(" " * s.rest[0] + s.key)
+            if self.values.number_of(s.text, s.column):
+                self.front.words(" " * s.rest[0] + s.key)
         elif s.kind == "words_goto":
-            self.words(s.key)
+            self.front.words(s.key)
             self.flow.jump_to(frame, s)
         elif s.kind == "program":
             self._program(s, frame)
@@ -64,18 +60,18 @@ class IsoCalls(IsoMotion, ABC):
         if len(self.flow.frames) == 1:
             self.main_seen = True
 
-    def _calls(self, codes: set[float], m: list[int], w: dict[str, Item]) -> bool:
+    def block(self, codes: set[float], m: list[int], w: dict[str, Item]) -> bool:
         """M98, M99, G65 and G66; True if the block is done."""
         if 65 in codes or 66 in codes:
             self._macro(w, modal=66 in codes)
             return True
         if 67 in codes:
-            self.modal_macro = None
-        if 198 in m and not self.linuxcnc:
+            self.moves.modal_macro = None
+        if 198 in m and not self.state.linuxcnc:
             m[m.index(198)] = 98
         if 97 in m or 98 in m:
             own = 97 in m
-            if own and self.linuxcnc:
+            if own and self.state.linuxcnc:
                 raise WordError("M97 is no word of LinuxCNC; use M98 and O", 1)
             if "P" not in w:
                 raise WordError(f"M{97 if own else 98} needs P, the number of the {'block' if own else 'subprogram'}", 1)
@@ -86,10 +82,10 @@ class IsoCalls(IsoMotion, ABC):
                 times = int(word.value)
                 if times != word.value:
                     raise WordError(f"M98 repeats {word.value:g} times; give a whole number", word.column)
-            elif not self.linuxcnc and not own and number > 9999:
+            elif not self.state.linuxcnc and not own and number > 9999:
                 times, number = divmod(number, 10000)
             if w or codes:
-                self.execute([(c, 1) for c in sorted(codes)], [(float(n), 1) for n in m if n not in (97, 98)], w)
+                self.front.execute([(c, 1) for c in sorted(codes)], [(float(n), 1) for n in m if n not in (97, 98)], w)
             if times > MOST_REPEATS:
                 raise WordError(f"M98 repeats more than {MOST_REPEATS} times", p.column)
             place = self._block_place(number, p.column) if own else self._program_place(number, p.column)
@@ -100,22 +96,22 @@ class IsoCalls(IsoMotion, ABC):
         if 99 in m:
             frame = self.flow.frame
             if len(self.flow.frames) == 1:
-                self.note("M99 ends the main program here, which the control would run again without end")
+                self.state.note("M99 ends the main program here, which the control would run again without end")
                 self.flow.ended = True
                 return True
             if frame.style not in ("m98", "macro"):
                 raise WordError("M99 ends a subprogram that O.. sub began; end it with endsub", 1)
             target = f"N{int(w.pop('P').value)}" if "P" in w else ""
             if w:
-                self.execute([(c, 1) for c in sorted(codes)], [(float(n), 1) for n in m if n != 99], w)
-            self.flow.back("return", target)
+                self.front.execute([(c, 1) for c in sorted(codes)], [(float(n), 1) for n in m if n != 99], w)
+            self.flow.back(target)
             return True
         return False
 
     def _block_place(self, number: int, column: int) -> tuple[Unit, int]:
         """Line of block N.. of this program, for M97 of a Haas."""
         unit = self.flow.frame.unit
-        found = self.labels(unit).get(f"N{number}")
+        found = self.flow.lines.labels(unit).get(f"N{number}")
         if not found:
             raise WordError(f"M97 P{number}: this program has no block N{number}; add it", column)
         return unit, found[0]
@@ -137,8 +133,8 @@ class IsoCalls(IsoMotion, ABC):
             raise WordError(f"O{number} is a subprogram 'O{number} sub' and is called by 'O{number} call', not by M98", column)
         unit = self.folder.find(f"O{number:04d}", f"O{number}", f"{number:04d}", str(number))  # type: ignore[assignment]
         if unit is None:
-            if moves_no_axis(self.machine, [f"O{number}", f"O{number:04d}"]):
-                self.note(f"O{number}: the machine file lists it as moving no axis")
+            if moves_no_axis(self.state.machine, [f"O{number}", f"O{number:04d}"]):
+                self.state.note(f"O{number}: the machine file lists it as moving no axis")
                 return None
             raise WordError(
                 f"subprogram O{number} is neither in this file nor beside it (O{number:04d}.nc); add it, or list it in [program] "
@@ -164,7 +160,7 @@ class IsoCalls(IsoMotion, ABC):
             return
         unit, at = place
         if modal:
-            self.modal_macro = unit, at, variables
+            self.moves.modal_macro = unit, at, variables
             return
         if frame := self.flow.call(unit, at, times=min(times, MOST_REPEATS), name=f"O{p.value:g}", style="macro", column=p.column):
             frame.variables = dict(variables)
@@ -172,7 +168,7 @@ class IsoCalls(IsoMotion, ABC):
     def _call_oword(self, s: Statement) -> None:
         name = self._oword_name(s.key, s.column)
         arguments = {}
-        e = self._expression(s.text, 0, s.column)
+        e = self.values.expression(s.text, 0, s.column)
         k = 0
         while e.peek():
             k += 1
@@ -200,26 +196,23 @@ class IsoCalls(IsoMotion, ABC):
         partners = self.flow._table(unit).get(at, (at,))
         if partners[0] < 0:
             raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
-        self.returned_value = (0.0, 0.0)
+        self.values.returned_value = (0.0, 0.0)
         if frame := self.flow.call(unit, at + 1, name=name, style="oword", column=s.column):
             frame.variables = arguments
 
     def _oword_name(self, key: str, column: int) -> str:
         if key.startswith(("[", "#")):
-            return str(int(self.number_of(key, column)))
+            return str(int(self.values.number_of(key, column)))
         return key
 
     def _back(self, s: Statement) -> None:
         frame = self.flow.frame
         if frame.style == "m98":
             raise WordError("a subprogram called by M98 ends with M99, not with endsub", s.column)
-        self.returned_value = (self.number_of(s.text, s.column), 1.0) if s.text.strip() else (0.0, 0.0)
-        self.flow.back("return")
-
-    def returned(self, frame: Frame) -> None:
-        """The end of a subprogram; variables and modes are kept."""
+        self.values.returned_value = (self.values.number_of(s.text, s.column), 1.0) if s.text.strip() else (0.0, 0.0)
+        self.flow.back()
 
     def runs_into(self, what: str, column: int) -> None:
         """The main program reaches a subprogram or the end of the file; one with a name O.. must have ended before."""
-        if self.main_seen and len(self.flow.frames) == 1 and self.linuxcnc:
+        if self.main_seen and len(self.flow.frames) == 1 and self.state.linuxcnc:
             raise WordError(f"the program O.. runs on into {what}; end it with M2, M30 or %", column)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
-from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control_state import INDEX, LINEAR, OTHER, ROTARY, Item
+from twin.program.control import Control
 from twin.program.cycles import FEED, RAPID, Drilling
 from twin.program.expressions import WordError
-from twin.program.iso_variables import IsoVariables
+from twin.program.state import INDEX, LINEAR, OTHER, ROTARY, Item
 
 CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89}
 USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 87, 88, 89}, "Q": {73, 76, 83, 87}, "I": {76, 87}, "J": {76, 87}}
@@ -20,38 +18,37 @@ USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 87, 88, 89}, "Q": {73, 76, 83, 87},
 MOST_REPEATS = 10_000
 
 
-class IsoDrilling(IsoVariables):
+class IsoDrilling:
     """Drilling cycles and their modal words."""
 
-    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
-        super().__init__(path, machine, linuxcnc=linuxcnc)
+    def __init__(self, control: Control) -> None:
+        self.control, self.state = control, control.state
         self.cycle: dict[str, Any] | None = None
         self.sticky: dict[str, float] = {}
         self.given_absolute: dict[str, bool] = {}  # of the words in `sticky`: under G90
         self.initial = 0.0  # height at which the cycles began [m]
-        self.retract_to_start = True  # G98
 
-    def _drill(self, codes: set[float], coordinates: dict[str, Item], w: dict[str, Item]) -> None:
+    def drill_holes(self, codes: set[float], coordinates: dict[str, Item], w: dict[str, Item]) -> None:
         """A drilling cycle at the holes of the block."""
         assert self.cycle is not None
         number = self.cycle["g"]
         turned = {n: coordinates.pop(n) for n in (*ROTARY, *OTHER) if n in coordinates}
-        for name in turned if self.linuxcnc else ():
+        for name in turned if self.state.linuxcnc else ():
             if name in turned:
                 raise WordError(f"Cannot put {name} in a canned cycle; move {name} in a block before", turned[name].column)
-        a, b, across = arcs.PLANES[self.plane]
+        a, b, across = arcs.PLANES[self.state.plane]
         named = {n: coordinates[n].value for n in coordinates}
-        absolute = {n: self.absolute or coordinates[n].how == "AC" for n in coordinates}  # G16 gives places
+        absolute = {n: self.state.absolute or coordinates[n].how == "AC" for n in coordinates}  # G16 gives places
         for name in "RPQIJ":
             if name in w:
-                if number not in USED_BY.get(name, CYCLES) or (self.linuxcnc and name == "P" and number in (73, 83)):
-                    self.note(f"G{number}: {name} is not used by this cycle; one that uses it finds it")
+                if number not in USED_BY.get(name, CYCLES) or (self.state.linuxcnc and name == "P" and number in (73, 83)):
+                    self.state.note(f"G{number}: {name} is not used by this cycle; one that uses it finds it")
                 self.sticky[name] = w.pop(name).value
-                self.given_absolute[name] = self.absolute
+                self.given_absolute[name] = self.state.absolute
         depth_axis = LINEAR[across]
         if depth_axis in named:
             self.sticky["Z"] = named.pop(depth_axis)
-            self.given_absolute["Z"] = self.absolute
+            self.given_absolute["Z"] = self.state.absolute
         repeats = 1
         for name in ("L", "K"):
             if name in w:
@@ -66,87 +63,89 @@ class IsoDrilling(IsoVariables):
             raise WordError(f"G{number} needs {missing}; add it", 1)
         if number in (73, 83) and not self.sticky.get("Q", 0.0) > 0.0:
             raise WordError(f"G{number} needs Q, the depth of one peck, above 0; add it", 1)
-        if math.isnan(self.feed) or self.feed == 0.0:
-            self._no_feed()
-        if self.comp is not None:
+        if math.isnan(self.state.feed) or self.state.feed == 0.0:
+            self.no_feed()
+        if self.state.comp is not None:
             raise WordError("a drilling cycle is inside G41 or G42; write G40 before", 1)
         if repeats > MOST_REPEATS:
             raise WordError(f"the cycle repeats more than {MOST_REPEATS} times", 1)
-        here = self.here() / self.unit
-        start_height, initial = float(here[across]), self.initial / self.unit
-        as_given = {"R": self.absolute, "Z": self.absolute} if self.linuxcnc else self.given_absolute
+        here = self.state.here() / self.state.unit
+        start_height, initial = float(here[across]), self.initial / self.state.unit
+        as_given = {"R": self.state.absolute, "Z": self.state.absolute} if self.state.linuxcnc else self.given_absolute
         safe = self.sticky["R"] + (0.0 if as_given["R"] else initial)
         depth = self.sticky["Z"] + (0.0 if as_given["Z"] else safe)
         if (as_given["R"], as_given["Z"]) != (self.given_absolute["R"], self.given_absolute["Z"]):
-            self.note(
+            self.state.note(
                 "G90, G91 in an active cycle: R and Z are taken anew by the mode in force, as on LinuxCNC; other controls keep the levels"
             )
-        elif not self.linuxcnc and not self.absolute == as_given["R"] == as_given["Z"]:
-            self.note("G90, G91 in an active cycle: R and Z keep their levels, as on a Fanuc; in .ngc files they are taken anew")
-        if self.linuxcnc and self.plane != 17 and number in (74, 84):
+        elif not self.state.linuxcnc and not self.state.absolute == as_given["R"] == as_given["Z"]:
+            self.state.note("G90, G91 in an active cycle: R and Z keep their levels, as on a Fanuc; in .ngc files they are taken anew")
+        if self.state.linuxcnc and self.state.plane != 17 and number in (74, 84):
             raise WordError(f"G{number} outside G17 is not read: LinuxCNC itself moves other axes there; write the moves", 1)
         if (depth > safe) != (number == 87) and depth != safe:
             where = "below" if number == 87 else "above"
             raise WordError(f"G{number}: {depth_axis} {depth:g} lies {where} R {safe:g}; correct one", 1)
-        clear = max(safe, initial) if self.retract_to_start else safe
+        clear = max(safe, initial) if self.state.retract_to_start else safe
         aside = (self.sticky.get("I", 0.0), self.sticky.get("J", 0.0)) if number in (76, 87) else (0.0, 0.0)
         if number in (76, 87) and not any(aside):
             aside = (abs(self.sticky.get("Q", 0.0)), 0.0)
-            self.note("G76, G87: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
+            self.state.note("G76, G87: the tool steps aside by Q along the first axis, towards +; a parameter on the control")
         if number == 88:
-            self.note("G88: the halt at the bottom is omitted")
+            self.state.note("G88: the halt at the bottom is omitted")
         pause = self.sticky.get("P", 0.0) if number in USED_BY["P"] else 0.0
-        if not self.linuxcnc:
+        if not self.state.linuxcnc:
             pause /= 1000.0
-            self.note("P of drilling cycles is a dwell in ms, as on a Fanuc; in .ngc files in s, and G81, G83 use none") if pause else None
-        if number in (73, 83, 85, 81) and self.linuxcnc:
+            self.state.note(
+                "P of drilling cycles is a dwell in ms, as on a Fanuc; in .ngc files in s, and G81, G83 use none"
+            ) if pause else None
+        if number in (73, 83, 85, 81) and self.state.linuxcnc:
             pause = 0.0
         cycle = Drilling(
             safe, depth, clear, dwell=pause, peck=self.sticky.get("Q", 0.0) if number in (73, 83) else 0.0, break_chip=number == 73,
-            back=0.254e-3 / self.unit, out=FEED if number in (74, 84, 85, 89) else RAPID, feed_all_the_way=self.linuxcnc, aside=aside,
+            back=0.254e-3 / self.state.unit, out=FEED if number in (74, 84, 85, 89) else RAPID, feed_all_the_way=self.state.linuxcnc, aside=aside,
         )  # fmt: skip
         if number in (73, 83):
-            self.note("G73, G83: the tool backs off by 0.254 mm, a parameter on the control")
-        _, angles = self.target(turned, False)
+            self.state.note("G73, G83: the tool backs off by 0.254 mm, a parameter on the control")
+        _, angles = self.control.target(turned, False)
         if start_height < safe and number != 87:
             self._height(across, safe)
         for _ in range(repeats):
-            point = self.here()
+            point = self.state.here()
             for name, value in named.items():
                 i = INDEX[name]
-                point[i] = value * self.unit if absolute[name] else point[i] + value * self.unit
-            self.go(mv.RAPID, point, angles)
+                point[i] = value * self.state.unit if absolute[name] else point[i] + value * self.state.unit
+            self.control.go(mv.RAPID, point, angles)
             if number == 87:
                 self._bore_back(across, safe, depth, initial, aside, pause)
                 continue
-            if abs(self.here()[across] / self.unit - safe) > 1e-12:
+            if abs(self.state.here()[across] / self.state.unit - safe) > 1e-12:
                 self._height(across, safe)
-            self.drill(cycle)
+            self.control.drill(cycle)
 
     def _bore_back(self, across: int, low: float, high: float, initial: float, aside: tuple[float, float], pause: float) -> None:
         """G87 at one hole: aside and down to R, back to the axis of the hole, upwards at feed to Z, aside and out."""
         self._aside(aside, 1.0)
         self._height(across, low)
         self._aside(aside, -1.0)
-        point = self.here()
-        point[across] = high * self.unit
-        self.go(mv.LINE, point, [math.nan, math.nan])
+        point = self.state.here()
+        point[across] = high * self.state.unit
+        self.control.go(mv.LINE, point, [math.nan, math.nan])
         if pause:
-            self.dwell(pause)
+            self.control.dwell(pause)
         self._aside(aside, 1.0)
         self._height(across, initial)
         self._aside(aside, -1.0)
 
     def _aside(self, step: tuple[float, float], sense: float) -> None:
-        point = self.here()
-        for i, way in zip(arcs.PLANES[self.plane][:2], step):
-            point[i] += sense * way * self.unit
-        self.go(mv.RAPID, point, [math.nan, math.nan])
+        point = self.state.here()
+        for i, way in zip(arcs.PLANES[self.state.plane][:2], step):
+            point[i] += sense * way * self.state.unit
+        self.control.go(mv.RAPID, point, [math.nan, math.nan])
 
     def _height(self, across: int, value: float) -> None:
-        point = self.here()
-        point[across] = value * self.unit
-        self.go(mv.RAPID, point, [math.nan, math.nan])
+        point = self.state.here()
+        point[across] = value * self.state.unit
+        self.control.go(mv.RAPID, point, [math.nan, math.nan])
 
-    def _no_feed(self) -> None:
+    def no_feed(self) -> None:
         raise WordError("the feed is 0; give F a number above 0", 1)

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 import re
 
-from twin.program.corners import Corners
 from twin.program.expressions import WordError
 from twin.program.source import Unit
+from twin.program.state import State
 from twin.program.structures import Statement
 
 OWORD = re.compile(
@@ -34,10 +34,11 @@ SEPARATOR = "\x01"
 _IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 
 
-class IsoLines(Corners):
+class IsoLines:
     """Reads lines."""
 
-    iso = True
+    def __init__(self, state: State) -> None:
+        self.state = state
 
     def clean(self, text: str) -> str:
         """The block in capitals without comments; text that a comment prints follows a separator."""
@@ -48,7 +49,7 @@ class IsoLines(Corners):
             if active := _ACTIVE.match(inner):
                 messages.append(f"{active[1].upper()},{active[2]}")
             elif (log := _LOG.match(inner)) and log[1].upper() not in ("PY", "ABORT"):
-                self.note(f"({log[1].upper()}): understood, no effect on the motion")
+                self.state.note(f"({log[1].upper()}): understood, no effect on the motion")
             elif log and "," in inner:
                 raise WordError(f"({log[1].lower()},..) runs code of the control, which is not simulated; remove it", match.start() + 1)
             return " " * len(match[0])

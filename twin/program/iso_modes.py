@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 
-from twin.machine.machine import Machine
-from twin.program.control_state import INCH, LINEAR, Item
 from twin.program.expressions import WordError
-from twin.program.iso_calls import IsoCalls
-from twin.program.source import Unit
+from twin.program.iso_frames import IsoFrames
+from twin.program.iso_motion import IsoMotion
+from twin.program.state import INCH, LINEAR, Item
 from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED, UNKNOWN_M, WORDS_OF_M
 
 _NOT_IN_LINUXCNC: dict[float, str] = {
@@ -29,29 +27,28 @@ F_WITH_UNIT = {
     True: "F beside G20 or G21: it is in the unit before them, since LinuxCNC carries F out first",
     False: "F beside G20 or G21: it is in the new unit; in .ngc files in the one before",
 }
-_MODES = ("motion", "plane", "absolute", "centre_absolute", "system", "rounding", "tolerance", "retract_to_start")
-"""Modes that M70 and M73 of LinuxCNC store besides unit and feed."""
 
 
-class IsoModes(IsoCalls, ABC):
+class IsoModes:
     """Modes of one block."""
 
-    def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> None:
-        super().__init__(path, machine, unit, linuxcnc=linuxcnc)
+    def __init__(self, moves: IsoMotion, frames: IsoFrames) -> None:
+        self.moves, self.frames, self.state, self.flow = moves, frames, moves.state, moves.flow
+        self.values, self.drilling = moves.values, moves.drilling
         self.with_m19 = False
-        self.stored_modes: dict[int, tuple[list, float, int, float]] = {}
+        self.stored_modes: dict[int, Callable[[], None]] = {}
 
-    def _known_g(self, number: float, column: int) -> tuple[float, int]:
+    def known_g(self, number: float, column: int) -> tuple[float, int]:
         entry = ISO_G.get(number)
-        if number in (_NOT_IN_LINUXCNC if self.linuxcnc else _ONLY_IN_LINUXCNC):
-            entry = (REFUSED, (_NOT_IN_LINUXCNC if self.linuxcnc else _ONLY_IN_LINUXCNC)[number])
+        if number in (_NOT_IN_LINUXCNC if self.state.linuxcnc else _ONLY_IN_LINUXCNC):
+            entry = (REFUSED, (_NOT_IN_LINUXCNC if self.state.linuxcnc else _ONLY_IN_LINUXCNC)[number])
         if entry is None:
             raise WordError(f"G{number:g} is not known; remove it or replace it by moves (docs/programs.md lists what is read)", column)
         if entry[0] == REFUSED:
             raise WordError(f"G{number:g} is not supported: {entry[1]}", column)
         return number, column
 
-    def _known_m(self, number: float, column: int) -> int:
+    def known_m(self, number: float, column: int) -> int:
         if number != int(number) or not 0 <= number <= 99999:
             raise WordError(f"M{number:g} is not an M code", column)
         entry = ISO_M.get(int(number))
@@ -59,26 +56,31 @@ class IsoModes(IsoCalls, ABC):
             raise WordError(f"M{number:g} is not supported: {entry[1]}", column)
         return int(number)
 
-    def _feed_and_tool(self, codes: set[float], g: list, m: list[int], w: dict[str, Item]) -> None:
+    def feed_and_tool(self, codes: set[float], g: list, m: list[int], w: dict[str, Item]) -> None:
         for number in (93, 94, 95):
             if number in codes:
-                self.set_feed_mode(number)
-                self.settle_plain()
+                self.state.set_feed_mode(number)
+                self.state.settle_plain()
         units = [INCH if number in (20, 70) else 1e-3 for number in (20, 21, 70, 71) if number in codes]
         given = w.pop("F") if "F" in w and 65 not in codes else None
-        if given and self.linuxcnc:
-            self.set_feed(given.value, given.column)
+        if given and self.state.linuxcnc:
+            self.state.set_feed(given.value, given.column)
         for unit in units:
-            if given and unit != self.unit:
-                self.note(F_WITH_UNIT[self.linuxcnc])
-            self.set_unit(unit, feed=True)
+            if given and unit != self.state.unit:
+                self.state.note(F_WITH_UNIT[self.state.linuxcnc])
+            self.state.set_unit(unit, feed=True)
         if given:
-            if not self.linuxcnc:
-                self.set_feed(given.value, given.column)
-        elif self.out.modes.feed_mode == 93 and self.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
+            if not self.state.linuxcnc:
+                self.state.set_feed(given.value, given.column)
+        elif (
+            self.state.out.modes.feed_mode == 93
+            and self.state.motion in (1, 2, 3)
+            and not codes & {0, 4, 10, 92, 52}
+            and w.keys() & set("XYZAC")
+        ):
             raise WordError("under G93 every block needs its own F; add it", 1)
         if "S" in w:
-            self.set_spindle(w.pop("S").value)
+            self.state.set_spindle(w.pop("S").value)
         tool: dict[str, tuple] = {}
         for name in ("T", "H"):
             if name in w and (name == "T" or codes & {43, 43.1, 43.4, 43.5, 44, 234}):
@@ -91,102 +93,102 @@ class IsoModes(IsoCalls, ABC):
         elif 61 in m and "Q" in w:
             tool["T"], tool["M6"] = (w["Q"].value, w.pop("Q").column), (6.0, 1)
         if 44 in codes:
-            if self.out.modes.traori:
+            if self.state.out.modes.traori:
                 raise WordError("G44 under G43.4 is not supported; use G43 with a negative length", 1)
-            self.note("G44: treated as G43; without G43.4 X Y Z are positions of the axes for any length")
+            self.state.note("G44: treated as G43; without G43.4 X Y Z are positions of the axes for any length")
         if codes & {43, 43.4, 43.5, 44, 234}:
             tool["G43"] = 43.0, 1
         if 49 in codes:
             tool["G49"] = 49.0, 1
-            if self.swivelled is None:
-                self.transform(False)
+            if self.state.swivelled is None:
+                self.state.transform(False)
         if tool:
-            self.tools.block(tool)
+            self.state.tools.block(tool)
         if codes & {43.4, 43.5, 234}:
-            self.transform(True)
+            self.state.transform(True)
         if "E" in w and not codes & {187}:
             raise WordError("E has no use in this block; remove it", w["E"].column)
 
-    def _g(self, number: float, column: int, w: dict[str, Item], codes: set[float]) -> bool:
+    def g_code(self, number: float, column: int, w: dict[str, Item], codes: set[float]) -> bool:
         """A G code without motion."""
         kind, meaning = ISO_G[number]
         if kind == NOTE:
-            self.note(f"G{number:g}: {meaning}")
+            self.state.note(f"G{number:g}: {meaning}")
             for name in _WORDS_OF_NOTES.get(number, ""):
                 w.pop(name, None)
         elif number == 5:
             if "P" not in w or w.keys() & set("XYZIJQ"):
                 raise WordError("G5 is not supported: splines; let the CAM system output lines or arcs", column)
             w.pop("P")
-            self.note("G5 P: high-speed mode of the control, understood, no effect on the motion")
+            self.state.note("G5 P: high-speed mode of the control, understood, no effect on the motion")
         elif number in (17, 18, 19):
-            self.plane = int(number)
+            self.state.plane = int(number)
         elif number in (90, 91):
-            self.absolute = number == 90
-            self.settle_plain()
+            self.state.absolute = number == 90
+            self.state.settle_plain()
         elif number in (90.1, 91.1):
-            self.centre_absolute = number == 90.1
+            self.state.centre_absolute = number == 90.1
         elif number == 4:
-            self._dwell(w)
+            self.moves.dwell(w)
         elif number in (40, 41, 42, 41.1, 42.1):
-            self._compensation(number, w, column)
+            self.moves.compensation(number, w, column)
         elif 54 <= number <= 59.3 or number == 154 or 110 <= number < 130:
-            self._choose_system(number, w, column)
+            self.frames.choose_system(number, w, column)
         elif number == 10:
-            self._g10(w, column)
+            self.frames.g10(w, column)
         elif number == 11:
             pass
         elif number == 10.9:
             if "X" in w and w.pop("X").value:
                 raise WordError("G10.9 X1 is not supported: diameters are programmed on lathes; this machine mills", column)
-            self.note("G10.9 X0: lengths are radii, as here")
+            self.state.note("G10.9 X0: lengths are radii, as here")
         elif number == 92:
-            self._g92(w, column)
+            self.frames.g92(w, column)
         elif number in (92.1, 92.2, 92.3):
             if number == 92.1:
-                self.shift_kept = np.zeros(5)
-            self.shift_on = number == 92.3
-            self.shift = self.shift_kept if self.shift_on else np.zeros(5)
-            self.set_frames()
+                self.frames.shift_kept = np.zeros(5)
+            self.frames.shift_on = number == 92.3
+            self.frames.shift = self.frames.shift_kept if self.frames.shift_on else np.zeros(5)
+            self.state.set_frames()
         elif number == 52:
-            self._g52(w)
+            self.frames.g52(w)
         elif number in (68, 69, 51, 51.1, 50, 50.1, 100, 101):
             if number == 69:
-                self._unswivel()
-            self._map(number, w, column)
+                self.state.unswivel()
+            self.frames.map(number, w, column)
         elif number == 68.2:
-            self._tilt(w)
+            self.frames.tilt(w)
         elif number in (15, 16):
-            self.polar, self.polar_place = number == 16, None
+            self.moves.polar, self.moves.polar_place = number == 16, None
         elif number in (61, 61.1, 64):
-            self._path_mode(number, w, self.with_m19)
+            self.moves.path_mode(number, w, self.with_m19)
         elif number in (28.1, 30.1):
-            self.home[int(number)] = np.array([*self.out.position[:3], *self._place()[3:]])
+            self.values.home[int(number)] = np.array([*self.state.out.position[:3], *self.frames.place()[3:]])
         elif number == 80:
-            self.cycle = None
-            if self.linuxcnc:
-                self.motion = None
+            self.drilling.cycle = None
+            if self.state.linuxcnc:
+                self.state.motion = None
         elif number in (98, 99):
-            self.retract_to_start = number == 98
+            self.state.retract_to_start = number == 98
         elif number == 43.1:
             for name in LINEAR:
                 w.pop(name, None)
-            self.note("G43.1: its length is used as that of the tool in the spindle")
+            self.state.note("G43.1: its length is used as that of the tool in the spindle")
         return False
 
-    def _m_before(self, m: list[int], w: dict[str, Item]) -> float | None:
+    def m_before(self, m: list[int], w: dict[str, Item]) -> float | None:
         pause = None
         for number in m:
             entry = ISO_M.get(number)
             if number in (0, 1, 6, 60):
-                self.note(f"M{number}: the program continues after an exact stop")
+                self.state.note(f"M{number}: the program continues after an exact stop")
                 pause = 0.0
             elif number in (2, 30):
                 continue
-            elif number in (70, 71, 72, 73) and self.linuxcnc:
+            elif number in (70, 71, 72, 73) and self.state.linuxcnc:
                 self._modes(number)
             else:
-                self.note(f"M{number}: {entry[1] if entry else UNKNOWN_M}")
+                self.state.note(f"M{number}: {entry[1] if entry else UNKNOWN_M}")
                 for name in WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else ():
                     w.pop(name, None)
             if number in (48, 49, 50, 51, 52, 53):
@@ -196,29 +198,17 @@ class IsoModes(IsoCalls, ABC):
     def _modes(self, number: int) -> None:
         """M70 stores the modes, M71 discards them, M72 restores them; M73 restores them at the end of the subprogram."""
         frame = self.flow.frame
-        stored = [getattr(self, n) for n in _MODES], self.unit, self.out.modes.feed_mode, self.feed
-
-        def restore(kept: tuple[list, float, int, float]) -> None:
-            values, unit, mode, feed = kept
-            for name, value in zip(_MODES, values):
-                setattr(self, name, value)
-            self.set_unit(unit, feed=True)
-            self.set_feed_mode(mode)
-            self.feed = feed
-            self.round_corners()
-            self.set_frames()
-
         if number in (70, 73):
-            self.stored_modes[id(frame)] = stored
+            self.stored_modes[id(frame)] = self.state.kept((self.frames, ("system",)), with_feed=True)
         if number == 73:
-            frame.on_return = lambda: restore(stored)
+            frame.on_return = self.stored_modes[id(frame)]
         elif number == 71:
             self.stored_modes.pop(id(frame), None)
         elif number == 72:
             if id(frame) not in self.stored_modes:
                 raise WordError("M72 finds no modes that M70 has kept in this program or subprogram; add M70", 1)
-            restore(self.stored_modes[id(frame)])
+            self.stored_modes[id(frame)]()
 
-    def _m_after(self, m: list[int]) -> None:
+    def m_after(self, m: list[int]) -> None:
         if 2 in m or 30 in m:
             self.flow.ended = True

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 
-from twin.machine.machine import Machine
-from twin.program.control_state import INDEX, OTHER, ROTARY
 from twin.program.expressions import FANUC, ISO, Expression, Null, WordError
 from twin.program.flow import Flow
 from twin.program.iso_frames import IsoFrames
+from twin.program.state import INDEX, OTHER, ROTARY, State
 
 _TOOL_TABLE = {10: ("length", True), 11: ("length", False), 12: ("radius", True), 13: ("radius", False)}
 """Tool data of a Fanuc from #10001, #11001, #12001 and #13001 on: the quantity, and whether it is its wear."""
@@ -19,32 +17,28 @@ _TOOLS_OTHERWISE = range(2001, 2801)
 """Tool tables with different numbers on Fanuc and Haas."""
 
 
-class IsoVariables(IsoFrames):
+class IsoVariables:
     """Values of variables and expressions."""
 
-    flow: Flow
-    motion: int | None
-    retract_to_start: bool
-
-    def __init__(self, path: Path, machine: Machine, *, linuxcnc: bool) -> None:
-        super().__init__(path, machine, linuxcnc=linuxcnc)
+    def __init__(self, state: State, flow: Flow, frames: IsoFrames) -> None:
+        self.state, self.flow, self.frames = state, flow, frames
         self.numbers: dict[int, float] = {}
         self.names: dict[str, float] = {}
         self.returned_value = (0.0, 0.0)
-        self.home = {28: self.frame_table("G28"), 30: self.frame_table("G30")}
+        self.home = {28: self.state.frame_table("G28"), 30: self.state.frame_table("G30")}
 
     def number_of(self, text: str, column: int) -> float:
         """The value of an expression."""
-        expression = self._expression(text, 0, column)
+        expression = self.expression(text, 0, column)
         value = expression.whole()
         if isinstance(value, str):
             raise WordError("a number is needed here", column)
         return value
 
-    def _expression(self, text: str, at: int, column: int = 1) -> Expression:
-        if not self.linuxcnc and ("AND" in text or "OR" in text):
-            self.note("AND, OR, XOR work on the bits of whole numbers, as on a Fanuc; in .ngc files they are logical")
-        return Expression(text, ISO if self.linuxcnc else FANUC, self._named, self._hash, at, column)
+    def expression(self, text: str, at: int, column: int = 1) -> Expression:
+        if not self.state.linuxcnc and ("AND" in text or "OR" in text):
+            self.state.note("AND, OR, XOR work on the bits of whole numbers, as on a Fanuc; in .ngc files they are logical")
+        return Expression(text, ISO if self.state.linuxcnc else FANUC, self._named, self._hash, at, column)
 
     def _named(self, expression: Expression, name: str, at: int) -> float:
         if name.startswith("EXISTS") and expression.peek() == "[":
@@ -52,18 +46,18 @@ class IsoVariables(IsoFrames):
             if expression.peek() != "#":
                 raise expression.fail("EXISTS[..] needs a parameter, e.g. EXISTS[#<depth>]")
             expression.at += 1
-            key = self._key(expression)
+            key = self.key(expression)
             if expression.peek() != "]":
                 raise expression.fail("bracket of EXISTS is not closed")
             expression.at += 1
             try:
                 value = self._read(key, at)
-                return float(self.linuxcnc or not isinstance(value, Null))
+                return float(self.state.linuxcnc or not isinstance(value, Null))
             except WordError:
                 return 0.0
         raise expression.fail(f"'{name}' is not a value; a number, #variable or [expression] is needed", at)
 
-    def _key(self, expression: Expression) -> int | str:
+    def key(self, expression: Expression) -> int | str:
         """The parameter after a #: its number or name."""
         if expression.peek() == "<":
             end = expression.text.find(">", expression.at)
@@ -79,9 +73,9 @@ class IsoVariables(IsoFrames):
         return int(number)
 
     def _hash(self, expression: Expression, at: int) -> float:
-        value = self._read(self._key(expression), expression.column + at)
-        if self.reads is not None:
-            self.reads.append(value)
+        value = self._read(self.key(expression), expression.column + at)
+        if self.state.reads is not None:
+            self.state.reads.append(value)
         return value
 
     def _read(self, key: int | str, column: int) -> float:
@@ -93,7 +87,7 @@ class IsoVariables(IsoFrames):
                 return self.names[key]
             if (value := self._predefined(key)) is not None:
                 return value
-            given = self.machine.document.get("variables", {})
+            given = self.state.machine.document.get("variables", {})
             if isinstance(given, dict) and isinstance(value := given.get(f"#<{key.lower()}>"), int | float):
                 return float(value)
             raise WordError(
@@ -102,18 +96,18 @@ class IsoVariables(IsoFrames):
             )
         if key == 0:
             return Null(0.0)
-        if key <= (30 if self.linuxcnc else 33):
+        if key <= (30 if self.state.linuxcnc else 33):
             return frame.variables.get(key, Null(0.0))
         if (value := self._system_value(key)) is not None:
             return value
         if key in self.numbers:
             return self.numbers[key]
-        if self.linuxcnc and key > 5602:
+        if self.state.linuxcnc and key > 5602:
             raise WordError(f"parameter #{key} is out of range, 5602 is the last", column)
-        given = self.machine.document.get("variables", {})
+        given = self.state.machine.document.get("variables", {})
         if isinstance(given, dict) and isinstance(value := given.get(f"#{key}"), int | float):
             return float(value)
-        if not self.linuxcnc and key >= 1000:
+        if not self.state.linuxcnc and key >= 1000:
             raise WordError(
                 f"system variable #{key} has no value here; set it in the program, or give '#{key}' in the table [variables] of the machine file",
                 column,
@@ -124,28 +118,28 @@ class IsoVariables(IsoFrames):
         """Not needed: ISO has no FOR."""
         raise NotImplementedError
 
-    def _write(self, key: int | str, value: float, column: int) -> None:
+    def write(self, key: int | str, value: float, column: int) -> None:
         frame = self.flow.frame
         if isinstance(key, str):
             if key.startswith(("_INI[", "_HAL[")) or (self._predefined(key) is not None and key not in frame.variables):
                 raise WordError(f"#<{key.lower()}> belongs to the control; choose another name", column)
             (self.names if key.startswith("_") else frame.variables)[key] = value
-        elif key == 0 or (self.linuxcnc and key > 5602):
+        elif key == 0 or (self.state.linuxcnc and key > 5602):
             raise WordError(f"#{key} cannot be set", column)
-        elif key == 3000 and not self.linuxcnc:
+        elif key == 3000 and not self.state.linuxcnc:
             raise WordError("the program stops itself with an alarm (#3000); correct what it asks for", column)
-        elif key <= 33 if not self.linuxcnc else key <= 30:
+        elif key <= 33 if not self.state.linuxcnc else key <= 30:
             frame.variables[key] = value
-        elif self.linuxcnc and (5420 <= key <= 5428 or 5400 <= key <= 5413):
+        elif self.state.linuxcnc and (5420 <= key <= 5428 or 5400 <= key <= 5413):
             raise WordError(f"#{key} belongs to the control and cannot be set", column)
-        elif not self.linuxcnc and key in _TOOLS_OTHERWISE:
+        elif not self.state.linuxcnc and key in _TOOLS_OTHERWISE:
             raise WordError(
                 f"#{key} writes the tool table, which Fanuc and Haas number differently; use G10 L10 to L13, or #10001 to #13999", column
             )
-        elif not self.linuxcnc and (tool := _of_tool(key)) is not None:
+        elif not self.state.linuxcnc and (tool := _of_tool(key)) is not None:
             name, (what, wear) = tool
-            self.tools.set_value(name, what, value * self.unit, wear=wear)
-        elif 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and 1 <= (k := (key - 5200) % 20) <= 10:
+            self.state.tools.set_value(name, what, value * self.state.unit, wear=wear)
+        elif 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.frames.systems and 1 <= (k := (key - 5200) % 20) <= 10:
             self._write_system(n, k, value)
         else:
             self.numbers[key] = value
@@ -153,66 +147,66 @@ class IsoVariables(IsoFrames):
     def _write_system(self, n: int, k: int, value: float) -> None:
         """A zero offset by its parameter, #5221 and on."""
         if k == 10:
-            self.turned[n] = value
-        elif 1 <= k <= 6 and (name := self.slot_of.get("XYZABC"[k - 1], "XYZABC"[k - 1])) in INDEX:
-            self.systems[n] = self.systems[n].copy()
-            self.systems[n][INDEX[name]] = math.radians(value) if name in ROTARY else value * 1e-3
+            self.frames.turned[n] = value
+        elif 1 <= k <= 6 and (name := self.state.slot_of.get("XYZABC"[k - 1], "XYZABC"[k - 1])) in INDEX:
+            self.frames.systems[n] = self.frames.systems[n].copy()
+            self.frames.systems[n][INDEX[name]] = math.radians(value) if name in ROTARY else value * 1e-3
         elif value:
             raise WordError("an offset of B U V W cannot be set on this machine", 1)
-        if n == self.system:
-            self.set_frames()
+        if n == self.frames.system:
+            self.state.set_frames()
 
     def _own(self, values: np.ndarray, k: int) -> float:
         """Component k (1 to 9: X Y Z A B C U V W) in the unit of the program."""
-        if not 1 <= k <= 9 or (name := self.slot_of.get("XYZABCUVW"[k - 1], "XYZABCUVW"[k - 1])) not in INDEX:
+        if not 1 <= k <= 9 or (name := self.state.slot_of.get("XYZABCUVW"[k - 1], "XYZABCUVW"[k - 1])) not in INDEX:
             return 0.0
         value = float(values[INDEX[name]])
-        return math.degrees(value) if name in ROTARY else value / self.unit
+        return math.degrees(value) if name in ROTARY else value / self.state.unit
 
     def _system_value(self, key: int) -> float | None:
-        fanuc = not self.linuxcnc
+        fanuc = not self.state.linuxcnc
         if 5420 <= key < 5429 or (fanuc and (5001 <= key <= 5006 or 5041 <= key <= 5046)):
             k = key - 5419 if key >= 5420 else key - (5000 if key < 5040 else 5040)
-            name = self.slot_of.get("XYZABCUVW"[k - 1], "XYZABCUVW"[k - 1])
+            name = self.state.slot_of.get("XYZABCUVW"[k - 1], "XYZABCUVW"[k - 1])
             if name in OTHER:
-                return math.degrees(self.other_axes[name]) if name == "B" else self.other_axes[name] / self.unit
-            return self._own(self._place(), k)
-        if self.linuxcnc and 5440 <= key < 5449:
-            return self._own(np.array([*self.out.position[:3], *self.out.settle()]), key - 5439)
+                return math.degrees(self.state.other_axes[name]) if name == "B" else self.state.other_axes[name] / self.state.unit
+            return self._own(self.frames.place(), k)
+        if self.state.linuxcnc and 5440 <= key < 5449:
+            return self._own(np.array([*self.state.out.position[:3], *self.state.out.settle()]), key - 5439)
         if 5021 <= key <= 5029:
-            return self._own(np.array(self.out.position), key - 5020)
+            return self._own(np.array(self.state.out.position), key - 5020)
         if key == 5210:
-            return float(self.shift_on)
+            return float(self.frames.shift_on)
         if 5211 <= key <= 5219:
-            factor = self.unit / 1e-3 if key - 5210 not in (4, 5, 6) else 1.0  # stored in mm
-            return self._own(self.shift if self.shift_on else self.shift_kept, key - 5210) * factor + 0.0
+            factor = self.state.unit / 1e-3 if key - 5210 not in (4, 5, 6) else 1.0  # stored in mm
+            return self._own(self.frames.shift if self.frames.shift_on else self.frames.shift_kept, key - 5210) * factor + 0.0
         if key == 5220:
-            return float(self.system)
-        if 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.systems and 1 <= (k := (key - 5200) % 20) <= 10:
+            return float(self.frames.system)
+        if 5221 <= key <= 5390 and (n := (key - 5201) // 20) in self.frames.systems and 1 <= (k := (key - 5200) % 20) <= 10:
             if k == 10:
-                return self.turned[n]
-            return self._own(self.systems[n], k) * (self.unit / 1e-3 if k not in (4, 5, 6) else 1.0)
+                return self.frames.turned[n]
+            return self._own(self.frames.systems[n], k) * (self.state.unit / 1e-3 if k not in (4, 5, 6) else 1.0)
         if 5161 <= key <= 5169 or 5181 <= key <= 5189:
             base = 28 if key < 5180 else 30
-            return self._own(self.home[base], key - (5160 if base == 28 else 5180)) * (self.unit / 1e-3)
+            return self._own(self.home[base], key - (5160 if base == 28 else 5180)) * (self.state.unit / 1e-3)
         if fanuc and (tool := _of_tool(key)) is not None:
             name, (what, wear) = tool
-            known = self.tools.value(name, what, wear=wear)
-            return known / self.unit if known is not None else 0.0 if wear else None
+            known = self.state.tools.value(name, what, wear=wear)
+            return known / self.state.unit if known is not None else 0.0 if wear else None
         if fanuc and 4001 <= key <= 4120:
             return self._modal_value(key)
-        if key == 5400 and self.linuxcnc:
-            return float(self.tools.name) if self.tools.name.isdigit() else 0.0
+        if key == 5400 and self.state.linuxcnc:
+            return float(self.state.tools.name) if self.state.tools.name.isdigit() else 0.0
         return None
 
     def _modal_value(self, key: int) -> float | None:
         """Values of #4001 to #4120 of a Fanuc: the active codes."""
-        modes = self.out.modes
+        modes = self.state.out.modes
         values: dict[int, float] = {
-            4001: float(self.motion or 0), 4002: float(self.plane), 4003: 90.0 + (not self.absolute), 4005: float(modes.feed_mode),
-            4006: 21.0 if self.unit == 1e-3 else 20.0, 4007: 40.0 if self.comp is None else 41.0 if self.comp.offset > 0 else 42.0,
-            4010: 98.0 + (not self.retract_to_start), 4014: 53.0 + self.system if self.system <= 6 else 54.1,
-            4109: 0.0 if math.isnan(self.feed) else self.feed, 4119: modes.spindle, 4120: float(self.tools.name) if self.tools.name.isdigit() else 0.0,
+            4001: float(self.state.motion or 0), 4002: float(self.state.plane), 4003: 90.0 + (not self.state.absolute), 4005: float(modes.feed_mode),
+            4006: 21.0 if self.state.unit == 1e-3 else 20.0, 4007: 40.0 if self.state.comp is None else 41.0 if self.state.comp.offset > 0 else 42.0,
+            4010: 98.0 + (not self.state.retract_to_start), 4014: 53.0 + self.frames.system if self.frames.system <= 6 else 54.1,
+            4109: 0.0 if math.isnan(self.state.feed) else self.state.feed, 4119: modes.spindle, 4120: float(self.state.tools.name) if self.state.tools.name.isdigit() else 0.0,
         }  # fmt: skip
         return values.get(key)
 
@@ -221,14 +215,14 @@ class IsoVariables(IsoFrames):
         if name in place:
             return self._system_value(5419 + place[name])
         if name in ("_ABS_X", "_ABS_Y", "_ABS_Z", "_ABS_A", "_ABS_C"):
-            return self._own(np.array(self.out.position), place[name[4:]])
+            return self._own(np.array(self.state.out.position), place[name[4:]])
         values = {
             "_VALUE": lambda: self.returned_value[0], "_VALUE_RETURNED": lambda: self.returned_value[1],
-            "_LINE": lambda: float(self.line), "_METRIC": lambda: float(self.unit == 1e-3), "_IMPERIAL": lambda: float(self.unit != 1e-3),
-            "_ABSOLUTE": lambda: float(self.absolute), "_INCREMENTAL": lambda: float(not self.absolute),
-            "_FEED": lambda: 0.0 if math.isnan(self.feed) else self.feed, "_RPM": lambda: self.out.modes.spindle,
-            "_CCOMP": lambda: float(self.comp is not None), "_PLANE": lambda: self.plane * 10.0, "_COORD_SYSTEM": lambda: _system_number(self.system),
-            "_TASK": lambda: 0.0, "_CURRENT_TOOL": lambda: float(self.tools.name) if self.tools.name.isdigit() else 0.0,
+            "_LINE": lambda: float(self.state.line), "_METRIC": lambda: float(self.state.unit == 1e-3), "_IMPERIAL": lambda: float(self.state.unit != 1e-3),
+            "_ABSOLUTE": lambda: float(self.state.absolute), "_INCREMENTAL": lambda: float(not self.state.absolute),
+            "_FEED": lambda: 0.0 if math.isnan(self.state.feed) else self.state.feed, "_RPM": lambda: self.state.out.modes.spindle,
+            "_CCOMP": lambda: float(self.state.comp is not None), "_PLANE": lambda: self.state.plane * 10.0, "_COORD_SYSTEM": lambda: _system_number(self.frames.system),
+            "_TASK": lambda: 0.0, "_CURRENT_TOOL": lambda: float(self.state.tools.name) if self.state.tools.name.isdigit() else 0.0,
             "_CALL_LEVEL": lambda: float(len(self.flow.frames) - 1), "_REMAP_LEVEL": lambda: 0.0,
         }  # fmt: skip
         return values[name]() if name in values else None

@@ -147,10 +147,12 @@ def _understand(source: Source, machine: Machine) -> Collector:
     except (WordError, arcs.ArcError) as error:
         where = front.flow.frames[-1].unit.path if front.flow.frames else path
         column = error.column if isinstance(error, WordError) else None
-        raise InputError(f"{place_of(where, front.line, front.block, column)}: {error}") from None
+        raise InputError(f"{place_of(where, front.state.line, front.state.block, column)}: {error}") from None
     except RecursionError:
-        raise InputError(f"{place_of(path, front.line, front.block)}: calls or brackets are nested too deeply; take some apart") from None
-    front.out.files = tuple(front.folder.read)
+        raise InputError(
+            f"{place_of(path, front.state.line, front.state.block)}: calls or brackets are nested too deeply; take some apart"
+        ) from None
+    front.out.files = tuple(front.calls.folder.read)
     return front.out
 
 

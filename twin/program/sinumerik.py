@@ -9,13 +9,20 @@ from typing import Any
 
 from twin.machine.machine import Machine
 from twin.program import moves as mv
-from twin.program.control_state import INDEX, OTHER, Item
+from twin.program.control import Control
+from twin.program.corners import Corners
 from twin.program.cycles import CycleError
 from twin.program.expressions import WordError
 from twin.program.flow import Flow
+from twin.program.sinumerik_calls import SinumerikCalls
+from twin.program.sinumerik_cycles import SinumerikCycles
+from twin.program.sinumerik_frames import SinumerikFrames
+from twin.program.sinumerik_lines import SinumerikLines
 from twin.program.sinumerik_modes import SinumerikModes
-from twin.program.sinumerik_motion import Block
+from twin.program.sinumerik_motion import Block, SinumerikMotion
+from twin.program.sinumerik_variables import SinumerikVariables
 from twin.program.source import Unit
+from twin.program.state import INDEX, OTHER, Item, State
 from twin.program.tables import ACTS, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_NAMES
 from twin.program.words import NUMBER, Word, split_words
 
@@ -42,63 +49,78 @@ def _plain_block(*letters: str) -> re.Pattern[str]:
     return re.compile(pattern.replace("(?:@", "(?:"), re.A)
 
 
-class Sinumerik(SinumerikModes):
-    """Reads the blocks of one SINUMERIK program."""
+class Sinumerik:
+    """Reads the blocks of one SINUMERIK program: a state with its frames, variables, moves, cycles, calls and modes."""
 
     def __init__(self, path: Path, machine: Machine, units: list[Unit]) -> None:
-        super().__init__(path, machine, units)
-        self.flow = Flow(units[0], self)
-        self.plain_block = _plain_block(*self.out.kinematics.letters)
-        self.out.mixed_feed = "F beside X Y Z with A or C: it counts X Y Z alone, the setting as delivered (FGROUP changes it)"
-        self.set_frames()
+        self.state = State(path, machine, "sinumerik")
+        self.corners = Corners(Control(self.state))
+        self.control, self.out = self.corners.control, self.state.out
+        self.lines = SinumerikLines(self.state)
+        self.flow = Flow(units[0], self.state, self.lines)
+        self.frames = SinumerikFrames(self.corners)
+        self.values = SinumerikVariables(self.flow, self.frames)
+        self.moves = SinumerikMotion(self.frames)
+        self.cycles = SinumerikCycles(self.control, self.values)
+        self.calls = SinumerikCalls(self.lines, self.values, self.moves, units)
+        self.modes = SinumerikModes(self.calls, self.cycles)
+        self.plain_block = _plain_block(*self.state.out.kinematics.letters)
+        self.state.out.mixed_feed = "F beside X Y Z with A or C: it counts X Y Z alone, the setting as delivered (FGROUP changes it)"
+        self.state.set_frames()
 
     def run(self) -> Any:
         """Read all blocks; `out` holds the moves."""
-        self.flow.run()
-        self._release()
-        if self.comp is not None:
-            self.compensate(0, 0.0, along_next=True)
-        return self.out
+        self.flow.run(self, self.values, self.calls)
+        self.corners.release()
+        if self.state.comp is not None:
+            self.control.compensate(0, 0.0, along_next=True)
+        return self.state.out
 
     def fast(self, text: str, line: int) -> bool:
         """Execute a plain block of coordinates; False if it must be read word by word."""
-        if not self.plain or self.mcall is not None or self.held is not None or self.every_corner or self.override != 1.0:
+        if (
+            not self.state.plain
+            or self.cycles.modal is not None
+            or self.corners.held is not None
+            or self.corners.every_corner
+            or self.state.override != 1.0
+        ):
             return False
         match = self.plain_block.match(text)
         if not match:
             return False
         number, g, x, y, z, a, c, i, j, k, f = match.groups()
-        motion = self.motion if g is None else int(g)
+        motion = self.state.motion if g is None else int(g)
         if motion not in (0, 1):
             return False
-        out = self.out
+        out = self.state.out
         if i is not None and not out.modes.traori:
             return False
         if f is not None:
-            self.feed = float(f)
-        self.motion = motion
+            self.state.feed = float(f)
+        self.state.motion = motion
         if x is None and y is None and z is None and a is None and c is None and i is None:
             return True
-        self.line, self.block = line, int(number) if number else -1
+        self.state.line, self.state.block = line, int(number) if number else -1
         position = out.position
-        tilt, turn = self.plain_place(x, y, z, a, c)
+        tilt, turn = self.state.plain_place(x, y, z, a, c)
         axis = None
         if i is not None:
             axis = (float(i), float(j), float(k))
             position[3] = position[4] = math.nan
-        self._feed_given(mv.LINE if motion else mv.RAPID)
-        self.tangent = None
+        self.control.feed_given(mv.LINE if motion else mv.RAPID)
+        self.corners.tangent = None
         out.add(
             mv.LINE if motion else mv.RAPID, (position[0], position[1], position[2], tilt, turn), axis,
-            self.feed if motion else math.inf, line, self.block,
+            self.state.feed if motion else math.inf, line, self.state.block,
         )  # fmt: skip
         return True
 
     def words(self, text: str) -> None:
         """One block."""
-        body, number = self._body(text)
+        body, number = self.lines.body(text)
         if number >= 0:
-            self.block = number
+            self.state.block = number
         try:
             self._block(split_words(body))
         except CycleError as error:
@@ -108,52 +130,52 @@ class Sinumerik(SinumerikModes):
         """All words of one block: first the modes, then the move."""
         block = Block()
         for word in words:
-            name = self.slot_of.get(word.name, word.name)
+            name = self.state.slot_of.get(word.name, word.name)
             if word.assigned and (
-                name in self.flow.frame.variables or name in self.globals or re.fullmatch(r"R\d*", name) or name[0] == "$"
+                name in self.flow.frame.variables or name in self.values.globals or re.fullmatch(r"R\d*", name) or name[0] == "$"
             ):
-                self._assignment(word)
+                self.values.assignment(word)
             elif name == "G" and (word.value is not None or word.assigned):
-                block.g.append((self._value(word) if word.index is None else self._of_group(word), word))
+                block.g.append((self.values.value(word) if word.index is None else self.values.of_group(word), word))
             elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in _INDEXED_AXES and word.index):
                 if word.index and name not in _INDEXED_AXES:
                     raise WordError(f"{name}[..] is not an axis; write {name} and its place, or AX[..]", word.column)
-                axis = name[0] if name not in _INDEXED_AXES else self._axis_of(word)
-                axis = self.slot_of.get(axis, axis) if axis != name else axis
+                axis = name[0] if name not in _INDEXED_AXES else self.values.axis_of(word)
+                axis = self.state.slot_of.get(axis, axis) if axis != name else axis
                 if axis not in INDEX and axis not in OTHER:
-                    raise WordError(f"{name}[{axis}]: this machine has {self.out.own_axes}", word.column)
+                    raise WordError(f"{name}[{axis}]: this machine has {self.state.out.own_axes}", word.column)
                 if axis in block.coordinates:
                     raise WordError(f"{axis} occurs twice in the block; keep one", word.column)
-                block.coordinates[axis] = self._item(word)
+                block.coordinates[axis] = self.values.item(word)
                 if name.startswith("POS"):
-                    self.note("POS, POSA: the axis moves with the others of the block, and at rapid if it is alone")
+                    self.state.note("POS, POSA: the axis moves with the others of the block, and at rapid if it is alone")
                     block.extra["POS"] = Item(1.0, "", word.column)
             elif name in ("I", "J", "K"):
-                block.centre[name] = self._item(word)
+                block.centre[name] = self.values.item(word)
             elif name in ("F", "S", "P") or (name in SINUMERIK_NAMES and SINUMERIK_NAMES[name][1] in _VALUE_WORDS):
                 if name in block.extra:
                     raise WordError(f"{name} occurs twice in the block; keep one", word.column)
-                block.extra[name] = self._item(word)
+                block.extra[name] = self.values.item(word)
             elif name == "M" and (word.value is not None or word.assigned):
-                block.m.append(int(self._value(word)))
+                block.m.append(int(self.values.value(word)))
             elif name in ("T", "D", "H") and (word.value is not None or word.assigned):
-                block.tool[name] = self._tool_value(word), word.column
+                block.tool[name] = self.values.tool_value(word), word.column
             elif name == "L" and word.value is not None:
                 block.calls.append(word)
             elif name == "S1" and word.assigned and "S" not in block.extra:
-                block.extra["S"] = self._item(word)
+                block.extra["S"] = self.values.item(word)
             elif re.fullmatch(r"[SMHTD]\d+", name) and word.assigned:
-                self.note(f"{name}=: a word of another spindle or tool, understood, no effect on the motion")
+                self.state.note(f"{name}=: a word of another spindle or tool, understood, no effect on the motion")
             elif name == "R":
                 raise WordError("R is an R-parameter here (X=R1, R1=5); the radius of an arc is CR=, R in .ngc files only", word.column)
             elif len(name) == 1:
                 raise WordError(
                     f"word '{name}' is not known; remove it or replace it by moves (docs/programs.md lists what is read)", word.column
                 )
-            elif name in SINUMERIK_NAMES and not self._own_program(name):
+            elif name in SINUMERIK_NAMES and not self.calls.own_program(name):
                 block.names.append(word)
             elif word.assigned:
-                self._assignment(word)
+                self.values.assignment(word)
             else:
                 block.calls.append(word)
         self._carry_out(block)
@@ -170,7 +192,7 @@ class Sinumerik(SinumerikModes):
             if entry[0] == REFUSED:
                 raise WordError(f"G{number:g} is not supported: {entry[1]}", word.column)
             if entry[0] == NOTE:
-                self.note(f"G{number:g}: {entry[1]}")
+                self.state.note(f"G{number:g}: {entry[1]}")
         for alike in _ALIKE:
             if len(numbers & alike) > 1:
                 raise WordError("G" + " and G".join(f"{n:g}" for n in sorted(numbers & alike)) + " are in one block; keep one", 1)
@@ -180,49 +202,49 @@ class Sinumerik(SinumerikModes):
         if block.tool or 6 in block.m:
             if 6 in block.m:
                 block.tool["M6"] = 6.0, 1
-            self.tools.block(block.tool)
+            self.state.tools.block(block.tool)
         if 4 in numbers:
-            self._dwell(numbers, extra, bool(block.coordinates or block.centre or names or calls))
+            self.moves.dwell(numbers, extra, bool(block.coordinates or block.centre or names or calls))
             return
         frame_word = next((w for w in names if w.name in _SWITCH_WORDS), None)
         shift = next((n for n in (58, 59) if n in numbers), None)
         suppress = bool(numbers & {53, 153}) or any(w.name == "SUPA" for w in names)
-        vector = self._orientation(extra)
-        self._settings(extra, numbers)
-        modal_before = self.mcall
+        vector = self.moves.orientation(extra)
+        self.modes.settings(extra, numbers)
+        modal_before = self.cycles.modal
         moved_by_name = None
         for number, word in block.g:
-            self._g(number, word)
+            self.modes.g_code(number, word)
         cycle = next((w for w in names if w.name.startswith("CYCLE8") and SINUMERIK_NAMES[w.name][0] == ACTS), None)
         if cycle is not None and any(w.name == "MCALL" for w in names):
             names = [w for w in names if w is not cycle]
         for word in names:
             if word.name in ("CIP", "CT"):
                 moved_by_name = word.name
-                self.motion = 2
+                self.state.motion = 2
             elif word.name not in _SWITCH_WORDS and word.name != "SUPA":
-                self._name(word, calls, cycle)
-        pause = self._m(block.m)
+                self.modes.name(word, calls, cycle)
+        pause = self.modes.m_codes(block.m)
         if frame_word is not None or shift is not None:
-            self._frame_words(frame_word, shift, block.coordinates, extra)
+            self.frames.frame_words(frame_word, shift, block.coordinates, extra)
         elif numbers & {74, 75}:
-            self._fixed_point(75 if 75 in numbers else 74, block.coordinates, extra)
+            self.moves.fixed_point(75 if 75 in numbers else 74, block.coordinates, extra)
         elif numbers & {110, 111, 112}:
-            self._set_pole(next(n for n in (110, 111, 112) if n in numbers), block.coordinates, extra)
+            self.moves.set_pole(next(n for n in (110, 111, 112) if n in numbers), block.coordinates, extra)
         else:
-            feed = self.feed
+            feed = self.state.feed
             if "FB" in extra:
-                self.set_feed(extra.pop("FB").value)
-            self._motion(block, vector, suppress, moved_by_name)
-            self.feed = feed if numbers.isdisjoint({331, 332}) else self.feed
-            if block.coordinates and self.mcall is not None and self.mcall is modal_before:
-                self.mcall()
+                self.state.set_feed(extra.pop("FB").value)
+            self.moves.motion_block(block, vector, suppress, moved_by_name)
+            self.state.feed = feed if numbers.isdisjoint({331, 332}) else self.state.feed
+            if block.coordinates and self.cycles.modal is not None and self.cycles.modal is modal_before:
+                self.cycles.modal()
         if 9 in numbers:
-            self._release()
-            self.stop(0.0)
+            self.corners.release()
+            self.control.stop(0.0)
         if pause is not None:
-            self._release()
-            self.stop(pause)
+            self.corners.release()
+            self.control.stop(pause)
         times = int(extra.pop("P").value) if "P" in extra and calls else 1
         if extra:
             name, item = next(iter(extra.items()))
@@ -230,8 +252,8 @@ class Sinumerik(SinumerikModes):
         if len(calls) > 1:
             raise WordError(f"'{calls[1].name}' is a second call in the block; write it in the next one", calls[1].column)
         for word in calls:
-            self._call(word, times)
+            self.calls.call(word, times)
         if 17 in block.m or any(w.name in ("RET", "ENDPROC") for w in names):
-            self.flow.back("return")
+            self.flow.back()
         elif 2 in block.m or 30 in block.m:
             self.flow.ended = True

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 import re
 
 from twin.errors import nearest
-from twin.machine.machine import Machine
 from twin.program.expressions import Value, WordError
 from twin.program.flow import Frame
 from twin.program.machine_file import moves_no_axis
+from twin.program.sinumerik_lines import SinumerikLines
 from twin.program.sinumerik_motion import SinumerikMotion
+from twin.program.sinumerik_variables import SinumerikVariables
 from twin.program.source import Folder, Unit, plain_name
 from twin.program.structures import Statement
 from twin.program.tables import REFUSED, SINUMERIK_NAMES
@@ -27,40 +27,39 @@ _CASE_PART = re.compile(r"\s*(DEFAULT|[^\s].*?)\s+(GOTO[FBC]?)\s+([A-Z0-9_]+)", 
 _PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
 
 
-class SinumerikCalls(SinumerikMotion):
+class SinumerikCalls:
     """Calls, and statements without motion."""
 
-    def __init__(self, path: Path, machine: Machine, units: list[Unit]) -> None:
-        super().__init__(path, machine)
+    def __init__(self, lines: SinumerikLines, values: SinumerikVariables, moves: SinumerikMotion, units: list[Unit]) -> None:
+        self.lines, self.values, self.moves = lines, values, moves
+        self.state, self.flow, self.corners = values.state, values.flow, values.corners
         self.units = {plain_name(u.name): u for u in reversed(units)}
-        self.folder = Folder(path)
-        self.mcall: Callable[[], None] | None = None
+        self.folder = Folder(self.state.path)
         self.written_back: list[tuple[str, dict, int]] = []  # target, store and column of VAR values of the call in hand
-        self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
 
     def other(self, s: Statement, frame: Frame) -> None:
         """CASE, DEF, PROC and the like."""
         if s.kind == "case":
             self._case(s, frame)
         elif s.kind in ("def", "redef"):
-            self._define(s, frame)
+            self.values.define(s, frame)
         elif s.kind == "define":
             match = _DEFINE.match(s.text)
             if not match:
                 raise WordError("DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
-            self.macros[match[1]] = match[2]
+            self.lines.macros[match[1]] = match[2]
             frame.unit.statements.clear()
             frame.unit.partners = None
         elif s.kind == "synchronised":
             if _QUIET.sub("", s.text).strip() or not s.text.strip():
                 raise WordError(f"DO{s.text[:30]}: {SINUMERIK_NAMES['DO'][1]}", s.column)
-            self.note("DO: a synchronised action that sets outputs or marks, without effect on the motion")
+            self.state.note("DO: a synchronised action that sets outputs or marks, without effect on the motion")
         elif s.kind == "proc" and len(self.flow.frames) == 1:
             match = _PROC.match(s.text)
             for part, _ in split_arguments(match[2] or "") if match else []:
-                self.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
+                self.values.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
         elif s.kind == "extern":
-            self.note("EXTERN: a declaration, without effect on the motion")
+            self.state.note("EXTERN: a declaration, without effect on the motion")
         elif s.kind in ("endwhile", "endif"):
             raise WordError(f"{s.kind.upper()} ends nothing that was begun", s.column)
 
@@ -68,31 +67,31 @@ class SinumerikCalls(SinumerikMotion):
         match = _CASE.match(s.text)
         if not match:
             raise WordError("CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
-        value = self._value_of(match[1], s.column)
+        value = self.values.value_of(match[1], s.column)
         self.flow.decided(match[1], (value,))
         for part in _CASE_PART.finditer(match[2]):
-            if part[1] == "DEFAULT" or self._value_of(part[1], s.column) == value:
+            if part[1] == "DEFAULT" or self.values.value_of(part[1], s.column) == value:
                 self.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
                 return
 
-    def _own_program(self, name: str) -> bool:
+    def own_program(self, name: str) -> bool:
         """Whether the folder holds a subprogram with the name of a word that is not simulated."""
-        return SINUMERIK_NAMES[name][0] == REFUSED and name.startswith("CYCLE") and self._find(name) is not None
+        return SINUMERIK_NAMES[name][0] == REFUSED and name.startswith("CYCLE") and self.find(name) is not None
 
-    def _find(self, name: str) -> Unit | None:
+    def find(self, name: str) -> Unit | None:
         return self.units.get(plain_name(name)) or self.folder.find(name)
 
-    def _call(self, word: Word, times: int) -> None:
+    def call(self, word: Word, times: int) -> None:
         name = word.name if word.name != "L" else f"L{word.value:g}"
-        unit = self._find(name)
+        unit = self.find(name)
         arguments = [(t, word.text_column + c) for t, c in split_arguments(word.text or "")]
         if unit is None and name == "L":
             raise WordError("L needs a number", word.column)
         if unit is None:
             if word.index is not None or (word.value is not None and word.name != "L"):
                 raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
-            if moves_no_axis(self.machine, [name]):
-                self.note(f"{name}: the machine file lists it as moving no axis")
+            if moves_no_axis(self.state.machine, [name]):
+                self.state.note(f"{name}: the machine file lists it as moving no axis")
                 return
             hint = nearest(name, SINUMERIK_NAMES) if len(name) > 2 else ""
             hint = f"{hint}; or " if hint.startswith("did you") else ""
@@ -101,10 +100,10 @@ class SinumerikCalls(SinumerikMotion):
                 "[program] calls_without_motion of the machine file if it moves no axis",
                 word.column,
             )
-        self._release()
-        variables, first = self._arguments(unit, arguments, word)
+        self.corners.release()
+        variables, first = self.arguments(unit, arguments, word)
         written, self.written_back = self.written_back, []
-        kept = self._kept_modes() if first and re.search(r"\)?[^)]*\bSAVE\b", self.clean(unit.lines[first - 1])) else None
+        kept = self._kept_modes() if first and re.search(r"\)?[^)]*\bSAVE\b", self.lines.clean(unit.lines[first - 1])) else None
         if frame := self.flow.call(unit, first, times=times, name=name, column=word.column):
             frame.variables = variables
             frame.on_return = self._at_return(written, kept) if written else kept
@@ -116,52 +115,39 @@ class SinumerikCalls(SinumerikMotion):
             if kept:
                 kept()
             for target, store, column in written:
-                self.assign(target, store[()], column)
+                self.values.assign(target, store[()], column)
 
         return restore
 
     def _by_reference(self, given: tuple[str, int], start: Value) -> dict[tuple, Value]:
         """The store of a VAR value: that of the caller's variable itself, or one that is written back at the end."""
         text = given[0].strip()
-        store = self._store_of(text)
+        store = self.values.store_of(text)
         if store is not None:
             store.setdefault(("default",), start)
             return store
-        own: dict[tuple, Value] = {(): self._value_of(*given) if text else start, ("default",): start}
+        own: dict[tuple, Value] = {(): self.values.value_of(*given) if text else start, ("default",): start}
         if text:
             self.written_back.append((text, own, given[1]))
         return own
 
     def _kept_modes(self) -> Callable[[], None]:
-        """State that PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
-        names = (
-            "motion", "plane", "absolute", "rounding", "chosen", "program_matrix", "program_offset", "fine", "corners_meet", "angles_are_rpy",
-            "tolerance", "angle_tolerance", "adis", "adispos",
-        )  # fmt: skip
-        values, unit, modes, side = [getattr(self, n) for n in names], self.unit, self.out.modes, self.comp
+        """What PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
+        frame, moves = ("chosen", "program_matrix", "program_offset", "fine"), ("corners_meet", "angles_are_rpy")
+        kept, side = self.state.kept((self.values.frames, frame), (self.moves, moves)), self.state.comp
 
         def restore() -> None:
-            self._release()
-            if (self.comp is None) != (side is None):
+            self.corners.release()
+            if (self.state.comp is None) != (side is None):
                 raise WordError("SAVE with a change of G40, G41 or G42 in the subprogram is not supported; change it in the caller", 1)
-            for name, value in zip(names, values):
-                setattr(self, name, value)
-            self.set_unit(unit, feed=modes.feed_unit != self.out.modes.feed_unit)
-            self.set_feed_mode(modes.feed_mode)
-            self.round_corners(
-                stop_window=modes.stop_window,
-                brisk=modes.brisk,
-                feedforward=modes.feedforward,
-                workpiece_orientation=modes.workpiece_orientation,
-            )
-            self.set_frames()
+            kept()
 
         return restore
 
-    def _arguments(self, unit: Unit, arguments: list[tuple[str, int]], word: Word) -> tuple[dict, int]:
+    def arguments(self, unit: Unit, arguments: list[tuple[str, int]], word: Word) -> tuple[dict, int]:
         """Values of the parameters of a PROC, and the line it begins at."""
         for at, line in enumerate(unit.lines):
-            body = self._body(self.clean(line))[0]
+            body = self.lines.body(self.lines.clean(line))[0]
             if not body.strip() or body.strip().startswith("EXTERN"):
                 continue
             match = _PROC.match(body)
@@ -182,7 +168,7 @@ class SinumerikCalls(SinumerikMotion):
                 if "AXIS" in declared and given[0]:
                     value: Value = given[0]
                 else:
-                    value = self._value_of(*given) if given[0].strip() else start
+                    value = self.values.value_of(*given) if given[0].strip() else start
                 variables[name] = {(): value, ("default",): start}
             if len(arguments) > len(split_arguments(match[2] or "")):
                 raise WordError(f"{unit.name} takes {len(variables)} values; the call gives {len(arguments)}", word.column)
@@ -190,9 +176,6 @@ class SinumerikCalls(SinumerikMotion):
         if any(t for t, _ in arguments):
             raise WordError(f"{unit.name} takes no values (it has no PROC line); remove the brackets", word.column)
         return {}, 0
-
-    def returned(self, frame: Frame) -> None:
-        """The end of a subprogram; a last corner or compensation continues in the caller."""
 
     def runs_into(self, what: str, column: int) -> None:
         """The end of the file ends a program like M30."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 import re
 
-from twin.machine.machine import Machine
-from twin.program.corners import Corners
 from twin.program.expressions import WordError
 from twin.program.source import Unit
+from twin.program.state import State
 from twin.program.structures import Statement
 
 _LABEL = re.compile(r"\s*(?:[N:]\d+\s*)?([A-Z_][A-Z_][A-Z0-9_]*)\s*:(?!=)", re.A)
@@ -31,11 +29,11 @@ _REPEAT = re.compile(
 _FOR = re.compile(r"\s*FOR\s*([A-Z_][A-Z0-9_]*(?:\[[^\]]*\])?)\s*=\s*(.+?)\s+TO\s+(.+)\Z", re.A)
 
 
-class SinumerikLines(Corners):
+class SinumerikLines:
     """Reads lines."""
 
-    def __init__(self, path: Path, machine: Machine) -> None:
-        super().__init__(path, machine)
+    def __init__(self, state: State) -> None:
+        self.state = state
         self.macros: dict[str, str] = {}  # DEFINE .. AS
 
     def clean(self, text: str) -> str:
@@ -52,7 +50,7 @@ class SinumerikLines(Corners):
         if stripped.startswith("/"):
             text = re.sub(r"/\d?", lambda m: " " * len(m[0]), text, count=1)  # block skip is off: the block runs
         if "(" in text and (bare := _COMMENT.sub(lambda m: m[1] + " " * (len(m[0]) - len(m[1])), text)) != text:
-            self.note("( ): a text in brackets that belongs to no word is a comment, as on older controls")
+            self.state.note("( ): a text in brackets that belongs to no word is a comment, as on older controls")
             text = bare
         if self.macros:
             parts = text.split('"')
@@ -61,7 +59,7 @@ class SinumerikLines(Corners):
             text = '"'.join(parts)
         return text
 
-    def _body(self, text: str) -> tuple[str, int]:
+    def body(self, text: str) -> tuple[str, int]:
         """The block without label and number, which keep their length; the number, -1 if there is none."""
         number = _NUMBERED.match(text)
         start = number.end() if number else 0
@@ -73,7 +71,7 @@ class SinumerikLines(Corners):
 
     def statement(self, text: str) -> Statement | None:
         """The statement of the flow in a line."""
-        body, _ = self._body(text)
+        body, _ = self.body(text)
         if not body.strip():
             return Statement("label")
         match = _FLOW.match(body)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
-from pathlib import Path
 
 import numpy as np
 
-from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.control import Arc, SpaceArc, Vector
-from twin.program.control_state import INDEX, LINEAR, ROTARY, Item, rotation
 from twin.program.corners import Move
 from twin.program.expressions import Value, WordError
-from twin.program.sinumerik_variables import SinumerikVariables
+from twin.program.sinumerik_frames import SinumerikFrames
+from twin.program.state import INDEX, LINEAR, ROTARY, Item, rotation
 from twin.program.words import Word
 
 _ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
@@ -40,21 +38,22 @@ class Block:
         return {number for number, _ in self.g}
 
 
-class SinumerikMotion(SinumerikVariables):
+class SinumerikMotion:
     """Moves."""
 
-    def __init__(self, path: Path, machine: Machine) -> None:
-        super().__init__(path, machine)
+    def __init__(self, frames: SinumerikFrames) -> None:
+        self.frames, self.state, self.corners, self.control = frames, frames.state, frames.corners, frames.corners.control
         self.pole = np.zeros(3)
         self.angles_are_rpy: bool | None = None
+        self.corners_meet = False  # G451
 
-    def _orientation(self, extra: dict[str, Item]) -> Vector | None:
+    def orientation(self, extra: dict[str, Item]) -> Vector | None:
         """The tool axis of a block, by a vector or by angles."""
         vector = [n for n in ("A3", "B3", "C3") if n in extra]
         angles = [n for n in ("A2", "B2", "C2") if n in extra]
         if not vector and not angles:
             return None
-        if not self.out.modes.traori:
+        if not self.state.out.modes.traori:
             raise WordError("A3= B3= C3= need TRAORI; switch it on before, or program A= and C=", 1)
         if vector:
             x, y, z = (extra.pop(n).value if n in extra else 0.0 for n in ("A3", "B3", "C3"))
@@ -67,7 +66,7 @@ class SinumerikMotion(SinumerikVariables):
         )
         return float(matrix[0, 2]), float(matrix[1, 2]), float(matrix[2, 2])
 
-    def _motion(self, block: Block, vector: Vector | None, suppress: bool, by_name: str | None) -> None:
+    def motion_block(self, block: Block, vector: Vector | None, suppress: bool, by_name: str | None) -> None:
         """One motion block: target, tool axis, arc, corner; `by_name` is CIP or CT."""
         numbers, coordinates, centre, extra = block.numbers, block.coordinates, block.centre, block.extra
         about_pole = bool(extra.keys() & {"AP", "RP"}) and not centre and "CR" not in extra
@@ -76,11 +75,11 @@ class SinumerikMotion(SinumerikVariables):
         if vector and ("A" in coordinates or "C" in coordinates):
             raise WordError("the tool axis is given twice, by A3= B3= C3= and by A= C=; keep one", 1)
         if "RNDM" in extra:
-            self.every_corner = max(0.0, extra.pop("RNDM").value) * self.unit
-        corner = next(((n, extra.pop(n).value * self.unit) for n in ("RND", "CHF", "CHR") if n in extra), None)
+            self.corners.every_corner = max(0.0, extra.pop("RNDM").value) * self.state.unit
+        corner = next(((n, extra.pop(n).value * self.state.unit) for n in ("RND", "CHF", "CHR") if n in extra), None)
         by_words = extra.keys() & _ARC_WORDS
         programmed = bool(numbers & {2, 3}) or by_name
-        kind = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[self.motion if self.motion is not None else 1]
+        kind = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[self.state.motion if self.state.motion is not None else 1]
         if numbers & {331, 332, 63}:
             kind = mv.LINE
             self._tap(numbers, centre)
@@ -95,18 +94,20 @@ class SinumerikMotion(SinumerikVariables):
             return
         if kind != mv.ARC and (centre or by_words):
             raise WordError("I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add it to the block", 1)
-        start = np.array(self.out.position[:3]) if suppress else self._from()
-        if self.held is not None and (suppress or any(n in coordinates for n in ROTARY) or vector):
-            self._release()
-        self.note_increments(coordinates)
-        point, angles = self.target(coordinates, suppress, start)
+        start = np.array(self.state.out.position[:3]) if suppress else self.corners.start()
+        if self.corners.held is not None and (suppress or any(n in coordinates for n in ROTARY) or vector):
+            self.corners.release()
+        self.frames.note_increments(coordinates)
+        point, angles = self.control.target(coordinates, suppress, start)
         arc, space = None, None
         if kind == mv.ARC and about_pole and by_name is None and "AR" not in extra:
-            for i in arcs.PLANES[self.plane][:2]:
-                centre["IJK"[i]] = Item(self.pole[i] / self.unit, "AC")
+            for i in arcs.PLANES[self.state.plane][:2]:
+                centre["IJK"[i]] = Item(self.pole[i] / self.state.unit, "AC")
         if kind == mv.ARC:
             arc, space = self._arc(start, point, centre, extra, by_name)
-        self._queue(Move(kind, point, angles, vector, arc, space, suppress, self.feed, self.line, self.block), corner)
+        self.corners.queue(
+            Move(kind, point, angles, vector, arc, space, suppress, self.state.feed, self.state.line, self.state.block), corner
+        )
 
     def _arc(
         self, start: np.ndarray, point: np.ndarray, centre: dict[str, Item], extra: dict[str, Item], by_name: str | None
@@ -120,22 +121,22 @@ class SinumerikMotion(SinumerikVariables):
             for i, name in enumerate(("I1", "J1", "K1")):
                 if name in extra:
                     item = extra.pop(name)
-                    relative = item.how == "IC" or (item.how == "" and not self.absolute)
-                    middle[i] = item.value * self.unit + (start[i] if relative else 0.0)
+                    relative = item.how == "IC" or (item.how == "" and not self.state.absolute)
+                    middle[i] = item.value * self.state.unit + (start[i] if relative else 0.0)
             return None, arcs.through(start, middle, point)
         if by_name == "CT":
-            if self.tangent is None:
+            if self.corners.tangent is None:
                 raise WordError("CT needs a move before it, whose direction it continues; use CIP or G2", 1)
-            return None, arcs.tangential(start, self.tangent, point, self.plane)
-        clockwise = self.motion == 2
+            return None, arcs.tangential(start, self.corners.tangent, point, self.state.plane)
+        clockwise = self.state.motion == 2
         if "AR" in extra:
             item = extra.pop("AR")
             if not 0.0 < item.value < 360.0:
                 raise WordError(f"AR={item.value:g}: the angle of an arc lies between 0 and 360 degrees", item.column)
-            a, b, _ = arcs.PLANES[self.plane]
+            a, b, _ = arcs.PLANES[self.state.plane]
             angle = math.radians(item.value) * (-1.0 if clockwise else 1.0)
             if centre:
-                middle = self.arc_centre(start, point, centre, None)
+                middle = self.control.arc_centre(start, point, centre, None)
                 arm = start[[a, b]] - middle[[a, b]]
                 c, s = math.cos(angle), math.sin(angle)
                 point[[a, b]] = middle[[a, b]] + [c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]]
@@ -145,30 +146,30 @@ class SinumerikMotion(SinumerikVariables):
                 side = 0.5 / math.tan(0.5 * angle)
                 middle[[a, b]] = start[[a, b]] + 0.5 * chord + side * np.array([-chord[1], chord[0]])
             return (middle, clockwise, turns), None
-        radius = extra.pop("CR").value * self.unit if "CR" in extra else None
+        radius = extra.pop("CR").value * self.state.unit if "CR" in extra else None
         if radius is None and not centre:
             raise WordError("a circle needs its centre (I J K) or radius (CR=, in .ngc files R); add it to the block", 1)
-        return (self.arc_centre(start, point, centre, radius), clockwise, turns), None
+        return (self.control.arc_centre(start, point, centre, radius), clockwise, turns), None
 
     def _tap(self, numbers: set[float], centre: dict[str, Item]) -> None:
         """G331, G332: along the thread; the feed is pitch times speed. G63 uses the active feed."""
         if 63 in numbers:
             return
-        across = "IJK"[arcs.PLANES[self.plane][2]]
+        across = "IJK"[arcs.PLANES[self.state.plane][2]]
         if across not in centre:
             raise WordError(f"G331 and G332 need the pitch {across}; add it", 1)
         pitch = abs(centre.pop(across).value)
-        if not self.out.modes.spindle:
+        if not self.state.out.modes.spindle:
             raise WordError("G331 and G332 need a spindle speed; give S before", 1)
-        self.set_feed_mode(94)
-        self.feed = pitch * self.out.modes.spindle * self.unit / self.out.modes.feed_unit
+        self.state.set_feed_mode(94)
+        self.state.feed = pitch * self.state.out.modes.spindle * self.state.unit / self.state.out.modes.feed_unit
 
     def _polar(self, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
         """AP= and RP=: angle and radius about the pole."""
         if not extra.keys() & {"AP", "RP"}:
             return
-        a, b, _ = arcs.PLANES[self.plane]
-        here = self._from()
+        a, b, _ = arcs.PLANES[self.state.plane]
+        here = self.corners.start()
         arm = here[[a, b]] - self.pole[[a, b]]
         angle, radius = math.degrees(math.atan2(arm[1], arm[0])), float(np.hypot(*arm))
         if "AP" in extra:
@@ -176,68 +177,68 @@ class SinumerikMotion(SinumerikVariables):
             angle = angle + item.value if item.how == "IC" else item.value
         if "RP" in extra:
             item = extra.pop("RP")
-            radius = radius + item.value * self.unit if item.how == "IC" else item.value * self.unit
+            radius = radius + item.value * self.state.unit if item.how == "IC" else item.value * self.state.unit
         for i, part in ((a, math.cos), (b, math.sin)):
             if LINEAR[i] in coordinates:
                 raise WordError(f"{LINEAR[i]} cannot be combined with AP= and RP=; keep one", coordinates[LINEAR[i]].column)
-            coordinates[LINEAR[i]] = Item((self.pole[i] + radius * part(math.radians(angle))) / self.unit, "AC", 1)
+            coordinates[LINEAR[i]] = Item((self.pole[i] + radius * part(math.radians(angle))) / self.state.unit, "AC", 1)
 
     def _slanted(self, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
         """ANG=: a line at an angle to the first axis of the plane; one coordinate is given."""
         if "ANG" not in extra:
             return
         item = extra.pop("ANG")
-        a, b, _ = arcs.PLANES[self.plane]
+        a, b, _ = arcs.PLANES[self.state.plane]
         first, second = LINEAR[a], LINEAR[b]
         if (first in coordinates) == (second in coordinates):
             raise WordError(f"ANG= needs one of {first} and {second} as the end of the line", item.column)
-        here, tangent = self._from(), math.tan(math.radians(item.value))
+        here, tangent = self.corners.start(), math.tan(math.radians(item.value))
         given, other, i, j = (first, second, a, b) if first in coordinates else (second, first, b, a)
         value = coordinates[given]
-        end = value.value * self.unit + (here[i] if value.how == "IC" or (value.how == "" and not self.absolute) else 0.0)
+        end = value.value * self.state.unit + (here[i] if value.how == "IC" or (value.how == "" and not self.state.absolute) else 0.0)
         slope = tangent if given == first else (1.0 / tangent if tangent else math.inf)
         if not math.isfinite(slope) or abs(slope) > 1e9:
             raise WordError("ANG= runs along the other axis; give that coordinate", item.column)
-        coordinates[other] = Item((here[j] + (end - here[i]) * slope) / self.unit, "AC", item.column)
+        coordinates[other] = Item((here[j] + (end - here[i]) * slope) / self.state.unit, "AC", item.column)
 
-    def _set_pole(self, number: int, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
-        base = {110: self._from(), 111: np.zeros(3), 112: self.pole}[number].copy()
+    def set_pole(self, number: int, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
+        base = {110: self.corners.start(), 111: np.zeros(3), 112: self.pole}[number].copy()
         if extra.keys() & {"AP", "RP"}:
             angle, radius = (extra.pop(n).value if n in extra else 0.0 for n in ("AP", "RP"))
-            a, b, _ = arcs.PLANES[self.plane]
-            base[a] += radius * self.unit * math.cos(math.radians(angle))
-            base[b] += radius * self.unit * math.sin(math.radians(angle))
+            a, b, _ = arcs.PLANES[self.state.plane]
+            base[a] += radius * self.state.unit * math.cos(math.radians(angle))
+            base[b] += radius * self.state.unit * math.sin(math.radians(angle))
         for name, item in coordinates.items():
             if name not in LINEAR:
                 raise WordError(f"{name} is no coordinate of a pole", item.column)
-            base[INDEX[name]] += item.value * self.unit
+            base[INDEX[name]] += item.value * self.state.unit
         self.pole = base
 
-    def _fixed_point(self, number: int, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
+    def fixed_point(self, number: int, coordinates: dict[str, Item], extra: dict[str, Item]) -> None:
         """G74, G75: rapid move of the named axes to their zero, or to [frame.G75]."""
-        self._release()
+        self.corners.release()
         extra.pop("FP", None)
-        home = self.frame_table(f"G{number}")
-        goal, angles = np.array(self.out.position[:3]), [math.nan, math.nan]
+        home = self.state.frame_table(f"G{number}")
+        goal, angles = np.array(self.state.out.position[:3]), [math.nan, math.nan]
         for name in coordinates:
             if name in LINEAR:
                 goal[INDEX[name]] = home[INDEX[name]]
             elif name in ROTARY:
                 angles[INDEX[name] - 3] = home[INDEX[name]]
-        self.note("G74, G75: the point is the zero of the axes, or [frame.G75] x_m .. of the machine file")
-        traori = self.out.modes.traori
-        self.transform(False)
-        goal = np.where([n in coordinates for n in LINEAR], goal, self.out.position[:3])
-        self.go(mv.RAPID, goal, angles, suppress=True)
-        self.transform(traori)
+        self.state.note("G74, G75: the point is the zero of the axes, or [frame.G75] x_m .. of the machine file")
+        traori = self.state.out.modes.traori
+        self.state.transform(False)
+        goal = np.where([n in coordinates for n in LINEAR], goal, self.state.out.position[:3])
+        self.control.go(mv.RAPID, goal, angles, suppress=True)
+        self.state.transform(traori)
 
-    def _dwell(self, numbers: set[float], extra: dict[str, Item], more: bool) -> None:
+    def dwell(self, numbers: set[float], extra: dict[str, Item], more: bool) -> None:
         if more or numbers - {4} or extra.keys() not in ({"F"}, {"S"}):
             raise WordError("G4 must be alone in its block with one time, e.g. G4 F<seconds>; write the rest in another block", 1)
-        self._release()
+        self.corners.release()
         if "S" in extra:
-            if not self.out.modes.spindle:
+            if not self.state.out.modes.spindle:
                 raise WordError("G4 S<turns> needs a spindle speed before; give S or use G4 F<seconds>", 1)
-            self.dwell(extra["S"].value * 60.0 / self.out.modes.spindle)
+            self.control.dwell(extra["S"].value * 60.0 / self.state.out.modes.spindle)
         else:
-            self.dwell(extra["F"].value)
+            self.control.dwell(extra["F"].value)

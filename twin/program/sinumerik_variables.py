@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from pathlib import Path
 import re
 
 import numpy as np
 
 from twin.errors import nearest
-from twin.machine.machine import Machine
-from twin.program.control_state import INDEX, LINEAR, OTHER, Item, rotation
 from twin.program.expressions import SINUMERIK, Expression, Value, WordError
 from twin.program.flow import Flow, Frame, Statement
 from twin.program.sinumerik_frames import SinumerikFrames
+from twin.program.state import INDEX, LINEAR, OTHER, Item, rotation
 from twin.program.tables import SINUMERIK_NAMES
 from twin.program.words import Word, split_arguments
 
@@ -35,19 +33,17 @@ G_GROUPS = {
 """G codes by group, in the order in which G[group]=number and $P_GG[group] count them."""
 
 
-class SinumerikVariables(SinumerikFrames):
+class SinumerikVariables:
     """Values of variables, words and expressions."""
 
-    flow: Flow
-    unset: set[str]
-
-    def __init__(self, path: Path, machine: Machine) -> None:
-        super().__init__(path, machine)
+    def __init__(self, flow: Flow, frames: SinumerikFrames) -> None:
+        self.flow, self.frames, self.state, self.corners = flow, frames, frames.state, frames.corners
+        self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
         self.parameters: dict[int, float] = {}
         self.globals: dict[str, dict[tuple, Value]] = {}
         self.frame_variables: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # DEF FRAME
 
-    def _define(self, s: Statement, frame: Frame) -> None:
+    def define(self, s: Statement, frame: Frame) -> None:
         match = _DEF.match(s.text)
         if not match:
             raise WordError("DEF needs a type and names, e.g. DEF REAL LENGTH=10", s.column)
@@ -70,34 +66,34 @@ class SinumerikVariables(SinumerikFrames):
                 values = re.match(r"\s*(SET|REP)?\s*\((.*)\)\s*\Z", value) if shape[2] else None
                 items = [item for item, _ in split_arguments(values[2])] if values else [value]
                 if values and values[1] == "REP" and items[:1]:  # one value for all elements
-                    store[("default",)] = self._value_of(items[0], s.column)
+                    store[("default",)] = self.value_of(items[0], s.column)
                 else:
-                    store |= {place: self._value_of(item, s.column) for place, item in zip(places, items) if item}
+                    store |= {place: self.value_of(item, s.column) for place, item in zip(places, items) if item}
             frame.variables[shape[1]] = store
             if match[1] == "FRAME":
                 self.frame_variables[shape[1]] = self._frame_of(value, s.column)
 
-    def _value_of(self, text: str, column: int) -> Value:
-        variable = self._variable if self.reads is None else self._noted_variable
+    def value_of(self, text: str, column: int) -> Value:
+        variable = self._variable if self.state.reads is None else self._noted_variable
         value = Expression(text, SINUMERIK, variable, None, 0, column).whole()
         return value
 
     def _noted_variable(self, e: Expression, name: str, at: int) -> Value:
         value = self._variable(e, name, at)
-        if self.reads is not None:
-            self.reads.append(value)
+        if self.state.reads is not None:
+            self.state.reads.append(value)
         return value
 
     def number_of(self, text: str, column: int) -> float:
         """The value of an expression or condition (1 true, 0 false)."""
         if not text.strip():
             raise WordError("a condition or number is missing, e.g. IF R1<10", column)
-        value = self._value_of(text, column)
+        value = self.value_of(text, column)
         if isinstance(value, str):
             raise WordError(f'a number is needed here, not the text "{value[:20]}"', column)
         return value
 
-    def _store_of(self, name: str) -> dict[tuple, Value] | None:
+    def store_of(self, name: str) -> dict[tuple, Value] | None:
         return self.flow.frame.variables.get(name) or self.globals.get(name)
 
     def _variable(self, e: Expression, name: str, at: int) -> Value:
@@ -106,21 +102,21 @@ class SinumerikVariables(SinumerikFrames):
             index = tuple(e.arguments())
         elif name == "ISVAR" and e.peek() == "(":
             asked = str(e.arguments()[0]).partition("[")[0].upper()
-            return float(self._store_of(asked) is not None or bool(re.fullmatch(r"R\d+", asked)))
+            return float(self.store_of(asked) is not None or bool(re.fullmatch(r"R\d+", asked)))
         elif e.peek() == "(" and name not in ("AC", "IC", "DC"):
             raise e.fail(f"'{name}' is not a function that is read here; write its value instead", at)
         if match := re.fullmatch(r"R(\d{1,4})", name):
             return self.parameters.get(int(match[1]), 0.0)
         if name == "R" and len(index) == 1 and not isinstance(index[0], str):
             return self.parameters.get(int(index[0]), 0.0)
-        if (store := self._store_of(name)) is not None:
+        if (store := self.store_of(name)) is not None:
             if index in store:
                 return store[index]
             if ("default",) in store:
                 return store[("default",)]
         if (value := self._system(name, index)) is not None:
             return value
-        given = self.machine.document.get("variables", {})
+        given = self.state.machine.document.get("variables", {})
         key = name + (f"[{','.join(str(i) if isinstance(i, str) else f'{i:g}' for i in index)}]" if index else "")
         for k in (key, key.lower()):
             if isinstance(given, dict) and k in given:
@@ -138,46 +134,46 @@ class SinumerikVariables(SinumerikFrames):
         if (
             name in ("$P_EP", "$AA_IW", "$AA_IM", "$AA_MW", "$P_EPM")
             and len(index) == 1
-            and self.slot_of.get(str(index[0]), index[0]) in INDEX
+            and self.state.slot_of.get(str(index[0]), index[0]) in INDEX
         ):
-            i = INDEX[self.slot_of.get(str(index[0]), str(index[0]))]
+            i = INDEX[self.state.slot_of.get(str(index[0]), str(index[0]))]
             machine = name == "$AA_IM"
             if i >= 3:
-                angle = float(self.out.settle()[i - 3]) - (0.0 if machine else self.offset[i])
+                angle = float(self.state.out.settle()[i - 3]) - (0.0 if machine else self.state.offset[i])
                 return math.degrees(angle)
-            return float((np.array(self.out.position[:3]) if machine else self.here())[i]) / self.unit
+            return float((np.array(self.state.out.position[:3]) if machine else self.state.here())[i]) / self.state.unit
         if name in ("$AC_MARKER", "$AC_PARAM"):
             return 0.0  # what a program finds before it has set them
         if name == "$TC_DP6" and index:
             tool = f"{index[0]:g}" if not isinstance(index[0], str) else index[0]
-            return self.tools.radius(tool, 1) / self.unit
+            return self.state.tools.radius(tool, 1) / self.state.unit
         if name == "$P_F":
-            return 0.0 if math.isnan(self.feed) else self.feed
+            return 0.0 if math.isnan(self.state.feed) else self.state.feed
         if name in ("$P_S", "$P_SDIR"):
-            return self.out.modes.spindle
+            return self.state.out.modes.spindle
         if name == "$P_TOOLNO":
-            return float(self.tools.name) if self.tools.name.isdigit() else 0.0
+            return float(self.state.tools.name) if self.state.tools.name.isdigit() else 0.0
         if name == "$P_TOOL":
-            return 1.0 if self.tools.name not in ("", "0") else 0.0
+            return 1.0 if self.state.tools.name not in ("", "0") else 0.0
         if name == "$P_TOOLR":
-            return self.tools.radius(self.tools.name, 1) / self.unit
+            return self.state.tools.radius(self.state.tools.name, 1) / self.state.unit
         if name == "$P_UIFRNUM":
-            return float(self._frame_number(self.chosen))
+            return float(self.frames.frame_number(self.frames.chosen))
         if name == "$P_UIFR" and len(index) == 3 and index[1] in INDEX:
-            matrix, offset = self._settable(frame_name(index[0]))
+            matrix, offset = self.frames.settable_frame(frame_name(index[0]))
             if index[2] == "TR":
                 i = INDEX[index[1]]
-                return math.degrees(offset[i]) if i >= 3 else offset[i] / self.unit
+                return math.degrees(offset[i]) if i >= 3 else offset[i] / self.state.unit
             if index[2] == "FI":
                 return 0.0
         if name == "$P_GG" and len(index) == 1:
             groups = {
-                1.0: 1 + (self.motion or 0), 6.0: self.plane - 16, 7.0: 1 if self.comp is None else 2 if self.comp.offset > 0 else 3,
-                8.0: self._frame_number(self.chosen) + 1, 13.0: 1 if self.unit != 1e-3 else 2, 14.0: 1 + (not self.absolute),
+                1.0: 1 + (self.state.motion or 0), 6.0: self.state.plane - 16, 7.0: 1 if self.state.comp is None else 2 if self.state.comp.offset > 0 else 3,
+                8.0: self.frames.frame_number(self.frames.chosen) + 1, 13.0: 1 if self.state.unit != 1e-3 else 2, 14.0: 1 + (not self.state.absolute),
             }  # fmt: skip
             return float(groups[index[0]]) if index[0] in groups else None
         if name in ("$P_AXN1", "$P_AXN2", "$P_AXN3"):
-            slots = {slot: letter for letter, slot in self.slot_of.items()}
+            slots = {slot: letter for letter, slot in self.state.slot_of.items()}
             return slots.get("XYZ"[int(name[-1]) - 1], "XYZ"[int(name[-1]) - 1])
         if name in ("$P_PROG", "$P_STACK", "$P_PROGPATH"):
             return self.flow.frame.unit.name if name != "$P_STACK" else float(len(self.flow.frames) - 1)
@@ -187,16 +183,16 @@ class SinumerikVariables(SinumerikFrames):
         """Assign a value to a variable."""
         if "[" in name:
             name, _, inner = name.partition("[")
-            index = tuple(self._value_of(t, column) for t, _ in split_arguments(inner.rstrip("]")))
+            index = tuple(self.value_of(t, column) for t, _ in split_arguments(inner.rstrip("]")))
         if match := re.fullmatch(r"R(\d{1,4})", name):
             self.parameters[int(match[1])] = as_number(value, column)
             return
         if name == "R" and len(index) == 1:
             self.parameters[int(as_number(index[0], column))] = as_number(value, column)
             return
-        store = self._store_of(name)
+        store = self.store_of(name)
         if store is None:
-            given = self.machine.document.get("variables", {})
+            given = self.state.machine.document.get("variables", {})
             if name[0] not in "_$" and not (isinstance(given, dict) and {name, name.lower()} & given.keys()):
                 hint = nearest(name, SINUMERIK_NAMES)
                 hint = f"; {hint}" if hint.startswith("did you") else ""
@@ -205,38 +201,38 @@ class SinumerikVariables(SinumerikFrames):
                     "[variables] of the machine file",
                     column,
                 )
-            self.note(f"{name}: a variable of the control, kept for the program")
+            self.state.note(f"{name}: a variable of the control, kept for the program")
             store = self.globals.setdefault(name, {})
         if len(store) > MOST_ELEMENTS:
             raise WordError(f"{name} has more than {MOST_ELEMENTS} elements", column)
         store[index] = value
 
-    def _value(self, word: Word) -> float:
+    def value(self, word: Word) -> float:
         if word.assigned:
             return self.number_of(word.text or "", word.text_column)
         if word.value is None:
             raise WordError(f"'{word.name}' needs a number", word.column)
         return word.value
 
-    def _item(self, word: Word) -> Item:
+    def item(self, word: Word) -> Item:
         """A coordinate and its mode (absolute, incremental, ...)."""
         if word.assigned and (match := _WRAPPED.match(word.text or "")):
             return Item(self.number_of(match[2], word.text_column + match.start(2)), match[1], word.column)
         if word.text is not None and not word.assigned:
             raise WordError(f"'{word.name}({word.text})' is not a coordinate; write {word.name}=AC(..) or {word.name}=IC(..)", word.column)
-        return Item(self._value(word), "", word.column)
+        return Item(self.value(word), "", word.column)
 
-    def _axis_of(self, word: Word) -> str:
+    def axis_of(self, word: Word) -> str:
         """The axis of POS[X], AX[_AXIS] and the like: its name, or a variable of type AXIS."""
         text = (word.index or "").strip()
         if text not in AXIS_NAMES:
-            text = str(self._value_of(text, word.column)).strip()
+            text = str(self.value_of(text, word.column)).strip()
         return text.removesuffix("1")
 
-    def _of_group(self, word: Word) -> float:
+    def of_group(self, word: Word) -> float:
         """The G code of G[6]=1: the first of group 6."""
         group = int(self.number_of(word.index or "", word.column))
-        number = int(self._value(word))
+        number = int(self.value(word))
         if group == 8 and number > 5:
             return 500.0 + number - 1
         codes = G_GROUPS.get(group, ())
@@ -244,37 +240,37 @@ class SinumerikVariables(SinumerikFrames):
             raise WordError(f"G[{group}]={number} is not read; write the G code itself", word.column)
         return float(codes[number - 1])
 
-    def _tool_value(self, word: Word) -> Value:
+    def tool_value(self, word: Word) -> Value:
         if word.assigned:
-            return self._value_of(word.text or "", word.text_column)
-        return self._value(word)
+            return self.value_of(word.text or "", word.text_column)
+        return self.value(word)
 
-    def _assignment(self, word: Word) -> None:
+    def assignment(self, word: Word) -> None:
         """A variable of any kind; frames are written whole or by component."""
         name = word.name
         index: tuple = ()
         if word.index is not None:
-            index = tuple(self._value_of(t, word.column) for t, _ in split_arguments(word.index))
+            index = tuple(self.value_of(t, word.column) for t, _ in split_arguments(word.index))
         if name in _FRAMES or name in self.frame_variables:
             self._write_frame(name, index, word)
             return
-        value = self._value_of(word.text or "", word.text_column)
+        value = self.value_of(word.text or "", word.text_column)
         if name == "$TC_DP6" and len(index) == 2:
             tool = f"{index[0]:g}" if not isinstance(index[0], str) else index[0]
-            self.tools.set_value(tool, "radius", as_number(value, word.column) * self.unit)
+            self.state.tools.set_value(tool, "radius", as_number(value, word.column) * self.state.unit)
             return
         if name.startswith("$TC_DP3"):
-            self.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")
+            self.state.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")
         self.assign(name, value, word.column, index)
 
     def _write_frame(self, name: str, index: tuple, word: Word) -> None:
         """A frame of the control or a variable of type FRAME: whole, CTRANS(..):CROT(..), or one component."""
         text, column = word.text or "", word.text_column
         old = self._frame_named(name, index)
-        parts = [self.slot_of.get(i, i) for i in index if isinstance(i, str)]
+        parts = [self.state.slot_of.get(i, i) for i in index if isinstance(i, str)]
         if len(parts) == 2 and parts[1] in ("TR", "FI") and parts[0] in INDEX:
             offset = old[1].copy()
-            value = self.si(parts[0], self.number_of(text, column))
+            value = self.state.si(parts[0], self.number_of(text, column))
             if parts[1] == "TR":
                 offset[INDEX[parts[0]]] = value
             elif value:
@@ -290,24 +286,24 @@ class SinumerikVariables(SinumerikFrames):
             self.frame_variables[name] = new
             return
         if name in ("$P_UIFR", "$P_IFRAME"):
-            self.settable[self._settable_name(name, index)] = new
+            self.frames.settable[self._settable_name(name, index)] = new
         elif name == "$P_PFRAME":
-            self.program_matrix, self.program_offset = new
+            self.frames.program_matrix, self.frames.program_offset = new
         else:
-            self.basic = new
-        self._release()
-        self.set_frames()
+            self.frames.basic = new
+        self.corners.release()
+        self.state.set_frames()
 
     def _settable_name(self, name: str, index: tuple) -> str:
-        return self.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
+        return self.frames.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
 
     def _frame_named(self, name: str, index: tuple) -> tuple[np.ndarray, np.ndarray]:
         """The frame of a variable or of the control."""
         if name in self.frame_variables:
             return self.frame_variables[name]
         if name in ("$P_UIFR", "$P_IFRAME"):
-            return self._settable(self._settable_name(name, index))
-        return (self.program_matrix, self.program_offset) if name == "$P_PFRAME" else self.basic
+            return self.frames.settable_frame(self._settable_name(name, index))
+        return (self.frames.program_matrix, self.frames.program_offset) if name == "$P_PFRAME" else self.frames.basic
 
     def _frame_of(self, text: str, column: int) -> tuple[np.ndarray, np.ndarray]:
         """The frames of a chain CTRANS(..):CROT(..):F1 as one; an empty text changes nothing."""
@@ -318,12 +314,12 @@ class SinumerikVariables(SinumerikFrames):
             if not part or (part[3] and part[3] not in _FRAMES and part[3] not in self.frame_variables):
                 raise WordError(f"'{text[at:].strip()[:20]}' is not a frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
             if part[3]:
-                inner, shift = self._frame_named(part[3], tuple(self._value_of(t, column) for t, _ in split_arguments(part[4] or "")))
+                inner, shift = self._frame_named(part[3], tuple(self.value_of(t, column) for t, _ in split_arguments(part[4] or "")))
                 offset = np.concatenate([offset[:3] + matrix @ shift[:3], offset[3:] + shift[3:]])
                 matrix = matrix @ inner
                 at = part.end()
                 continue
-            values = [self.slot_of.get(t, t) for t, _ in split_arguments(part[2])]
+            values = [self.state.slot_of.get(t, t) for t, _ in split_arguments(part[2])]
             inner, shift = np.eye(3), np.zeros(5)
             if part[1] == "MIRROR":
                 inner = np.diag([-1.0 if n in values else 1.0 for n in LINEAR])
@@ -336,7 +332,7 @@ class SinumerikVariables(SinumerikFrames):
             if part[1] in ("TRANS", "FINE"):
                 for axis, value in pairs.items():
                     if axis in INDEX:
-                        shift[INDEX[axis]] = self.si(axis, value)
+                        shift[INDEX[axis]] = self.state.si(axis, value)
             elif part[1] == "ROT":
                 inner = rotation(2, pairs.get("Z", 0.0)) @ rotation(1, pairs.get("Y", 0.0)) @ rotation(0, pairs.get("X", 0.0))
             elif part[1] == "SCALE":

@@ -1,4 +1,4 @@
-"""The modal state of the control, for both languages: frames, modes, units, tools.
+"""The modal state of the control, for all languages: frame, modes, units, tools.
 
 Program coordinates x become machine coordinates by the frame: M x + offset (`matrix`, `offset`; the matrix turns, mirrors and
 scales). Lengths are in m and rad; a front end converts the programmed values.
@@ -29,6 +29,21 @@ INDEX = {name: i for i, name in enumerate((*LINEAR, *ROTARY))}
 INCH = 0.0254
 
 
+MODES = (
+    "motion",
+    "plane",
+    "absolute",
+    "centre_absolute",
+    "rounding",
+    "tolerance",
+    "angle_tolerance",
+    "adis",
+    "adispos",
+    "retract_to_start",
+)
+"""Modes that are kept and brought back as they are."""
+
+
 class Item(NamedTuple):
     """A word of a block: its number, how it counts ('', AC, IC, DC, ACP, ACN) and its column."""
 
@@ -51,14 +66,15 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
     return matrix
 
 
-class ControlState:
+class State:
     """The modal state while blocks are executed; the module docstring defines the frames."""
 
-    iso = False
     after_compensation = False  # the next move leads from the compensated path and must be straight
 
-    def __init__(self, path: Path, machine: Machine) -> None:
+    def __init__(self, path: Path, machine: Machine, language: str) -> None:
         self.path, self.machine = path, machine
+        self.linuxcnc, self.iso = language == "linuxcnc", language in ("linuxcnc", "iso")
+        self.set_frames: Callable[[], None] = lambda: None  # applies the frames of the language, whose part sets it
         self.out = Collector(path, machine)
         self.motion: int | None = 1
         self.feed = first_feed(machine)  # till the first F
@@ -78,9 +94,9 @@ class ControlState:
         self.fixed_axis: np.ndarray | None = None  # tool axis of a swivelled plane, part frame
         self.swivelled: tuple[np.ndarray, np.ndarray, bool] | None = None  # plane and origin; whether it switched TRAORI on
         self.plain = True  # blocks of coordinates alone may take the fast way
-        self.tool_radius: Callable[[], float] = lambda: 0.0
+        self.retract_to_start = True  # G98
         self.line, self.block = 0, -1
-        self.reads: list[Any] | None = None  # see `flow.FrontEnd`
+        self.reads: list[Any] | None = None  # values of the variables that an expression reads are added to it
         self.tools = Tools(self.out, machine, self.iso)
         own = self.out.kinematics.letters
         self.slot_of = dict(zip([*own, *(n for n in "XYZAC" if n not in own)], [*"XYZAC", *(n for n in own if n not in "XYZAC")]))
@@ -135,6 +151,7 @@ class ControlState:
     def settle_plain(self) -> None:
         """Whether plain blocks of coordinates may be read by the fast method."""
         self.plain = self.absolute and self.matrix is None and self.comp is None and self.fixed_axis is None and not self.after_compensation
+        self.plain = self.plain and not (self.iso and self.out.modes.feed_mode == 93)  # each block needs its F
 
     def to_part(self) -> np.ndarray:
         """From positions of the axes to the part frame at A = C = 0 (3,); none where TRAORI was on before the plane was tilted."""
@@ -203,17 +220,14 @@ class ControlState:
         """The largest difference of the radii of an arc by its radius [m]."""
         return arcs.iso_tolerance(self.unit) if self.iso else lambda radius: arcs.CLOSING_TOLERANCE
 
-    def set_frames(self) -> None:
-        """Apply the frames of the language; each front end implements it."""
-
-    def _swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
+    def swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
         """Start a tilted plane: TRAORI on, the tool perpendicular to the plane."""
-        self._unswivel()
+        self.unswivel()
         self.swivelled = matrix, origin, not self.out.modes.traori
         self.transform(True)
         self.set_frames()
 
-    def _unswivel(self) -> None:
+    def unswivel(self) -> None:
         """Restore the plane before, and switch TRAORI off if the tilted plane had switched it on."""
         if self.swivelled is not None:
             _, _, switched = self.swivelled
@@ -228,6 +242,25 @@ class ControlState:
             raise WordError("the transformation changes inside G41 or G42; write G40 and a move before", 1)
         if self.out.modes.traori != on:
             self.out.change_frame(replace(self.out.modes, traori=on))
+
+    def kept(self, *more: tuple[object, tuple[str, ...]], with_feed: bool = False) -> Callable[[], None]:
+        """A function that brings back the modes in force now; `more`: attributes of other parts that it brings back, too."""
+        places = [(self, MODES), *more]
+        values = [[getattr(part, name) for name in names] for part, names in places]
+        unit, modes, feed = self.unit, self.out.modes, self.feed
+
+        def restore() -> None:
+            for (part, names), kept in zip(places, values):
+                for name, value in zip(names, kept):
+                    setattr(part, name, value)
+            self.set_unit(unit, feed=modes.feed_unit != self.out.modes.feed_unit)
+            self.set_feed_mode(modes.feed_mode)
+            self.feed = feed if with_feed else self.feed
+            same = ("stop_window", "brisk", "feedforward", "workpiece_orientation")
+            self.round_corners(**{name: getattr(modes, name) for name in same})
+            self.set_frames()
+
+        return restore
 
     def note(self, text: str) -> None:
         """Record once that a word was understood and what it means here."""
