@@ -239,7 +239,8 @@ def test_measurement_effects_are_their_formulas():
 # --- starting conditions, seeds ----------------------------------------------------------------------
 
 
-def test_a_machine_at_rest_stays_at_rest():
+@pytest.mark.parametrize("on_motor", [False, True])
+def test_a_machine_at_rest_stays_at_rest(on_motor):
     """Gravity, unbalance and constant force are carried from the first tick, through springs, gaps and a notch."""
     effects = [
         {"name": "constant_force", "axis": "X", "force": 500.0},
@@ -251,8 +252,11 @@ def test_a_machine_at_rest_stays_at_rest():
         {"name": "inverter_dead_time", "axis": "Z", "voltage_v": 14.0},
     ]
     s = nominal(*effects)
+    s.on_motor[:] = on_motor
     points = np.tile([0.1, 0.0, 0.05, -0.7, 0.3], (200, 1))
     trace = run(s, points, noise=False)
+    closing = trace.motor_position if on_motor else trace.position
+    assert np.abs(closing - points).max() < 1e-7
     assert np.abs(trace.load - trace.load[0]).max() < 1e-10
     assert np.abs(trace.true_current - trace.true_current[0]).max() < 1e-3
 
@@ -393,8 +397,9 @@ def test_a_written_campaign_has_the_agreed_form_and_does_not_reveal_the_truth(tm
     units = {"current": ("A", "A"), "velocity": ("mm/s", "deg/s"), "velocity_setpoint": ("mm/s", "deg/s")}
     expected = [f"{a}.{signal} [{units.get(signal, ('mm', 'deg'))[a in 'AC']}]" for a in AXES for signal in SIGNALS[signals]]
     assert table.column_names[1:] == expected
-    position = table["X.position [mm]"].to_numpy()
-    assert np.array_equal(position, np.round(position, 4))
+    encoder = next(c for c in ("X.position [mm]", "X.motor_position [mm]") if c in table.column_names)
+    position = table[encoder].to_numpy()
+    assert np.array_equal(position, np.round(position, 4 if encoder == "X.position [mm]" else 5))
     assert table.schema.metadata is None
 
 

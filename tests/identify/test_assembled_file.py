@@ -12,11 +12,11 @@ from tests.builders.identify_campaigns import campaign, usual_runs
 from tests.builders.other_structures import write_slides
 from twin.identify.campaign_fit import identify_campaign
 from twin.identify.choice import _assembled
-from twin.identify.noise import measured_noise
 from twin.identify.write import machine_comments
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
+from twin.simulation.recorded_noise import measurement_values
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -35,7 +35,7 @@ def test_the_noise_of_an_axis_that_is_commanded_a_torque_and_records_its_current
     trace = simulate(machine, Setpoints(rest, 1e-3), sample_period=1e-3, noise_seed=1).trace
     signals = {**trace.signals, (axis.name, "current"): np.random.default_rng(0).standard_normal(len(trace.time))}
     run = MeasuredRun("made", Trace(trace.time, signals, trace.kinds), "off", 0.0)
-    assert measured_noise(machine, [run]).keys() == measured_noise(machine, [replace(run, trace=trace)]).keys()
+    assert measurement_values(machine, [run]).keys() == measurement_values(machine, [replace(run, trace=trace)]).keys()
 
 
 def test_a_value_at_its_bound_that_was_not_taken_has_no_comment(mikron: Machine) -> None:

@@ -32,6 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="small",
         help="imperfections of every machine that no effect describes (default: small)",
     )
+    parser.add_argument(
+        "--noise-keys",
+        choices=("given", "absent", "tenth", "tenfold"),
+        default="given",
+        help="what the machine file says of noise and resolution: the truth (default), nothing, a tenth or ten times of it",
+    )
     parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
     parser.add_argument("--only", metavar="KIND", help="only this kind of case, e.g. healthy, 'a fifth', outside")
     parser.add_argument("--short", action="store_true", help="four runs per campaign instead of ten")
@@ -58,7 +64,9 @@ def carry_out(args: argparse.Namespace) -> int:
     machine_file, machine_name, machine_digest = _machine_of(args)
     out = output_folder(Path(args.out).resolve())
     questions = questions_of(args.seed, args.cases, args.short, args.only)
-    options = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick")} | {"code": sources()}
+    options = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick", "noise_keys")} | {
+        "code": sources()
+    }
     same_examination(out, {**options, "machine": machine_digest})
     folders = {q.name: str(out / "cases" / q.name) for q in questions}
     with processes(args.scheduler, args.workers) as pool:
@@ -74,7 +82,9 @@ def carry_out(args: argparse.Namespace) -> int:
         if not asked:
             raise InputError(f"{out}: no case has been diagnosed yet; run it without --open first")
         with Progress("diagnosing", total=len(asked)) as bar:
-            seconds = each(pool, sit, {q.name: (q, cases[q.name], folders[q.name], machine_file, args.quick) for q in asked}, bar)
+            seconds = each(
+                pool, sit, {q.name: (q, cases[q.name], folders[q.name], machine_file, args.quick, args.noise_keys) for q in asked}, bar
+            )
         unseal(text, out)
         print(f"opened: {out / TRUTHS}", flush=True)
         with Progress("marking", total=len(asked)) as bar:

@@ -36,7 +36,7 @@ def carry_out(args: argparse.Namespace) -> int:
     campaign = read_campaign(args.campaign, machine)
     with Progress("comparing", total=len(campaign.runs)) as bar:
         found = gap(campaign, machine, progress=lambda _run: bar(None))
-    print(found.verdict)
+    print("\n".join([found.verdict, *found.notes]))
     print("\nLargest gap of each axis: RMS of measured minus simulated, multiple of noise alone, run")
     print(found.summary_table())
     outliers = found.outliers

@@ -8,6 +8,7 @@ from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign
+from twin.simulation.drive_setpoints import closed_on
 from twin.simulation.gap import COMPARED
 from twin.simulation.setpoints import check_travel, setpoints_of
 
@@ -21,7 +22,8 @@ def check_campaign(campaign: Campaign, machine: Machine, thresholds: Thresholds 
     for run in campaign.runs:
         check_travel(setpoints_of(run.trace, machine), machine, f"{campaign.path}: run {run.name}")
         for axis in run.trace.axes:
-            signal = next((s for s in ("position", "motor_position") if run.trace.has(axis, s)), None)
+            closing = closed_on(run.trace, machine.axis(axis))  # the zero of the other encoder may be anywhere
+            signal = next((s for s in (closing, "motor_position") if run.trace.has(axis, s)), None)
             if signal is None:
                 continue
             setpoint, position = run.trace.get(axis, "setpoint"), run.trace.get(axis, signal)

@@ -38,7 +38,7 @@ from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
 from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.plant_spec import build_plant, full_inertia
 from twin.simulation.run import Run, all_or_raise
-from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale
+from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale, with_equal_means
 
 
 class Variation(NamedTuple):
@@ -243,6 +243,7 @@ def channels_of(
 ) -> dict[tuple[str, str], np.ndarray]:
     """Channels of a trace, measured or simulated: (axis, channel) -> (sample,). `added` is that of `law_error`, by axis."""
     out = {}
+    trace = with_equal_means(trace, view.machine, view.own_zeros.intersection(axes))
     for name in axes:
         axis = view.machine.axis(name)
         measured = view.trace

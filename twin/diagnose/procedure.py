@@ -32,6 +32,7 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.simulation.gap import gap_of
+from twin.simulation.recorded_noise import with_recorded_noise
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -52,12 +53,13 @@ def diagnose(
 
     Raises InputError if the campaign belongs to another machine, holds no measured signal or no motion, or if the machine has effects.
     """
-    nominal = with_effects(machine, [])
     if machine.effects:
         raise InputError(f"machine {machine.name} already has effects; diagnose against the machine without them")
+    check_campaign(campaign, machine, thresholds)
+    machine, of_noise = with_recorded_noise(machine, campaign.runs)
+    nominal = with_effects(machine, [])
     runs, zeros = with_common_zeros(campaign.runs, nominal, thresholds)
     campaign = replace(campaign, runs=runs)
-    check_campaign(campaign, machine, thresholds)
     folds = folds_of(len(campaign.runs))
     setup = Setup(machine, nominal, folds, quick, seed, threads or os.cpu_count() or 1, thresholds, progress or (lambda _: None))
 
@@ -65,6 +67,7 @@ def diagnose(
     records, views, fitted_zeros = _without_fitted_zeros(setup, campaign, views, states)
     correction = with_laws(setup, records, validated(setup, records, states))
     diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, fitted_zeros | zeros)
+    diagnosis = replace(diagnosis, notes=[*diagnosis.notes, *of_noise])
     diagnosis = _with_verdict(setup, diagnosis)
     by_certainty = [setting for setting, _, _ in diagnosis.settings]
     diagnosis = _with_budget(setup, diagnosis, views, program)

@@ -62,6 +62,7 @@ SIGNALS = {
     "no motor position": ("setpoint", "position", "velocity", "velocity_setpoint", "current"),
     "no velocity set point": ("setpoint", "position", "motor_position", "velocity", "current"),
     "scale and current": ("setpoint", "position", "current"),
+    "no scale": ("setpoint", "motor_position", "velocity", "velocity_setpoint", "current"),
 }
 _HOMES = (Path(__file__).resolve().parents[1] / "models", Path(__file__).resolve().parents[2] / "models")  # installed, checkout
 SHIPPED_MACHINE = next((home / "mikron_ucp710.toml" for home in _HOMES if home.is_dir()), _HOMES[1] / "mikron_ucp710.toml")
@@ -185,10 +186,16 @@ def settings_for(case: Case, machine: dict, feedforward: str = "velocity+torque"
 def simulate(case: Case, machine: dict, test: TestRun, started_at_s: float = 0.0, substeps: int = SUBSTEPS) -> Trace:
     """Simulate one run of a case, on set points rounded as they are recorded."""
     unit = np.array([1e3] * 3 + [180.0 / math.pi] * 2)
-    points = np.round(test.set_points * unit, DECIMALS["setpoint"][0]) / unit
+    every = round(sample_period_of(machine) / PERIOD) if test.period_s is None else 1
+    points = np.round(test.set_points[::every] * unit, DECIMALS["setpoint"][0]) / unit
     base = case.seed if case.noise_seed is None else case.noise_seed
     noise = np.random.SeedSequence([base, 30, zlib.crc32(test.name.encode())])
     return run(settings_for(case, machine, test.feedforward), points, noise, started_at_s, substeps, case.noise, test.period_s)
+
+
+def sample_period_of(machine: dict) -> float:
+    """Sample period of the record [s], a multiple of PERIOD."""
+    return float(machine["measurement"]["sample_period_us"]) * 1e-6
 
 
 def behaves(case: Case, machine: dict) -> bool:
@@ -206,7 +213,8 @@ def behaves(case: Case, machine: dict) -> bool:
         trace = simulate(replace(case, noise=False), machine, move, substeps=4)
     except PlantError:
         return False
-    moving, standing = (np.diff(trace.true_current[part], axis=0).std(axis=0) for part in (slice(0, -400), slice(-100, None)))
+    tail = round(0.4 / sample_period_of(machine))
+    moving, standing = (np.diff(trace.true_current[part], axis=0).std(axis=0) for part in (slice(0, -tail), slice(-tail // 4, None)))
     peak = np.array([machine["axis"][a]["motor"]["peak_current_a"] for a in AXES])
     error = np.abs(trace.position - trace.setpoint).max(axis=0)
     return bool((standing < 0.01 * peak).all() and (moving < 0.05 * peak).all() and (error < [5e-3] * 3 + [math.radians(2.5)] * 2).all())
@@ -315,7 +323,7 @@ def write_campaign(
             use_byte_stream_split=True,
         )
         lines.append(f'[[run]]\nfile = "{file}"\nfeedforward = "{test.feedforward}"\nstarted_at_s = {at:.3f}\n')
-        at = round(at + len(trace.time) * PERIOD + PAUSE_S, 3)
+        at = round(at + len(trace.time) * sample_period_of(machine) + PAUSE_S, 3)
         files.append(file)
     partial = folder / "campaign.toml.partial"  # written last and whole: its presence marks a complete campaign
     partial.write_text("\n".join(lines))

@@ -29,6 +29,7 @@ from .draw import Case, truth_of, write_campaign
 from .mark_budget import VISIBLE, mark_budget, what_of
 from .mark_law import laws_of_fault, shape_agreement
 from .questions import Question
+from .session import write_machine_of
 
 REALISATIONS = 2
 
@@ -55,6 +56,7 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
     if (before := kept_mark(kept)) is not None:
         return before
     truth = truth_of(case)
+    machine_file = str(write_machine_of(question, machine_file, place))
     result: dict[str, Any] = {
         "case": question.name,
         "stratum": question.stratum.name,

@@ -8,6 +8,7 @@ two, three        effects at once
 healthy           no effect
 outside           one effect that the library does not have
 everyday          background effects of 3 to 15 % of usual size on every axis, plus none to three effects of usual size
+another machine   other drives, cycles, encoders and tolerance, see `other_machine`; no effect in every fifth case, one of usual size in the others
 
 One case in ten, of every kind, is drawn wide: sizes and shapes come from ranges three times as wide.
 """
@@ -19,11 +20,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .other_machine import arrangement_of
 from .plant.effects import LIBRARY
 from .plant.outside import OUTSIDE
 from .plant.parameters import Richness
 
 RICHNESS = {"off": Richness.off(), "small": Richness.small(), "full": Richness()}
+
+ANOTHER = "another machine"
+"""Stratum whose cases have machine files of their own."""
+
+HEALTHY_EVERY = 5
+"""One case in this many of that stratum has no effect."""
 
 WIDE = 10
 """One case in this many, of every kind, is drawn wide."""
@@ -42,15 +50,16 @@ class Stratum:
 
 
 STRATA = (
-    Stratum("usual", "single", 26 / 100),
-    Stratum("a fifth", "single", 15 / 100, scale=0.2),
-    Stratum("scale and current", "single", 9 / 100, signals="scale and current"),
-    Stratum("programs only", "single", 8 / 100, runs="program"),
+    Stratum("usual", "single", 22 / 100),
+    Stratum("a fifth", "single", 13 / 100, scale=0.2),
+    Stratum("scale and current", "single", 8 / 100, signals="scale and current"),
+    Stratum("programs only", "single", 7 / 100, runs="program"),
     Stratum("two", "pair", 9 / 100),
     Stratum("three", "triple", 2 / 100),
-    Stratum("healthy", "healthy", 12 / 100),
-    Stratum("outside", "outside", 9 / 100),
+    Stratum("healthy", "healthy", 11 / 100),
+    Stratum("outside", "outside", 8 / 100),
     Stratum("everyday", "everyday", 10 / 100),
+    Stratum(ANOTHER, "single", 10 / 100),
 )
 
 
@@ -79,8 +88,14 @@ def questions_of(seed: int, cases: int, short: bool = False, only: str | None = 
     order = rng.permutation(len(chosen))
     seeds = np.random.SeedSequence([seed, 51]).generate_state(len(chosen))
     first = int(np.random.default_rng(np.random.SeedSequence([seed, 52])).integers(WIDE))
-    strata = {s: replace(s, runs="short") if short and s.runs == "all" else s for s in STRATA}
-    return [Question(i, strata[chosen[k][0]], int(seeds[i]), chosen[k][1], bool(k % WIDE == first)) for i, k in enumerate(order)]
+    questions = []
+    for i, k in enumerate(order):
+        stratum, effect = chosen[k]
+        asked_as = replace(stratum, runs="short") if short and stratum.runs == "all" else stratum
+        if stratum.name == ANOTHER:
+            asked_as = replace(asked_as, signals=arrangement_of(int(seeds[i]), effect)[1], kind="single" if effect else "healthy")
+        questions.append(Question(i, asked_as, int(seeds[i]), effect, bool(k % WIDE == first)))
+    return questions
 
 
 def _counts(strata: Sequence[Stratum], cases: int) -> list[int]:
@@ -97,6 +112,9 @@ def _effects(stratum: Stratum, count: int, rng: np.random.Generator) -> list[str
     library = {"single": LIBRARY, "outside": OUTSIDE}.get(stratum.kind)
     if library is None:
         return [None] * count
+    if stratum.name == ANOTHER:
+        effects = iter(_effects(replace(stratum, name=""), count, rng))
+        return [None if i % HEALTHY_EVERY == 0 else next(effects) for i in range(count)]
     names: list[str | None] = []
     while len(names) < count:
         names += [str(n) for n in rng.permutation(list(library))]

@@ -12,6 +12,7 @@ import numpy as np
 
 from .mark_budget import VISIBLE
 from .mark_law import SIMILAR
+from .questions import ANOTHER
 
 Mark = Mapping[str, Any]
 
@@ -24,6 +25,8 @@ TARGETS = (
     ("right or rightly ambiguous, programs only", 0.80),
     ("both right, two effects", 0.75),
     ("healthy recognised", 0.98),
+    ("exactly right, another machine", 0.93),
+    ("healthy recognised, another machine", 1.0),
     ("outside the library recognised", 0.75),
     ("outside the library: axis and block", 0.90),
     ("outside the library: law over the right variable", 0.85),
@@ -85,6 +88,8 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         "right or rightly ambiguous, programs only": share("programs only", "first_or_ambiguous"),
         "both right, two effects": share("two", "exact"),
         "healthy recognised": share("healthy", "exact"),
+        "exactly right, another machine": share(ANOTHER, "exact"),
+        "healthy recognised, another machine": _exact([m for m in of.get(ANOTHER, []) if not m["true"]]),
         "outside the library recognised": share("outside", "exact"),
         "outside the library: axis and block": share("outside", "place"),
         "outside the library: law over the right variable": share("outside", "law"),
@@ -157,6 +162,11 @@ def _shrunk(marks: Sequence[Mark]) -> list[float]:
 def _closed(marks: Sequence[Mark]) -> dict[str, Any] | None:
     """Cases whose gap after correction is at most MOST_LEFT x the floor on the examination's own runs."""
     return _share(sum(m["gap"].get("after", math.inf) <= MOST_LEFT * m["gap"]["floor"] for m in marks), len(marks)) if marks else None
+
+
+def _exact(marks: Sequence[Mark]) -> dict[str, Any] | None:
+    """Cases that are exactly right."""
+    return _share(sum(m["exact"] for m in marks), len(marks)) if marks else None
 
 
 def _similar(marks: Sequence[Mark]) -> dict[str, Any] | None:

@@ -25,20 +25,38 @@ from typing import Any
 from twin.documents import read_json_table
 from twin.errors import InputError
 from twin.files import write_whole
+from twin.machine.machine import Machine, load_machine, write_machine
 from twin.stopping import PARENT, end_with_parent
 
 from .answer import DIAGNOSIS, FAILED
 from .budget import with_budget
 from .draw import Case, draw_case, truth_of, write_campaign
+from .other_machine import another_machine, with_noise_keys
 from .plant.plant import PlantError
-from .questions import RICHNESS, Question
+from .questions import ANOTHER, RICHNESS, Question
 
 SEAL, TRUTHS, ASKED = "seal.sha256", "truths.json", "asked.json"
 
 
+def machine_of(question: Question, machine_file: str) -> dict[str, Any]:
+    """Tables of the machine file of a case: those of the examination, or another machine."""
+    given = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+    return another_machine(given, question.seed, question.effect) if question.stratum.name == ANOTHER else given
+
+
+def write_machine_of(question: Question, machine_file: str, folder: Path, noise_keys: str = "given") -> Path:
+    """The machine file of a case, written to `folder` if it is not the examination's."""
+    if question.stratum.name != ANOTHER and noise_keys == "given":
+        return Path(machine_file)
+    file = folder / "machine.toml"
+    document = with_noise_keys(machine_of(question, machine_file), noise_keys)
+    write_machine(Machine(document, load_machine(machine_file).model_path), file)
+    return file
+
+
 def draw(question: Question, machine_file: str, richness: str) -> Case | str:
     """The case of a question, or the reason why none can be drawn."""
-    machine = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+    machine = machine_of(question, machine_file)
     s = question.stratum
     for attempt in range(5):  # the effect may be unstable on the drawn axis: draw another one
         try:
@@ -113,18 +131,21 @@ def is_answered(folder: str) -> bool:
     return any((Path(folder) / "answer" / name).exists() for name in (DIAGNOSIS, FAILED))
 
 
-def sit(question: Question, case: Case, folder: str, machine_file: str, quick: bool) -> float:
-    """Write a case's campaign and have it diagnosed by another process; returns the duration of the diagnosis [s]."""
+def sit(question: Question, case: Case, folder: str, machine_file: str, quick: bool, noise_keys: str) -> float:
+    """Write a case's campaign and have it diagnosed by another process, whose machine file has these `noise_keys`; returns the duration of the
+    diagnosis [s].
+    """
     place = Path(folder)
     campaign, answer = place / "campaign", place / "answer"
     if not is_answered(folder):
-        machine = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+        machine = machine_of(question, machine_file)
+        shown = write_machine_of(question, machine_file, place / "asked", noise_keys)
         try:
             if not (campaign / "campaign.toml").exists():  # written last
                 write_campaign(case, campaign, machine, runs=question.stratum.runs, signals=question.stratum.signals)
         except PlantError as error:
             raise InputError(f"{folder}: the plant cannot run this campaign ({error}); draw with another --seed") from None
-        command = [sys.executable, "-m", "twin.exam.candidate", str(campaign), machine_file, str(answer), *(["--quick"] if quick else [])]
+        command = [sys.executable, "-m", "twin.exam.candidate", str(campaign), str(shown), str(answer), *(["--quick"] if quick else [])]
         started = time.perf_counter()
         done = subprocess.run(
             command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1", PARENT: str(os.getpid())}, check=False

@@ -21,7 +21,6 @@ from twin.identify.drive_fit import fit_drives
 from twin.identify.drive_residuals import has_ideal_actuator
 from twin.identify.findings import Finding
 from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs
-from twin.identify.noise import measured_noise
 from twin.identify.parameters import (
     LOOP_BOUNDS,
     implausible_currents,
@@ -37,6 +36,7 @@ from twin.identify.recording import prepare_recording
 from twin.identify.result import Identification, Parameter
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.simulation.recorded_noise import measurement_values
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import recorded_setpoints
 from twin.units import AXIS_UNITS
@@ -82,7 +82,7 @@ def identify_campaign(
         direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
     splits = split_products(machine, direct, torque_constant_tolerance)
     training = [division.runs[i] for i in division.training()]
-    noise = measured_noise(machine, training)
+    noise = measurement_values(machine, training)
     controlled = _with_noise(with_identified_control(machine, direct), noise)
     found = _with_noise(with_identified_control(split_machine(machine, splits), direct), noise)
     say("regression on the held-out motion")

@@ -56,6 +56,8 @@ class Machine:
     model_path  the MJCF
     path        the machine file; None for a machine made in memory
 
+    `recorded_noise`: noise of axes in a record, which then replaces that of the file (see `with_noise`).
+
     Derived from the document, in SI: `axes` (driven axes in the order of the file), `bodies`, `geometry`, `gravity` [m/s2],
     `parameter_tolerance`, the cycles [s] of the current, speed and position controllers and of the interpolator, `sample_period` [s]
     of the record, `setpoint_interpolation`. An impossible value raises InputError, unless `checked` is False. Axes whose table is the
@@ -67,6 +69,7 @@ class Machine:
     path: Path | None = None
     checked: InitVar[bool] = True
     like: InitVar[Machine | None] = None
+    recorded_noise: Mapping[str, Noise] = field(default_factory=dict, compare=False, repr=False)
     name: str = field(init=False, compare=False)
     axes: tuple[Axis, ...] = field(init=False, compare=False, repr=False)
     bodies: tuple[Body, ...] = field(init=False, compare=False, repr=False)
@@ -149,7 +152,9 @@ class Machine:
         raise InputError(f"machine {self.name}: no axis {name}; {nearest(name, self.axis_names)}")
 
     def noise(self, axis: Axis) -> Noise:
-        """Measuring noise of an axis, from `[measurement]`."""
+        """Measuring noise of an axis: that of its record, if it is known, or that of `[measurement]`."""
+        if axis.name in self.recorded_noise:
+            return self.recorded_noise[axis.name]
         table = self.document.get("measurement", {})
 
         def value(key: str) -> float:
@@ -165,6 +170,10 @@ class Machine:
         motor = "motor_encoder_noise_m" if axis.kind == "linear" else "motor_encoder_noise_rad"
         position, position_resolution, motor_resolution, speed = (value(key) for key in scale)
         return Noise(position, position_resolution, motor_resolution, speed, current, value(motor))
+
+    def with_noise(self, noise: Mapping[str, Noise]) -> Machine:
+        """The machine with the measuring noise that its axes have in a record. It is not written to a file."""
+        return Machine(self.document, self.model_path, self.path, checked=False, like=self, recorded_noise=dict(noise))
 
     def with_axes(self, names: Sequence[str]) -> Machine:
         """The machine with only these axes driven (`driven_axes` in the file). The other axes stand still."""
@@ -217,7 +226,7 @@ class Machine:
 
     def _changed(self, values: Mapping[str, Any], checked: bool = True) -> Machine:
         document = changed(self.document, values, self.name)
-        return Machine(document, self.model_path, self.path, checked=checked, like=self)
+        return Machine(document, self.model_path, self.path, checked=checked, like=self, recorded_noise=self.recorded_noise)
 
     def with_body(self, name: str, factor: float) -> Machine:
         """A variant with the mass and inertia of one body multiplied by a factor."""

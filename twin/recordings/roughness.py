@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 NORMAL_OVER_MEDIAN = 1.4826
@@ -21,6 +23,19 @@ OFF_GRID = 0.02
 
 LEAST_UNEVEN = 0.1
 """Smallest share of second differences that are a step or more. A ramp at constant speed has evenly spaced values, too, but even differences."""
+
+
+FOURTH_DIFFERENCE = (1.0, -4.0, 6.0, -4.0, 1.0)
+"""Weights of a fourth difference. It suppresses motion of a tenth of the sampling rate 50 times as strongly as white noise."""
+
+WINDOW = 100
+"""Samples of one stretch in which the level of white noise is measured."""
+
+QUIET = 0.25
+"""Share of quiet stretches. Their loudest one gives the level, since a motion, an event or a fault is loud only elsewhere."""
+
+WHITE = -0.6
+"""Correlation of neighbouring fourth differences up to which noise is white: -0.8 if the samples are independent, positive for a motion."""
 
 
 def robust_deviation(values: np.ndarray) -> float:
@@ -45,3 +60,18 @@ def step_of(values: np.ndarray) -> float:
     if np.abs(counts - np.round(counts)).max() >= OFF_GRID or np.mean(np.abs(np.diff(values, 2)) > 0.5 * step) < LEAST_UNEVEN:
         return 0.0
     return step
+
+
+def quiet_noise(values: np.ndarray) -> tuple[float, bool]:
+    """(variance of the white noise of a record (sample,) in its quiet stretches, whether it is white). Shorter records show none: (0, False).
+
+    If it is not white, the fine changes of the record are a motion, and the variance is an upper bound.
+    """
+    d = np.convolve(values, FOURTH_DIFFERENCE, mode="valid") / math.sqrt(sum(w * w for w in FOURTH_DIFFERENCE))
+    if len(d) < 2 * WINDOW:
+        return 0.0, False
+    stretches = d[: len(d) // WINDOW * WINDOW].reshape(-1, WINDOW)
+    squares = np.mean(stretches**2, axis=1)
+    level = float(np.quantile(squares, QUIET, method="higher"))
+    quiet = stretches[squares <= level]
+    return level, float(np.mean(quiet[:, 1:] * quiet[:, :-1])) < WHITE * float(np.mean(quiet**2))

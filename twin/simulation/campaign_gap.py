@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
 from twin.simulation.gap import COMPARED, SignalGap, gap_of_campaign
+from twin.simulation.recorded_noise import with_recorded_noise
 from twin.simulation.summary import table
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ class CampaignGap:
     machine: str
     campaign: str
     runs: Mapping[str, Mapping[str, Mapping[str, SignalGap]]]
+    notes: tuple[str, ...] = ()  # where the noise of the record is not that of the machine file
 
     def rows(self) -> list[Outlier]:
         """Every signal with its gap over noise, largest first."""
@@ -109,7 +111,8 @@ class CampaignGap:
         plain = {
             run: {axis: {s: _entry(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in self.runs.items()
         }
-        return {"machine": self.machine, "campaign": self.campaign, "verdict": self.verdict, "runs": plain}
+        notes = {"notes": list(self.notes)} if self.notes else {}
+        return {"machine": self.machine, "campaign": self.campaign, "verdict": self.verdict, "runs": plain, **notes}
 
     def to_table(self) -> pa.Table:
         """One row for each run, axis and signal as a pyarrow table."""
@@ -149,7 +152,8 @@ def gap(campaign: Campaign | str | Path, machine: Machine | None = None, *, prog
     """
     machine = machine or load_machine()
     known = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)
-    return CampaignGap(machine.name, known.path.resolve().name, gap_of_campaign(machine, known, progress=progress))
+    noisy, notes = with_recorded_noise(machine, known.runs)
+    return CampaignGap(machine.name, known.path.resolve().name, gap_of_campaign(noisy, known, progress=progress), tuple(notes))
 
 
 def _entry(gap: SignalGap) -> dict[str, Any]:

@@ -224,7 +224,7 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
         return max(gain * steps / float(np.sqrt(12.0)), LEAST_COMMAND * axis.motor.peak_current_a)
     deviation, resolution = {
         "position": (noise.position, noise.position_resolution),
-        "motor_position": (noise.motor if axis.encoder == "motor" else 0.0, noise.motor_resolution),
+        "motor_position": (noise.motor, noise.motor_resolution),
         "velocity": (noise.speed, 0.0),
         "current": (noise.current, 0.0),
     }.get(signal, (0.0, 0.0))

@@ -8,9 +8,9 @@ computes alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -160,13 +160,15 @@ def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives
     start = setpoints.start - np.where(drives.on_motor_encoder, 0.0, actual.scale_offset)
     constant = actual.constant_force_at(start) + setpoints.external_force_at_start
     held_force = plant.place_at_rest(start, constant, actual)
-    sag = _sag(actual.machine, held_force)
-    if sag.any():
-        held_force = plant.place_at_rest(start - sag, constant, actual)
+    engine = plant.engine
+    windup = np.where(drives.on_motor_encoder, engine.qpos[engine.rotor_position] - engine.qpos[engine.load_position], 0.0)
+    behind = _sag(actual.machine, held_force) + windup  # the load stands behind the encoder that closes the loop
+    if behind.any():
+        held_force = plant.place_at_rest(start - behind, constant, actual)
     if setpoints.deflection is not None:
-        engine = plant.engine
+        moved = np.where(drives.on_motor_encoder, engine.load_position, engine.rotor_position)
         elastic = engine.rotor_position != engine.load_position  # a rigid drive train does not deflect
-        engine.qpos[engine.rotor_position[elastic]] += setpoints.deflection[elastic]
+        engine.qpos[moved[elastic]] += np.where(drives.on_motor_encoder, -setpoints.deflection, setpoints.deflection)[elastic]
     held_torque = np.asarray(held_force * drives.ratio)
     _check_held(actual.machine, held_torque / drives.torque_constant, drives)
     return held_torque
@@ -233,7 +235,7 @@ def run_lanes(lanes: Sequence[Lane], progress: Callable[[float], None] | None = 
     limited = np.zeros((axes, 2), np.int64)
     all_axes = tuple(axis for lane in lanes for axis in lane.machine.axes)
     load_sums = empty_sums(all_axes) if lanes[0].count_load else NO_SUMS
-    generators = {lane.noise_key: np.random.default_rng(lane.noise_seed) for lane in lanes}
+    generators = {lane.noise_key: _Generators.of(lane.noise_seed) for lane in lanes}
     for first, ticks in _stretches(schedule, longest.ticks, lanes[0].actual.lead_ticks):
         lead_in = first < 0  # nothing is recorded or counted before the first sample
         diverged_at = loop.advance(
@@ -290,22 +292,37 @@ def _padded(values: np.ndarray, count: int, last: np.ndarray | float = 0.0) -> n
     return values if missing <= 0 else np.concatenate([values, np.broadcast_to(last, (missing, *values.shape[1:]))])
 
 
-def _sensing(lanes: Sequence[Lane], generators: dict[object, np.random.Generator], ticks: int) -> loop.Sensing:
+class _Generators(NamedTuple):
+    """Random numbers of a lane: for the sensors that its control reads, and for the encoder that no loop reads. The first are the same with
+    and without the second."""
+
+    read: np.random.Generator
+    beside: np.random.Generator
+
+    @classmethod
+    def of(cls, seed: int | None) -> _Generators:
+        return cls(np.random.default_rng(seed), np.random.default_rng(None if seed is None else [seed, 1]))
+
+
+def _sensing(lanes: Sequence[Lane], generators: Mapping[object, _Generators], ticks: int) -> loop.Sensing:
     """Noise of all lanes over a stretch. Lanes with equal seeds get the same random numbers, scaled to their own sensors."""
     noises = [[lane.machine.noise(axis) for axis in lane.machine.axes] for lane in lanes]
+    flat = [n for of_lane in noises for n in of_lane]
     if lanes[0].noise_seed is None:
         noise = np.zeros((0, 0, 0))
     else:
         axes_of = {lane.noise_key: lane.axes for lane in lanes}
-        drawn = {key: generators[key].standard_normal((ticks, axes, 3)) for key, axes in axes_of.items()}
-        noise = np.empty((ticks, sum(lane.axes for lane in lanes), 3))
-        at = 0
-        for lane, of_lane in zip(lanes, noises):
-            seen = [n.motor if axis.encoder == "motor" else n.position for n, axis in zip(of_lane, lane.machine.axes)]
-            sizes = np.array([[q, n.speed, n.current] for q, n in zip(seen, of_lane)])
-            np.multiply(drawn[lane.noise_key], sizes, out=noise[:, at : at + lane.axes])
-            at += lane.axes
-    flat = [n for of_lane in noises for n in of_lane]
+        read = {key: generators[key].read.standard_normal((ticks, axes, 3)) for key, axes in axes_of.items()}
+        by_motor = np.array([axis.encoder == "motor" for lane in lanes for axis in lane.machine.axes])
+        silent = not any(n.position if motor else n.motor for n, motor in zip(flat, by_motor))
+        beside = {
+            key: np.zeros((ticks, axes)) if silent else generators[key].beside.standard_normal((ticks, axes))
+            for key, axes in axes_of.items()
+        }
+        closing, speed, current = np.moveaxis(np.concatenate([read[lane.noise_key] for lane in lanes], axis=1), -1, 0)
+        other = np.concatenate([beside[lane.noise_key] for lane in lanes], axis=1)
+        drawn = (np.where(by_motor, other, closing), np.where(by_motor, closing, other), speed, current)
+        noise = np.stack([d * s for d, s in zip(drawn, np.array([[n.position, n.motor, n.speed, n.current] for n in flat]).T)], axis=-1)
     return loop.Sensing(
         noise=noise,
         position_resolution=np.array([n.position_resolution for n in flat]),

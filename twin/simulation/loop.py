@@ -108,9 +108,9 @@ class Schedule(NamedTuple):
 
 
 class Sensing(NamedTuple):
-    """Noise and quantisation of the signals that the control sees; `noise` (tick, axis, 3) is empty for ideal sensors."""
+    """Noise and quantisation of the sensors; `noise` (tick, axis, 4) is empty for ideal sensors."""
 
-    noise: np.ndarray  # scaled: position, speed (axis units), current
+    noise: np.ndarray  # scaled: scale, motor encoder, speed (all in axis units), current
     position_resolution: np.ndarray
     motor_resolution: np.ndarray
 
@@ -170,7 +170,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
         if has_measure:
             if sensing.noise.size > 0:
                 for a in range(axes):
-                    signals[a, X_NOISE] = sensing.noise[n, a, 0]
+                    signals[a, X_NOISE] = sensing.noise[n, a, 1 if drives.on_motor_encoder[a] else 0]
             call_terms(terms, MEASURE, signals)
         for a in range(axes):
             scale, motor_position, measured_speed, measured_current = seen_by_control(a, signals, drives, state, sensing, n)
@@ -273,13 +273,10 @@ def seen_by_control(a, signals, drives, state, sensing, n):  # type: ignore[no-u
     current = state.current[a]
     if sensing.noise.size > 0:
         noise = sensing.noise[n, a]
-        if drives.on_motor_encoder[a]:  # the control has no other encoder
-            motor_position += noise[0]
-        else:
-            scale = rounded(scale + noise[0], sensing.position_resolution[a])
-        motor_position = rounded(motor_position, sensing.motor_resolution[a])
-        speed += noise[1]
-        current += noise[2]
+        scale = rounded(scale + noise[0], sensing.position_resolution[a])
+        motor_position = rounded(motor_position + noise[1], sensing.motor_resolution[a])
+        speed += noise[2]
+        current += noise[3]
     return scale, motor_position, speed, current
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -75,6 +76,14 @@ def test_other_errors_are_no_jitter(errors_of):
 
 def test_noise_is_no_jitter_whatever_its_random_numbers():
     assert not [seed for seed in range(100) if jitter_of(samples_of(lambda v, q, rng: 0.0 * v, seed))]
+
+
+@pytest.mark.parametrize("step", [1e-6, 5e-6, 2e-5])
+def test_the_jitter_of_a_coarse_encoder_is_sized_or_not_named(step):
+    """Where the axis is slow most readings are equal, so that nothing scatters there."""
+    fine = samples_of(lambda v, q, rng: TAU * v * rng.standard_normal(len(v)))
+    found = jitter_of(replace(fine, y=np.round(fine.y / step) * step))
+    assert found is None or found.numbers["deviation_s"] == pytest.approx(TAU, rel=0.2)
 
 
 def points(distance: float = 0.03, speed: float = 0.06) -> Setpoints:

@@ -48,11 +48,13 @@ def jitter_of(samples: Samples) -> Described | None:
         return None
     edges = np.quantile(speed, np.linspace(0.0, 1.0, BINS + 1))
     of = np.clip(np.searchsorted(edges, speed, "right") - 1, 0, BINS - 1)
-    full = np.bincount(of, minlength=BINS) >= LEAST_IN_BIN
-    x = np.array([math.sqrt(float(np.mean(speed[of == i] ** 2))) if full[i] else 0.0 for i in range(BINS)])[full]
-    y = np.array([robust_deviation(d[of == i]) if full[i] else 0.0 for i in range(BINS)])[full]
-    if len(x) < BINS // 2 or not y.max() > 0.0:
+    scatter = np.array([robust_deviation(d[of == i]) if (of == i).any() else 0.0 for i in range(BINS)])
+    # a coarse encoder does not scatter at low speed: most of its readings lie on a line or are equal
+    full = (np.bincount(of, minlength=BINS) >= LEAST_IN_BIN) & (scatter > 0.0)
+    if full.sum() < BINS // 2:
         return None
+    x = np.array([math.sqrt(float(np.mean(speed[of == i] ** 2))) for i in np.flatnonzero(full)])
+    y = scatter[full]
     if not EXPONENT[0] < _fitted(x, y)[2] < EXPONENT[1]:
         return None
     rest, tau, _ = _fitted(x, y, 1.0)
@@ -61,6 +63,9 @@ def jitter_of(samples: Samples) -> Described | None:
         rows, others = part == run, part != run
         constant = np.full(rows.sum(), robust_deviation(d[others]))
         bins = [(x[i], robust_deviation(d[others & (of == k)])) for i, k in enumerate(np.flatnonzero(full)) if (others & (of == k)).any()]
+        bins = [(v, deviation) for v, deviation in bins if deviation > 0.0]
+        if len(bins) < BINS // 2 or not constant.any():
+            return None
         speeds, deviations = np.array(bins).T
         own_rest, own_tau, _ = _fitted(speeds, deviations, 1.0)
         gain = _likelihood(d[rows], np.hypot(own_rest, own_tau * speed[rows])) - _likelihood(d[rows], constant)

@@ -150,6 +150,7 @@ def settings_of(machine: dict, factors: dict) -> Settings:
         return np.array([factors[a].get(key, 1.0) for a in AXES])
 
     s = SimpleNamespace(linear=linear)
+    s.on_motor = np.array([a.get("encoder", "scale") == "motor" for a in axis])  # the position loop is closed on the motor encoder
     s.ratio = np.array([ratio_of(a) for a in axis])
     rotor_key = {"linear": "rotor_and_screw_inertia_kg_m2", "rotary": "rotor_and_gear_inertia_kg_m2"}
     rotor_nominal = np.array([a[rotor_key[a["kind"]]] for a in axis])

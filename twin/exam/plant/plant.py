@@ -4,7 +4,8 @@
 
 A tick (125 us): measure -> position controller (every 2 ms) -> speed and current controller -> record -> RK4 to the next tick.
 The control uses the same noisy, rounded samples that are recorded: the scale at position cycles, motor speed and current at every
-tick. Only this choice reproduces the statistics of the recorded campaigns. A run starts at rest with the scale at the set point; the
+tick. Only this choice reproduces the statistics of the recorded campaigns. A run starts at rest with the encoder that closes the position
+loop (the scale, or the motor encoder) at the set point; the
 integrators hold gravity, unbalance and constant force, but no friction.
 """
 
@@ -116,13 +117,14 @@ class Clock(NamedTuple):
 
 class Noise(NamedTuple):
     """Realisations [sample or tick, axis]: scale at samples and, for drives that close the position loop, between them; motor speed
-    and current at ticks; delay of the scale's sampling [s]."""
+    and current at ticks; delay of the scale's sampling [s]; motor encoder at samples."""
 
     scale: np.ndarray
     between: np.ndarray
     speed: np.ndarray
     current: np.ndarray
     jitter: np.ndarray
+    motor: np.ndarray
 
 
 @compiled(allocates=True)
@@ -158,6 +160,8 @@ def _simulate(
         cycle = n % cycle_ticks == 0
         for k in range(5):
             # measure
+            shown = motor_position(m, k, y[QM, k], q0[k]) + noise.motor[row, k]
+            shown = round(shown / sensors.motor_step[k]) * sensors.motor_step[k]
             in_drive = c.transport[k] > 0.0
             if sampled or cycle or in_drive:
                 q = y[Q, k]
@@ -179,17 +183,17 @@ def _simulate(
             w = motor_speed(m, k, y[QM, k], y[VM, k]) + noise.speed[n, k]
             current = y[CURRENT, k] + noise.current[n, k]
             # control
+            closing = shown if sensors.on_motor[k] else x
             if cycle:
-                position_cycle(c, state, k, set_points[0, n // cycle_ticks, k], set_points[1, n // cycle_ticks, k], x)
+                position_cycle(c, state, k, set_points[0, n // cycle_ticks, k], set_points[1, n // cycle_ticks, k], closing)
             if in_drive:
-                drive_cycle(c, state, k, n, x, past)
+                drive_cycle(c, state, k, n, closing, past)
             voltage[k] = current_cycle(c, state, k, w, current)
             # record
             ring[n % RING, k] = current
             if sampled:
-                shown = motor_position(m, k, y[QM, k], q0[k])
                 out[0, row, k] = x
-                out[1, row, k] = round(shown / sensors.motor_step[k]) * sensors.motor_step[k]
+                out[1, row, k] = shown
                 out[2, row, k] = w * m[RATIO, k]
                 out[3, row, k] = state[k, W_SENT] * m[RATIO, k]
                 out[4, row, k] = ring[max(n - sensors.skew[k], 0) % RING, k]
@@ -219,13 +223,15 @@ def run(
     `set_point_period_s` is the period of the set points; None: the sample period."""
     c, (m, pair), sensors = control_of(s), mechanics_of(s), sensors_of(s)
     grid, s_points, commands = _commands(s, np.ascontiguousarray(set_points, dtype=float), set_point_period_s)
-    # rest: the scale shows the first set point, the drive trains are loaded, the integrators hold the load
-    q0 = s_points[0] - sensors.drift * started_at_s
+    # rest: the encoder in the loop shows the first set point, the drive trains are loaded, the integrators hold the load
+    q0 = s_points[0] - np.where(sensors.on_motor, 0.0, sensors.drift * started_at_s)
     hold = m[STEADY_FORCE].copy()
     hold[3:] += holding_torque(pair, q0[3], q0[4])
+    lead = np.array([_deflection(m, k, hold[k]) - ahead(m, k, q0[k], q0[k]) for k in range(5)])  # of the motor encoder over the load
+    q0 = q0 - np.where(sensors.on_motor, lead, 0.0)
     y = np.zeros((STATES, 5))
     y[Q] = q0
-    y[QM] = q0 + [_deflection(m, k, hold[k]) - (ahead(m, k, q0[k], q0[k]) if m[ELASTIC, k] else 0.0) for k in range(5)]
+    y[QM] = q0 + np.where(m[ELASTIC] != 0.0, lead, 0.0)
     torque = hold * s.ratio / s.kt
     y[CURRENT] = torque / np.sqrt(1.0 - m[SATURATION] * torque**2)
     voltage = s.resistance * y[CURRENT] + s.dead_time_v * np.tanh(y[CURRENT] / DEAD_TIME_A)
@@ -265,7 +271,8 @@ def _noise_of(s: Settings, sensors: Sensors, rng: np.random.Generator, samples: 
     current = rng.standard_normal((ticks, 5)) * (sensors.current_noise * on)
     in_drive = bool(s.dsc_delay.any())  # such a drive reads its scale at every tick
     between = rng.standard_normal((ticks, 5)) * sensors.scale_noise * on if in_drive else np.zeros((0, 5))
-    return Noise(scale, between, speed, current, jitter)
+    motor = rng.standard_normal((samples, 5)) * sensors.motor_noise * on
+    return Noise(scale, between, speed, current, jitter, motor)
 
 
 def _delayed(grid: np.ndarray, values: np.ndarray, cycles: np.ndarray, delay: float) -> np.ndarray:

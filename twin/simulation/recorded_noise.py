@@ -1,0 +1,176 @@
+"""Noise of each sensor of an axis, from its records. The diagnosis, the gap and the identification use it in place of the machine file's.
+
+The quiet stretches of a record show the white noise of a signal (`white_variance`). It is not that of its sensor alone, because the control
+passes noise on: the current follows the noise of the speed, the speed that of the encoder which closes the position loop. How much depends
+on gains, cycles and on which encoder closes the loop. The twin derives it: a simulated standstill with noise in one sensor at a time gives
+the variance of every recorded signal.
+
+    v = A s     v (signal,) recorded variances, s (sensor,) >= 0 variances of the sensors, A (signal, sensor) from the twin
+    s = s_white + step^2 / 12       step: grid of the recorded values, the resolution of the encoder unless the file gives a finer one
+A signal without visible white noise (noise-free, or hidden in its own steps) keeps the noise of the machine file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+import math
+
+import numpy as np
+from scipy.optimize import nnls
+
+from twin.machine.machine import Axis, Machine, Noise
+from twin.machine.parameters import si_from_key
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.roughness import quiet_noise, step_of
+from twin.recordings.trace import Trace
+from twin.simulation.decoupled_plant import DecoupledPlant
+from twin.simulation.gap import as_recorded, simulated_period
+from twin.simulation.nominal_motion import nominal_motion
+from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
+from twin.simulation.setpoints import recorded_setpoints
+from twin.units import AXIS_UNITS
+
+UNIT = {"position": 1e-8, "motor": 1e-8, "speed": 1e-5, "current": 1e-2}
+"""Noise of a sensor in a simulated run, SI: so small that a sticking axis keeps sticking."""
+
+STEP = {"position": "position_resolution", "motor": "motor_resolution"}
+
+NOISE_KEYS = {
+    "linear": dict(zip(UNIT, ("linear_scale_noise_m", "motor_encoder_noise_m", "speed_noise_m_per_s", "current_noise_a"))),
+    "rotary": dict(zip(UNIT, ("rotary_encoder_noise_deg", "motor_encoder_noise_rad", "speed_noise_deg_per_s", "current_noise_a"))),
+}
+"""Keys of `[measurement]` by kind of axis and sensor."""
+
+AGREES = 1.5
+"""Ratio of recorded and given noise up to which a note says nothing."""
+
+SILENT = Noise(*(0.0 for _ in fields(Noise)))
+
+
+def with_recorded_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[Machine, list[str]]:
+    """The machine with the noise of its axes in these runs, and one note for each kind of sensor whose noise the file does not give or gives otherwise."""
+    found, _ = _found(machine, runs)
+    return machine.with_noise(found), _notes(machine, found)
+
+
+def _found(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[dict[str, Noise], dict[str, dict[str, float]]]:
+    """Noise of each axis, and the variances of its sensors that the records show: medians over the runs, since a fault is louder in some of them."""
+    by_run = [_variances(machine, run) for run in runs]
+    found, seen = {}, {}
+    for axis in machine.axes:
+        seen[axis.name] = {s: float(np.median(v)) for s in UNIT if (v := [of[axis.name, s] for of in by_run if (axis.name, s) in of])}
+        steps = {
+            s: max((step_of(run.trace.get(axis.name, key)) for run in runs if run.trace.has(axis.name, key)), default=0.0)
+            for s in UNIT
+            if (key := signal_of(s, axis))
+        }
+        found[axis.name] = _noise_of(machine.noise(axis), seen[axis.name], steps)
+    return found, seen
+
+
+def measurement_values(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
+    """Noise keys of `[measurement]`, in file units: the RMS over the axes of one kind, as far as the records show it."""
+    squares: dict[str, list[float]] = {}
+    found, seen = _found(machine, runs)
+    for axis in machine.axes:
+        for sensor in seen[axis.name]:
+            key = NOISE_KEYS[axis.kind][sensor]
+            if sensor != "motor" or axis.encoder == "motor":
+                squares.setdefault(key, []).append(getattr(found[axis.name], sensor) ** 2)
+    return {key: float(f"{math.sqrt(np.mean(of)) / si_from_key(key):.4g}") for key, of in squares.items()}
+
+
+def signal_of(sensor: str, axis: Axis) -> str:
+    """Recorded signal of a sensor of an axis."""
+    return {"position": "position", "motor": "motor_position", "speed": "velocity", "current": axis.effort}[sensor]
+
+
+def total(noise: Noise, sensor: str) -> float:
+    """Standard deviation of one sensor with its quantisation, SI."""
+    return math.hypot(getattr(noise, sensor), getattr(noise, STEP[sensor]) / math.sqrt(12.0) if sensor in STEP else 0.0)
+
+
+def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], float]:
+    """Variance of each sensor (axis, sensor) in one run, with its quantisation, as far as its signal shows white noise."""
+    silent, *noisy = _simulated(machine, run)
+    out: dict[tuple[str, str], float] = {}
+    for axis in machine.axes:
+        signals = {s: key for s in UNIT if run.trace.has(axis.name, key := signal_of(s, axis))}
+        levels = {s: quiet_noise(run.trace.get(axis.name, key) - silent.get(axis.name, key)) for s, key in signals.items()}
+        seen = {s: level for s, (level, white) in levels.items() if white and level > 0.0}
+        if not seen:
+            continue
+        gains = np.array(
+            [
+                [
+                    quiet_noise(trace.get(axis.name, signals[s]) - silent.get(axis.name, signals[s]))[0] / UNIT[sensor] ** 2
+                    for sensor, trace in zip(UNIT, noisy)
+                ]
+                for s in seen
+            ]
+        )
+        given = machine.noise(axis)
+        own = [list(UNIT).index(s) for s in seen]
+        others = [i for i in range(len(UNIT)) if i not in own]
+        known = np.array([total(given, s) ** 2 for s in UNIT])
+        v = np.array(list(seen.values()))
+        left = np.maximum(v - gains[:, others] @ known[others], 0.0)
+        out |= {(axis.name, s): float(x * y) for s, x, y in zip(seen, nnls(gains[:, own] * v / v[:, None], left / v)[0], v)}
+    return out
+
+
+def _simulated(machine: Machine, run: MeasuredRun) -> list[Trace]:
+    """A run without noise, then with noise of UNIT in one sensor at a time, at the times of its record."""
+    setpoints = recorded_setpoints(run.trace, machine)
+    actual = machine.with_feedforward(run.feedforward)
+    motion = nominal_motion(actual, setpoints)
+    period = simulated_period(machine, run.trace.period, run.ballbar)
+    sensed = [SILENT, *(replace(SILENT, **{sensor: size}) for sensor, size in UNIT.items())]
+    jobs = [
+        SimulationJob(
+            actual.with_noise(dict.fromkeys(machine.axis_names, noise)),
+            setpoints,
+            lambda change: DecoupledPlant(change, motion),
+            period,
+            run.started_at,
+            0,
+        )
+        for noise in sensed
+    ]
+    return [as_recorded(simulated.trace, run.trace.time, run.ballbar) for simulated in all_or_raise(simulate_each(jobs))]
+
+
+def _noise_of(given: Noise, seen: Mapping[str, float], steps: Mapping[str, float]) -> Noise:
+    """Noise from the variances that the record shows and the steps of its values; the given noise counts where it shows none."""
+    numbers = vars(given).copy()
+    for sensor, step in steps.items():
+        square = max(seen.get(sensor, 0.0), step**2 / 12.0)
+        if (key := STEP.get(sensor)) is not None:
+            if not numbers[key] or (numbers[key] > 1.01 * step if step else sensor in seen and numbers[key] ** 2 / 12.0 > square):
+                numbers[key] = step
+            square -= numbers[key] ** 2 / 12.0
+        if sensor in seen:
+            numbers[sensor] = math.sqrt(max(square, 0.0))
+        elif step:  # the noise is hidden in the steps
+            numbers[sensor] = (
+                min(numbers[sensor], step / math.sqrt(12.0)) if sensor in STEP else max(numbers[sensor], step / math.sqrt(12.0))
+            )
+    return Noise(**numbers)
+
+
+def _notes(machine: Machine, found: Mapping[str, Noise]) -> list[str]:
+    words = {"position": "scale", "motor": "motor encoder", "speed": "speed", "current": "current"}
+    notes = []
+    for sensor, word in words.items():
+        parts = []
+        for axis in machine.axes:
+            given, seen = total(machine.noise(axis), sensor), total(found[axis.name], sensor)
+            if seen == given or (given > 0.0 and 1.0 / AGREES < seen / given < AGREES):
+                continue
+            units = AXIS_UNITS[axis.kind]
+            unit, factor = {"speed": units.speed, "current": (axis.effort_unit, 1.0)}.get(sensor, units.error)
+            parts.append(f"{axis.name} {seen * factor:.2g} {unit}" + (f" (file {given * factor:.2g})" if given else ""))
+        if parts:
+            notes.append(f"noise of the {word} from the record, not from the machine file: {', '.join(parts)}")
+    return notes
