@@ -1,20 +1,39 @@
-"""`twin diagnose`: find where a measured campaign differs from the twin, which effects cause it, and how far they close the gap."""
+"""`twin diagnose`: find where a measured campaign differs from the twin, which effects cause it, and how far they close the gap.
+
+Raw recordings instead of a campaign: they are imported, a machine is made from them where none is given, and a card tells first what the
+recording shows by itself. The card comes in any case; the diagnosis follows where the recording allows one.
+"""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from twin.cli.arguments import add_campaign, add_machine, add_open, add_place, machine_of, open_report, seed, setpoints_of_input
-from twin.files import output_folder
+from twin.cli.arguments import add_machine, add_open, add_place, machine_of, open_report, seed, setpoints_of_input
+from twin.errors import InputError, TwinError
+from twin.files import output_folder, shipped_example
 from twin.progress import Progress
+
+if TYPE_CHECKING:
+    from twin.machine.lumps import AxisLumps
+    from twin.machine.machine import Machine
+    from twin.recordings.campaign import MeasuredRun
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    add_campaign(parser)
-    add_machine(parser)
+    parser.add_argument(
+        "inputs",
+        nargs="+",
+        metavar="INPUT",
+        type=shipped_example,
+        help="folder of a campaign, or raw recordings of a control or an instrument",
+    )
+    add_machine(parser, "the Mikron UCP 710 that ships with twin; for raw recordings a machine made from them")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
+    parser.add_argument("--map", metavar="MAP", help="map (.toml) of raw recordings (default: DIR/campaign/map.toml, else a proposed one)")
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -27,26 +46,86 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Diagnose a campaign, write the files and print the verdict."""
+    """Diagnose a campaign or raw recordings, write the files and print the verdict."""
+    from twin.diagnose.first.raw import is_campaign
+
+    inputs = [Path(i) for i in args.inputs]
+    if len(inputs) == 1 and inputs[0].is_dir() and not is_campaign(inputs) and not any(inputs[0].iterdir()):
+        raise InputError(f"{inputs[0]}: holds no files; give a campaign or recordings")
+    if not is_campaign(inputs):
+        return _raw(args, inputs)
+    document = _diagnosed(args, inputs[0], machine_of(args), output_folder(args.out))
+    open_report(args, Path(args.out) / "report.html")
+    return 0 if document else 2
+
+
+def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Path) -> dict[str, Any]:
+    """Diagnose a campaign on a machine, write the files, print the verdict; returns the document."""
     from twin.diagnose import diagnose
     from twin.diagnose.output import summary_text, write_diagnosis
-    from twin.recordings.campaign import MeasuredRun, read_campaign
-    from twin.simulation.setpoints import check_travel, setpoints_of
+    from twin.recordings.campaign import read_campaign
 
-    machine = machine_of(args)
-    campaign = read_campaign(args.campaign, machine)
-    program = None
-    if args.program:
-        source = Path(args.program)
-        read, trace = setpoints_of_input(source, machine, args.place)
-        check_travel(setpoints_of(trace, machine), machine, str(source))
-        program = MeasuredRun(source.name, trace, read.feedforward if read else None, 0.0)
-    out = output_folder(args.out)
+    campaign = read_campaign(folder, machine)
+    program = _program(args, machine)
     with Progress("diagnosing", total=None) as bar:
         diagnosis = diagnose(campaign, machine, quick=args.quick, seed=args.seed, progress=bar.say, program=program)
     document = write_diagnosis(diagnosis, out)
     print(summary_text(document))
     move = "" if diagnosis.proposal.move is None else ", next_measurement.csv"
     print(f"written to {out}: diagnosis.json, machine.toml, report.html, diagnosis.rrd{move}")
-    open_report(args, out / "report.html")
+    return document
+
+
+def _program(args: argparse.Namespace, machine: Machine) -> MeasuredRun | None:
+    """The program of `--program` as a run."""
+    from twin.recordings.campaign import MeasuredRun
+    from twin.simulation.setpoints import check_travel, setpoints_of
+
+    if not args.program:
+        return None
+    source = Path(args.program)
+    read, trace = setpoints_of_input(source, machine, args.place)
+    check_travel(setpoints_of(trace, machine), machine, str(source))
+    return MeasuredRun(source.name, trace, read.feedforward if read else None, 0.0)
+
+
+def _raw(args: argparse.Namespace, inputs: list[Path]) -> int:
+    """Import, card, machine from the recording, diagnosis. A step that the recording does not allow ends with its reason, not with an error."""
+    from twin.diagnose.first.card import card_of, card_text, write_card
+    from twin.diagnose.first.next_program import next_run, write_next
+    from twin.diagnose.first.page import write_card_page
+    from twin.diagnose.first.raw import campaign_of, files_of, machine_of_campaign
+    from twin.diagnose.wording import verdict_sentence
+    from twin.machine import load_machine
+    from twin.recordings.campaign import read_campaign
+
+    files = files_of(inputs)
+    out = output_folder(args.out)
+    folder = campaign_of(files, Path(args.map) if args.map else None, out, print)
+    verdict: list[str] = []
+    machine = machine_of(args) if args.machine else None
+    lumps: Sequence[AxisLumps] = ()
+    if machine is None:
+        try:
+            with Progress("machine from the recording", total=None) as bar:
+                file, made = machine_of_campaign(folder, out, print, bar.say)
+            machine, lumps = load_machine(file), made.lumps if made else ()
+        except TwinError as error:
+            verdict.append(f"no machine from this recording, so no diagnosis: {error}")
+            print(verdict[-1])
+    card = card_of(read_campaign(folder).runs, lumps)
+    print(f"\n{card_text(card)}")
+    write_card(card, out / "card.json")
+    if machine is not None:
+        try:
+            verdict.append(verdict_sentence(_diagnosed(args, folder, machine, out)))
+        except TwinError as error:
+            verdict.append(f"no diagnosis: {error}")
+            print(verdict[-1])
+        if (run := next_run(card, machine)) is not None:
+            verdict.append(write_next(run, machine, out))
+            print(verdict[-1])
+    write_card_page(card, f"First answer: {', '.join(f.name for f in files[:3])}", verdict, out)
+    print(f"written to {out}: card.json, card.html, card.png, campaign/{'' if args.machine else ', machine_from_recording.toml'}")
+    open_report(args, out / "card.html")
     return 0

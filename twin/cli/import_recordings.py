@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Sequence
 from pathlib import Path
 import tempfile
 
 from twin.errors import InputError
 from twin.files import output_folder, write_whole
-from twin.progress import Progress
-from twin.recordings.formats.by_ending import READERS, read_recording
-from twin.recordings.mapping import Map, RunMap, read_map, runs_of
-from twin.recordings.signals import Clock, ReadOptions, Recording
-
-MOST_PICTURES = 6
-"""Most pictures per recording; one with many strokes becomes many traces."""
+from twin.recordings.formats.by_ending import READERS
+from twin.recordings.mapping import read_map
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,6 +34,8 @@ def carry_out(args: argparse.Namespace) -> int:
     if args.out is None:
         raise InputError("--out is missing; name the folder for the campaign")
     map_file = args.map or _proposed(files, Path(args.out))
+    from twin.recordings.imported import MOST_PICTURES, import_campaign
+
     mapping = read_map(map_file, args.machine)
     traces = import_campaign(mapping, files, Path(args.out), picture=not args.no_picture, say=print)
     drawn = "of each" if traces <= MOST_PICTURES else f"of the first {MOST_PICTURES} of a recording"
@@ -48,78 +44,15 @@ def carry_out(args: argparse.Namespace) -> int:
     return 0
 
 
-def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: bool = True, say: Callable[[str], None] | None = None) -> int:
-    """Import runs into the folder `out`; returns the number of traces. `say` receives the lines of the report (e.g. print)."""
-    from twin.recordings.overview import draw_run, understood_table
-    from twin.recordings.understand import understand
-    from twin.recordings.write import write_campaign, write_run
-
-    report = say or (lambda _text: None)
-    runs = runs_of(mapping, files)
-    names = [run.name for run, _ in runs]
-    if (out / "campaign.toml").exists() and not (out / "import.json").exists():
-        raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
-    output_folder(out)
-    done, begun = [], _beginnings()
-    with Progress("importing", total=len(runs)) as bar:
-        for run, paths in runs:
-            # data that do not fit into memory are stored beside the result; /tmp may itself be in memory
-            with tempfile.TemporaryDirectory(prefix=".import_", dir=out) as scratch:
-                recordings = _read(mapping, paths, Path(scratch))
-                known = understand(mapping, run, recordings)
-                traces = write_run(known, begun(run, known.started), out, names)
-                if picture:
-                    for trace in traces[:MOST_PICTURES]:
-                        draw_run(known, trace, out / f"{trace.name}.png")
-                done.append((known, traces))
-                report(
-                    f"\n{run.name}, feedforward {run.feedforward or 'unknown'}: "
-                    + ", ".join(f"{t.name} {t.piece.count * t.piece.period:.3f} s" for t in traces[:MOST_PICTURES])
-                    + (f" and {len(traces) - MOST_PICTURES} more" if len(traces) > MOST_PICTURES else "")
-                    + f" every {traces[0].piece.period * 1e3:g} ms"
-                )
-                report(understood_table(known, traces))
-                for note in known.notes:
-                    report(f"  - {note}")
-            bar(None)
-    write_campaign(out, mapping, done)
-    return sum(len(traces) for _, traces in done)
-
-
-def _read(mapping: Map, paths: Sequence[Path], scratch: Path) -> list[Recording]:
-    wanted = frozenset([*(c.name for c in mapping.columns), *mapping.labels])
-    return [read_recording(path, ReadOptions(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
-
-
-def _beginnings() -> Callable[[RunMap, datetime | None], float]:
-    """Start time of each run [s]: from the map, else from the clocks of the files relative to the first run, else 0."""
-    first: list[datetime] = []
-
-    def begun(run: RunMap, started: datetime | None) -> float:
-        if started is not None and started.tzinfo is None:
-            started = started.replace(tzinfo=UTC)
-        if started is not None and not first:
-            first.append(started)
-        if run.started_at_s is not None:
-            return run.started_at_s
-        return (started - first[0]).total_seconds() if started is not None else 0.0
-
-    return begun
-
-
-def _read_all(files: Sequence[Path], scratch: str) -> list[Recording]:
-    """All columns of all files, without a map."""
-    return [read_recording(path, ReadOptions(Clock(), None, Path(scratch) / str(i))) for i, path in enumerate(files)]
-
-
 def _list(files: Sequence[Path]) -> int:
     """List the content of the files and the proposed map."""
+    from twin.recordings.imported import read_all
     from twin.recordings.map_text import map_text
     from twin.recordings.overview import listing
     from twin.recordings.propose import propose
 
     with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
-        recordings = _read_all(files, scratch)
+        recordings = read_all(files, scratch)
         for recording in recordings:
             print(f"{recording.path}: {'; '.join(recording.notes) or recording.format}")
             print(listing(recording) + "\n")
@@ -129,6 +62,7 @@ def _list(files: Sequence[Path]) -> int:
 
 def _proposed(files: Sequence[Path], out: Path) -> Path:
     """Write the proposed map into the folder of the campaign; returns its path."""
+    from twin.recordings.imported import read_all
     from twin.recordings.map_text import map_text
     from twin.recordings.propose import propose
 
@@ -136,7 +70,7 @@ def _proposed(files: Sequence[Path], out: Path) -> Path:
     if (out / "campaign.toml").exists() and not (out / "import.json").exists():
         raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
     with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
-        proposal = propose(_read_all(files, scratch))
+        proposal = propose(read_all(files, scratch))
     text = map_text(proposal, [f.name for f in files])
     if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
         raise InputError(f"{path}: differs from the map proposed now; use it with --map {path}, or remove it")

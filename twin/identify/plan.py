@@ -92,7 +92,7 @@ def plan_campaign(
         raise InputError(
             f"[measurement]: sample_period_us = {machine.sample_period * 1e6:g}: a plan has dwells of {DWELL_S:g} s; use at most {DWELL_S * 1e6:g}"
         )
-    runs = [*_friction_runs(machine), *_acceleration_runs(machine), *_table_runs(machine), *_check_runs(machine)]
+    runs = [constant_speeds(machine, machine.axes), *_acceleration_runs(machine), *_table_runs(machine), *_check_runs(machine)]
     if not runs:
         raise InputError(f"machine {machine.name}: no axis to plan for; describe at least one axis in the machine file")
     for run in runs:
@@ -158,10 +158,10 @@ def _home(machine: Machine) -> dict[str, float]:
     return {axis.name: _reach(axis)[0] for axis in machine.axes}
 
 
-def _friction_runs(machine: Machine) -> list[PlannedRun]:
-    """Constant speeds in both directions, one axis after the other."""
+def constant_speeds(machine: Machine, axes: Sequence[Axis], name: str = "plan_constant_speeds") -> PlannedRun:
+    """A run with constant speeds in both directions from creeping to rapid, one axis after the other."""
     moves = []
-    for axis in machine.axes:
+    for axis in axes:
         middle, half = _reach(axis)
         for share in LADDER:
             v = SHARE * share * axis.max_velocity
@@ -169,7 +169,7 @@ def _friction_runs(machine: Machine) -> list[PlannedRun]:
             stretch = min(half, 0.5 * (v * SPEED_TIME_S + ramp))
             moves += [(axis.name, middle + stretch, v), (axis.name, middle - stretch, v)]
         moves.append((axis.name, middle, SHARE * 0.45 * axis.max_velocity))
-    return [_path(machine, _home(machine), moves, "plan_constant_speeds", "velocity")]
+    return _path(machine, _home(machine), moves, name, "velocity")
 
 
 def _acceleration_runs(machine: Machine) -> list[PlannedRun]:

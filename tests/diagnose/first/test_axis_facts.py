@@ -1,0 +1,101 @@
+"""Facts of an axis: planted numbers lie in their intervals, and what the motion cannot separate is not separated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.builders.strokes import Planted, strokes
+from twin.diagnose.first.axis_facts import AxisFacts, facts_of
+from twin.recordings.campaign import MeasuredRun
+
+
+def facts(planted: Planted, seed: int) -> AxisFacts:
+    found = facts_of([strokes(planted, seed)], "X")
+    assert found is not None
+    return found
+
+
+def test_planted_numbers_lie_in_their_intervals() -> None:
+    planted = Planted()
+    held = []
+    for seed in range(12):
+        one = facts(planted, seed)
+        f = one.friction
+        assert f is not None
+        assert f.coulomb is not None
+        assert f.viscous is not None
+        assert f.constant is not None
+        assert one.transmission is not None
+        assert one.transmission.lost is not None
+        assert one.lags["off"].value == pytest.approx(planted.lag, abs=3e-5)
+        assert one.noise == pytest.approx(planted.position_noise, rel=0.3)
+        for value, true in (
+            (f.coulomb, planted.coulomb),
+            (f.viscous, planted.viscous),
+            (f.constant, planted.constant),
+            (one.transmission.lost, planted.lost),
+        ):
+            # starts and stops are smoothed by the band: 2 % of systematic error beside the interval
+            held.append(abs(value.value - true) < value.half + 0.02 * true)
+            assert value.half < 0.2 * true
+    assert np.mean(held) > 0.9
+
+
+def test_one_speed_gives_the_sum_of_frictions_only() -> None:
+    one = facts(Planted(speeds=(0.05,)), 1)
+    f = one.friction
+    assert f is not None
+    assert f.coulomb is None
+    assert f.viscous is None
+    assert one.one_speed
+    assert f.at_speed.value == pytest.approx(1.5 + 4.0 * 0.05, rel=0.02)
+
+
+def test_one_direction_gives_no_friction_of_its_own() -> None:
+    one = facts(Planted(both_ways=False), 1)
+    assert one.strokes[1] == 0
+    assert one.friction is None or one.friction.coulomb is None
+
+
+def test_a_force_of_the_opposite_sign_is_turned_and_said() -> None:
+    run = strokes(Planted(), 2)
+    signals = {**run.trace.signals, ("X", "current"): -run.trace.get("X", "current")}
+    turned = facts_of([replace(run, trace=replace(run.trace, signals=signals))], "X")
+    straight = facts_of([run], "X")
+    assert turned is not None
+    assert turned.friction is not None
+    assert turned.friction.against
+    assert straight is not None
+    assert straight.friction is not None
+    assert not straight.friction.against
+    assert turned.friction.at_speed == pytest.approx(straight.friction.at_speed)
+
+
+def test_a_vibration_is_found_with_its_size_and_none_is_not() -> None:
+    one = facts(Planted(line=(32.0, 5e-7)), 3)
+    assert one.vibration is not None
+    assert one.vibration.frequency == pytest.approx(32.0, abs=1.0)
+    assert one.vibration.amplitude == pytest.approx(5e-7, rel=0.2)
+    assert [facts(Planted(), seed).vibration for seed in range(12)] == [None] * 12
+
+
+def test_an_axis_at_rest_says_nothing() -> None:
+    run = strokes(Planted(), 4)
+    still = {key: np.random.default_rng(1).normal(0.0, 1e-7, len(values)) for key, values in run.trace.signals.items()}
+    one = facts_of([replace(run, trace=replace(run.trace, signals=still))], "X")
+    assert one is not None
+    assert one.rows is None
+    assert one.friction is None
+    assert one.lags == {}
+
+
+def test_an_unsigned_current_gives_no_friction() -> None:
+    from twin.recordings.campaign import ChannelFact
+
+    run: MeasuredRun = replace(strokes(Planted(), 5), facts={("X", "current"): ChannelFact(unsigned=True)})
+    one = facts_of([run], "X")
+    assert one is not None
+    assert one.friction is None

@@ -1,0 +1,74 @@
+"""The card: odd strokes are named, even ones are not, and its text and JSON say the same."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from tests.builders.strokes import Planted, strokes
+from twin.cli import main
+from twin.diagnose.first.axis_facts import facts_of
+from twin.diagnose.first.card import card_of, card_text, write_card
+from twin.diagnose.first.odd import Odd, oddities
+from twin.recordings.trace import write_trace
+
+SCHEMA = Path(__file__).resolve().parents[3] / "twin" / "report" / "schemas" / "card.json"
+
+
+def odd(planted: Planted, seed: int) -> list[Odd]:
+    found = facts_of([strokes(planted, seed)], "X")
+    assert found is not None
+    return oddities([found])
+
+
+def test_an_odd_stroke_is_named_and_even_ones_are_not() -> None:
+    named = [o for o in odd(Planted(odd_stroke=(4, 0.5)), 1) if o.kind == "stroke"]
+    assert len(named) == 1
+    words = named[0].sentence.split()
+    assert float(words[words.index("about") + 1]) == pytest.approx(0.5, rel=0.2)
+    assert "more current" in named[0].sentence
+    quiet = [o for seed in range(12) for o in odd(Planted(constant=0.0, lost=0.0), seed)]
+    assert quiet == []
+
+
+def test_lost_motion_and_weight_are_odd() -> None:
+    kinds = {o.kind for o in odd(Planted(), 1)}
+    assert kinds == {"direction", "transmission"}
+
+
+def test_text_and_json_of_the_card(tmp_path: Path) -> None:
+    card = card_of([strokes(Planted(speeds=(0.05,)), 1)])
+    text = card_text(card)
+    assert "at 50.0 mm/s" in text
+    assert "1.70" in text
+    assert "do not separate Coulomb from viscous" in text
+    assert max(len(line) for line in text.splitlines()) <= 140
+    write_card(card, tmp_path / "card.json")
+    document = json.loads((tmp_path / "card.json").read_text())
+    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    assert document["axes"]["X"]["friction"]["at_speed"]["value"] == pytest.approx(1.7, rel=0.02)
+
+
+@pytest.mark.slow
+def test_raw_files_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = strokes(Planted(speeds=(0.1, 0.2), lost=0.0), 1)
+    write_trace(run.trace, tmp_path / "strokes.csv")
+    arguments = ["diagnose", str(tmp_path / "strokes.csv"), "--out", str(tmp_path / "out"), "--quick"]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "axis X: 59.9 mm up to 200 mm/s" in said
+    assert (tmp_path / "out" / "machine_from_recording.toml").exists()
+    for name in ("card.json", "card.html", "card.png", "diagnosis.json"):
+        assert (tmp_path / "out" / name).exists()
+    # the same command continues from what stands there; an edited map begins anew
+    assert main(arguments) == 0
+    assert "campaign used as it stands" in capsys.readouterr().out
+    map_file = tmp_path / "out" / "campaign" / "map.toml"
+    map_file.write_text(map_file.read_text() + '\n[[run]]\nfile = "strokes.csv"\nto_s = 4.0\n')
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "used as it stands" not in said
+    assert json.loads((tmp_path / "out" / "card.json").read_text())["axes"]["X"]["duration_s"] < 4.1

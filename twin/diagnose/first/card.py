@@ -1,0 +1,137 @@
+"""The card: the first answer to a recording, as text for a terminal and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+from twin.diagnose.first.axis_facts import AxisFacts, Value, facts_of
+from twin.diagnose.first.odd import Odd, oddities
+from twin.diagnose.first.people import number, shown_effort, shown_error, shown_position
+from twin.diagnose.first.shows import can_show, cannot_show, speed_text
+from twin.files import write_json
+from twin.machine.lumps import AxisLumps
+from twin.recordings.campaign import MeasuredRun
+from twin.units import AXIS_UNITS
+
+HEADING = ("axis", "moves", "lag", "gain", "friction", "after reversals", "motor - scale", "vibration", "noise")
+
+
+@dataclass(frozen=True)
+class Card:
+    """First answer: facts of each axis, remarks, limits, and the sentences on diagnosis and next measurement."""
+
+    runs: tuple[str, ...]
+    facts: tuple[AxisFacts, ...]
+    gains: Mapping[str, str]
+    """Position gain of each axis whose control law was found in the recording, as text."""
+    odd: tuple[Odd, ...]
+    can: tuple[str, ...]
+    cannot: tuple[str, ...]
+
+
+def card_of(runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps] = ()) -> Card:
+    """The card of recorded runs. `lumps`: the control laws found when a machine was made from the same runs."""
+    axes = dict.fromkeys(axis for run in runs for axis in run.trace.axes)
+    facts = tuple(found for axis in axes if (found := facts_of(runs, axis)) is not None)
+    gains = {one.name: f"{number(one.law.gain)} 1/s" for one in lumps if one.law.measured}
+    return Card(tuple(run.name for run in runs), facts, gains, tuple(oddities(facts)), tuple(can_show(facts)), tuple(cannot_show(facts)))
+
+
+def rows_of(card: Card) -> list[list[str]]:
+    """The table of the card, one row for each axis; '-' where the recording says nothing."""
+    return [_row(one, card.gains.get(one.name, "-")) for one in card.facts]
+
+
+def _row(one: AxisFacts, gain: str) -> list[str]:
+    error = shown_error(one.kind)
+    moves = "-"
+    if one.rows is not None:
+        moves = (
+            f"{shown_position(one.kind).text(one.travel[1] - one.travel[0])} {speed_text(one)}, {one.strokes[0]} + {one.strokes[1]} strokes"
+        )
+    lags = "; ".join(f"{_ms(lag)}{f' ({flag})' if flag else ''}" for flag, lag in one.lags.items()) or "-"
+    reversal = "-" if one.reversal is None else error.text(one.reversal) + ("" if one.reversal_stands_out else " (as elsewhere)")
+    line = "-"
+    if one.vibration is not None:
+        size = error if one.vibration.signal == "position" else shown_effort(one.vibration.signal)
+        line = f"{one.vibration.frequency:.3g} Hz, {size.text(one.vibration.amplitude)}"
+    step = f", step {error.text(one.step)}" if one.step > one.noise else ""
+    t = one.transmission
+    encoders = "-" if t is None else f"{number(t.low * error.factor)} to {error.text(t.high)}"
+    if t is not None and t.lost is not None and t.lost.known:
+        encoders += f", {error.interval(abs(t.lost.value), t.lost.half)} between directions"
+    return [one.name, moves, lags, gain, _friction(one), reversal, encoders, line, error.text(one.noise) + step]
+
+
+def _ms(lag: Value) -> str:
+    places = 2 if lag.half < 5e-4 else 1
+    return f"{lag.value * 1e3:.{places}f} +- {lag.half * 1e3:.{places}f} ms"
+
+
+def _friction(one: AxisFacts) -> str:
+    f = one.friction
+    if f is None:
+        return "-"
+    size = shown_effort(f.effort)
+    if f.coulomb is None or f.viscous is None:
+        speed = AXIS_UNITS[one.kind].speed
+        return f"{size.interval(f.at_speed.value, f.at_speed.half)} at {number(f.speed * speed[1])} {speed[0]}"
+    per, factor = AXIS_UNITS[one.kind].speed
+    return f"{size.interval(f.coulomb.value, f.coulomb.half)} + {number(f.viscous.value / factor)} {size.unit} per {per}"
+
+
+def card_text(card: Card) -> str:
+    """The card for a terminal, within 100 columns where names allow it."""
+    period, lasts = card.facts[0].period if card.facts else 0.0, max((f.duration for f in card.facts), default=0.0)
+    lines = [f"{len(card.runs)} {'run' if len(card.runs) == 1 else 'runs'}, {lasts:.1f} s, a sample each {period * 1e3:g} ms"]
+    for row in rows_of(card):
+        lines.append(f"\naxis {row[0]}: {row[1] if row[1] != '-' else 'at rest'}")
+        lines += [f"  {name:<16} {cell}" for name, cell in zip(HEADING[2:], row[2:]) if cell != "-"]
+    if turned := [f.name for f in card.facts if f.friction and f.friction.against]:
+        lines.append(f"\nnote: the effort of axis {', '.join(turned)} pushes against the motion as recorded; its sign is taken as opposite")
+    lines += [
+        "",
+        "odd:" if card.odd else "odd: nothing beyond the scatter of this recording",
+        *_items(f"{o.axis} {o.sentence}" for o in card.odd),
+    ]
+    lines += ["this recording shows:", *_items(card.can), "it cannot show:", *_items(card.cannot)]
+    return "\n".join(lines)
+
+
+def _items(sentences: Iterable[str]) -> list[str]:
+    """Sentences as a list, wrapped."""
+    return [fill(s, 98, initial_indent="  - ", subsequent_indent="    ") for s in sentences]
+
+
+def card_document(card: Card) -> dict[str, Any]:
+    """Content of `card.json`, SI; intervals as half widths at 95 %."""
+
+    def pair(value: Value | None) -> dict[str, float] | None:
+        return None if value is None else {"value": value.value, "half": value.half}
+
+    axes = {}
+    for one in card.facts:
+        f, t, v = one.friction, one.transmission, one.vibration
+        axes[one.name] = {
+            "kind": one.kind, "signals": list(one.signals), "period_s": one.period, "duration_s": one.duration, "travel": list(one.travel),
+            "speed": one.speed, "strokes": list(one.strokes), "noise": one.noise, "step": one.step, "following_max": one.following,
+            "lag_s": {flag or "unknown": pair(lag) for flag, lag in one.lags.items()}, "gain": card.gains.get(one.name),
+            "reversal_peak": one.reversal, "reversals": one.reversals, "reversal_stands_out": one.reversal_stands_out,
+            "friction": None if f is None else {
+                "effort": f.effort, "speed": f.speed, "at_speed": pair(f.at_speed), "coulomb": pair(f.coulomb), "viscous": pair(f.viscous),
+                "inertia": pair(f.inertia), "constant": pair(f.constant), "against": f.against, "peak": f.peak, "explained": f.explained,
+            },
+            "encoders": None if t is None else {"low": t.low, "high": t.high, "lost_motion": pair(t.lost)},
+            "vibration": None if v is None else {"frequency_hz": v.frequency, "amplitude": v.amplitude, "signal": v.signal},
+        }  # fmt: skip
+    odd = [{"axis": o.axis, "kind": o.kind, "sentence": o.sentence} for o in card.odd]
+    return {"runs": list(card.runs), "axes": axes, "odd": odd, "shows": list(card.can), "cannot_show": list(card.cannot)}
+
+
+def write_card(card: Card, path: Path) -> None:
+    """Write `card.json`."""
+    write_json(card_document(card), path, "card")

@@ -1,0 +1,57 @@
+"""Numbers of the card in the units that people use, rounded to what their interval allows."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from twin.units import AXIS_UNITS
+
+EFFORT_UNITS = {"current": "A", "torque": "Nm", "voltage": "V"}
+
+
+class Shown(NamedTuple):
+    """A unit with its factor from SI."""
+
+    unit: str
+    factor: float = 1.0
+
+    def text(self, value: float) -> str:
+        """Three digits: '3.43 A'."""
+        return f"{number(value * self.factor)} {self.unit}"
+
+    def interval(self, value: float, half: float) -> str:
+        """With interval, both to the second digit of the half width: '3.43 +- 0.12 A'."""
+        value, half = value * self.factor, half * self.factor
+        if not (math.isfinite(half) and half > 0.0):
+            return f"{number(value)} {self.unit}"
+        places = max(0, 1 - math.floor(math.log10(half)))
+        return f"{value:.{places}f} +- {half:.{places}f} {self.unit}"
+
+
+def number(value: float) -> str:
+    """Three digits without an exponent for sizes that people meet: 0.00123, 12.3, 1230."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    size = math.floor(math.log10(abs(value)))
+    return f"{value:.3g}" if size < -4 or size > 6 else f"{round(value, 2 - size):.{max(0, 2 - size)}f}"
+
+
+def shown_error(kind: str) -> Shown:
+    """um for linear axes, arcsec for rotary ones."""
+    return Shown(*AXIS_UNITS[kind].error)
+
+
+def shown_effort(effort: str) -> Shown:
+    """A, Nm or V."""
+    return Shown(EFFORT_UNITS[effort])
+
+
+def shown_speed(kind: str) -> Shown:
+    """mm/s or deg/s."""
+    return Shown(*AXIS_UNITS[kind].speed)
+
+
+def shown_position(kind: str) -> Shown:
+    """mm or deg."""
+    return Shown(*AXIS_UNITS[kind].position)

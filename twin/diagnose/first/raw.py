@@ -1,0 +1,66 @@
+"""Raw recordings for `twin diagnose FILE...`: a campaign and a machine in the output folder, each made anew only if older than its source.
+
+OUT/campaign/map.toml                the proposed map; edit it and repeat the command
+OUT/campaign/campaign.toml           the imported campaign; newer than the map and the files, it is used as it stands
+OUT/machine_from_recording.toml      the machine; newer than the campaign, it is used as it stands
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from twin.errors import InputError
+from twin.files import write_whole
+from twin.machine.from_recording import NewMachine, machine_from_recording
+from twin.recordings.imported import import_campaign, proposed_text
+from twin.recordings.mapping import read_map
+
+MACHINE = "machine_from_recording.toml"
+
+
+def is_campaign(inputs: Sequence[Path]) -> bool:
+    """True if the input is one folder with a campaign.toml."""
+    return len(inputs) == 1 and (inputs[0] / "campaign.toml").is_file()
+
+
+def files_of(inputs: Sequence[Path]) -> list[Path]:
+    """The files among the inputs; a folder stands for the files in it."""
+    files = [f for path in inputs for f in (sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path])]
+    if missing := next((f for f in files if not f.exists()), None):
+        raise InputError(f"{missing}: no such file; give recordings, or the folder of a campaign")
+    if not files:
+        raise InputError(f"{inputs[0]}: holds no files; give recordings, or the folder of a campaign")
+    return files
+
+
+def campaign_of(files: Sequence[Path], given: Path | None, out: Path, say: Callable[[str], None]) -> Path:
+    """Import the files to OUT/campaign with the given map, the map that stands there, or a proposed one; returns the folder."""
+    folder = out / "campaign"
+    map_file = given or folder / "map.toml"
+    if not map_file.exists():
+        write_whole(map_file, proposed_text(files))
+        say(f"map proposed from names and numbers: {map_file}; edit it and repeat this command")
+    if is_stale(folder / "campaign.toml", [map_file, *files]):
+        import_campaign(read_map(str(map_file)), files, folder, say=say)
+    else:
+        say(f"campaign used as it stands: {folder}")
+    return folder
+
+
+def machine_of_campaign(
+    campaign: Path, out: Path, say: Callable[[str], None], progress: Callable[[str], None]
+) -> tuple[Path, NewMachine | None]:
+    """OUT/machine_from_recording.toml, and what was found if it was made now."""
+    file = out / MACHINE
+    if not is_stale(file, [campaign / "campaign.toml"]):
+        say(f"machine used as it stands: {file}")
+        return file, None
+    for path in (file, file.with_suffix(".xml")):
+        path.unlink(missing_ok=True)
+    return file, machine_from_recording(campaign, file, progress)
+
+
+def is_stale(made: Path, sources: Sequence[Path]) -> bool:
+    """True if a file is missing or older than one of its sources."""
+    return not made.exists() or made.stat().st_mtime < max(s.stat().st_mtime for s in sources)

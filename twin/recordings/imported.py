@@ -1,0 +1,92 @@
+"""Import of recordings into a campaign: read with a map, understood, written.
+
+`twin import` and `twin diagnose FILE...` call these steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+import tempfile
+
+from twin.errors import InputError
+from twin.files import output_folder
+from twin.progress import Progress
+from twin.recordings.formats.by_ending import read_recording
+from twin.recordings.map_text import map_text
+from twin.recordings.mapping import Map, RunMap, runs_of
+from twin.recordings.overview import draw_run, understood_table
+from twin.recordings.propose import propose
+from twin.recordings.signals import Clock, ReadOptions, Recording
+from twin.recordings.understand import understand
+from twin.recordings.write import write_campaign, write_run
+
+MOST_PICTURES = 6
+"""Most pictures per recording; one with many strokes becomes many traces."""
+
+
+def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: bool = True, say: Callable[[str], None] | None = None) -> int:
+    """Import runs into the folder `out`; returns the number of traces. `say` receives the lines of the report (e.g. print)."""
+    report = say or (lambda _text: None)
+    runs = runs_of(mapping, files)
+    names = [run.name for run, _ in runs]
+    if (out / "campaign.toml").exists() and not (out / "import.json").exists():
+        raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
+    output_folder(out)
+    done, begun = [], _beginnings()
+    with Progress("importing", total=len(runs)) as bar:
+        for run, paths in runs:
+            # data that do not fit into memory are stored beside the result; /tmp may itself be in memory
+            with tempfile.TemporaryDirectory(prefix=".import_", dir=out) as scratch:
+                recordings = _read(mapping, paths, Path(scratch))
+                known = understand(mapping, run, recordings)
+                traces = write_run(known, begun(run, known.started), out, names)
+                if picture:
+                    for trace in traces[:MOST_PICTURES]:
+                        draw_run(known, trace, out / f"{trace.name}.png")
+                done.append((known, traces))
+                report(
+                    f"\n{run.name}, feedforward {run.feedforward or 'unknown'}: "
+                    + ", ".join(f"{t.name} {t.piece.count * t.piece.period:.3f} s" for t in traces[:MOST_PICTURES])
+                    + (f" and {len(traces) - MOST_PICTURES} more" if len(traces) > MOST_PICTURES else "")
+                    + f" every {traces[0].piece.period * 1e3:g} ms"
+                )
+                report(understood_table(known, traces))
+                for note in known.notes:
+                    report(f"  - {note}")
+            bar(None)
+    write_campaign(out, mapping, done)
+    return sum(len(traces) for _, traces in done)
+
+
+def _read(mapping: Map, paths: Sequence[Path], scratch: Path) -> list[Recording]:
+    wanted = frozenset([*(c.name for c in mapping.columns), *mapping.labels])
+    return [read_recording(path, ReadOptions(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
+
+
+def _beginnings() -> Callable[[RunMap, datetime | None], float]:
+    """Start time of each run [s]: from the map, else from the clocks of the files relative to the first run, else 0."""
+    first: list[datetime] = []
+
+    def begun(run: RunMap, started: datetime | None) -> float:
+        if started is not None and started.tzinfo is None:
+            started = started.replace(tzinfo=UTC)
+        if started is not None and not first:
+            first.append(started)
+        if run.started_at_s is not None:
+            return run.started_at_s
+        return (started - first[0]).total_seconds() if started is not None else 0.0
+
+    return begun
+
+
+def read_all(files: Sequence[Path], scratch: str) -> list[Recording]:
+    """All columns of all files, without a map."""
+    return [read_recording(path, ReadOptions(Clock(), None, Path(scratch) / str(i))) for i, path in enumerate(files)]
+
+
+def proposed_text(files: Sequence[Path]) -> str:
+    """The proposed map of files as text."""
+    with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
+        return map_text(propose(read_all(files, scratch)), [f.name for f in files])
