@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 from pathlib import Path
+import re
 import signal
+import socket
+import stat
 import subprocess
 import sys
 import textwrap
@@ -17,6 +21,7 @@ import pytest
 
 from tests.builders.refused import refused
 from tests.builders.small_machine import MJCF, TOML
+from twin.cli import main
 from twin.errors import InputError
 from twin.files import LOCK, beside, hold_folders, output_file, output_folder, release_folders, write_whole
 from twin.recordings.trace import Trace, write_trace
@@ -107,6 +112,149 @@ def test_an_unwritable_output_is_refused_before_the_work(tmp_path: Path, capsys:
     begun = time.monotonic()
     assert "file" in refused(capsys, "plan", "--out", str(tmp_path / "file" / "plan"))
     assert time.monotonic() - begun < 5.0
+
+
+def is_root() -> bool:
+    return os.name == "posix" and os.geteuid() == 0
+
+
+def link_to_a_file(path: Path) -> None:
+    (path.parent / "kept").write_text("kept")
+    path.symlink_to("kept")
+
+
+def a_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as one:
+        before = os.getcwd()
+        os.chdir(path.parent)  # the name of a socket is short
+        try:
+            one.bind(path.name)
+        finally:
+            os.chdir(before)
+
+
+OTHER_KINDS = {
+    "a link": link_to_a_file,
+    "a link that leads nowhere": lambda path: path.symlink_to("nowhere"),
+    "a loop of links": lambda path: path.symlink_to(path.name),
+    "a folder": lambda path: path.mkdir(),
+    "a socket": a_socket,
+}
+
+
+@pytest.mark.parametrize("kind", OTHER_KINDS)
+def test_only_a_regular_file_is_replaced(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "d.json"
+    OTHER_KINDS[kind](path)
+    before = {p.name: (p.lstat().st_mode, p.lstat().st_ino) for p in tmp_path.iterdir()}
+    with pytest.raises(InputError, match=r"d.json: (is .* not replaced|cannot be written)"):
+        output_file(path)
+    with pytest.raises(InputError, match=r"d.json: (is .* not replaced|cannot be written)"):
+        write_whole(path, "text")
+    assert {p.name: (p.lstat().st_mode, p.lstat().st_ino) for p in tmp_path.iterdir()} == before
+    assert not (tmp_path / "kept").exists() or (tmp_path / "kept").read_text() == "kept"
+
+
+@contextlib.contextmanager
+def read_end(path: Path):
+    """The reading end of a pipe, as another program has it open."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def test_devices_and_pipes_are_written_into(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "d.json"
+    os.mkfifo(path)
+    with pytest.raises(InputError, match=r"d.json: cannot be written"):
+        write_whole(path, "nobody reads")
+    with read_end(path) as reader:
+        write_whole(output_file(path), "text\n")
+        assert os.read(reader, 100) == b"text\n"
+    assert path.is_fifo()
+    program = tmp_path / "p.mpf"
+    program.write_text("G1 X1 F1000\nM30\n")
+    null = Path(os.devnull)
+    if is_root():  # who could replace the device of this computer
+        os.mknod(null := tmp_path / "null", 0o666 | stat.S_IFCHR, os.makedev(1, 3))
+    assert main(["check", str(program), "--json", str(null)]) == 0
+    assert null.is_char_device()
+    done = subprocess.run(
+        [sys.executable, "-m", "twin", "check", str(program), "--quiet", "--json", "/dev/stdout"], capture_output=True, check=False
+    )
+    assert json.loads(done.stdout)["schema"] == "programs/1"
+    capsys.readouterr()
+
+
+@pytest.mark.skipif(not is_root(), reason="only root makes devices")
+def test_a_device_that_root_names_stays_a_device(tmp_path: Path) -> None:
+    """In a container without protection, --json /dev/null must not replace the device."""
+    for name, minor in (("null", 3), ("full", 7)):
+        os.mknod(tmp_path / name, 0o666 | stat.S_IFCHR, os.makedev(1, minor))
+    os.mknod(tmp_path / "disk", 0o600 | stat.S_IFBLK, os.makedev(7, 250))
+    write_whole(tmp_path / "null", "text")
+    with pytest.raises(InputError, match="full: cannot be written"):
+        write_whole(tmp_path / "full", "text" * 100_000)
+    with pytest.raises(InputError, match="disk: is a device or socket and is not replaced"):
+        write_whole(tmp_path / "disk", "text")
+    assert [stat.S_IFMT(p.lstat().st_mode) for p in sorted(tmp_path.iterdir())] == [stat.S_IFBLK, stat.S_IFCHR, stat.S_IFCHR]
+
+
+def test_a_folder_that_is_swapped_for_a_link_is_not_written_to(tmp_path: Path) -> None:
+    """Neither the files of the link's target nor its folders change, whenever the swap happens; the folder itself keeps what was written."""
+    for when in ("before", "during"):
+        place = tmp_path / when
+        for name in ("out/below", "target/below"):
+            (place / name).mkdir(parents=True)
+        for name in ("a.json", "below/b.json"):
+            (place / "target" / name).write_text("kept")
+
+        def swap(place: Path = place) -> None:
+            (place / "out").rename(place / "moved")
+            (place / "out").symlink_to("target")
+
+        hold_folders()
+        try:
+            out = output_folder(place / "out")
+            if when == "before":
+                swap()
+            for name in ("a.json", "below/b.json"):
+                with contextlib.suppress(InputError), beside(out / name) as partial:
+                    if when == "during" and not (place / "moved").exists():
+                        swap()
+                    partial.write_text("written")
+        finally:
+            release_folders()
+        kept = {p.relative_to(place / "target").as_posix(): p.read_text() for p in (place / "target").rglob("*") if p.is_file()}
+        assert kept == {"a.json": "kept", "below/b.json": "kept"}
+
+
+def test_a_link_below_the_output_folder_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "target").mkdir()
+    hold_folders()
+    try:
+        out = output_folder(tmp_path / "out")
+        (out / "plots").symlink_to(tmp_path / "target")
+        with pytest.raises(InputError, match=r"a.json: cannot be written"):
+            write_whole(out / "plots" / "a.json", "text")
+    finally:
+        release_folders()
+    assert list((tmp_path / "target").iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", [k for k in OTHER_KINDS if k != "a socket"] + ["a pipe"])
+def test_a_lock_that_is_no_file_is_refused(kind: str, tmp_path: Path) -> None:
+    {**OTHER_KINDS, "a pipe": os.mkfifo}[kind](tmp_path / LOCK)
+    hold_folders()
+    try:
+        with pytest.raises(InputError, match=re.escape(f"{LOCK}: ")):
+            output_folder(tmp_path)
+    finally:
+        release_folders()
+    assert not (tmp_path / "kept").exists() or (tmp_path / "kept").read_text() == "kept"
+    assert not (tmp_path / "nowhere").exists()
 
 
 def test_a_second_command_in_one_folder_is_refused(tmp_path: Path) -> None:

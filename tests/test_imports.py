@@ -5,7 +5,20 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "twin"
 
-TOP = {"__init__", "__main__", "compiled_functions", "documents", "errors", "files", "limits", "progress", "stopping", "tables", "units"}
+TOP = {
+    "__init__",
+    "__main__",
+    "compiled_functions",
+    "documents",
+    "errors",
+    "files",
+    "limits",
+    "progress",
+    "stopping",
+    "system",
+    "tables",
+    "units",
+}
 """The small modules that every room stands on."""
 
 ORDER = (

@@ -65,9 +65,9 @@ def read_json(path: Path, what: str = "a valid JSON file", largest: int = LARGES
     return document
 
 
-def read_json_table(path: Path, what: str = "a valid JSON file") -> dict[str, Any]:
+def read_json_table(path: Path, what: str = "a valid JSON file", largest: int = LARGEST_JSON_BYTES) -> dict[str, Any]:
     """Read a JSON file whose content must be an object."""
-    document = read_json(path, what)
+    document = read_json(path, what, largest)
     if not isinstance(document, dict):
         raise InputError(f"{path}: not {what}: the content is not an object {{..}}; write it again")
     return document
@@ -162,7 +162,7 @@ def _check(document: Any, where: str, largest: float = math.inf) -> None:
     """Raise InputError for nesting, numbers and names that later code cannot handle."""
     # recordings in JSON hold millions of floats and have no largest number: skip them
     looked_at = (dict, list, str, int) if largest == math.inf else (dict, list, str, int, float)
-    waiting: list[tuple[Any, str, int]] = [(document, "", 0)]
+    waiting: list[tuple[Any, str, int]] = [(document, "", 0)] if isinstance(document, looked_at) else []
     while waiting:
         value, key, depth = waiting.pop()
         if depth > DEEPEST:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 import contextlib
+from dataclasses import dataclass
+import errno
 import json
 import math
 import os
 from pathlib import Path
+import secrets
+import stat
 import tempfile
-import threading
-from typing import IO, Any
+from typing import Any
+
+from filelock import lock_descriptor
 
 import twin
 from twin.errors import InputError
+from twin.system import BY_DESCRIPTOR, Folder, pour, pours_into
 
 FORMATS = 1
 """Format number of all JSON files."""
@@ -24,27 +30,84 @@ def beside(path: str | Path) -> Iterator[Path]:
     """Yield a temporary file next to `path`. It replaces `path` when the block ends, and is removed when the block raises.
 
     A full disk or a stopped command therefore leaves the old file or none, never a partial one. Several processes may write the same path. Creates
-    the folder.
+    the folder. Only a regular file is replaced: the content is written into a device or a pipe; a link is refused, and so is a folder that is no
+    longer the one that `output_folder` opened.
 
     Raises:
         InputError: the file cannot be written; the message names `path` and the reason.
     """
     path = Path(path)
-    partial = path.with_name(f".{path.stem[:100]}.{os.getpid()}-{threading.get_ident()}{path.suffix}")
+    partial = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix[:10]}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield partial
-        with partial.open("rb") as file:  # reports a full disk at the latest here
-            os.fsync(file.fileno())
-        partial.replace(path)
+        if pours_into(path):
+            with tempfile.TemporaryDirectory(prefix="twin-") as scratch:
+                yield Path(scratch) / path.name
+                pour(Path(scratch) / path.name, path)
+            return
+        with _folder_of(path) as folder:
+            _refuse_other_kinds(folder, path)
+            try:
+                yield partial
+                descriptor = folder.open(partial.name)
+                try:
+                    os.fsync(descriptor)  # reports a full disk at the latest here
+                finally:
+                    os.close(descriptor)
+                _refuse_other_kinds(folder, path)
+                if _made is not None and folder.look(path.name) is None:
+                    _made.append(path)
+                folder.replace(path.name, partial.name)
+            finally:
+                folder.remove(partial.name)
+                with contextlib.suppress(OSError):
+                    partial.unlink()  # at another place, if the folder was replaced meanwhile
     except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); free some space or choose another path") from None
+        reason = "its folder was replaced meanwhile" if isinstance(error, FileNotFoundError) else error.strerror or error
+        raise InputError(f"{path}: cannot be written ({reason}); free some space or choose another path") from None
+
+
+_made: list[Path] | None = None
+"""New files since `all_or_none` began."""
+
+
+@contextlib.contextmanager
+def all_or_none() -> Iterator[None]:
+    """Context in which several files are written together: if it raises, the new ones among them are removed."""
+    global _made
+    _made = []
+    try:
+        yield
     except BaseException:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
+        for path in _made:
+            with contextlib.suppress(OSError):
+                path.unlink()
         raise
+    finally:
+        _made = None
+
+
+def _refuse_other_kinds(folder: Folder, path: Path) -> None:
+    """Raise InputError unless `path` is free or a regular file."""
+    if (found := folder.look(path.name)) is None or stat.S_ISREG(found.st_mode):
+        return
+    kind = "a link" if stat.S_ISLNK(found.st_mode) else "a folder" if stat.S_ISDIR(found.st_mode) else "a device or socket"
+    raise InputError(f"{path}: is {kind} and is not replaced; remove it or choose another path")
+
+
+@contextlib.contextmanager
+def _folder_of(path: Path) -> Iterator[Folder]:
+    """The open folder of a file: below a folder that this command holds, by descriptors from there."""
+    place = Path(os.path.abspath(path.parent))
+    above = next((held for held in (place, *place.parents) if _held is not None and held in _held), None)
+    with contextlib.ExitStack() as stack:
+        if above is None or _held is None:
+            place.mkdir(parents=True, exist_ok=True)
+            yield stack.enter_context(Folder(place))
+        else:
+            folder = _held[above].folder
+            for name in place.relative_to(above).parts:
+                folder = stack.enter_context(folder.below(name))
+            yield folder
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -102,27 +165,50 @@ def output_folder(path: str | Path) -> Path:
 
 
 def output_file(path: str | Path) -> Path:
-    """Path of an output file, checked before the work: its folder is created and must be writable.
+    """Path of an output file, checked before the work: its folder is created and must be writable, and is held until the command ends.
 
     Raises:
         InputError: the file cannot be written there.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; give a file name")
     try:
+        if pours_into(path):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(13, "Permission denied")
+            return path
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path.parent):
             pass
+        folder = Folder(path.parent)
+        try:
+            _refuse_other_kinds(folder, path)
+        except InputError:
+            folder.close()
+            raise
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another path") from None
+    place = Path(os.path.abspath(path.parent))
+    if _held is None or place in _held:
+        folder.close()
+    else:
+        _held[place] = _Held(folder)
     return path
 
 
 LOCK = ".twin-lock"
 """Lock file of a command in its output folder."""
-_held: dict[Path, IO[str]] | None = None
-"""Locked folders of the command of this process; None outside of a command."""
+
+
+@dataclass
+class _Held:
+    """A folder that this command writes to, and the descriptor of its lock file if it is locked."""
+
+    folder: Folder
+    lock: int | None = None
+
+
+_held: dict[Path, _Held] | None = None
+"""Folders of the command of this process by their absolute path; None outside of a command."""
 
 
 def hold_folders() -> None:
@@ -134,54 +220,55 @@ def hold_folders() -> None:
 def release_folders() -> None:
     """Release all folders of this command."""
     global _held
-    for folder, file in (_held or {}).items():
-        with contextlib.suppress(OSError):
-            (folder / LOCK).unlink(missing_ok=True)
-        file.close()
+    for held in (_held or {}).values():
+        if held.lock is not None:
+            held.folder.remove(LOCK)
+            os.close(held.lock)
+            if not BY_DESCRIPTOR:  # Windows removes no open file
+                held.folder.remove(LOCK)
+        held.folder.close()
     _held = None
 
 
-def _hold(folder: Path, held: dict[Path, IO[str]]) -> None:
+def _hold(path: Path, held: dict[Path, _Held]) -> None:
     """Lock a folder until the command ends. The system releases the lock if the process is killed."""
-    try:
-        import fcntl
-    except ImportError:  # a system without file locks
+    place = Path(os.path.abspath(path))
+    if place in held and held[place].lock is not None:
         return
-    place = folder.resolve()
-    if place in held:
-        return
+    folder = held[place].folder if place in held else Folder(place)
+    held[place] = _Held(folder)  # closed with the others, also after an error
     try:
-        file = (place / LOCK).open("a+", encoding="utf-8")
+        lock = folder.open(LOCK, create=True)
+    except FileExistsError:
+        raise InputError(f"{path / LOCK}: is no regular file; remove it or choose another --out") from None
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written to ({error.strerror}); choose another --out") from None
+        reason = "is a link; remove it" if error.errno == errno.ELOOP else f"cannot be written ({error.strerror})"
+        raise InputError(f"{path / LOCK}: {reason} or choose another --out") from None
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        file.seek(0)
-        who = file.read(40).strip()
-        file.close()
-        raise InputError(
-            f"{folder}: another twin command is writing here{f' (process {who})' if who else ''}; wait for it or choose another --out"
-        ) from None
+        free = lock_descriptor(lock, blocking=False)
     except OSError:  # a file system without locks
-        file.close()
+        os.close(lock)
         return
-    if not _is_at(file, place / LOCK):  # removed by its owner between our open and our lock; there may be a new one
-        file.close()
-        return _hold(folder, held)
+    if not free:
+        who = ""
+        with contextlib.suppress(OSError):  # Windows lets nobody read what is locked
+            who = os.read(lock, 40).decode(errors="replace").strip()
+        os.close(lock)
+        if any(os.path.samestat(os.fstat(own.lock), os.stat(path / LOCK)) for own in held.values() if own.lock is not None):
+            return  # the same folder by another path
+        raise InputError(
+            f"{path}: another twin command is writing here{f' (process {who})' if who.isdigit() else ''}; wait for it or choose another --out"
+        )
+    now = folder.look(LOCK)
+    if now is None or not os.path.samestat(
+        os.fstat(lock), now
+    ):  # removed by its owner between our open and our lock; there may be a new one
+        os.close(lock)
+        return _hold(path, held)
     with contextlib.suppress(OSError):
-        file.truncate(0)
-        file.write(f"{os.getpid()}\n")
-        file.flush()
-    held[place] = file
-
-
-def _is_at(file: IO[str], path: Path) -> bool:
-    """True if the path still refers to this open file."""
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except OSError:
-        return False
+        os.ftruncate(lock, 0)
+        os.write(lock, f"{os.getpid()}\n".encode())
+    held[place].lock = lock
 
 
 def _finite(content: Any) -> Any:

@@ -7,6 +7,7 @@ after `GRACE_S` if the main thread is still in compiled code or waiting for work
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import contextlib
 import os
 import signal
@@ -42,8 +43,6 @@ def say(number: int) -> None:
 
 def stoppable() -> None:
     """Install the signal handlers. Call this once, before anything else, in the main thread of a command."""
-    if os.name == "nt":
-        return
     read, write = socket.socketpair()
     read.setblocking(True)
     write.setblocking(False)
@@ -80,6 +79,16 @@ def _end(read: socket.socket, _: socket.socket) -> None:
     with contextlib.suppress(Exception):
         sys.stdout.flush()
     os._exit(128 + number)
+
+
+@contextlib.contextmanager
+def until_ctrl_c() -> Iterator[None]:
+    """Context of a server, which Ctrl-C ends without an error. SIGTERM stops the command as usual."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        if isinstance(stop, Stopped) and stop.number != signal.SIGINT:
+            raise
 
 
 _left_behind = False

@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 import contextlib
 from contextlib import contextmanager
+import html
 import http.client
 import io
 import json
+import os
 from pathlib import Path
+import re
+import socket
 import subprocess
+import sys
 import threading
+import time
 from urllib.parse import urlencode
+import urllib.request
 
 import numpy as np
 import pytest
@@ -105,7 +112,14 @@ def test_page_and_files(folder: Path) -> None:
 
 def test_nothing_outside_is_served(folder: Path) -> None:
     (folder / "link.html").symlink_to(folder.parent / "secret.html")
+    (folder / "round.html").symlink_to("round.html")
+    (folder / "linked").mkdir()
+    (folder / "linked" / "summary.json").symlink_to(folder.parent / "secret.html")
+    os.mkfifo(folder / "pipe.html")
+    assert not {"link.html", "round.html", "linked", "pipe.html"} & {entry.path for entry in entries_in(folder)}
     with served(folder) as desk:
+        for name in ("round.html", "pipe.html", "linked/summary.json", "x" * 3000 + ".html"):
+            assert ask(desk, f"/file/{name}")[0] == 404
         for path in ("/file/../secret.html", "/file/%2e%2e/secret.html", "/file/link.html", f"/file/{folder.parent}/secret.html"):
             status, text, _ = ask(desk, path)
             assert (status, "secret" in text.replace("secret.html", "")) == (404, False), path
@@ -115,13 +129,15 @@ def test_nothing_outside_is_served(folder: Path) -> None:
         assert desk.server_address[0] == "127.0.0.1"
 
 
-def test_an_action_needs_the_token_of_the_page(folder: Path) -> None:
+def test_an_action_needs_the_token_of_the_page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[list[str]] = []
 
     def start(words: list[str]) -> subprocess.Popen[str]:
         started.append(words)
-        return subprocess.Popen(["true"], stderr=subprocess.PIPE, text=True)
+        said = "note: a note\nopen http://127.0.0.1:9/?url=x in a browser" if "--serve" in words else ""
+        return subprocess.Popen([sys.executable, "-c", f"print({said!r})"], stdout=subprocess.PIPE, text=True)
 
+    monkeypatch.setenv("DISPLAY", ":0")
     with served(folder, start) as desk:
         ticked = [("compare", "first"), ("compare", "worn & old")]
         assert ask(desk, "/compare", [("token", "guessed"), *ticked])[0] == 403
@@ -134,6 +150,32 @@ def test_an_action_needs_the_token_of_the_page(folder: Path) -> None:
         (folder / "first" / "summary.json").write_text(json.dumps(own), encoding="utf-8")
         ask(desk, "/replay", [("token", desk.token), ("path", "first")])
         assert started[-1] == ["replay", str(folder / "first"), "--machine", "mine.toml"]
+        if sys.platform.startswith("linux"):
+            monkeypatch.delenv("DISPLAY")
+            monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+            status, page, _ = ask(desk, "/replay", [("token", desk.token), ("path", "worn & old")])
+            assert started[-1] == ["replay", str(folder / "worn & old"), "--serve", "--port", "0"]
+            assert (status, '<a href="http://127.0.0.1:9/?url=x"' in page) == (200, True)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="without a display: a Linux server")
+def test_without_a_display_the_viewer_button_leads_to_the_web_viewer(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the real command: it serves a page, says in one line why it cannot, and ends with the desk."""
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with served(folder) as desk:
+        token = ("token", desk.token)
+        status, page, _ = ask(desk, "/replay", [token, ("path", "first")])
+        (address,) = set(re.findall(r'href="(http://127[^"]*)"', page))
+        assert status == 200
+        with urllib.request.urlopen(html.unescape(address), timeout=20) as answer:
+            assert b"<html" in answer.read(2000).lower()
+        assert address in ask(desk, "/replay", [token, ("path", "first")])[1]  # the same viewer again
+        (folder / "worn & old" / "trace.parquet").write_bytes(b"no trace")
+        status, page, _ = ask(desk, "/replay", [token, ("path", "worn & old")])
+        assert (status, "trace.parquet: not a readable Parquet file" in html.unescape(page)) == (422, True)
+    with pytest.raises(OSError):
+        urllib.request.urlopen(html.unescape(address), timeout=5)
 
 
 class InThisProcess:
@@ -210,3 +252,102 @@ def test_a_link_that_leads_nowhere_and_a_hidden_file_are_left_out(folder: Path) 
     finally:
         (folder / "old.html").unlink()
         (folder / ".report.html").unlink()
+
+
+DOCUMENTS = ["null", "true", "1", "[]", '"x"', "1e999", '{"axes": null}', '{"axes": {}}', '{"axes": {"X": {"error_without_delay_max": 1e308}}}',
+             '{"verdict": null, "effects": [null]}', '{"verdict": [], "effects": {}}', "[" * 100_000, "\xff"]  # fmt: skip
+"""Contents that a document of a result can have and should not."""
+
+
+def test_no_document_below_it_stops_the_desk(folder: Path) -> None:
+    kinds = ("summary.json", "diagnosis.json", "exam.json")
+    for i, (text, name) in enumerate((text, name) for text in DOCUMENTS for name in kinds):
+        (folder / f"odd{i}").mkdir()
+        (folder / f"odd{i}" / name).write_bytes(text.encode("latin-1"))
+    with served(folder) as desk:
+        status, page, _ = ask(desk, "/")
+        assert status == 200
+        assert all(f'"name">odd{i}<' in page for i in range(len(DOCUMENTS) * len(kinds)))
+        assert "summary.json: not a valid JSON file: the content is not an object" in page
+
+
+def raw(desk: Desk, request: str) -> bytes:
+    """The answer to a request that no browser makes."""
+    with socket.create_connection(("127.0.0.1", desk.server_address[1]), timeout=20) as connection:
+        connection.sendall(request.encode())
+        return b"".join(iter(lambda: connection.recv(1 << 16), b""))
+
+
+@pytest.mark.parametrize("length", ["\u00b2", "9" * 5000, "-1", "1e3", "", "999999999"])
+def test_a_length_that_is_no_number_is_refused(length: str, folder: Path) -> None:
+    with served(folder) as desk:
+        answer = raw(desk, f"POST /replay HTTP/1.0\r\nHost: 127.0.0.1\r\nContent-Length: {length}\r\n\r\n")
+        assert answer.startswith(b"HTTP/1.0 400 "), answer[:80]
+
+
+def test_no_other_site_can_frame_it_and_many_requests_at_once_are_answered_at_once(folder: Path) -> None:
+    with served(folder) as desk:
+        assert b"frame-ancestors 'none'" in raw(desk, "GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
+        seconds: list[float] = []
+
+        def one() -> None:
+            begun = time.monotonic()
+            assert ask(desk, "/file/gap.html")[0] == 200
+            seconds.append(time.monotonic() - begun)
+
+        threads = [threading.Thread(target=one) for _ in range(60)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        # a connection that the queue drops is repeated after 1, 3, 7 and 15 s
+        assert len(seconds) == 60
+        assert sorted(seconds)[-1] - sorted(seconds)[30] < 0.9
+
+
+SERVES_AND_MEASURES = """
+import sys, threading
+from twin.desk.server import *
+desk = Desk(Path(sys.argv[1]), 0)
+print(desk.address, flush=True)
+threading.Thread(target=desk.serve_forever, daemon=True).start()
+sys.stdin.read()
+print(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="measures the memory as Linux does")
+def test_a_large_page_is_not_held_in_memory(folder: Path) -> None:
+    """Three downloads of 300 MB each at once."""
+    with (folder / "big.html").open("wb") as file:
+        file.truncate(300_000_000)
+    script = SERVES_AND_MEASURES
+    process = subprocess.Popen([sys.executable, "-c", script, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    address = process.stdout.readline().strip()
+
+    def download() -> None:
+        with urllib.request.urlopen(f"{address}file/big.html") as answer:
+            while answer.read(1 << 20):
+                pass
+
+    threads = [threading.Thread(target=download) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    said, _ = process.communicate("")
+    assert int(said) < 250_000  # kB
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+@pytest.mark.parametrize(("number", "code"), [(2, 0), (15, 143)])
+def test_ctrl_c_ends_the_desk_and_sigterm_stops_it(number: int, code: int, folder: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twin", "desk", str(folder)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert "until Ctrl-C" in process.stdout.readline()
+    process.send_signal(number)
+    _, said = process.communicate(timeout=30)
+    assert (process.returncode, said.count("\n")) == (code, int(code > 0)), said

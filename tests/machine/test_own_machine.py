@@ -15,6 +15,7 @@ from twin.cli import main
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
+from twin.errors import InputError
 from twin.machine.check import check_machine
 from twin.machine.commented import assumed_values
 from twin.machine.machine import Machine, load_machine
@@ -252,6 +253,25 @@ def test_new_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     (tmp_path / "light.urdf").write_text(text, encoding="utf-8")
     shutil.copy(GANTRY / "spindle.stl", tmp_path / "spindle.stl")
     assert "has no <inertial>" in refused(capsys, "machine", "new", tmp_path / "light.urdf", "--out", tmp_path / "n.toml")
+
+
+def test_a_refused_machine_leaves_no_model_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever refuses it once the model is written, also a stop; a file that was there stays."""
+    for fault in (InputError("no machine"), KeyboardInterrupt()):
+        for number, name in enumerate(("gantry.urdf", "gantry.xml")):
+            place = tmp_path / f"{type(fault).__name__}{number}"
+            place.mkdir()
+            (place / "other.toml").write_text("kept")
+
+            def refuses(*_: object, fault: BaseException = fault) -> None:
+                raise fault
+
+            monkeypatch.setattr("twin.machine.new.load_machine", refuses)
+            assert main(["machine", "new", str(GANTRY / name), "--out", str(place / "m.toml")]) in (2, 130)
+            assert [p.name for p in place.iterdir()] == ["other.toml"]
+    capsys.readouterr()
 
 
 # check: each rule reports a machine that violates it

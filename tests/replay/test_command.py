@@ -319,7 +319,7 @@ def test_the_web_viewer_answers_on_this_computer_only_and_ends(run: Path) -> Non
             assert other.connect_ex(("127.0.0.2", port)) != 0
     finally:
         process.terminate()
-        assert process.wait(60.0) == 0  # a loaded computer takes its time
+        assert process.wait(60.0) == 128 + 15  # SIGTERM; a loaded computer takes its time
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
 

@@ -300,7 +300,7 @@ def test_folders_that_cannot_be_used(tmp_path: Path, capsys: pytest.CaptureFixtu
     (tmp_path / "file").write_text("")
     assert "cannot create this folder" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "file"))
     (tmp_path / "taken" / FILE).mkdir(parents=True)
-    assert "cannot be used" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "taken"))
+    assert "is a folder and is not replaced" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "taken"))
 
 
 def test_workers_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

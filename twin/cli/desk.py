@@ -7,6 +7,7 @@ from pathlib import Path
 
 from twin.cli.arguments import add_open
 from twin.errors import InputError
+from twin.stopping import until_ctrl_c
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,8 +32,6 @@ def carry_out(args: argparse.Namespace) -> int:
             import webbrowser
 
             webbrowser.open(desk.address)
-        try:
+        with until_ctrl_c():
             desk.serve_forever()
-        except KeyboardInterrupt:
-            print()
     return 0

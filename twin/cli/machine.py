@@ -9,7 +9,7 @@ from typing import Any
 
 from twin.cli.arguments import machine_of
 from twin.errors import InputError
-from twin.files import write_json
+from twin.files import all_or_none, write_json
 from twin.machine.keys import STRUCTURES
 from twin.progress import Progress
 
@@ -39,8 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Carry out the chosen action."""
-    return int(args.action(args))
+    """Carry out the chosen action. A machine that is refused leaves no model behind."""
+    with all_or_none():
+        return int(args.action(args))
 
 
 def _new(args: argparse.Namespace) -> int:

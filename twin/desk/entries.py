@@ -17,6 +17,8 @@ from twin.errors import InputError
 
 DEEPEST = 5
 """Levels of folders that are searched."""
+LARGEST_BYTES = 20_000_000
+"""Largest document whose summary is read."""
 MOST = 500
 """Most entries listed."""
 
@@ -61,10 +63,11 @@ class Entry:
 
 def entries_in(folder: Path) -> list[Entry]:
     """All entries below a folder, newest first."""
+    folder = folder.resolve()
     found = []
     for place, names in _folders(folder):
         entry = None
-        with contextlib.suppress(OSError):  # a running command may replace its files, and a link may lead nowhere
+        with contextlib.suppress(OSError):  # a running command may replace its files
             entry = _entry(folder, place, names)
         found += [entry] if entry is not None else []
         for name in sorted(names):
@@ -76,14 +79,23 @@ def entries_in(folder: Path) -> list[Entry]:
     return sorted(found[:MOST], key=lambda entry: entry.written, reverse=True)
 
 
+def place_in(folder: Path, name: str) -> Path | None:
+    """The regular file `name` in a resolved folder; None if there is none, or if links lead out of the folder."""
+    try:
+        file = (folder / name).resolve()
+        return file if file.is_relative_to(folder) and file.is_file() else None
+    except (OSError, RuntimeError, ValueError):  # a loop of links, a name that is too long, NUL
+        return None
+
+
 def _folders(folder: Path) -> Iterator[tuple[Path, set[str]]]:
-    """The folder and those below it with their file names, without hidden folders and links."""
+    """The folder and those below it with the names of their regular files, without hidden ones and links that lead out of the folder."""
     for place, below, files in os.walk(folder, followlinks=False):
         here = Path(place)
         if len(here.relative_to(folder).parts) >= DEEPEST:
             below.clear()
         below[:] = sorted(name for name in below if not name.startswith("."))
-        yield here, {name for name in files if not name.startswith(".")}
+        yield here, {name for name in files if not name.startswith(".") and place_in(folder, str(here / name))}
 
 
 def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
@@ -95,11 +107,11 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
     document: Mapping[str, Any] = {}
     if name.endswith(".json"):
         try:
-            document = read_json_table(place / name)
+            document = read_json_table(place / name, largest=LARGEST_BYTES)
         except InputError as error:
             document = {"verdict": f"cannot be read: {error}"}
     report = place / REPORT if REPORT in names else None
-    picture = next((file for pattern in PICTURES for file in sorted(place.glob(pattern))), None)
+    picture = next((file for pattern in PICTURES for file in sorted(place.glob(pattern)) if place_in(folder, str(file))), None)
 
     def relative(file: Path | None) -> str | None:
         return None if file is None else file.relative_to(folder).as_posix()
@@ -139,7 +151,7 @@ def _summary(kind: str, document: Mapping[str, Any]) -> str:
             more = len(document["effects"]) - 3
             listed = named + (f" and {more} more" if more > 0 else "")
             return f"{document['verdict']}{f': {listed}' if listed else ''}"
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError):
         return ""
     verdict = document.get("verdict", "")
     return verdict if isinstance(verdict, str) else ""

@@ -2,7 +2,7 @@
 
 It listens on 127.0.0.1 only. A request must name this computer as its host, which prevents DNS rebinding. An action must carry the
 token of the page, which prevents forged forms from other sites. Only files of the types in TYPES below the folder are served; links
-that lead out of the folder are refused.
+that lead out of the folder are refused. No page of another site may show it in a frame.
 """
 
 from __future__ import annotations
@@ -10,18 +10,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+import os
 from pathlib import Path
+import re
 import secrets
+import shutil
+import stat
 import subprocess
 import sys
+import threading
 from typing import Any
 from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 import twin
-from twin.desk.entries import MOST, Entry, entries_in
+from twin.desk.entries import MOST, Entry, entries_in, place_in
 from twin.errors import InputError
+from twin.system import end_tree, has_display
 
 HOST = "127.0.0.1"
 LONGEST_FORM = 100_000
@@ -37,13 +43,18 @@ TYPES = {
 }
 """Served file types: ending -> content type."""
 
+_ADDRESS = re.compile(r"http://127\.0\.0\.1:\S+")
+"""Address in the line that `twin replay --serve` prints."""
+POLICY = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'"
+"""Reports cannot run scripts, load anything from other hosts or be shown in a frame."""
+
 Started = Callable[[Sequence[str]], "subprocess.Popen[str]"]
 
 
 def twin_command(words: Sequence[str]) -> subprocess.Popen[str]:
-    """Start a twin command as a separate process."""
+    """Start a twin command as a separate process; its output and its errors can be read together."""
     return subprocess.Popen(
-        [sys.executable, "-m", "twin", *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "twin", *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
 
 
@@ -51,9 +62,12 @@ class Desk(ThreadingHTTPServer):
     """The server of one folder; `start` starts a twin command."""
 
     daemon_threads = True
+    request_queue_size = 128  # of connections that wait; one too many is repeated by the browser after seconds
 
     def __init__(self, folder: Path, port: int, start: Started = twin_command) -> None:
         self.folder, self.start, self.token = folder.resolve(), start, secrets.token_urlsafe(16)
+        self.viewers: dict[str, tuple[subprocess.Popen[str], str]] = {}
+        self.busy = threading.Lock()
         try:
             super().__init__((HOST, port), _Answer)
         except OSError as error:
@@ -64,6 +78,35 @@ class Desk(ThreadingHTTPServer):
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
+    def server_close(self) -> None:
+        """Close the desk and the viewers that it started."""
+        super().server_close()
+        for viewer, _ in self.viewers.values():
+            end_tree(viewer)
+
+    def viewer_of(self, entry: Entry) -> tuple[str, str]:
+        """(address of a viewer in the browser, "") of an entry, or ("", why there is none). With a display a window opens: ("", "")."""
+        place = self.folder / entry.path
+        rebuilt = entry.machine_file and not any(place.glob("*.rrd"))  # from the trace, so on the machine of the run
+        words = ["replay", str(place), *(["--machine", str(entry.machine_file)] if rebuilt else [])]
+        if has_display():
+            started = self.start(words)
+            said, _ = started.communicate()
+            return "", (said or "").strip() or "The viewer failed." if started.returncode else ""
+        with self.busy:
+            running, address = self.viewers.get(entry.path, (None, ""))
+            if running is not None and running.poll() is None:
+                return address, ""
+            started = self.start([*words, "--serve", "--port", "0"])
+            said = ""
+            assert started.stdout is not None
+            for line in started.stdout:  # ends with the command
+                if (found := _ADDRESS.search(line)) is not None:
+                    self.viewers[entry.path] = (started, found[0])
+                    return found[0], ""
+                said += line
+            return "", said.strip() or "The viewer failed."
+
     @property
     def address(self) -> str:
         """URL of the desk."""
@@ -72,6 +115,7 @@ class Desk(ThreadingHTTPServer):
 
 class _Answer(BaseHTTPRequestHandler):
     server: Desk
+    timeout = 60  # of a browser that opens a connection and says nothing [s]
 
     def do_GET(self) -> None:
         """Serve the desk or a file below its folder."""
@@ -90,7 +134,7 @@ class _Answer(BaseHTTPRequestHandler):
         if not self._from_here():
             return
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > LONGEST_FORM:
+        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > LONGEST_FORM:
             self._refuse(HTTPStatus.BAD_REQUEST, "this is not a form of the desk")
             return
         form = parse_qs(self.rfile.read(int(length)).decode("utf-8", "replace"))
@@ -116,17 +160,18 @@ class _Answer(BaseHTTPRequestHandler):
         if first.machine_file:
             words += ["--machine", first.machine_file]
         started = self.server.start(words)
-        _, said = started.communicate()
+        said, _ = started.communicate()
         if started.returncode:
-            self._page(said.strip() or "The comparison failed.", HTTPStatus.UNPROCESSABLE_ENTITY)
+            self._page((said or "").strip() or "The comparison failed.", HTTPStatus.UNPROCESSABLE_ENTITY)
         else:
             self._to(f"/file/{quote(out.relative_to(self.server.folder).as_posix())}/report.html")
 
     def _replay(self, entry: Entry) -> None:
-        folder = self.server.folder / entry.path
-        rebuilt = entry.machine_file and not any(folder.glob("*.rrd"))  # from the trace, so on the machine of the run
-        self.server.start(["replay", str(folder), *(["--machine", str(entry.machine_file)] if rebuilt else [])])
-        self._to("/")
+        address, wrong = self.server.viewer_of(entry)
+        if address or wrong:
+            self._page(wrong, HTTPStatus.UNPROCESSABLE_ENTITY if wrong else HTTPStatus.OK, viewer=address, shown=entry.path)
+        else:
+            self._to("/")
 
     def _from_here(self) -> bool:
         """Whether the request names this computer as its host; refuses it otherwise."""
@@ -136,42 +181,51 @@ class _Answer(BaseHTTPRequestHandler):
         self._refuse(HTTPStatus.FORBIDDEN, f"open {self.server.address}")
         return False
 
-    def _page(self, message: str = "", status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _page(self, message: str = "", status: HTTPStatus = HTTPStatus.OK, viewer: str = "", shown: str = "") -> None:
         environment = Environment(
             loader=PackageLoader("twin.desk", "."), autoescape=select_autoescape(["html"], default=True), undefined=StrictUndefined
         )
-        shown: Mapping[str, object] = {
+        content: Mapping[str, object] = {
             "folder": self.server.folder.name or str(self.server.folder),
             "entries": entries_in(self.server.folder),
             "most": MOST,
             "version": twin.__version__,
             "token": self.server.token,
             "message": message,
+            "viewer": viewer,
+            "shown": shown,
         }
-        self._send(status, "text/html; charset=utf-8", environment.get_template("desk.html").render(shown).encode())
+        self._send(status, "text/html; charset=utf-8", environment.get_template("desk.html").render(content).encode("utf-8", "replace"))
 
     def _file(self, name: str) -> None:
-        try:
-            file = (self.server.folder / name).resolve()
-            if not file.is_relative_to(self.server.folder) or file.suffix.lower() not in TYPES or not file.is_file():
-                raise FileNotFoundError
-            content = file.read_bytes()
-        except (OSError, ValueError):
+        file = place_in(self.server.folder, name)
+        if file is None or file.suffix.lower() not in TYPES:
             self._refuse(HTTPStatus.NOT_FOUND, "no such file on this desk")
             return
-        self._send(HTTPStatus.OK, TYPES[file.suffix.lower()], content)
+        try:
+            content = file.open("rb")
+        except OSError:
+            self._refuse(HTTPStatus.NOT_FOUND, "this file cannot be read")
+            return
+        with content:
+            found = os.fstat(content.fileno())
+            if not stat.S_ISREG(found.st_mode):
+                self._refuse(HTTPStatus.NOT_FOUND, "no such file on this desk")
+                return
+            self._head(HTTPStatus.OK, TYPES[file.suffix.lower()], found.st_size)
+            shutil.copyfileobj(content, self.wfile)
 
-    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+    def _head(self, status: HTTPStatus, kind: str, length: int) -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Content-Length", str(length))
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
-        # reports cannot run scripts or load anything from other hosts
-        self.send_header(
-            "Content-Security-Policy", "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; form-action 'self'"
-        )
+        self.send_header("Content-Security-Policy", POLICY)
         self.end_headers()
+
+    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self._head(status, kind, len(content))
         self.wfile.write(content)
 
     def _refuse(self, status: HTTPStatus, text: str) -> None:

@@ -18,7 +18,6 @@ MACHINE, BASELINES, DIAGNOSIS, SEAL, FAILED = "machine.toml", "baselines.json", 
 
 def write_answer(folder: Path, corrected: Machine, baselines: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> None:
     """Write corrected machine, baselines, seal and, last, the diagnosis: a case counts as answered when the diagnosis exists."""
-    folder.mkdir(parents=True, exist_ok=True)
     write_machine(corrected, folder / MACHINE)
     write_whole(folder / BASELINES, json.dumps(baselines, indent=1) + "\n")
     text = json.dumps(stamped(diagnosis, "diagnosis"), indent=1) + "\n"

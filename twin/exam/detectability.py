@@ -29,7 +29,7 @@ from twin.diagnose.simulations import Mapper, on_threads
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.errors import TwinError
-from twin.files import write_json
+from twin.files import output_folder, write_json
 from twin.machine.machine import Machine, load_machine
 from twin.progress import Progress
 from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
@@ -219,8 +219,7 @@ def detectability_command(args: argparse.Namespace) -> int:
     campaign = read_campaign(args.plan, machine)
     with Progress("detectability", total=None) as bar:
         outlooks_of = detectability_of(campaign, machine, bar.say)
-    out = Path(args.out)
-    out.mkdir(parents=True, exist_ok=True)
+    out = output_folder(args.out)
     write_json({name: [vars(o) for o in rows] for name, rows in outlooks_of.items()}, out / "plan.json", "detectability")
     write_plan_report(campaign, outlooks_of, out / "report.html")
     print(

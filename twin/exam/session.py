@@ -154,7 +154,6 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
         if done.returncode < 0:  # killed from outside: no answer
             raise InputError(f"{folder}: the diagnosing process was killed (signal {-done.returncode}); repeat the command to continue")
         if done.returncode:
-            answer.mkdir(parents=True, exist_ok=True)
             write_whole(answer / FAILED, reason + "\n")
             return time.perf_counter() - started
         write_whole(answer / "seconds.txt", f"{time.perf_counter() - started:.1f}\n")

@@ -257,7 +257,6 @@ def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[s
 
 def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
     """Write part programs (Siemens), set points (Parquet), recordings/campaign.toml for the later recordings, and plan.json."""
-    out.mkdir(parents=True, exist_ok=True)
     files = []
     for run in plan.runs:
         signals = {(a.name, "setpoint"): run.setpoints.position[:, i] for i, a in enumerate(machine.axes)}

@@ -88,7 +88,6 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         raise InputError(
             f"{folder}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
         )
-    out.parent.mkdir(parents=True, exist_ok=True)
     write_lumped_machine(out, lumps, tunings, folder.name)
     load_machine(out)
     return NewMachine(tuple(lumps), followed)

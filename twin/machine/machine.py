@@ -285,7 +285,6 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
 
     Machine(machine.document, machine.model_path, machine.path)  # refuse impossible values now
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     source = machine.path.read_text(encoding="utf-8-sig") if machine.path and machine.path.is_file() else ""
     written = tomlkit.parse(source)
     _update(written, {**machine.document, "model": machine.model_path.name})

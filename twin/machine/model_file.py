@@ -210,7 +210,6 @@ def copy_model(path: Path, folder: Path) -> None:
     for file in (Path(path.name), *files_of(path)):
         target = folder / file
         if target.resolve() != (path.parent / file).resolve():
-            target.parent.mkdir(parents=True, exist_ok=True)
             with beside(target) as partial:
                 shutil.copyfile(path.parent / file, partial)
 

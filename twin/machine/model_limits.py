@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 from pathlib import Path
-import subprocess
-import sys
 from typing import TYPE_CHECKING
 import warnings
 
 from twin.errors import InputError
 from twin.limits import refuse_above
+from twin.system import tried
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -36,13 +34,6 @@ TRIAL_BYTES = 6_000_000_000
 TRIAL_SECONDS = 30
 TRIAL = """
 import sys
-try:
-    import resource
-    resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
-    resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[3]),) * 2)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-except ImportError:
-    pass  # this system has no such limits
 import mujoco
 try:
     mujoco.MjSpec.from_file(sys.argv[1]).compile()
@@ -137,14 +128,8 @@ def compiles(path: Path, root: Element) -> None:
     plain = all(e.tag not in _GENERATING and not any(k.startswith("file") for k in e.attrib) for e in root.iter())
     if plain:
         return
-    command = [sys.executable, "-c", TRIAL, str(path.resolve()), str(TRIAL_BYTES), str(TRIAL_SECONDS)]
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    try:
-        code = subprocess.run(
-            command, capture_output=True, check=False, timeout=4 * TRIAL_SECONDS, env={**os.environ, **threads}, cwd=path.resolve().parent
-        ).returncode
-    except subprocess.TimeoutExpired:
-        code = -1
+    trial = tried(TRIAL, str(path.resolve()), most_bytes=TRIAL_BYTES, seconds=TRIAL_SECONDS, cwd=path.resolve().parent)
+    code = trial.returncode if trial is not None else -1
     if code == 3:
         raise InputError(
             f"{path}: the engine needs more than {TRIAL_BYTES / 1e9:.0f} GB for this model; make its meshes and pictures smaller"

@@ -65,12 +65,10 @@ def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_
     if model.suffix.lower() == ".urdf":
         spec, limits = spec_of_urdf(model)
         facts = joint_facts(spec, limits, model)
-        out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(beside, f"<!-- from {model.name} by: twin machine new -->\n{spec.to_xml()}")
     else:
         check_mjcf(model)
         facts = joint_facts(load_spec(model), limits, model)
-        out.parent.mkdir(parents=True, exist_ok=True)
         copy_model(model, out.parent)
     kinds = {f.name: "linear" if f.linear else "rotary" for f in facts}
     data, left = read_machine_data(machine_data, kinds) if machine_data else ({}, [])

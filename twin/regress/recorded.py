@@ -107,7 +107,6 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
     points = np.zeros((len(wanted.position), len(AXES)))
     for a, name in enumerate(machine.axis_names):
         points[:, AXES.index(name)] = wanted.position[:, a]
-    folder.mkdir(parents=True, exist_ok=True)
     lines, started_at = [f'machine = "{machine.name}"\n'], 0.0
     for i, word in enumerate(words):
         run = f"moves_{i + 1}_{word.replace('+', '_')}"

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+import contextlib
 from contextlib import contextmanager
 import io
 import os
 from pathlib import Path
-import signal
 import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from typing import Any
 import urllib.parse
 import warnings
 
 from twin.errors import InputError
+from twin.files import beside
 from twin.replay.names import TIMELINE
+from twin.stopping import until_ctrl_c
+from twin.system import end_tree, has_display, start_apart
 
 LOCAL = "127.0.0.1"
 WEB_PORT = 9090
@@ -65,43 +67,25 @@ def check_recording(path: str | Path) -> Path:
 def open_viewer(paths: str | Path | Sequence[str | Path]) -> None:
     """Open recordings in a viewer window; returns at once."""
     files = _checked(paths)
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not has_display():
         raise InputError("no display to open the viewer on; use --serve for the browser or --screenshot FILE for a picture")
     command = [*_executable(), *map(str, files), "--bind", LOCAL, "--port", "auto"]
-    subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    start_apart(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def serve(paths: str | Path | Sequence[str | Path], port: int = WEB_PORT) -> None:
-    """Serve recordings to browsers on this computer until Ctrl-C."""
+    """Serve recordings to browsers on this computer until Ctrl-C. Port 0 is a free one."""
     files = _checked(paths)
+    port = port or free_port()
     _check_port(port)
     data = free_port()
     arguments = ["--serve-web", "--web-viewer-port", str(port), "--port", str(data), "--bind", LOCAL, *map(str, files)]
-    with _ended_by_signal(), _viewer(arguments, quiet=True) as process:
+    with _viewer(arguments, quiet=True) as process:
+        _wait_for(port, process)
         source = urllib.parse.quote(f"rerun+http://{LOCAL}:{data}/proxy", safe="")
         print(f"open http://{LOCAL}:{port}/?url={source} in a browser; Ctrl-C ends", flush=True)
-        try:
-            code = process.wait()
-        except KeyboardInterrupt:
-            return
-    raise InputError(f"the web viewer stopped with code {code}; try another --port")
-
-
-@contextmanager
-def _ended_by_signal() -> Iterator[None]:
-    """Treat SIGTERM like Ctrl-C, so that the viewer process ends, too."""
-
-    def stop(_number: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+        with until_ctrl_c():
+            raise InputError(f"the web viewer stopped with code {process.wait()}; try another --port")
 
 
 def screenshot(
@@ -134,11 +118,8 @@ def screenshot(
             raise InputError(f"the viewer failed: {' '.join(str(error).split())[:200]}; try again, or --serve") from None
     image = Image.open(io.BytesIO(picture)).convert("RGB")
     bar = round(TOP_BAR * image.height / (height + TOP_BAR))
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        image.crop((0, bar, image.width, image.height)).save(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror or error}); choose another file or folder") from None
+    with beside(out) as partial:
+        image.crop((0, bar, image.width, image.height)).save(partial)
     return out
 
 
@@ -147,6 +128,15 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind((LOCAL, 0))
         return int(probe.getsockname()[1])
+
+
+def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
+    """Wait until a viewer answers on this port or ends."""
+    deadline = time.monotonic() + START_SECONDS
+    while time.monotonic() < deadline and process.poll() is None:
+        with contextlib.suppress(OSError), socket.create_connection((LOCAL, port), 1.0):
+            return
+        time.sleep(0.05)
 
 
 def _complete_picture(client: Any, at_s: float | None) -> bytes:
@@ -205,18 +195,12 @@ def _viewer(arguments: list[str], quiet: bool = False) -> Iterator[subprocess.Po
     # CI=1: send no usage statistics
     environment = {**os.environ, "CI": "1", "XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR", tempfile.gettempdir())}
     output = subprocess.DEVNULL if quiet else None
-    process = subprocess.Popen(
-        [*_executable(), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, start_new_session=True
-    )
+    process = start_apart([*_executable(), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment)
     try:
         yield process
     finally:
         if process.poll() is None:
-            os.killpg(process.pid, signal.SIGTERM)
-            try:
-                process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
+            end_tree(process)
 
 
 def _executable() -> list[str]:

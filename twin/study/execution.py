@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import functools
 import hashlib
 import logging
-import os
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -24,6 +23,7 @@ from twin.study.names import check_names
 from twin.study.one_blas_thread import one_blas_thread, stay_on_one_blas_thread
 from twin.study.spec import Study
 from twin.study.store import Store
+from twin.system import cores
 
 AHEAD = 4
 """Submitted variants per worker: enough to keep it busy with bounded memory."""
@@ -98,7 +98,7 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
 @contextlib.contextmanager
 def threads_here(count: int | None = None) -> Iterator[Workers]:
     """Threads of this process, by default one per core; the compiled loop releases the interpreter lock."""
-    count = count or len(os.sched_getaffinity(0))
+    count = count or cores()
     with one_blas_thread(), ThreadPoolExecutor(count) as pool:
         try:
             yield Workers(pool, lambda: count, lambda work: work)

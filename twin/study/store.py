@@ -10,7 +10,7 @@ import sqlite3
 from typing import Any
 
 from twin.errors import InputError
-from twin.files import output_folder
+from twin.files import output_file, output_folder
 from twin.study.evaluate import Answer
 from twin.tables import is_number
 
@@ -33,7 +33,7 @@ class Store:
 
     def __init__(self, folder: Path, fingerprint: str, resume: bool) -> None:
         self.path = folder / FILE
-        output_folder(folder)
+        output_file(output_folder(folder) / FILE)  # no link, which the library would follow
         with self._said():
             self.connection = sqlite3.connect(self.path, timeout=0.2, isolation_level=None)
         try:

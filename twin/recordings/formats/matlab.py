@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -14,19 +11,13 @@ from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.recordings.signals import ReadOptions, Recording, share_time, starts_with
+from twin.system import tried
 
 MOST_VALUES = 100_000_000
 """Most numbers in one file: 800 MB in memory."""
 TRIAL_BYTES = 4_000_000_000
 _TRIAL = """
 import sys
-try:
-    import resource
-    resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
-    resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-except ImportError:
-    pass
 from scipy.io import loadmat, whosmat
 import math
 print(sum(math.prod(shape) for _, shape, _ in whosmat(sys.argv[1])))
@@ -64,12 +55,9 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
     from scipy.io import loadmat
 
     # a damaged file can crash the library, so it is first read in a process of its own
-    trial = subprocess.run(
-        [sys.executable, "-c", _TRIAL, str(path), str(TRIAL_BYTES)],
-        capture_output=True,
-        check=False,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-    )
+    trial = tried(_TRIAL, str(path), most_bytes=TRIAL_BYTES, seconds=60)
+    if trial is None:
+        raise InputError(f"{path}: a damaged MATLAB file (reading it does not end); save it again")
     if (said := trial.stdout.strip()).isdigit():
         refuse_above(int(said), MOST_VALUES, "values", str(path), "save fewer signals, or in parts")
     if trial.returncode == 3:
