@@ -124,7 +124,7 @@ def files_for_an_effect(trees: dict[str, ast.Module]) -> list[int]:
 def files_for_a_format(trees: dict[str, ast.Module]) -> list[int]:
     """Number of modules that name each reader of a trace format, including its own."""
     folder = "twin.recordings.formats."
-    readers = [module for module in trees if module.startswith(folder) and not module.endswith((".by_ending", ".__init__"))]
+    readers = [module for module in trees if module.startswith(folder) and not module.endswith((".by_content", ".__init__"))]
     return [len({module, *files_that_say(trees, module.removeprefix(folder))}) for module in readers]
 
 

@@ -88,7 +88,7 @@ def reading(path: Path, kind: str, remedy: str = "export it again") -> Iterator[
     """Context in which a library reads `path`: any error of the library becomes an InputError, whatever its class.
 
     Raises:
-        InputError: `path` is not a readable `kind`, with the library's reason and `remedy`.
+        InputError: `path` is not a readable `kind`, with `remedy`. The library's own words mean nothing to the user and are left out.
     """
     try:
         yield
@@ -98,8 +98,8 @@ def reading(path: Path, kind: str, remedy: str = "export it again") -> Iterator[
         raise InputError(f"{path}: cannot be read; check its permissions") from None
     except MemoryError:
         raise InputError(f"{path}: not a readable {kind} (reading it fills the memory); {remedy}") from None
-    except Exception as error:
-        raise InputError(f"{path}: not a readable {kind} ({reason_of(error)}); {remedy}") from None
+    except Exception:
+        raise InputError(f"{path}: not a readable {kind}; it is damaged, cut off or of another kind: {remedy}") from None
 
 
 def reason_of(error: Exception) -> str:

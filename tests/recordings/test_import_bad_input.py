@@ -100,7 +100,7 @@ SWAPPED: dict[str, tuple[Callable[[dict[str, Array]], dict[str, Array]], tuple[s
         lambda c: {**c, **{k: c[k] * 1e3 for k in ("soll", "ist", "speed")}},
         ("X.setpoint moves at 108.9 m/s", "wrong unit"),
     ),
-    "time in ms": (lambda c: {**c, "t": c["t"] * 1e3}, ("X.velocity is 1000 times",)),
+    "time in us": (lambda c: {**c, "t": c["t"] * 1e6}, ("X.velocity is 1000 times",)),
     "current in mA": (lambda c: {**c, "strom": c["strom"] * 1e3}, ("X.current reaches", "mA?")),
 }
 
@@ -139,14 +139,17 @@ TABLES: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "prose": (lambda p: p.write_text("Dear all,\nplease find attached, as said, the trace.\n"), ("no rows of numbers",)),
     "binary": (lambda p: p.write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"), ("not a text file",)),
     "last row cut off": (lambda p: p.write_text(p.read_text()[:-30]), ("of 5 cells", "cut off")),
-    "row cut off early": (lambda p: p.write_text(_line(p, 40, "0.04,1.0")), ("line 41 is not a row of numbers", "'0.04,1.0'")),
+    "row cut off early": (lambda p: p.write_text(_line(p, 40, "0.04,1.0")), ("line 41 has 2 of 5 cells", "'0.04,1.0'")),
     "NaN": (lambda p: p.write_text(_cell(p, 40, 2, "NaN")), ("column 'ist'", "line 41 (0.039 s) holds NaN")),
     "infinite": (lambda p: p.write_text(_cell(p, 40, 2, "-inf")), ("column 'ist'", "holds -inf")),
     "text in a cell": (lambda p: p.write_text(_cell(p, 1500, 2, "n/a")), ("column 'ist' holds 'n/a'", "not a number")),
     "no time in a row": (lambda p: p.write_text(_cell(p, 40, 0, "")), ("column 't'", "has no time")),
     "time goes back": (lambda p: p.write_text(_cell(p, 40, 0, "0.02")), ("time goes back at row 40",)),
     "time stands still": (lambda p: p.write_text(_stalled(p)), ("time stands still at 9 rows",)),
-    "column twice": (lambda p: p.write_text(p.read_text().replace("speed", "ist", 1)), ("column 'ist' occurs twice",)),
+    "column twice": (
+        lambda p: p.write_text(p.read_text().replace("speed", "ist", 1)),
+        ("no column 'ist'", "ist (column 3), ist (column 4)"),
+    ),
     "mixed intervals": (lambda p: p.write_text(_slower(p)), ("the interval changes from 1 ms to 2 ms at", "period_ms")),
     "faster later": (lambda p: p.write_text(_faster(p)), ("the interval changes from 2 ms to 1 ms at", "period_ms")),
     "many samples lost": (lambda p: p.write_text(_lossy(p)), ("the interval is not constant", "period_ms")),
@@ -210,7 +213,7 @@ XMLS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "external DTD": (lambda p: write_xml(p, _signals(), head='<!DOCTYPE x SYSTEM "http://127.0.0.1/x.dtd">'), ("refused",)),
     "cut off": (lambda p: p.write_text(write_xml(p, _signals()).read_text()[:-4000]), ("not a complete XML file", "cut off")),
     "other XML": (lambda p: p.write_text("<svg><g/></svg>"), ("not a trace of a SINUMERIK", "<svg>")),
-    "no XML": (lambda p: p.write_bytes(b"TDSm\x00\x01"), ("not an XML file",)),
+    "no XML": (lambda p: p.write_bytes(b"none\x00\x01"), ("not a text file",)),
     "no number": (
         lambda p: p.write_text(re.sub('f2="[^"]*"', 'f2="9221120237041090560"', write_xml(p, _signals()).read_text(), count=1)),
         ("not a number at",),
@@ -256,11 +259,11 @@ def _parquet(path: Path, *names: str) -> Path:
 
 
 BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
-    "TDMS is none": ("run.tdms", lambda p: p.write_bytes(b"MDF     4.10"), ("not a TDMS file",)),
+    "TDMS is none": ("run.tdms", lambda p: p.write_bytes(b"\x00none"), ("not a TDMS file",)),
     "TDMS cut off": ("run.tdms", lambda p: _cut(write_tdms(p, move(TIME), 1e-3), 0.5), ("cut off",)),
     "TDMS with NaN": ("run.tdms", lambda p: write_tdms(p, _with_nan(), 1e-3), ("'axis/ist'", "sample 701 (0.7 s) holds NaN")),
-    "TDMS without times": ("run.tdms", lambda p: write_tdms(p, move(TIME), 0.0), ("no column looks like a time", "interval_ms")),
-    "MDF is none": ("run.mf4", lambda p: p.write_bytes(b"TDSm" + bytes(100)), ("not an MDF file",)),
+    "TDMS without times": ("run.tdms", lambda p: write_tdms(p, move(TIME), 0.0), ("no time", "--interval-ms")),
+    "MDF is none": ("run.mf4", lambda p: p.write_bytes(bytes(100)), ("not an MDF file",)),
     "MDF cut off": (
         "run.mf4",
         lambda p: _cut(write_mdf(p, [(TIME, {n: (v, "") for n, v in move(TIME).items()})]), 0.3),
@@ -276,7 +279,7 @@ BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
         lambda p: write_tdms(p, {**move(TIME), "ist": np.full(len(TIME), 1e200)}, 1e-3),
         ("holds 1e+200",),
     ),
-    "MAT is none": ("run.mat", lambda p: p.write_bytes(b"PAR1" + bytes(200)), ("not a readable MATLAB file",)),
+    "MAT is none": ("run.mat", lambda p: p.write_bytes(b"none" + bytes(200)), ("not a readable MATLAB file",)),
     "MAT cut off": ("run.mat", lambda p: (savemat(p, {"t": TIME, **move(TIME)}), _cut(p, 0.5)), ("not a readable MATLAB file",)),
     "MAT that crashes scipy": ("run.mat", lambda p: (savemat(p, {"t": TIME, **move(TIME)}), _patched(p, 145, b"\x08")), ("MATLAB file",)),
     "MAT 7.3": ("run.mat", _mat_7_3, ("MATLAB",)),
@@ -285,17 +288,17 @@ BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
         lambda p: savemat(p, {"t": TIME, **move(TIME), "ist": np.zeros(7)}),
         ("'ist'", "has 7 samples", "differs from the time column"),
     ),
-    "Parquet is none": ("run.parquet", lambda p: p.write_bytes(b"TDSm" + bytes(100)), ("not a Parquet file",)),
+    "Parquet is none": ("run.parquet", lambda p: p.write_bytes(bytes(100)), ("not a Parquet file",)),
     "Parquet with a heading that is no text": (
         "run.parquet",
         lambda p: p.write_bytes(_parquet(p, "t", "soll", "ist").read_bytes().replace(b"soll", b"so\xffl")),
         ("not a readable Parquet file",),
     ),
     "Parquet with a column twice": ("run.parquet", lambda p: _parquet(p, "t", "soll", "soll"), ("column 'soll' occurs twice",)),
-    "unknown ending": (
+    "spreadsheet": (
         "run.xlsx",
         lambda p: p.write_bytes(b"PK\x03\x04" + zlib.compress(struct.pack("<I", 1))),
-        ("no reader for '.xlsx'",),
+        ("a spreadsheet or an archive",),
     ),
     "no such file": ("run.csv", lambda p: None, ("no such file",)),
 }

@@ -12,9 +12,10 @@ import pytest
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_mdf, write_tdms, write_xml
 from twin.cli import main
 from twin.documents import toml_key, toml_text
-from twin.recordings.formats.delimited import find_dialect
+from twin.recordings.formats.delimited import find_layout
 from twin.recordings.formats.parquet import read as read_parquet
-from twin.recordings.signals import Clock, ReadOptions, share_time
+from twin.recordings.signals import Clock, ReadOptions
+from twin.recordings.time_column import share_time
 from twin.recordings.trace import Trace, read_trace
 
 TIME = np.arange(3000) * 1e-3
@@ -63,8 +64,8 @@ def test_csv_of_any_dialect(tmp_path: Path, delimiter: str, decimal: str, before
     columns = move(TIME)
     table = {"Zeit": TIME * 1e3, **columns}
     file = write_csv(tmp_path / "run.csv", table, delimiter=delimiter, decimal=decimal, before=before, encoding=encoding, units=units)
-    found = find_dialect(file)
-    assert (found.delimiter, found.decimal) == (delimiter, decimal)
+    found = find_layout(file, ReadOptions(Clock(), None, tmp_path))
+    assert (found.rows.delimiter, found.rows.decimal) == (delimiter, decimal)
     assert found.names == tuple(table)
     unit = "" if units else '[time]\ncolumn = "Zeit"\nunit = "ms"\n'
     trace = imported(tmp_path, [file], MAP + unit)
@@ -171,7 +172,7 @@ def test_matlab_7_3(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_column_that_is_not_a_clock_is_ignored() -> None:
     columns = {"time": (np.array([np.inf, np.inf, 1.0]), "s"), "t": (np.array([0.0, 1.0, 2.0]), "s"), "x": (np.zeros(3), "mm")}
-    signals = share_time(columns, Clock(), "file")
+    signals, _, _ = share_time(columns, Clock(), "file")
     assert signals["x"].time is not None
     assert list(signals["x"].time) == [0.0, 1.0, 2.0]
 

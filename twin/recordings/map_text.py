@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import json
 import re
 
 from twin.documents import toml_text
 from twin.recordings.propose import Proposal
+from twin.recordings.signals import Clock
 
 
-def map_text(proposal: Proposal, files: Iterable[str]) -> str:
-    """The map as TOML."""
+def map_text(proposal: Proposal, files: Iterable[str], clock: Clock | None = None, dialect: Mapping[str, object] | None = None) -> str:
+    """The map as TOML. `clock` and `dialect`: what the user gave to read the files."""
     lines = [
         f"# proposed by 'twin import' for {', '.join(files)} from column names and recorded numbers",
         "# edit it, and import again with: twin import FILES --map THIS_FILE --out CAMPAIGN",
@@ -26,6 +27,10 @@ def map_text(proposal: Proposal, files: Iterable[str]) -> str:
     lines.append('offsets = "correct"          # a constant difference between two encoders is removed and listed in campaign.toml')
     if proposal.labels:
         lines.append(f"labels = {json.dumps(proposal.labels, ensure_ascii=False)}   # constant within a run; they go into campaign.toml")
+    if clock and clock.interval_s:
+        lines += ["", "[time]", f"interval_ms = {clock.interval_s * 1e3:.9g}"]
+    if dialect:
+        lines += ["", "[csv]", *(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in dialect.items())]
     for column in proposal.columns:
         mark = "# " if column.doubt else ""
         lines.append("")

@@ -19,6 +19,7 @@ decimal = ","
 header_line = 3
 units_row = true
 encoding = "latin-1"
+columns = ["time [ms]", "position"]   # names of all columns where the file gives none or wrong ones; "-" where unused
 
 [[column]]
 name = "Lagesollwert X"            # as in the file

@@ -1,11 +1,11 @@
 """Result of every reader of recordings: named signals, each with its own times, as in the file. The map adds units and axes.
 
-A new format is one module with `read(path, options) -> Recording` and one line in `formats.READERS`.
+A new format is one module with `read(path, options) -> Recording` and one line in `formats.by_content`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -14,8 +14,8 @@ from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 
-from twin.errors import InputError, nearest
-from twin.units import RECORDED_UNITS, dimension_recorded
+from twin.errors import InputError
+from twin.units import RECORDED_UNITS
 
 IMPOSSIBLE_VALUE = 1e15
 """Values at or above this magnitude, NaN and infinity are not measurements in any unit."""
@@ -55,11 +55,37 @@ class Signal:
     time: Column | None
     unit: str = ""
     description: str = ""
+    stated_unit: str = ""
+    """The unit as the file writes it, if it is none that the twin converts: %, pulses."""
 
     def blocks(self) -> Iterator[tuple[int, np.ndarray]]:
         """(first row, values) of consecutive blocks."""
         for start in range(0, len(self.values), BLOCK):
             yield start, np.asarray(self.values[start : start + BLOCK], float)
+
+
+@dataclass(frozen=True)
+class TimeSource:
+    """Where the times of a recording come from.
+
+    kind      "file" (times of the format itself), "column", "interval" (given, or stated above the numbers), or "rows": no time is known, and the
+              times of the signals are row numbers 0, 1, 2, ...
+    column    name of the time column
+    unit      unit of its numbers
+    assumed   nothing states this unit; `text` says what was assumed
+    text      one sentence for the user; "" if the file leaves nothing open
+    """
+
+    kind: str = "file"
+    column: str = ""
+    unit: str = "s"
+    assumed: bool = False
+    text: str = ""
+
+    @property
+    def known(self) -> bool:
+        """False if the times are row numbers."""
+        return self.kind != "rows"
 
 
 @dataclass(frozen=True)
@@ -86,11 +112,12 @@ class Recording:
     notes: tuple[str, ...] = ()
     events: tuple[Event, ...] = ()
     restarts: int = 0
+    source: TimeSource = TimeSource()
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Time source of a format without times: a column and its unit, or a constant interval [s]. Neither: found by name."""
+    """What the user gives for a format without times: a column and its unit, or a constant interval [s]. Neither: found by name."""
 
     column: str | None = None
     unit: str | None = None
@@ -113,7 +140,6 @@ _ALIASES = {
     "n·m": "Nm", "n*m": "Nm", "n": "N", "rpm": "rev/min", "u/min": "rev/min", "1/min": "rev/min", "u": "rev", "rev": "rev",
     "s^-1": "rev/s", "ma": "mA", "mv": "mV", "kn": "kN", "-": "1",
 }  # fmt: skip
-_TIME_NAMES = ("time", "t", "zeit", "timestamp", "x-achse", "x axis", "x_value", "temps", "tempo")
 _IN_BRACKETS = re.compile(r"^(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))\s*$")
 
 
@@ -138,65 +164,6 @@ def split_heading(text: str) -> tuple[str, str]:
     return (match[1].strip(), unit) if match and unit and match[1].strip() else (text.strip(), "")
 
 
-def find_time_column(names: Sequence[str], units: Sequence[str], clock: Clock, where: str) -> int | None:
-    """Index of the time column; None if the map gives an interval."""
-    if clock.interval_s is not None:
-        return None
-    if clock.column is not None:
-        plain = [split_heading(n)[0] for n in names]
-        for i, name in enumerate(names):
-            if clock.column in (name, plain[i]):
-                return i
-        raise InputError(f"{where}: no time column '{clock.column}'; {nearest(clock.column, names)}")
-    if found := time_candidates(names, units):
-        return found[0]
-    raise InputError(
-        f'{where}: no column looks like a time; give [time] column = "..." or interval_ms = ... in the map ({", ".join(names[:8])})'
-    )
-
-
-def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
-    """Indices of the columns with names of a time, most likely first: 'time', 'rec.time', 'rec.time_cont'."""
-    ranked = []
-    for i, name in enumerate(names):
-        if units[i] == "" or dimension_recorded(units[i]) == "time":
-            plain = split_heading(name)[0].lower()
-            last = re.split(r"[./]", plain)[-1]
-            kinds = (plain in _TIME_NAMES, last in _TIME_NAMES, last.startswith(("time_", "zeit_")))
-            if any(kinds):
-                ranked.append((kinds.index(True), i))
-    return [i for _, i in sorted(ranked)]
-
-
-def time_factor(name: str, unit: str, clock: Clock, where: str) -> float:
-    """Factor from the time column to seconds, by the unit of the map, else of the file, else s."""
-    clock_unit = known_unit(clock.unit) if clock.unit else (unit or split_heading(name)[1] or "s")
-    if not clock_unit or dimension_recorded(clock_unit) != "time":
-        raise InputError(f"{where}: time column '{name}': [{clock.unit or clock_unit}] is not a unit of time; use s, ms, us, ns or min")
-    return RECORDED_UNITS[clock_unit][1]
-
-
-def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> dict[str, Signal]:
-    """Signals from columns (values, unit) on one time column or interval. A column of another length gets no time."""
-    names = list(columns)
-    units = [unit for _, unit in columns.values()]
-    at = find_time_column(names, units, clock, where)
-    if at is not None and clock.column is None:
-        # of several candidates the first that increases: a constant counter or a list of other times is not a time
-        at = next((i for i in time_candidates(names, units) if _runs(columns[names[i]][0])), at)
-    if at is None:
-        rows = max((len(values) for values, _ in columns.values()), default=0)
-        time = np.arange(rows) * float(clock.interval_s or 0.0)
-    else:
-        values, unit = columns[names[at]]
-        time = np.asarray(values, float) * time_factor(names[at], unit, clock, where)
-    return {
-        name: Signal(name, np.asarray(values, float), time if len(values) == len(time) else None, unit)
-        for i, (name, (values, unit)) in enumerate(columns.items())
-        if i != at
-    }
-
-
 def date_of(text: object) -> datetime | None:
     """A date and time as in files (2024-05-14T08:21:07.250Z), or None."""
     try:
@@ -208,12 +175,6 @@ def date_of(text: object) -> datetime | None:
 def is_count(value: object) -> TypeGuard[float]:
     """True for a finite number of a JSON file; false for true and false."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < IMPOSSIBLE_VALUE
-
-
-def _runs(time: np.ndarray) -> bool:
-    """True if the time is finite and always increases."""
-    time = np.asarray(time, float)
-    return len(time) > 1 and bool((np.abs(time) < IMPOSSIBLE_VALUE).all() and (np.diff(time) > 0.0).all())
 
 
 def check_readable(path: Path) -> None:

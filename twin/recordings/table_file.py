@@ -51,14 +51,29 @@ def _parquet(path: Path) -> Any:
 
 def _csv(path: Path) -> Any:
     """The table of a CSV file in UTF-8 or, if that fails, in Latin-1."""
+    import pyarrow as pa
     import pyarrow.csv
 
     refuse_above(path.stat().st_size / 8.0, MOST_VALUES, "values", str(path), "cut the recording into runs")
+    bad: list[Any] = []
+
+    def invalid(row: Any) -> str:
+        bad.append(row)
+        return "error"
+
+    parse = pyarrow.csv.ParseOptions(invalid_row_handler=invalid)
     try:
-        table = pyarrow.csv.read_csv(path)
+        table = pyarrow.csv.read_csv(path, parse_options=parse, read_options=pyarrow.csv.ReadOptions(use_threads=False))
         _ = table.column_names  # decodes the headings
     except UnicodeDecodeError:
         table = pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
+    except pa.ArrowInvalid:
+        if not bad:
+            raise
+        row = bad[0]
+        raise InputError(
+            f"{path}: line {row.number} has {row.actual_columns} of {row.expected_columns} cells: '{row.text[:60].strip()}'; correct or remove it"
+        ) from None
     return table
 
 

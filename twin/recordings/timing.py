@@ -13,6 +13,7 @@ import itertools
 import numpy as np
 
 from twin.errors import InputError
+from twin.recordings.restarts import PAUSE_S
 from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Column
 from twin.recordings.trace import RELATIVE_PERIOD_TOLERANCE
 
@@ -74,7 +75,7 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         raise InputError(f"{where}: its samples are {interval:.3g} s apart, which no control records; correct the unit of the time")
     notes: list[str] = []
     gaps: list[int] = []
-    repeated = 0
+    repeated = pauses = 0
     limit = (LONGER * interval if period_s is None else LONGER_MIXED * max(interval, period_s)) + (quantum if rounded else 0.0)
     for row, steps in _steps(time):
         if steps.min() < 0.0:
@@ -85,7 +86,9 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
             )
         repeated += int(np.count_nonzero(steps == 0.0))
         gaps += [row + int(i) for i in np.flatnonzero(steps > limit)]
-        if len(gaps) > max(MANY_GAPS * n, 20):
+        # a pause between two parts is no change of the interval
+        pauses += int(np.count_nonzero(steps > max(limit, 0.999 * PAUSE_S, 9.99 * interval)))
+        if len(gaps) - pauses > max(MANY_GAPS * n, 20):
             raise _interval_error(time, gaps[0], interval, where)
     bounds = [0, *(g + 1 for g in gaps), n]
     stretches = []

@@ -142,6 +142,8 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
             missing.append(column)
             continue
         recording, signal = place
+        if not recording.source.known:
+            raise InputError(f"{recording.path}: {recording.source.text}, or [time] interval_ms = ... in the map")
         if signal.time is None:
             where = f"{recording.path}: column '{signal.name}'"
             raise InputError(f"{where}: has {len(signal.values)} samples, which differs from the time column; leave it out of the map")

@@ -1,1 +1,1 @@
-"""One reader per file format; `by_ending` selects it by the file's ending."""
+"""One reader per file format; `by_content` selects it by the first bytes of the file."""

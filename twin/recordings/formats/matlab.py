@@ -10,7 +10,8 @@ import numpy as np
 from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import refuse_above
-from twin.recordings.signals import ReadOptions, Recording, share_time, starts_with
+from twin.recordings.signals import ReadOptions, Recording, starts_with
+from twin.recordings.time_column import share_time
 from twin.system import tried
 
 MOST_VALUES = 100_000_000
@@ -48,7 +49,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
         elif values.ndim <= 2:
             vectors[name] = (values.ravel().astype(float), "")
     notes = ["MATLAB: " + ", ".join([f"{len(vectors)} vectors", *(f"{name} = {value:g}" for name, value in numbers.items())])]
-    return Recording(path, "MATLAB", share_time(vectors, options.clock, str(path)), None, tuple(notes))
+    signals, source, restarts = share_time(vectors, options.clock, str(path))
+    return Recording(path, "MATLAB", signals, None, tuple(notes), restarts=restarts, source=source)
 
 
 def _older(path: Path, columns: dict[str, np.ndarray]) -> None:

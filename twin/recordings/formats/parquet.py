@@ -9,8 +9,9 @@ import numpy as np
 from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import refuse_above
-from twin.recordings.signals import ReadOptions, Recording, share_time, split_heading, starts_with
+from twin.recordings.signals import ReadOptions, Recording, split_heading, starts_with
 from twin.recordings.table_file import MOST_VALUES
+from twin.recordings.time_column import share_time
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -35,4 +36,5 @@ def read(path: Path, options: ReadOptions) -> Recording:
         if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
             plain, unit = split_heading(name)
             columns[plain if plain_names.count(plain) == 1 else name] = (column.cast(pa.float64(), safe=False).to_numpy(), unit)
-    return Recording(path, "Parquet", share_time(columns, options.clock, str(path)), None, (f"Parquet: {len(columns)} columns",))
+    signals, source, restarts = share_time(columns, options.clock, str(path))
+    return Recording(path, "Parquet", signals, None, (f"Parquet: {len(columns)} columns",), restarts=restarts, source=source)

@@ -10,7 +10,8 @@ import numpy as np
 
 from twin.documents import reading
 from twin.errors import InputError
-from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit, share_time, starts_with
+from twin.recordings.signals import ReadOptions, Recording, Signal, TimeSource, known_unit, starts_with
+from twin.recordings.time_column import share_time
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -44,8 +45,9 @@ def read(path: Path, options: ReadOptions) -> Recording:
             signals[name] = Signal(name, values.astype(float), time, unit, str(channel.properties.get("description", "")))
         else:
             without[name] = (values.astype(float), unit)
+    source, restarts = TimeSource(), 0
     if without and not signals:
-        signals = share_time(without, options.clock, str(path))
+        signals, source, restarts = share_time(without, options.clock, str(path))
     elif without:
         signals |= {name: Signal(name, values, None, unit) for name, (values, unit) in without.items()}
-    return Recording(path, "TDMS", signals, started, (f"TDMS: {len(raw)} channels",))
+    return Recording(path, "TDMS", signals, started, (f"TDMS: {len(raw)} channels",), restarts=restarts, source=source)

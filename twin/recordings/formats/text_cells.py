@@ -1,0 +1,148 @@
+"""Text as cells: encoding, first lines, and what a cell is: a number, a date or clock time, a word, or blank."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+import re
+
+from twin.errors import InputError
+
+SAMPLE_BYTES = 1 << 18
+"""Bytes from which encoding and layout are found."""
+NUMBER, STAMP, WORD, BLANK = "number", "stamp", "word", ""
+_NUMBERS = {
+    mark: re.compile(rf"[+-]?(?:\d+(?:[{mark}]\d*)?|[{mark}]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE) for mark in (".", ",")
+}
+_STAMP = re.compile(
+    r"(?:(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})|(?P<a>\d{1,2})(?P<mark>[-/.])(?P<b>\d{1,2})[-/.](?P<c>\d{4}|\d{2}))?"
+    r"(?:[T_, ]+|(?=\d{1,2}:)|$)"
+    r"(?:(?:(?P<h>\d{1,2}):)?(?P<min>\d{1,2}):(?P<s>\d{1,2})(?:[.,:](?P<f>\d{1,9}))?\s*(?P<half>[AaPp][Mm])?)?"
+    r"\s*(?P<zone>Z|[+-]\d{2}:?\d{2})?"
+)
+_NOT_TEXT = (
+    (b"PK\x03\x04", "a spreadsheet or an archive"),
+    (b"\xd0\xcf\x11\xe0", "a spreadsheet"),
+    (b"\x1f\x8b", "compressed: unpack it"),
+)
+DAY_NS = 86_400_000_000_000
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The first lines of a text file."""
+
+    path: Path
+    encoding: str
+    lines: tuple[str, ...]
+
+
+def read_sample(path: Path, encoding: str | None = None) -> Sample:
+    """Encoding and first lines; an incomplete last one is left out."""
+    with open(path, "rb") as file:
+        head = file.read(SAMPLE_BYTES)
+    encoding = encoding or _encoding(head, path)
+    try:
+        text = head.decode(encoding, errors="ignore")
+    except LookupError:
+        raise InputError(f"{path}: [csv] encoding '{encoding}' is unknown; use utf-8, latin-1 or utf-16") from None
+    # the line ends of Python's text files; str.splitlines knows more
+    lines = text.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return Sample(path, encoding, tuple(lines[:-1] if len(head) == SAMPLE_BYTES or not lines[-1] else lines))
+
+
+def _encoding(head: bytes, path: Path) -> str:
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if b"\x00" in head:
+        # Western text in UTF-16 without its mark has a zero in every second byte
+        for at, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
+            if head[at::2].count(0) > 0.9 * len(head[at::2]) and not head[1 - at :: 2].count(0):
+                return encoding
+        known = next(
+            (what for magic, what in _NOT_TEXT if head.startswith(magic)), "not a text file (it holds zero bytes), and no known format"
+        )
+        raise InputError(f"{path}: {known}; export the recording as text")
+    try:
+        head[: len(head) - 4].decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """The cells of a line; several spaces count as one delimiter."""
+    if '"' not in line:
+        return line.split() if delimiter == " " else [cell.strip() for cell in line.split(delimiter)]
+    cells = next(csv.reader([line.strip() if delimiter == " " else line], delimiter=delimiter, skipinitialspace=True), [])
+    return [c for c in cells if c] if delimiter == " " else [c.strip() for c in cells]
+
+
+def kind_of(cell: str, decimal: str) -> str:
+    """What a cell is with this decimal mark."""
+    if cell == "":
+        return BLANK
+    if _NUMBERS[decimal].fullmatch(cell):
+        return NUMBER
+    return STAMP if is_stamp(cell) else WORD
+
+
+def is_number(cell: str) -> bool:
+    """True for a number with a point or a comma."""
+    return any(pattern.fullmatch(cell) for pattern in _NUMBERS.values())
+
+
+def is_stamp(cell: str) -> bool:
+    """True for a date, a clock time, or both."""
+    return len(cell) > 5 and cell[0].isdigit() and stamp_ns(cell) is not None
+
+
+def has_date(cell: str) -> bool:
+    """True if a stamp has a date."""
+    match = _STAMP.fullmatch(cell.strip())
+    return bool(match and (match["y"] or match["a"]))
+
+
+def has_clock(cell: str) -> bool:
+    """True if a stamp has a time of day."""
+    match = _STAMP.fullmatch(cell.strip())
+    return bool(match and match["s"])
+
+
+def stamp_ns(text: str) -> int | None:
+    """Nanoseconds of a date, since 1970, or of a clock time, since midnight; None if the text is neither.
+
+    14.05.2024 is the 14th of May; 05/14/2024 too, where the numbers allow it. A zone is taken off.
+    """
+    match = _STAMP.fullmatch(text.strip())
+    if match is None or not (match["y"] or match["a"] or match["s"]):
+        return None
+    if not (match["y"] or match["a"] or match["h"] or match["f"]):
+        return None  # 12:30 without more may be hours or minutes
+    ns = 0
+    try:
+        if match["y"]:
+            ns = _day_ns(int(match["y"]), int(match["m"]), int(match["d"]))
+        elif match["a"]:
+            first, second, year = int(match["a"]), int(match["b"]), int(match["c"])
+            day, month = (second, first) if match["mark"] == "/" and first <= 12 else (first, second)
+            ns = _day_ns(year + (2000 if year < 100 else 0), month, day)
+    except ValueError:
+        return None
+    if match["s"]:
+        hour = int(match["h"] or 0)
+        if match["half"]:
+            hour = hour % 12 + (12 if match["half"].lower() == "pm" else 0)
+        if hour > 23 or int(match["min"]) > 59 or int(match["s"]) > 60:
+            return None
+        ns += ((hour * 60 + int(match["min"])) * 60 + int(match["s"])) * 1_000_000_000 + int((match["f"] or "0").ljust(9, "0"))
+    if (zone := match["zone"]) and zone != "Z":
+        minutes = int(zone[1:3]) * 60 + int(zone[-2:])
+        ns -= (1 if zone[0] == "+" else -1) * minutes * 60_000_000_000
+    return ns
+
+
+def _day_ns(year: int, month: int, day: int) -> int:
+    return int(datetime(year, month, day, tzinfo=UTC).timestamp()) * 1_000_000_000

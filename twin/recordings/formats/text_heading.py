@@ -1,0 +1,237 @@
+"""Lines above the numbers: names, units, interval of the samples.
+
+Names stand in the last line that has a cell for each column, units below them, or in brackets. Exports of scopes begin each line with its meaning instead
+(`Name`, `Unit`, `SampleTime[ms]`) and repeat it above each time column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+import re
+from typing import Any
+
+from twin.errors import InputError, nearest
+from twin.recordings.formats.text_cells import cells_of, is_number, is_stamp
+from twin.recordings.signals import known_unit, split_heading
+
+KEYS = ("delimiter", "decimal", "header_line", "units_row", "encoding", "columns")
+_NAME_KEYS = (
+    "name",
+    "names",
+    "channel name",
+    "channel",
+    "channels",
+    "signal",
+    "signals",
+    "signal name",
+    "variable",
+    "kanal",
+    "kanalname",
+    "bezeichnung",
+    "nom",
+)
+_UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "unité", "unite", "unités")
+_TYPES = ("real", "lreal", "int", "dint", "uint", "udint", "sint", "usint", "lint", "ulint", "bool", "bit", "word", "dword", "byte", "real32", "real64",
+          "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float", "double", "float32", "float64")  # fmt: skip
+UNUSED = (
+    "not selected",
+    "not used",
+    "unused",
+    "not assigned",
+    "nicht belegt",
+    "nicht verwendet",
+    "unbenutzt",
+    "non utilisé",
+    "none",
+    "-",
+    "n/c",
+    "nc",
+    "n/a",
+    "off",
+)
+"""Names of channels that nothing was assigned to."""
+_INTERVAL = re.compile(
+    r"sampl|abtast|interval|p[ée]riod|cycle|zyklus|takt|[ée]chantillon|pas de temps|\bd[ _]?t\b|delta[ _]?t|increment|\bts\b|cadence",
+    re.IGNORECASE,
+)
+_AMOUNT = re.compile(r"\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
+_UNIT = r"(nsec|usec|msec|sec|ns|us|µs|μs|ms|khz|mhz|hz|s)"
+_SECONDS = {"ns": 1e-9, "nsec": 1e-9, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "ms": 1e-3, "msec": 1e-3, "s": 1.0, "sec": 1.0}
+_HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
+_COMMENT = re.compile(r"^\s*(?:#+|%+|//|;;|\*)\s*")
+
+
+@dataclass(frozen=True)
+class Heading:
+    """Names ("" if none), units in the twin's spelling, units as written, and the interval [s] that the lines state. `keyed`: columns that lines' keys stand above."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    written: tuple[str, ...]
+    interval_s: float | None
+    intervals: Mapping[int, float]
+    """Intervals of time columns of their own."""
+    keyed: frozenset[int]
+    line: str
+    """The line of the names: pieces of one file may repeat it."""
+
+
+def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], given: Mapping[str, Any], path: Path) -> Heading:
+    """The heading from the lines above the numbers; `filled` columns have values. Names in `given` (--columns) and positions of lines (the map's [csv]) take precedence."""
+    for key in given:
+        if key not in KEYS:
+            raise InputError(f"{path}: [csv] {key}: unknown key; {nearest(key, KEYS)}")
+    width = len(filled)
+    table = [_cells(line, delimiter, width) for line in lines]
+    full = [i for i, cells in enumerate(table) if len(cells) in (width - 1, width) and any(cells)]
+    names_at, units_at, keyed = _given_lines(given, len(lines), path) if "header_line" in given else _lines_of(table, full, given)
+    names = _padded(table[names_at] if names_at is not None else [], width)
+    below = _padded(table[units_at] if units_at is not None else [], width)
+    if names_at is not None:
+        above = (
+            _padded(next((table[i] for i in reversed(full) if i < names_at and _wordy(table[i])), []), width) if not keyed else [""] * width
+        )
+        # a unit in the line of the names belongs to the name above it: 'Time' over 'ms'
+        for i in range(width):
+            if above[i] and (names[i] == "" or (known_unit(names[i]) and len(names[i]) > 1 and not known_unit(above[i]))):
+                names[i], below[i] = above[i], below[i] or names[i]
+        names = _joined(above, names)
+    if columns := given.get("columns"):
+        names = _given_names(columns, filled, names, path)
+    split = [_split(name) for name in names]
+    plain = [name for name, _ in split]  # without its unit, where that leaves it unique
+    written = [_plain(b) or unit for b, (_, unit) in zip(below, split)]
+    keys_above = [i for i in range(width) if keyed and names[i].lower() in _NAME_KEYS]
+    timed = [table[i] for i in full if keyed and _INTERVAL.search(table[i][0])]
+    intervals = {i: _interval([f"{row[i]} {row[i + 1]}"]) for row in timed for i in keys_above if i + 1 < len(row)}
+    return Heading(
+        tuple(own if plain.count(own) == 1 else name for own, name in zip(plain, names)),
+        tuple(known_unit(text) for text in written),
+        tuple(written),
+        _interval(lines),
+        {i: interval for i, interval in intervals.items() if interval},
+        frozenset(keys_above),
+        lines[names_at] if names_at is not None else "",
+    )
+
+
+def _cells(line: str, delimiter: str, width: int) -> list[str]:
+    """Cells of a line above the numbers; names beside numbers in columns of spaces may hold spaces themselves."""
+    line = _COMMENT.sub("", line)
+    cells = cells_of(line, delimiter)
+    while len(cells) > width and cells[-1] == "":
+        cells.pop()
+    if len(cells) not in (width - 1, width):
+        others = [re.split(r"\s{2,}|\t+", line.strip()), *(cells_of(line, other) for other in ";,\t|" if other != delimiter)]
+        cells = next((own for own in others if len(own) == width > 1), cells)
+    return cells
+
+
+def _given_lines(given: Mapping[str, Any], count: int, path: Path) -> tuple[int | None, int | None, bool]:
+    line = given["header_line"]
+    if isinstance(line, bool) or not isinstance(line, int):
+        raise InputError(f"{path}: [csv] header_line = {line!r}; give the number of a line")
+    if not 1 <= line <= count:
+        raise InputError(f"{path}: [csv] header_line = {line}, but numbers begin in line {count + 1}; correct it")
+    return line - 1, (line if given.get("units_row") and line < count else None), False
+
+
+def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int], given: Mapping[str, Any]) -> tuple[int | None, int | None, bool]:
+    """Lines of names and of units, and whether the lines begin with their meaning."""
+    keys = {i: _plain(re.sub(r"[\[(].*", "", table[i][0])).lower() for i in full}
+    named = [i for i in full if keys[i] in _NAME_KEYS]
+    measured = [i for i in full if keys[i] in _UNIT_KEYS]
+    if named and (measured or any(_INTERVAL.search(keys[i]) for i in full)):
+        return named[0], measured[0] if measured else None, True
+    rows = [i for i in full if _wordy(table[i]) and not all(c.lower() in _TYPES for c in table[i] if c)]
+    if len(rows) > 1 and given.get("units_row", _units(table[rows[-1]])):
+        return rows[-2], rows[-1], False
+    return (rows[-1] if rows else None), None, False
+
+
+def _units(cells: Sequence[str]) -> bool:
+    """True for a line of units."""
+    there = [c for c in cells if _plain(c)]
+    return bool(there) and 2 * sum(bool(known_unit(_without_quantity(c))) for c in there) >= len(there)
+
+
+def _wordy(cells: Sequence[str]) -> bool:
+    """True if some cells are neither numbers nor dates, and these are no fewer than a third."""
+    there = [c for c in cells if c]
+    return 3 * sum(not is_number(c) and not is_stamp(c) for c in there) >= max(len(there), 1)
+
+
+def _joined(above: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Names in two lines, 'X' over 'set point', where the lower ones alone occur twice. A name above holds until the next one."""
+    twice = {n for n in names if n and names.count(n) > 1 and n.lower() not in UNUSED}  # type: ignore[attr-defined]
+    if not twice or not any(above):
+        return list(names)
+    held, over = "", []
+    for cell in above:
+        held = cell or held
+        over.append(held)
+    joined = [f"{o} {n}".strip() if n in twice else n for o, n in zip(over, names)]
+    return joined if len({j for j, n in zip(joined, names) if n in twice}) == sum(n in twice for n in names) else list(names)
+
+
+def _given_names(columns: Any, filled: Sequence[bool], names: Sequence[str], path: Path) -> list[str]:
+    """Names of all columns, or of all that have values."""
+    if not isinstance(columns, list | tuple) or not all(isinstance(c, str) for c in columns):
+        raise InputError(f'{path}: [csv] columns = {columns!r}; give the names of all columns, like ["time [ms]", "position"]')
+    if len(columns) not in (len(filled), sum(filled)):
+        there = f" ({', '.join(names[:8])}{', ...' if len(names) > 8 else ''})" if any(names) else ""
+        raise InputError(
+            f"{path}: {len(columns)} names in --columns, but the file has {sum(filled)} columns{there}; name each, '-' where unused"
+        )
+    left = iter(columns)
+    return [next(left).strip() if there or len(columns) == len(filled) else "" for there in filled]
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Name and unit: 'Pos X [mm]', 'Pos X (mm)', 'Pos X in mm', 'Pos X / mm', 'Pos X, mm', 'n 1/min'."""
+    plain, unit = split_heading(name)
+    if unit:
+        return plain, unit
+    if (match := re.fullmatch(r"(.*\w)\s*(?:\s+in\s+|\s+/\s+|,\s*|\s*/\s*\()([^\s()]+)\)?", name)) and (unit := known_unit(match[2])):
+        return match[1], unit
+    # a letter alone behind a name is an axis, not an ampere
+    match = re.fullmatch(r"(.*\w)\s+(\S*/\S+|mm|deg|rpm|Nm|ms|[uµμ]m|°)", name)
+    if match and (unit := known_unit(match[2])):
+        return match[1], unit
+    match = re.fullmatch(r"(.*\S)\s*[\[(]([^\])]*)[\])]", name)
+    other = match[2].strip() if match else ""
+    return name, other if other in ("%", "counts", "count", "inc", "incr", "pulse", "pulses", "pls", "steps", "ticks") else ""
+
+
+def _without_quantity(cell: str) -> str:
+    """'V (Voltage)' as 'V'."""
+    return re.sub(r"(?<=\S)\s*\(.*\)$", "", cell)
+
+
+def _plain(cell: str) -> str:
+    """A unit without brackets and without words for none."""
+    text = _without_quantity(cell).strip().strip("[]()").strip()
+    return "" if text.lower() in ("none", "-", "--", "n/a", "no unit") else text
+
+
+def _interval(lines: Sequence[str]) -> float | None:
+    """The interval [s] from a line such as 'Sampling period is 100000 nSec', 'Sampling time interval(ms),0.667' or 'Abtastrate: 1 kHz'."""
+    for line in lines:
+        key = _INTERVAL.search(line)
+        amount = _AMOUNT.search(line, key.end()) if key else None
+        if key and amount:
+            behind = re.match(rf"[\s;,]*{_UNIT}(?![A-Za-z])", line[amount.end() :], re.IGNORECASE)
+            before = re.search(rf"[\[(/]\s*{_UNIT}\s*[\])]", line[key.start() : amount.start()], re.IGNORECASE)
+            unit = (behind or before or [""] * 2)[1].lower()
+            number = float(amount[0].replace(",", "."))
+            if number > 0.0 and unit in _SECONDS:
+                return number * _SECONDS[unit]
+            if number > 0.0 and unit in _HERTZ:
+                return 1.0 / (number * _HERTZ[unit])
+    return None
+
+
+def _padded(cells: Sequence[str], width: int) -> list[str]:
+    return [*cells, *[""] * (width - len(cells))]

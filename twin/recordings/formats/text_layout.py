@@ -1,0 +1,183 @@
+"""Layout of a text file of numbers: delimiter, decimal mark, first row, and how the cells belong together.
+
+table    a row is a moment, a column a signal; also with a time column of its own for each group of signals
+pairs    each value stands behind its name: `pos 1.5 speed 0.2`
+long     each row is one value: time, name, value
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, Sample, cells_of, kind_of
+from twin.recordings.signals import known_unit
+
+MOST_LINES = 600
+"""Lines from which the layout is found."""
+_PAIRS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."), ("|", ","), (" ", "."), (" ", ","))
+"""Delimiter and decimal mark are found together: only the right pair makes numbers of most cells. The order decides ties."""
+_LONG_NAMES = (
+    "name",
+    "signal",
+    "channel",
+    "tag",
+    "tagname",
+    "variable",
+    "pv",
+    "parameter",
+    "item",
+    "point",
+    "kanal",
+    "messgroesse",
+    "metric",
+    "symbol",
+)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of data in the sample. `first`: lines before them. `kinds`: of each column. `cells` (row, column): those that have all columns."""
+
+    delimiter: str
+    decimal: str
+    first: int
+    kinds: tuple[str, ...]
+    cells: tuple[tuple[str, ...], ...]
+    score: int
+
+    def columns(self, kind: str) -> list[int]:
+        """Indices of the columns of a kind."""
+        return [i for i, own in enumerate(self.kinds) if own == kind]
+
+    def values(self, column: int) -> np.ndarray | None:
+        """Numbers of a column, NaN where blank; None for words and dates."""
+        if self.kinds[column] != NUMBER:
+            return None
+        texts = (row[column].replace(self.decimal, ".") for row in self.cells)
+        return np.array([float(t) if kind_of(t, ".") == NUMBER else np.nan for t in texts])
+
+    def texts(self, column: int) -> list[str]:
+        """Cells of a column."""
+        return [row[column] for row in self.cells]
+
+
+def find_rows(sample: Sample, given: Mapping[str, Any]) -> Rows:
+    """The rows of numbers. Columns of words are accepted only if no pair of delimiter and decimal mark does without.
+
+    Raises:
+        InputError: there are none.
+    """
+    pairs = [p for p in _PAIRS if given.get("delimiter", p[0]) == p[0] and given.get("decimal", p[1]) == p[1]]
+    found = [rows for pair in pairs for rows in _rows(sample.lines[:MOST_LINES], *pair)]
+    for words in (False, True):
+        if fitting := [rows for rows in found if words or WORD not in rows.kinds]:
+            return max(fitting, key=lambda rows: rows.score)
+    raise InputError(
+        f"{sample.path}: no rows of numbers found; is it a recording as text? give delimiter and decimal in [csv] of a map if it is one"
+    )
+
+
+def _rows(lines: Sequence[str], delimiter: str, decimal: str) -> list[Rows]:
+    """Rows of each width that many lines have."""
+    table = [cells_of(line, delimiter) for line in lines]
+    kinds = [[kind_of(cell, decimal) for cell in row] for row in table]
+    widths = Counter(len(row) for row in table if any(row))
+    out = []
+    for width in sorted(widths, key=lambda w: w * widths[w], reverse=True)[:3] + [w for w in widths if w == max(widths)]:
+        if width < 2:
+            continue
+        full = [i for i, row in enumerate(kinds) if len(row) == width and any(row)]
+        # the last rows are no heading; a channel that has ended is blank there
+        columns = tuple(_majority([kinds[i][c] for i in full[-50:]]) or _majority([kinds[i][c] for i in full]) for c in range(width))
+        fits = [bool(any(row)) and len(row) <= width and all(k in (BLANK, c) or c == WORD for k, c in zip(row, columns)) for row in kinds]
+        there = [i for i, row in enumerate(kinds) if any(row)]  # lines with content
+        # a row of data is followed by another one; a heading whose cells happen to fit is not
+        first = next(
+            (i for i, after in zip(there, [*there[1:], there[-1]]) if len(kinds[i]) == width and fits[i] and fits[after]), len(kinds)
+        )
+        if first + 1 in there and _numbered(table[first]):
+            first += 1
+        rows = [i for i in there if i >= first and fits[i]]
+        numbers = columns.count(NUMBER)
+        if not numbers or len(rows) < 0.5 * sum(i >= first for i in there):
+            continue
+        cells = tuple(tuple(table[i]) for i in rows if len(table[i]) == width)
+        # cells of decimal numbers decide between the marks; whole numbers have none
+        mark = decimal if decimal == "." or any("," in cell for row in cells for cell in row) else "."
+        score = sum(min(len(table[i]), numbers) for i in rows)
+        out.append(Rows(delimiter, mark, first, columns, cells, score))
+    return out
+
+
+def _majority(kinds: Sequence[str]) -> str:
+    """The kind of a column; blank cells do not count."""
+    counted = Counter(there := [kind for kind in kinds if kind != BLANK])
+    return max(counted, key=lambda kind: (counted[kind], kind == there[-1])) if counted else BLANK
+
+
+def _numbered(cells: Sequence[str]) -> bool:
+    """True for a heading 0, 1, 2, ... or 1, 2, 3, ..."""
+    return len(cells) > 1 and any(list(cells) == [str(i + start) for i in range(len(cells))] for start in (0, 1))
+
+
+def names_in_pairs(rows: Rows, headed: bool) -> dict[int, str] | None:
+    """Column -> name where each value stands behind its name, else None. A time may come first."""
+    used = [i for i, kind in enumerate(rows.kinds) if kind != BLANK]
+    for start in (0, 1, 2):
+        words, values = used[start::2], used[start + 1 :: 2]
+        if (
+            len(words) == len(values) > (1 if headed else 0)
+            and all(rows.kinds[i] == WORD and len(set(rows.texts(i))) == 1 for i in words)
+            and all(rows.kinds[i] == NUMBER for i in values)
+            and all(rows.kinds[i] != WORD for i in used[:start])
+        ):
+            return {value: rows.cells[0][word] for word, value in zip(words, values)}
+    return None
+
+
+@dataclass(frozen=True)
+class Long:
+    """Columns of a table with one value a row. `times`: one, or a date and a clock time. `unit`: None if there is no column of units."""
+
+    name: int
+    value: int
+    times: tuple[int, ...]
+    unit: int | None
+
+
+def long_table(rows: Rows, names: Sequence[str]) -> Long | None:
+    """The columns of a long table, or None.
+
+    Names alternate with others at the same times; the phases of a program, which a table may also have as words, follow one another.
+    """
+    words = [i for i in rows.columns(WORD) if 1 < len(set(rows.texts(i))) <= max(len(rows.cells) // 3, 2)]
+    stamps, numbers = rows.columns(STAMP), rows.columns(NUMBER)
+    if len(words) < 1 or len(numbers) != (1 if stamps else 2):
+        return None
+    named = [i for i in words if names[i].lower() in _LONG_NAMES]
+    name = named[0] if named else max(words, key=lambda i: len(set(rows.texts(i))))
+    unit = next((i for i in rows.columns(WORD) if i != name and all(map(known_unit, rows.texts(i)))), None)
+    if stamps:
+        times, value = tuple(stamps), numbers[0]
+        order = np.arange(len(rows.cells), dtype=float)
+        at = [" ".join(row[i] for i in stamps) for row in rows.cells]
+        shared = len(set(at)) < len(at)
+    else:
+        heads = {i: rows.values(i) for i in numbers}
+        one = rows.texts(name)[0]
+        own = np.array([text == one for text in rows.texts(name)])
+        rising = [i for i, head in heads.items() if head is not None and own.sum() > 1 and np.all(np.diff(head[own]) > 0.0)]
+        if not rising:
+            return None
+        times, value = (rising[0],), next(i for i in numbers if i != rising[0])
+        order = heads[rising[0]]  # type: ignore[assignment]
+        shared = bool(np.any(np.diff(order) <= 0.0))
+    changes = sum(a != b for a, b in zip(rows.texts(name), rows.texts(name)[1:]))
+    interleaved = changes > 2 * len(set(rows.texts(name)))
+    return Long(name, value, times, unit) if named or shared or interleaved else None

@@ -1,0 +1,196 @@
+"""Time of a format that keeps it in a column: which column, in which unit, or none.
+
+The unit is, in this order, that of the user, that of the file, that of a count since 1970, or assumed: steps of 0.5 and more are ms, smaller ones s,
+because no control records slower than every half second. An assumed unit and a missing time are said in `TimeSource.text`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import re
+
+import numpy as np
+
+from twin.errors import InputError, nearest
+from twin.recordings.restarts import Restarts
+from twin.recordings.signals import IMPOSSIBLE_VALUE, Clock, Signal, TimeSource, known_unit, split_heading
+from twin.units import RECORDED_UNITS, dimension_recorded
+
+_NAMES = (
+    "time", "t", "zeit", "timestamp", "temps", "tempo", "x-achse", "x axis", "x_value", "datetime", "date time", "date/time", "datum/zeit", "uhrzeit",
+    "zeitstempel", "horodatage", "zeitpunkt", "elapsed time", "elapsed", "relative time", "abs time", "clock", "seconds", "sekunden", "millis",
+)  # fmt: skip
+_UNIT_OF_NAME = {"seconds": "s", "sekunden": "s", "millis": "ms"}
+_ENDING = re.compile(r"[ _](?:in )?(s|sec|ms|us|µs|ns|min)$", re.IGNORECASE)
+SLOWEST_S = 0.5
+"""Longest interval of a control's recording: steps from this number on are taken as ms if nothing states the unit."""
+_SINCE_1970 = (9.4e8, 2.9e9)
+"""Seconds from 1970 to 1999 and to 2061."""
+UNNAMED = "column {}"
+"""Name of a column that has none."""
+COUNTERS = (
+    "",
+    UNNAMED.format(1),
+    "index",
+    "idx",
+    "n",
+    "nr",
+    "no",
+    "row",
+    "zeile",
+    "#",
+    "unnamed: 0",
+    "sample",
+    "samples",
+    "point",
+    "punkt",
+    "count",
+)
+"""Names of a column that numbers the rows."""
+NO_TIME = "no time: neither a column nor a line of the file gives it; give the interval of the samples with --interval-ms"
+
+
+@dataclass(frozen=True)
+class Found:
+    """The time column: its index, seconds per number of it, and its source. `at` is None if the times are rows * `factor`."""
+
+    at: int | None
+    factor: float
+    source: TimeSource
+
+
+def find_time(
+    names: Sequence[str],
+    units: Sequence[str],
+    heads: Sequence[np.ndarray | None],
+    clock: Clock,
+    where: str,
+    interval_s: float | None = None,
+) -> Found:
+    """The time among columns with these names, units and first values (None: not numbers). `interval_s`: interval that the file states.
+
+    Raises:
+        InputError: the user names a column that does not exist, or a unit that is none of time.
+    """
+    heads = [head[~np.isnan(head)] if head is not None else None for head in heads]
+    if clock.interval_s is not None:
+        return Found(None, clock.interval_s, TimeSource("interval"))
+    if clock.column is not None:
+        plain = [split_heading(n)[0] for n in names]
+        at = next((i for i, name in enumerate(names) if clock.column in (name, plain[i])), None)
+        if at is None:
+            raise InputError(f"{where}: no time column '{clock.column}'; {nearest(clock.column, names)}")
+        return _found(at, names, units, heads, clock, where, interval_s)
+    # of several candidates the one that distinguishes most rows and does not just number them, then the likelier name
+    candidates = [i for i in time_candidates(names, units) if (head := heads[i]) is None or _runs(head)]
+    if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and _even(heads[0]):
+        candidates = [0]
+    if candidates:
+        most = max(_distinct(heads[i]) for i in candidates)
+        finest = [i for i in candidates if _distinct(heads[i]) >= 0.9 * most]
+        return _found(min(finest, key=lambda i: numbers_rows(heads[i])), names, units, heads, clock, where, interval_s)
+    if interval_s is not None:
+        return Found(None, interval_s, TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms by the lines above the numbers"))
+    return Found(None, 1.0, TimeSource("rows", text=NO_TIME))
+
+
+def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
+    """Indices of the columns with names of a time, most likely first: 'time', 'rec.time', 'time_cont'."""
+    ranked = []
+    for i, name in enumerate(names):
+        if units[i] == "" or dimension_recorded(units[i]) == "time":
+            plain = _ENDING.sub("", split_heading(name)[0].lower()).strip(" _#")
+            last = re.split(r"[./]", plain)[-1]
+            kinds = (plain in _NAMES, last in _NAMES, last.startswith(("time_", "zeit_", "timestamp")), units[i] != "")
+            if any(kinds):
+                ranked.append((kinds.index(True), i))
+    return [i for _, i in sorted(ranked)]
+
+
+def _found(
+    at: int,
+    names: Sequence[str],
+    units: Sequence[str],
+    heads: Sequence[np.ndarray | None],
+    clock: Clock,
+    where: str,
+    interval_s: float | None,
+) -> Found:
+    """The time column with its unit."""
+    name, head = split_heading(names[at])[0], heads[at]
+    ending = _ENDING.search(name)
+    stated = (
+        known_unit(clock.unit) if clock.unit else units[at] or (known_unit(ending[1]) if ending else _UNIT_OF_NAME.get(name.lower(), ""))
+    )
+    if (clock.unit and (not stated or dimension_recorded(stated) != "time")) or (stated and dimension_recorded(stated) != "time"):
+        raise InputError(f"{where}: time column '{name}': [{clock.unit or stated}] is not a unit of time; use s, ms, us, ns or min")
+    if stated:
+        return Found(at, RECORDED_UNITS[stated][1], TimeSource("column", name, stated))
+    if head is None or len(head) < 2:
+        return Found(at, 1.0, TimeSource("column", name))
+    for unit in ("s", "ms", "us", "ns"):
+        if _SINCE_1970[0] < head[0] * RECORDED_UNITS[unit][1] < _SINCE_1970[1]:
+            return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit, text=f"'{name}' counts {unit} since 1970"))
+    step = float(np.median(np.diff(head)))
+    if interval_s is not None and step > 0.0:
+        for unit in ("s", "ms", "us", "ns"):
+            if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
+                return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit))
+    unit = "ms" if step >= SLOWEST_S else "s"
+    seconds = step * RECORDED_UNITS[unit][1]
+    what = f"nothing states the unit of '{name}'" + (", which may only number the rows" if numbers_rows(head) else "")
+    text = f"{what}: its steps of {step:.4g} are taken as {unit} ({seconds * 1e3:.4g} ms a row); if that is wrong, give --interval-ms"
+    return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit, assumed=True, text=text))
+
+
+def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> tuple[dict[str, Signal], TimeSource, int]:
+    """Signals from columns (values, unit) on one time, its source, and how often it starts again. A column of another length gets no time."""
+    names = list(columns)
+    units = [unit for _, unit in columns.values()]
+    found = find_time(names, units, [np.asarray(values[:4096], float) for values, _ in columns.values()], clock, where)
+    if found.at is None:
+        rows = max((len(values) for values, _ in columns.values()), default=0)
+        time = np.arange(rows) * found.factor
+    else:
+        values = np.asarray(columns[names[found.at]][0], float)
+        time = (values - (values[0] if found.source.text.endswith("since 1970") else 0.0)) * found.factor
+    restarts = Restarts()
+    time = restarts(time)
+    signals = {
+        name: Signal(name, np.asarray(values, float), time if len(values) == len(time) else None, unit)
+        for i, (name, (values, unit)) in enumerate(columns.items())
+        if i != found.at and not is_counter(name, np.asarray(values[:4096], float))
+    }
+    return signals, found.source, restarts.count
+
+
+def numbers_rows(head: np.ndarray | None) -> bool:
+    """True for a column 0, 1, 2, ... that only numbers the rows; it may begin anew in each part."""
+    return head is not None and len(head) > 2 and bool(np.mean(np.diff(head) == 1.0) > 0.95)
+
+
+def is_counter(name: str, head: np.ndarray | None) -> bool:
+    """True for a column that numbers the rows and is named like that, or not at all."""
+    return name.lower() in COUNTERS and numbers_rows(head)
+
+
+def _even(head: np.ndarray | None) -> bool:
+    """True for a column without a name that rises by one step other than 1."""
+    if head is None or len(head) < 3:
+        return False
+    steps = np.diff(head)
+    return bool(steps.min() > 0.0 and np.ptp(steps) < 0.02 * steps.max() and not numbers_rows(head))
+
+
+def _distinct(head: np.ndarray | None) -> int:
+    return 1 << 30 if head is None else len(np.unique(head))
+
+
+def _runs(time: np.ndarray) -> bool:
+    """True if the times are finite and mostly go forwards: they may stand still where rounded, and go back where a part begins."""
+    # counts of ns since 1970 are larger than any measurement
+    if len(time) < 2 or not np.all(np.isfinite(time)) or not np.all(np.abs(time) < 1e4 * IMPOSSIBLE_VALUE):
+        return False
+    steps = np.diff(time)
+    return bool(np.count_nonzero(steps > 0.0) > 0 and np.count_nonzero(steps < 0.0) <= 0.1 * len(steps))
