@@ -32,6 +32,7 @@ ORDER = (
     ("replay", "compare"),
     ("identify",),
     ("diagnose", "study"),
+    ("remedy", "history"),
     ("exam", "regress"),
     ("desk",),  # lists what the others wrote; starts commands, imports none
     ("cli",),

@@ -1,0 +1,198 @@
+"""Files of controls: the examples of the manuals byte for byte, the law of their readers, and what is read back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.errors import InputError
+from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
+from twin.remedy.files.table import ErrorTable
+
+# LinuxCNC: the documentation's table of type 0, one of type 1, and the one in the comment of the source
+TYPE_0 = "-1.000 -1.005 -0.995\n0.000 0.002 -0.003\n1.000 1.003 0.998\n"
+TYPE_1 = "-1.000 0.005 -0.005\n0.000 0.002 -0.003\n1.000 0.003 -0.004\n"
+OF_SOURCE = "0.000000 0.000000 -0.001279\n0.100000 0.098742 0.051632\n0.200000 0.171529 0.194216\n"
+
+
+def test_the_trims_that_linuxcnc_applies() -> None:
+    trims = linuxcnc.load(TYPE_0)
+    at = (-2.0, -0.5, 0.0, 0.25, 0.5, 1.0, 3.0)
+    assert [trims.at(p, 1.0) for p in at] == pytest.approx([0.005, 0.0015, -0.002, -0.00225, -0.0025, -0.003, -0.003], abs=1e-9)
+    assert [trims.at(p, -1.0) for p in at] == pytest.approx([-0.005, -0.001, 0.003, 0.00275, 0.0025, 0.002, 0.002], abs=1e-9)
+    one = linuxcnc.load(TYPE_1, 1)
+    assert [(one.at(p, 1.0), one.at(p, -1.0)) for p in (-0.5, 0.5, 3.0)] == [
+        pytest.approx(pair, abs=1e-9) for pair in ((0.0035, -0.004), (0.0025, -0.0035), (0.003, -0.004))
+    ]
+    source = linuxcnc.load(OF_SOURCE)
+    assert (source.at(0.05, 1.0), source.at(0.05, -1.0)) == pytest.approx((0.000629, 0.0248235), abs=1e-7)
+    assert (source.at(0.15, 1.0), source.at(0.15, -1.0)) == pytest.approx((0.014865, 0.027076), abs=1e-6)
+
+
+def test_the_ramp_of_a_trim() -> None:
+    expected = [-0.0070, -0.0055, -0.0030, -0.0005, 0.0020, 0.0045, 0.0060, 0.0075, 0.0075]
+    assert linuxcnc.ramp(-0.0075, 0.0075, 250.0, 2000.0, 1e-3, 9) == pytest.approx(expected, abs=1e-9)
+    assert linuxcnc.ramp(0.0075, -0.0075, 250.0, 2000.0, 1e-3, 9) == pytest.approx([-x for x in expected], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "points", "words"),
+    [
+        ("# comment\n0 0 0\n", 0, "the loader stops there"),
+        ("0 0 0\n\n1 0 0\n", 1, "the loader stops there"),
+        ("0 0 0\n1,0,0\n", 1, "the loader stops there"),
+        ("0 0 0\n0 1 1\n1 0 0\n", 2, "skipped"),
+        ("".join(f"{i} 0 0\n" for i in range(300)), 256, "more than 256"),
+        ("0 0 0 9 9\n1 0 0\n", 2, ""),
+    ],
+)
+def test_the_traps_of_the_loader(text: str, points: int, words: str) -> None:
+    trims = linuxcnc.load(text, 1)
+    assert len(trims.nominal) == points
+    assert words in " ".join(trims.dropped)
+    assert bool(trims.dropped) == bool(words)
+
+
+def error_table(by_direction: bool, spacing: float = 0.01) -> ErrorTable:
+    random = np.random.default_rng(4)
+    positions = -0.2 + spacing * np.arange(41)
+    forward = np.round(random.normal(0.0, 5e-6, 41), 8)
+    return ErrorTable("X1", positions, forward, np.round(forward + 3e-6, 8) if by_direction else forward)
+
+
+def test_what_is_written_is_read_back() -> None:
+    both, one = error_table(True), error_table(False)
+    for written, read in (
+        (both, linuxcnc.table_of(linuxcnc.compensation_file(both, "linear"), "X1", "linear", 1)),
+        (one, sinumerik.eec_table(sinumerik.eec_file(one, "linear"), "linear")),
+        (both, isg.table_of(isg.list_of(both, "linear", 2), "X1", "linear")),
+        (one, isg.table_of(isg.list_of(one, "linear", 2), "X1", "linear")),
+    ):
+        assert read.positions == pytest.approx(written.positions, abs=1e-9)
+        # ISG counts in 0.1 um
+        assert read.forward == pytest.approx(written.forward, abs=0.51e-7)
+        assert read.backward == pytest.approx(written.backward, abs=0.51e-7)
+    (positive, forward), (negative, backward) = sinumerik.cec_tables(sinumerik.cec_file(both, "linear", {"X1": "AX1"}), "linear")
+    assert (positive, negative) == (1, -1)
+    assert forward.forward == pytest.approx(both.forward, abs=1e-9)
+    assert backward.backward == pytest.approx(both.backward, abs=1e-9)
+    assert not forward.backward.any()
+
+
+def test_the_sign_of_each_format() -> None:
+    """An axis that goes 5 um too far: +0.005 in EEC, -0.005 for LinuxCNC's type 1, 50 in the list of ISG."""
+    table = ErrorTable("X", np.array([0.0, 0.1]), np.full(2, 5e-6), np.full(2, 5e-6))
+    assert "$AA_ENC_COMP[0,0,X]=0.005\n" in sinumerik.eec_file(table, "linear")
+    assert linuxcnc.compensation_file(table, "linear").splitlines()[0] == "0.000000 -0.005000 -0.005000"
+    assert "kw.ssfk.table[0].pos         50\n" in isg.list_of(table, "linear", 1)
+
+
+EEC = """%_N_AX_EEC_INI
+CHANDATA(1)
+$AA_ENC_COMP[0,0,X1]=0.003
+$AA_ENC_COMP[0,1,X1]=0.01
+$AA_ENC_COMP[0,2,X1]=0.012
+$AA_ENC_COMP[0,800,X1]=-0.0
+$AA_ENC_COMP_STEP[0,X1]=1.0
+$AA_ENC_COMP_MIN[0,X1]=-200.0
+$AA_ENC_COMP_MAX[0,X1]=600.0
+$AA_ENC_COMP_IS_MODULO[0,X1]=0
+M17
+"""
+
+
+def test_the_example_of_sinumerik() -> None:
+    table = sinumerik.eec_table(EEC, "linear")
+    at = np.array([-0.2, -0.1995, -0.199, -0.1985, -0.198, -0.25])
+    assert table.error(at) == pytest.approx([3e-6, 6.5e-6, 10e-6, 11e-6, 12e-6, 3e-6])
+    # a writer writes every point; those of the manual stand unchanged among them
+    lines = sinumerik.eec_file(table, "linear").splitlines()
+    assert set(EEC.splitlines()) - set(lines) <= {"%_N_AX_EEC_INI", "$AA_ENC_COMP[0,800,X1]=-0.0"}
+    assert len(lines) == 801 + 7
+
+
+def test_the_example_of_a_cross_compensation() -> None:
+    head = "INPUT_AXIS[0]=(AX2) OUTPUT_AXIS[0]=(AX1) STEP[0]=6.73 MIN[0]=-400.0 MAX[0]=400.0 DIRECTION[0]=0 IS_MODULO[0]=0"
+    text = "".join(f"$AN_CEC[0,{n}]={v}\n" for n, v in enumerate(("0", "0.01", "0.012"))) + "".join(f"$AN_CEC_{w}\n" for w in head.split())
+    [(direction, table)] = sinumerik.cec_tables(text, "linear")
+    assert (direction, table.axis, table.input_axis) == (0, "AX1", "AX2")
+    at = np.array([-0.4, -0.395, -0.39327, -0.390, -0.38654])
+    assert table.error(at) == pytest.approx([0.0, 7.43e-6, 10e-6, 10.97e-6, 12e-6], abs=1e-8)
+
+
+LIS = """kopf.achs_nr                 2
+kw.ssfk.interval             0
+kw.ssfk.kw_startpos          -200000
+kw.ssfk.kw_nr_max            3
+kw.ssfk.unit                 1
+kw.ssfk.bilateral            1
+kw.ssfk.table[0].setpoint    -200000
+kw.ssfk.table[1].setpoint    -199306
+kw.ssfk.table[2].setpoint    -198667
+kw.ssfk.table[0].pos         0
+kw.ssfk.table[1].pos         24
+kw.ssfk.table[2].pos         -102
+kw.ssfk.table[0].neg         0
+kw.ssfk.table[1].neg         67
+kw.ssfk.table[2].neg         80
+"""
+
+
+def test_the_example_of_isg_byte_for_byte() -> None:
+    table = isg.table_of(LIS, "Y", "linear")
+    assert isg.list_of(table, "linear", 2) == LIS
+    at = np.array([-19.9306e-3, -19.9e-3, -19.8667e-3])
+    assert table.error(at, 1) == pytest.approx([2.4e-6, -3.63e-6, -10.2e-6], abs=1e-8)
+    assert table.error(at, -1) == pytest.approx([6.7e-6, 7.32e-6, 8.0e-6], abs=1e-8)
+
+
+def test_the_old_table_of_heidenhain() -> None:
+    text = "0 Z-990      Y+0\n1 Z-973.616  Y-0.06\n2 Z-957.232  Y-0.09\n3 Z-940.848\n4 Z-924.464\n5 Z-908.08   Y-0.12\n"
+    table = heidenhain.old_table(text, "Y", "Z")
+    at = np.array([-0.981808, -0.965424, -0.940848, -0.924464])
+    assert table.error(at) == pytest.approx([-30e-6, -75e-6, -100e-6, -110e-6], abs=1e-9)
+    assert heidenhain.spacing_for(7e-3) == pytest.approx(4.096e-3)
+    heidenhain.check_slope(table)
+    with pytest.raises(InputError, match="1/64"):
+        heidenhain.check_slope(ErrorTable("Y", np.array([0.0, 0.016384]), np.array([0.0, 3e-4]), np.array([0.0, 3e-4])))
+
+
+def test_a_file_that_the_control_saved_is_filled() -> None:
+    saved = "BEGIN PITCH_X.COM\nNR  AXISPOS   BACKLASH  X\n0   -100.0    +0.0000   +0.0000\n1   +0.0      +0.0000   +0.0000\n[END]\n"
+    table = ErrorTable("X", np.array([-0.1, 0.0]), np.array([2e-6, 4e-6]), np.array([-1e-6, -3e-6]))
+    lines = heidenhain.filled(saved, table, "linear").splitlines()
+    assert lines[2].split() == ["0", "-100.0", "-0.0010", "+0.0020"]
+    assert lines[3].split() == ["1", "+0.0", "-0.0030", "+0.0040"]
+    assert (lines[0], lines[-1]) == ("BEGIN PITCH_X.COM", "[END]")
+    with pytest.raises(InputError, match="save one on the control"):
+        heidenhain.filled("AXISPOS Y\n", table, "linear")
+
+
+def test_lists_of_parameters_keep_the_old_values() -> None:
+    datum = sinumerik.MachineDatum(32520, "FRICT_COMP_CONST_MAX", "AX1", 101.0, 0.0, "mm/min", grade="C")
+    text = sinumerik.archive([datum])
+    assert "N32520 $MA_FRICT_COMP_CONST_MAX[0,AX1]=101 ; mm/min, was 0, effective: NewConfig; grade C: check before use" in text
+    assert "; N32520 $MA_FRICT_COMP_CONST_MAX[0,AX1]=0 ; mm/min" in text
+    assert sinumerik.machine_data(text) == {(32520, "AX1"): 101.0}
+    listed = heidenhain.parameter_list([heidenhain.MachineParameter("MP750", "X", 0.03, 0.0, "mm", "C")])
+    assert listed == "MP750 [X] : 0.03 mm ; was 0; grade C: check before use\n"
+    assert heidenhain.parameters_of(listed) == {("MP750", "X"): 0.03}
+    assert linuxcnc.ini_values(linuxcnc.ini_lines(0, {"BACKLASH": 0.015, "COMP_FILE": "x.comp"})) == {
+        0: {"BACKLASH": "0.015", "COMP_FILE": "x.comp"}
+    }
+
+
+def test_what_a_format_cannot_hold_is_refused() -> None:
+    uneven = ErrorTable("X", np.array([0.0, 0.1, 0.3]), np.zeros(3), np.zeros(3))
+    for make, words in (
+        (lambda: sinumerik.eec_file(error_table(True), "linear"), "two CEC tables"),
+        (lambda: sinumerik.eec_file(uneven, "linear"), "equidistant"),
+        (
+            lambda: linuxcnc.compensation_file(ErrorTable("X", np.arange(300.0), np.zeros(300), np.zeros(300)), "linear"),
+            "LinuxCNC takes 256",
+        ),
+        (lambda: ErrorTable("X", np.array([0.0, 0.0]), np.zeros(2), np.zeros(2)), "positions that increase"),
+        (lambda: isg.table_of("kw.ssfk.table[0].setpoint x\n", "X", "linear"), "line 1"),
+    ):
+        with pytest.raises(InputError, match=words):
+            make()

@@ -1,0 +1,152 @@
+"""LinuxCNC: compensation file of a joint and lines of its ini file. Law and loader: `usrmotintf.cc`, `control.c` (grade A).
+
+    trim    type 0: nominal - measured position of a line; type 1: the numbers themselves. Forward or reverse column by the sign of the speed
+    ramp    each servo cycle the applied value follows the trim with at most half of MAX_VELOCITY and half of MAX_ACCELERATION
+    motor command = position command + applied value;  position feedback = motor feedback - applied value
+
+So trim = -E: an axis that goes 5 um too far gets -0.005. A table of one point or more replaces BACKLASH. The loader stops silently at the
+first line that is not three numbers, so a file has no comments and no blank lines. It takes 256 points and keeps numbers in single precision.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+import re
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.remedy.files.table import ErrorTable
+
+MOST_POINTS = 256
+LONGEST_LINE = 254
+"""A longer line is split by the loader."""
+RAMP_SHARE = 0.5
+"""Share of the joint's limits that the ramp uses."""
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_PER_SI = {"linear": 1e3, "rotary": 180.0 / math.pi}
+"""Machine units (mm, degrees) per SI."""
+
+
+@dataclass(frozen=True)
+class Trims:
+    """What the loader keeps of a compensation file, in machine units: nominal positions and trims (point,), and what it dropped."""
+
+    nominal: np.ndarray
+    forward: np.ndarray
+    reverse: np.ndarray
+    dropped: tuple[str, ...]
+
+    def at(self, position: float, speed: float) -> float:
+        """Trim at a commanded position for the sign of the commanded speed; constant beyond the ends."""
+        return float(np.interp(position, self.nominal, self.forward if speed > 0.0 else self.reverse))
+
+
+def load(text: str, kind: int = 0) -> Trims:
+    """The trims as LinuxCNC's own loader reads them, with its silent stops; `dropped` says what it left out and why."""
+    rows: list[tuple[float, float, float]] = []
+    dropped = []
+    for number, line in enumerate(text.split("\n"), 1):
+        words = _leading_numbers(line[:LONGEST_LINE])
+        if len(words) < 3:
+            if line or number < len(text.split("\n")):
+                dropped.append(f"line {number} is not three numbers: the loader stops there")
+            break
+        if len(line) > LONGEST_LINE:
+            dropped.append(f"line {number} has more than {LONGEST_LINE} characters: the loader splits it")
+        nominal, first, second = words[:3]
+        if rows and nominal <= rows[-1][0]:
+            dropped.append(f"line {number}: its position does not increase: skipped")
+            continue
+        if len(rows) == MOST_POINTS:
+            dropped.append(f"line {number}: more than {MOST_POINTS} points: the loader stops there")
+            break
+        rows.append((nominal, first, second) if kind == 1 else (nominal, nominal - first, nominal - second))
+    table = np.array(rows, float).reshape(-1, 3)
+    # the loader keeps single precision
+    trims = table[:, 1:].astype(np.float32).astype(float)
+    return Trims(table[:, 0], trims[:, 0], trims[:, 1], tuple(dropped))
+
+
+def _leading_numbers(line: str) -> list[float]:
+    """The numbers at the start of a line, as sscanf("%lf %lf %lf") reads them."""
+    found: list[float] = []
+    at = 0
+    for _ in range(3):
+        blank = re.compile(r"\s*").match(line, at)
+        match = _NUMBER.match(line, blank.end() if blank else at)
+        if match is None:
+            break
+        found.append(float(match[0]))
+        at = match.end()
+    return found
+
+
+def compensation_file(table: ErrorTable, kind: str) -> str:
+    """A compensation file of type 1 for an error table; `kind` of the axis. Raises InputError for what the loader would cut off."""
+    if table.input_axis not in ("", table.axis):
+        raise InputError(f"axis {table.axis}: LinuxCNC has no compensation from axis {table.input_axis}; leave it out")
+    if len(table.positions) > MOST_POINTS:
+        raise InputError(f"axis {table.axis}: {len(table.positions)} points, LinuxCNC takes {MOST_POINTS}; use a wider spacing")
+    per_si = _PER_SI[kind]
+    return "".join(
+        f"{p * per_si:.6f} {-f * per_si:.6f} {-b * per_si:.6f}\n" for p, f, b in zip(table.positions, table.forward, table.backward)
+    )
+
+
+def table_of(text: str, axis: str, kind: str, file_type: int = 0) -> ErrorTable:
+    """The error table that a compensation file corrects. Raises InputError if the loader would leave out part of it."""
+    trims = load(text, file_type)
+    if trims.dropped:
+        raise InputError(f"compensation file of axis {axis}: {trims.dropped[0]}; repair the file")
+    per_si = _PER_SI[kind]
+    return ErrorTable(axis, trims.nominal / per_si, -trims.forward / per_si, -trims.reverse / per_si)
+
+
+def ini_lines(joint: int, values: dict[str, float | str]) -> str:
+    """The lines of a joint's section: '[JOINT_0]', then 'BACKLASH = 0.015' and the like."""
+    return f"[JOINT_{joint}]\n" + "".join(
+        f"{key} = {value if isinstance(value, str) else f'{value:.9g}'}\n" for key, value in values.items()
+    )
+
+
+def ini_values(text: str) -> dict[int, dict[str, str]]:
+    """The keys of each [JOINT_n] section of an ini file."""
+    out: dict[int, dict[str, str]] = {}
+    joint: int | None = None
+    for line in text.splitlines():
+        plain = line.split("#")[0].split(";")[0].strip()
+        if plain.startswith("["):
+            section = re.fullmatch(r"\[JOINT_(\d+)\]", plain)
+            joint = int(section[1]) if section else None
+        elif joint is not None and "=" in plain:
+            key, _, value = plain.partition("=")
+            out.setdefault(joint, {})[key.strip()] = value.strip()
+    return out
+
+
+def ramp(start: float, target: float, largest_speed: float, largest_acceleration: float, cycle: float, cycles: int) -> np.ndarray:
+    """Applied value (cycle,) after each servo cycle of a step from `start` to `target`, all in machine units.
+
+    Speed and acceleration are at most RAMP_SHARE of the joint's limits. The value brakes as soon as what is left is no longer than the way to
+    stop from one more cycle of acceleration, plus the way of this cycle; its last step lands on the target.
+    """
+    top, pull = RAMP_SHARE * largest_speed, RAMP_SHARE * largest_acceleration
+    sign = 1.0 if target >= start else -1.0
+    left, speed = abs(target - start), 0.0
+    out = []
+    for _ in range(cycles):
+        change = pull * cycle
+        if left <= 0.5 * (speed + change) ** 2 / pull + speed * cycle:
+            change = -change if speed > change else -speed
+            step = (speed + 0.5 * change) * cycle if speed + change > 0.0 else left
+        else:
+            change = min(change, top - speed)
+            full = (speed + 0.5 * change) * cycle
+            if left <= 0.5 * (speed + change) ** 2 / pull + full:
+                change = 0.0
+            step = (speed + 0.5 * change) * cycle
+        speed, left = speed + change, left - step
+        out.append(target - sign * left)
+    return np.array(out)
