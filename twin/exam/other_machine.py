@@ -6,7 +6,8 @@ On most of them, as in the field, the motor encoder closes the position loops, m
 this machine file; nothing in it is hidden.
     inertia at the motor   J = J_rotor + m r^2, m the load from the given file's commissioned inertia
     speed gain             Kp = w J, w = 2 pi 45 to 65 Hz       position gain   Kv Tp at most 0.12
-    current gain           L / (3 T), amplitude optimum
+    current gain           in proportion to L: amplitude optimum
+Torque constants, and noise of speed and current, are at least those of the given file, so that the small imperfections of `Richness.small` stay near the noise.
 With `keys` the file's noise and resolution are left out, ten times too small or ten times too large (`with_noise_keys`).
 """
 
@@ -24,7 +25,7 @@ from .plant.parameters import ratio_of
 ARRANGEMENTS = (("motor", "full"), ("motor", "full"), ("motor", "full"), ("motor", "no scale"), ("scale", "full"))
 """Encoder that closes the position loop, and recorded signals; drawn with equal probability."""
 
-CYCLES_US = ((1000, 1000), (2000, 1000), (2000, 2000), (4000, 2000), (4000, 4000), (4000, 1000))
+CYCLES_US = ((1000, 1000), (2000, 1000), (2000, 2000), (4000, 1000), (4000, 2000))
 """Position cycle and sample period."""
 
 NEEDS_A_SCALE = ("lead_error", "cyclic_error", "thermal_drift", "encoder_eccentricity", "frame_vibration")
@@ -50,13 +51,12 @@ def another_machine(machine: Mapping[str, Any], seed: int, effect: str | None = 
         return float(factor ** rng.uniform(-1.0, 1.0))
 
     position_us, sample_us = CYCLES_US[rng.integers(len(CYCLES_US))]
-    drive_us = int(rng.choice([125, 250]))
     encoder, _ = arrangement_of(seed, effect)
     out["name"] = f"{machine['name']}, other drives"
     out["parameter_tolerance"] = float(rng.choice([0.01, 0.02, 0.05]))
-    out["control"] |= {"current_cycle_us": drive_us, "speed_cycle_us": drive_us, "position_cycle_us": position_us}
+    out["control"] |= {"position_cycle_us": position_us}
     for axis in out["axis"].values():
-        _other_drive(axis, encoder, position_us * 1e-6, drive_us * 1e-6, about, rng)
+        _other_drive(axis, encoder, position_us * 1e-6, about, rng)
     step = float(rng.choice([1e-7, 2e-7, 5e-7, 1e-6]))  # m, and the same share of a table's radius
     motor_step = float(rng.choice([1e-8, 1e-7, 5e-7]))
     given = out["measurement"]
@@ -70,12 +70,12 @@ def another_machine(machine: Mapping[str, Any], seed: int, effect: str | None = 
         "motor_encoder_noise_m": 0.5 * motor_step * about(2.0),
         "motor_encoder_resolution_rad": motor_step,
         "motor_encoder_noise_rad": 0.5 * motor_step * about(2.0),
-        **{key: given[key] * about(2.0) for key in ("speed_noise_m_per_s", "speed_noise_deg_per_s", "current_noise_a")},
+        **{key: given[key] * float(3.0 ** rng.uniform()) for key in ("speed_noise_m_per_s", "speed_noise_deg_per_s", "current_noise_a")},
     }
     return out
 
 
-def _other_drive(axis: dict[str, Any], encoder: str, position_s: float, drive_s: float, about: Any, rng: np.random.Generator) -> None:
+def _other_drive(axis: dict[str, Any], encoder: str, position_s: float, about: Any, rng: np.random.Generator) -> None:
     """Change one [axis.*] table in place."""
     motor, loops, commissioned = axis["motor"], axis["loops"], axis["commissioned"]
     rotor = next(key for key in axis if key.startswith("rotor_and"))
@@ -88,14 +88,15 @@ def _other_drive(axis: dict[str, Any], encoder: str, position_s: float, drive_s:
     change = ratio_of(axis) / before
     axis["encoder"] = encoder
     axis[rotor] *= about(1.4)
-    axis["coulomb_friction_nm"] *= change * about(1.5)
-    axis["viscous_friction_nm_s_per_rad"] *= change**2 * about(1.5)
-    constant = about(1.6)
+    axis["coulomb_friction_nm"] *= about(1.3)
+    axis["viscous_friction_nm_s_per_rad"] *= about(1.3)
+    constant = float(2.0 ** rng.uniform())
     inertia = axis[rotor] + load * ratio_of(axis) ** 2
     torque = inertia / commissioned["inertia_kg_m2"] / change  # needed for the same acceleration
     motor["torque_constant_nm_per_a"] *= constant
     motor["back_emf_v_s_per_rad"] *= constant
     motor["resistance_ohm"] *= constant**2 * about(1.3)
+    inductance = motor["inductance_h"]
     motor["inductance_h"] *= constant**2 * about(1.3)
     motor["peak_current_a"] *= 1.3 * max(torque, change) / constant
     motor["bus_limit_v"] *= max(1.0, 1.3 * constant * max(1.0 / change, torque, change))
@@ -103,7 +104,7 @@ def _other_drive(axis: dict[str, Any], encoder: str, position_s: float, drive_s:
     loops["speed_gain_nm_s_per_rad"] = w * inertia
     loops["speed_integral_time_s"] *= about(1.5) * 1.2
     loops["position_gain_per_s"] = min(rng.uniform(30.0, 60.0), 0.12 / position_s)
-    loops["current_gain_v_per_a"] = motor["inductance_h"] / (3.0 * drive_s)
+    loops["current_gain_v_per_a"] *= motor["inductance_h"] / inductance
     loops["current_integral_time_s"] = motor["inductance_h"] / motor["resistance_ohm"]
     loops["position_delay_s"] = position_s
     commissioned["torque_constant_nm_per_a"] = motor["torque_constant_nm_per_a"]

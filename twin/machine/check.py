@@ -114,7 +114,8 @@ def _machine_findings(machine: Machine) -> Iterator[Finding]:
         yield Finding(
             "missing",
             "",
-            f"[measurement] has neither noise nor resolution for {', '.join(noiseless)}: gap and diagnosis cannot judge what is significant",
+            f"[measurement] has neither noise nor resolution for {', '.join(noiseless)}: simulations are free of noise; "
+            "gap and diagnosis take the noise from the record",
         )
     driven = set(machine.axis_names)
     still = [joint.name for joint in load_spec(machine.model_path).joints if joint.name not in driven]
