@@ -23,6 +23,7 @@ TOP = {
 
 ORDER = (
     ("report",),  # a toolbox of drawing: pages, figures, curves; it imports no room
+    ("control",),  # blocks: parameters, compiled updates, linear models, laws
     ("machine",),  # check, loops and data sheet of a machine read its simulation: see BORROWED
     ("geometry",),
     ("recordings",),
@@ -43,6 +44,7 @@ BORROWED = {
     ("machine", "simulation"),  # loops, check: linear models of the loops of a machine that is there
     ("machine", "effects"),  # check, loops: effects that a machine file lists
     ("machine", "recordings"),
+    ("control", "recordings"),  # least squares
     ("machine", "geometry"),
     ("geometry", "simulation"),  # kinematics and tool path read the compiled model
     ("geometry", "recordings"),

@@ -14,7 +14,7 @@ smaller, they add up in phase.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -305,8 +305,13 @@ def _rms(squares: Sequence[float], samples: np.ndarray) -> float:
     return float(np.sqrt(np.average(squares, weights=samples))) if len(squares) and samples.sum() > 0 else 0.0
 
 
-def document_of(budget: Budget, machine: Machine, probability: dict[Any, float], halves: dict[Any, float]) -> dict[str, Any]:
-    """The value of `budget` in diagnosis.json. `probability` and `halves` (half interval over size) by effect and axis."""
+def document_of(
+    budget: Budget, machine: Machine, probability: dict[Any, float], halves: dict[Any, float], calibrated: Collection[Any] = ()
+) -> dict[str, Any]:
+    """The value of `budget` in diagnosis.json. `probability` and `halves` (half interval over size) by effect and axis.
+
+    Effects in `calibrated` are of the kind "calibrated": the machine file had assumed their numbers.
+    """
 
     def row(r: Row) -> dict[str, Any]:
         key = r.setting.key if r.setting else None
@@ -315,7 +320,7 @@ def document_of(budget: Budget, machine: Machine, probability: dict[Any, float],
         return {
             "effect": r.name,
             "axis": r.axis,
-            "kind": r.kind,
+            "kind": "calibrated" if key in calibrated else r.kind,
             **({"from_axis": r.setting.from_axis} if r.setting and r.setting.from_axis else {}),
             "probability": probability.get(key, 1.0) if r.setting else 1.0,
             "tool_point": 1e6 * r.tool_point,

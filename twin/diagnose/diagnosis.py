@@ -24,6 +24,7 @@ from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
 from twin.effects import Setting
+from twin.machine.commented import ASSUMED, TRIED, assumed_values
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.gap import COMPARED, Prediction, SignalGap
@@ -58,7 +59,8 @@ class Diagnosis:
         return {
             "verdict": self.verdict,
             **({} if self.decided else {"decided": False}),
-            "effects": [self._effect(s, f, p) for s, f, p in self.settings],
+            "effects": [self._effect(s, f, p) for s, f, p in self.settings if s.key not in self.calibrated],
+            "calibrated": [self._effect(s, f, p) for s, f, p in self.settings if s.key in self.calibrated],
             "candidates": self._candidates(),
             "where": self.where,
             "gap": {
@@ -80,6 +82,12 @@ class Diagnosis:
             "notes": self.notes,
         }
 
+    @cached_property
+    def calibrated(self) -> frozenset[Any]:
+        """Keys of the effects on numbers that the machine file had assumed or tried: no findings, but a calibration of these numbers."""
+        guessed = set(assumed_values(self.machine, (ASSUMED, TRIED)))
+        return frozenset(s.key for s, _, _ in self.settings if guessed & set(s.paths(self.machine)))
+
     def _budget(self) -> dict[str, Any] | None:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}
 
@@ -95,7 +103,7 @@ class Diagnosis:
             shown = self._parameters(setting, found).get(size.name)
             if shown is not None and (deviation := size.deviation(shown["value"])) > 0.0:
                 halves[setting.key] = 0.5 * abs(shown["high"] - shown["low"]) / deviation
-        return document_of(budget, self.machine, {s.key: p for s, _, p in self.settings}, halves)
+        return document_of(budget, self.machine, {s.key: p for s, _, p in self.settings}, halves, self.calibrated)
 
     def _unexplained(self) -> list[dict[str, Any]]:
         """Gap above noise of each axis that the corrected machine leaves on held-out runs."""

@@ -10,7 +10,7 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
-from twin.diagnose.wording import parameters_of, place_text, unseen_text, verdict_sentence, where_text
+from twin.diagnose.wording import calibration_text, parameters_of, place_text, unseen_text, verdict_sentence, where_text
 from twin.files import output_folder, write_json
 from twin.machine.machine import write_machine
 from twin.recordings.trace import write_trace
@@ -51,6 +51,8 @@ def summary_text(document: dict[str, Any]) -> str:
             f"  law on {law['axis']} ({law['block']}): {law['sentence']}; {law['formula']}; probability {law['probability']:.2f}, "
             f"explains {law['explained']:.0%}"
         )
+    if document["calibrated"]:
+        lines.append(f"  calibrated, because the machine file had only assumed or tried it: {calibration_text(document)}")
     lines += [f"  where: {where_text(place)}" for place in document["where"][:3]]
     lines.append(
         f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning alone closes {gap['retuning_share']:.0%}"

@@ -191,6 +191,8 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
         decided = not (setup.quick and verdict == "none")
         proposal = propose(setup.machine, states, "unknown") if states else diagnosis.proposal
         diagnosis = replace(diagnosis, decided=decided, verdict="unknown", proposal=proposal)
+    if diagnosis.verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.settings):
+        diagnosis = replace(diagnosis, verdict="none")
     if diagnosis.laws and diagnosis.explained(diagnosis.axes, in_motion=True) >= 1.0 - ALL_BUT:
         diagnosis = replace(diagnosis, verdict="law")
     return replace(diagnosis, notes=[*diagnosis.notes, *_notes_at_rest(diagnosis)])

@@ -12,7 +12,16 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stretches
 from twin.diagnose.law.figures import laws_figure
 from twin.diagnose.report_figures import as_image, budget_figure, map_figure, stretch_figure, waterfall_figure
-from twin.diagnose.wording import effect_title, parameters_of, percent, sentence_case, times, unseen_text, verdict_sentence
+from twin.diagnose.wording import (
+    calibration_text,
+    effect_title,
+    parameters_of,
+    percent,
+    sentence_case,
+    times,
+    unseen_text,
+    verdict_sentence,
+)
 from twin.effects import EFFECTS
 from twin.files import write_whole
 from twin.report.stamp import made_line
@@ -49,6 +58,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         seconds=sum(float(run.trace.time[-1] - run.trace.time[0]) for run in diagnosis.campaign.runs),
         verdict=verdict_sentence(document, numbers=True),
         unseen=unseen_text(document),
+        calibration=calibration_text(document),
         numbers=gap_sentence(document),
         summaries={name: effect.summary for name, effect in EFFECTS.items()},
         telling=telling_gaps(document),

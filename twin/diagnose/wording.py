@@ -42,6 +42,8 @@ def effect_title(entry: dict[str, Any]) -> str:
 
 def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     """The verdict in one sentence; with `numbers`, including the first parameter of each effect."""
+    if document["verdict"] == "none" and document.get("calibrated"):
+        return f"No effect: the machine agrees with its file once numbers that the file had assumed are calibrated ({calibration_text(document)})."
     if document["verdict"] == "none":
         return "No effect: the machine agrees with its file within tolerance and noise."
     if document.get("decided") is False:
@@ -63,6 +65,11 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
         at += f", scaling with {place['scales_with']}"
     parts = listed([part for part in (names, laws) if part])
     return f"Unknown: no known effect explains the gap{at}" + (f"; part of it is {parts}." if parts else ".")
+
+
+def calibration_text(document: dict[str, Any]) -> str:
+    """The effects on numbers that the machine file had assumed or tried: 'velocity feedforward on axis X (1.32)'."""
+    return listed([f"{effect_title(e)} ({headline_number(e)})" for e in document.get("calibrated", ())])
 
 
 def where_text(place: dict[str, Any]) -> str:

@@ -155,6 +155,7 @@ class Effect:
                        "slip" of a contact before break-away
     picture            content of its picture
     definition         defining entries of an effect that is made from its own table (`FROM_TABLE`)
+    sets               fields of the axis or its loops that it changes or cannot be told from, besides those that its factors multiply
     """
 
     name: str
@@ -173,6 +174,7 @@ class Effect:
     normal: Literal["", "elasticity", "slip"] = ""
     picture: Picture = AN_ACCELERATION
     definition: Mapping[str, Any] = field(default_factory=dict)
+    sets: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
@@ -259,6 +261,7 @@ def effect(
     imitated_by: tuple[str, ...] = (),
     normal: Literal["", "elasticity", "slip"] = "",
     picture: Picture = AN_ACCELERATION,
+    sets: tuple[str, ...] = (),
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register a function as an effect under its name; the first line of its docstring is the summary.
 
@@ -286,6 +289,7 @@ def effect(
             imitated_by,
             normal,
             picture,
+            sets=sets,
         )
         return act
 

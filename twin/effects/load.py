@@ -30,6 +30,7 @@ def _usual_inertia(machine: Machine, axis: Axis) -> tuple[float, float]:
     rivals="A wrong torque feedforward acts only with feedforward on. An elastic drive train looks like a small inertia.",
     imitated_by=("transmission_compliance",),
     picture=Picture("The current rises in proportion to acceleration.", axis="X", sizes={"added": 800.0}),
+    sets=("moving_mass_kg", "rotor_inertia_kg_m2"),
 )
 def inertia(change: Change, axis: Axis, added: float) -> None:
     """Additional mass or inertia of one axis.

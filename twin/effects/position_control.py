@@ -46,6 +46,7 @@ def velocity_feedforward(change: Change, axis: Axis, factor: float) -> None:
     parameters=(Parameter("delay_s", "time", -0.002, 0.01, (-0.75e-3, 0.75e-3), neutral=0.0, starts=2),),
     rivals="With feedforward on, a wrong velocity feedforward looks the same. With feedforward off, only the delay acts.",
     picture=Picture("An error of v times the delay, with feedforward on and off.", axis="X", sizes={"delay_s": 0.5e-3}),
+    sets=("position_delay_s",),
 )
 def loop_delay(change: Change, axis: Axis, delay_s: float) -> None:
     """Set point delay of the position loop off nominal.
@@ -72,6 +73,7 @@ def loop_delay(change: Change, axis: Axis, delay_s: float) -> None:
         axis="X",
         sizes={"time_constant_s": 3e-3},
     ),
+    sets=("position_delay_s",),
 )
 def set_point_filter(change: Change, axis: Axis, time_constant_s: float) -> None:
     """First-order lag on the position set point, not on the feedforward.

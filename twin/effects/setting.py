@@ -10,6 +10,7 @@ from typing import Any
 from twin.effects.effect import FROM_TABLE, Effect, find_effect
 from twin.errors import InputError, nearest
 from twin.machine.machine import Machine
+from twin.machine.parameters import parameter
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,13 @@ class Setting:
     def factor_on(self, field: str) -> float:
         """Factor of the effect on a field of the axis, its motor or its loops; 1 without influence."""
         return math.prod(self.parameters[p.name] for p in self.effect.parameters if p.multiplies == field and p.name in self.parameters)
+
+    def paths(self, machine: Machine) -> list[str]:
+        """Paths in the machine file of the numbers that the effect changes or cannot be told from."""
+        axis = machine.axis(self.axis)
+        fields = {*self.effect.sets, *(p.multiplies for p in self.effect.parameters if p.multiplies)}
+        keys = [parameter(f).key(axis.drive if axis.drive != "direct" else "screw") for f in sorted(fields)]
+        return [machine.in_file(f"axis.{self.axis}.{key}", 0.0)[0] for key in keys if key]
 
     @property
     def size(self) -> float:

@@ -184,7 +184,7 @@ def _resimulated(
     if any(has_ideal_actuator(a) for a in found.axes):
         say("drives in closed loop")
         rows = {a: [division.fitted[a][i] for i in training] for a in found.axis_names}
-        known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop}
+        known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop} | direct.unexcited
         try:
             fits = fit_drives(machine, runs, rows, known, say, skipped=against)
             machine = fits.machine

@@ -43,6 +43,12 @@ class Direct:
     drive_loop: dict[str, DrivePositionLoop] = field(default_factory=dict)
     unfitted: dict[str, str] = field(default_factory=dict)  # axis -> why it has no position controller
 
+    @property
+    def unexcited(self) -> set[tuple[str, str]]:
+        """(axis, field of the closed-loop fit) of mechanical values that the motion of a single axis does not excite."""
+        fields = ("inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
+        return {(a, f) for a, b in self.balance.items() if " " not in a for f, seen in zip(fields, b.fit.seen) if not seen}
+
 
 def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, progress: Callable[[str], None] | None = None) -> Direct:
     """Regress all blocks; `simulated` holds the same runs of a noise-free simulation, the instruments of the speed controller."""

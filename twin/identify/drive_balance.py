@@ -28,6 +28,7 @@ from twin.identify.between_samples import (
     sawtooth_of,
 )
 from twin.machine.machine import Axis, Machine
+from twin.recordings.excitation import one_speed
 from twin.recordings.least_squares import Fit, regress
 
 NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
@@ -232,7 +233,8 @@ def drive_reacts_to_load(rows: Rows) -> bool:
 def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tuple[Fit, Rows] | None:
     """Fit NAMES of a single axis; the inertia's variance includes the fast loop's. None without usable rows.
 
-    If the machine file has no gravity, weights are given along the path, and the balance gets no gravity columns.
+    If the machine file has no gravity, weights are given along the path, and the balance gets no gravity columns. Inertia and viscous friction
+    that the motion does not excite keep the values of the machine file. A force beyond the largest recorded one is not identified.
     """
     heavy = current.machine.gravity != 0.0
     parts = [linear_rows(axis, run, i, heavy) for run in runs if (i := current.of(run)) is not None]
@@ -240,6 +242,31 @@ def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tup
         return None
     rows = stacked(parts)
     fit = regress(rows.columns, rows.y, rows.clusters)
+    poor = {0: hardly_accelerates(axis, runs), 2: one_speed(rows.speed) is not None}
+    kept = [i for i, unexcited in poor.items() if unexcited and fit.quantile * fit.deviations[i] > UNCERTAIN * abs(fit.values[i])]
+    if kept:
+        known = {0: axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2, 2: axis.viscous_friction_nm_s_per_rad}
+        columns = rows.columns.copy()
+        columns[:, kept] = 0.0
+        fit = regress(columns, rows.y - sum(rows.columns[:, i] * known[i] for i in kept), rows.clusters)
+    largest = max(float(np.abs(r.current).max()) for r in runs if r.current is not None) * axis.motor.torque_constant_nm_per_a
+    beyond = np.array([name in ("coulomb", "gravity") for name in NAMES])
+    beyond = np.pad(beyond, (0, len(fit.values) - len(NAMES))) & (np.abs(fit.values) > largest)
     covariance = fit.covariance.copy()
     covariance[0, 0] += current.inertia_deviation**2
-    return replace(fit, covariance=covariance), rows
+    covariance[beyond, beyond] = np.inf
+    return replace(fit, covariance=covariance, seen=fit.seen & ~beyond), rows
+
+
+UNCERTAIN = 0.3
+"""A value that the motion hardly excites is not identified if its interval is wider than this share of it."""
+
+LEAST_ACCELERATION = 0.05
+
+
+def hardly_accelerates(axis: Axis, runs: Sequence[AxisRun]) -> bool:
+    """Whether an axis accelerates less than this share of its limit wherever it slides (99 % of the time)."""
+    accelerations = [r.filtered(r.acceleration)[r.sliding] for r in runs if r.sliding.any()]
+    return bool(accelerations) and bool(
+        np.percentile(np.abs(np.concatenate(accelerations)), 99) < LEAST_ACCELERATION * axis.max_acceleration / axis.ratio
+    )

@@ -13,7 +13,7 @@ If the products contradict the tolerance, the torque constant of the file is kep
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
 
 import numpy as np
@@ -21,9 +21,9 @@ from scipy.optimize import least_squares
 
 from twin.effects.change import upward
 from twin.identify import tilting_pair
-from twin.identify.direct import Direct
+from twin.identify.direct import Balance, Direct
 from twin.machine.machine import Machine
-from twin.machine.toleranced import inertia_of, path_of
+from twin.machine.toleranced import field_value, inertia_of, path_of
 
 FLOOR = 2e-4
 """Lower bound of a product's relative standard deviation, for the errors of the laws."""
@@ -37,10 +37,14 @@ WIDE = 0.3
 
 @dataclass(frozen=True)
 class Split:
-    """Factors on machine-file values (log, standard deviation) by path for one motor or the pair, and whether the tolerance holds."""
+    """Factors on machine-file values (log, standard deviation) by path for one motor or the pair, and whether the tolerance holds.
+
+    `added`: friction by path that the machine file has at zero, so that no factor reaches it.
+    """
 
     factors: dict[str, tuple[float, float]]
     tolerance_holds: bool
+    added: dict[str, float] = field(default_factory=dict)
 
 
 def split_products(machine: Machine, direct: Direct, torque_constant_tolerance: float | None = None) -> dict[str, Split]:
@@ -65,13 +69,27 @@ def split_products(machine: Machine, direct: Direct, torque_constant_tolerance: 
             prior = np.array([min(max(kt_sd, 1e-6), 1e-2) if "torque_constant" in p else WIDE for p in paths])
             x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
         deviation = np.sqrt(np.diag(covariance))
-        out[name] = Split({p: (float(v), float(d)) for p, v, d in zip(paths, x, deviation)}, holds)
+        factors = {p: (float(v), float(d)) for p, v, d in zip(paths, x, deviation)}
+        out[name] = Split(factors, holds, _friction_from_zero(machine, name, balance, factors))
     return out
 
 
 def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
     """The machine with the factors applied to its values."""
-    return machine.with_values({p: v for split in splits.values() for p, v in _scaled(machine, split.factors).items()})
+    scaled = machine.with_values({p: v for split in splits.values() for p, v in _scaled(machine, split.factors).items()})
+    return scaled.with_values({p: v for split in splits.values() for p, v in split.added.items()})
+
+
+def _friction_from_zero(machine: Machine, name: str, balance: Balance, factors: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Identified friction of a single axis whose value in the machine file is zero, by path."""
+    out = {}
+    for axis in map(machine.axis, [] if " " in name else [name]):
+        kt = math.exp(factors.get(path_of(axis, "torque_constant"), (0.0, 0.0))[0])
+        for quantity, inner in (("coulomb_friction", "coulomb"), ("viscous_friction", "viscous")):
+            i = balance.names.index(inner)
+            if field_value(axis, quantity) == 0.0 and balance.fit.seen[i] and balance.fit.values[i] > 0.0:
+                out[path_of(axis, quantity)] = float(balance.fit.values[i]) * kt
+    return out
 
 
 def _paths(machine: Machine, name: str) -> tuple[str, ...]:

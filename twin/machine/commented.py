@@ -9,6 +9,9 @@ from twin.machine.machine import Machine
 ASSUMED = "assumed"
 """Word in the comment after a number that `twin machine new` assumed."""
 
+TRIED = "tried"
+"""Word in the comment after a number that `twin machine new` chose so that the simulated axis follows like the recorded one."""
+
 
 def number_line(key: str, value: float, comment: str = ASSUMED) -> str:
     """`key = value  # comment` with nine significant digits, always a TOML float."""
@@ -21,8 +24,8 @@ def commented(text: str, comment: str) -> str:
     return f"{text:42} # {comment}" if comment else text
 
 
-def assumed_values(machine: Machine) -> list[str]:
-    """Paths of the numbers whose comment in the machine file contains ASSUMED."""
+def assumed_values(machine: Machine, words: tuple[str, ...] = (ASSUMED,)) -> list[str]:
+    """Paths of the numbers whose comment in the machine file contains one of the words."""
     if machine.path is None or not machine.path.is_file():
         return []
     found: list[str] = []
@@ -31,7 +34,7 @@ def assumed_values(machine: Machine) -> list[str]:
         for key, value in getattr(table, "items", tuple)():
             if hasattr(value, "items"):
                 walk(value, (*path, key))
-            elif ASSUMED in getattr(getattr(value, "trivia", None), "comment", ""):
+            elif any(word in getattr(getattr(value, "trivia", None), "comment", "") for word in words):
                 found.append(".".join((*path, key)))
 
     walk(tomlkit.parse(machine.path.read_text(encoding="utf-8-sig")), ())

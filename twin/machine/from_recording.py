@@ -159,7 +159,7 @@ def _tuned(
         tunings = {n: replace(t, lag=1.8 * t.lag) if not math.isfinite(best[n].gap) else t for n, t in tunings.items()}
         best = attempt(tunings)
     kept = dict(tunings)
-    proportional = {one.name for one in lumps if not one.law.integral}
+    shown = {one.name for one in lumps if one.law.direct}
     unmeasured = {one.name for one in lumps if not one.law.measured}
 
     def trial(change: Callable[[Tuning], Tuning], of: set[str]) -> None:
@@ -172,7 +172,7 @@ def _tuned(
             if math.isfinite(found[name].gap) and not found[name].merit >= best[name].merit:
                 kept, best = {**kept, name: given[name]}, {**best, name: found[name]}
 
-    adjustable = {one.name for one in lumps} - proportional
+    adjustable = {one.name for one in lumps} - shown
     for _ in range(2):
         say("trying speed controllers")
         for integral in INTEGRAL_TIMES_S:

@@ -11,7 +11,7 @@ from xml.sax.saxutils import escape
 
 from twin.documents import toml_key
 from twin.files import write_whole
-from twin.machine.commented import ASSUMED, commented, number_line
+from twin.machine.commented import ASSUMED, TRIED, commented, number_line
 from twin.machine.lumps import AxisLumps
 
 LUMP = "lump"
@@ -66,7 +66,7 @@ _MODEL = """<mujoco model="{name}">
 def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> list[str]:
     period = lumps[0].period
     measured = any(one.law.measured for one in lumps)
-    whole = all(not one.law.integral for one in lumps)
+    whole = all(one.law.direct for one in lumps)
     cycle = period if measured else _part_of(period, 2e-3)
     speed = cycle if whole else _part_of(cycle, 125e-6)
     lines = [
@@ -103,7 +103,13 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     unit = ("N" if linear else "Nm") if known else _COMMAND_UNIT[m.effort] if m else "Nm"
     per = "m" if linear else "rad"
     lumped = BY_LOAD if known else LUMP
-    structure = "P/PI" if one.law.integral else "P/P"
+    structure = "P/P" if math.isinf(one.law.integral_time) else "P/PI"
+    coulomb, viscous = (f"{lumped}: {unit}", f"{lumped}: {unit} per {per}/s") if m else (ASSUMED, ASSUMED)
+    if m and m.steady_speed:
+        coulomb, viscous = (
+            f"{coulomb}, with the viscous friction at {m.steady_speed:.3g} {per}/s",
+            f"{ASSUMED}: its sum with Coulomb friction is known",
+        )
     lines = ["", *(f"# {note}" for note in one.notes), f"[{table}]", f'kind = "{one.kind}"']
     lines.append(commented(f'structure = "{structure}"', "no current loop: its lag is part of the speed controller"))
     if linear:
@@ -126,8 +132,8 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
         if vertical:
             lines.append(number_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
         lines += [
-            number_line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
-            number_line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per m/s" if m else ASSUMED),
+            number_line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, coulomb),
+            number_line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, viscous),
         ]
     else:
         turn = 2.0 * math.pi
@@ -140,10 +146,8 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
             number_line(
                 "rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} are in the model"
             ),
-            number_line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, f"{lumped}: {unit}" if m else ASSUMED),
-            number_line(
-                "viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, f"{lumped}: {unit} per rad/s" if m else ASSUMED
-            ),
+            number_line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, coulomb),
+            number_line("viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, viscous),
         ]
     lines += [] if vertical else _constant(one, unit)
     return [*lines, *_actuator(one, table), *_loops(one, tuning, table, one.mechanics.inertia if one.mechanics else inertia)]
@@ -180,12 +184,14 @@ def _loops(one: AxisLumps, tuning: Tuning, table: str, inertia: float) -> list[s
         number_line(
             key,
             law.speed_gain or inertia / tuning.lag,
-            "measured" if law.speed_gain else f"tried: {LUMP} over a lag of {tuning.lag * 1e3:.3g} ms",
+            "measured" if law.speed_gain else f"{TRIED}: {LUMP} over a lag of {tuning.lag * 1e3:.3g} ms",
         ),
     ]
-    if law.integral:
-        lines.append(number_line("speed_integral_time_s", tuning.integral, "tried"))
-    elif law.mean_cycles:
+    if math.isnan(law.integral_time):
+        lines.append(number_line("speed_integral_time_s", tuning.integral, TRIED))
+    elif math.isfinite(law.integral_time):
+        lines.append(number_line("speed_integral_time_s", law.integral_time, "measured"))
+    if law.mean_cycles:
         lines.append(
             commented(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions this many cycles apart")
         )

@@ -1,6 +1,7 @@
 """Control law and lumped mechanics of an axis from its recording, without a data sheet.
 
-command:   w*(t) = Kv (s(t - d) - x(t)) + a f(t)                 speed set point w* is recorded; feedforward f may be
+command:   u(t) as in `control.command_law`                     the recorded command is that of the speed controller itself
+           w*(t) = Kv (s(t - d) - x(t)) + a f(t)                 or a speed set point w* is recorded; feedforward f may be
 in drive:  w(t + lag) = w*(t - Td) - Kv (x(t) - x(t - Td))       Td = 0 if the NC closes the position loop
 mechanics: u = m dv/dt + d sign(v) + b v + c - f/K               u: recorded current, voltage or torque; f: known external load
 
@@ -13,15 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+import math
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import lsq_linear
 
+from twin.control.command_law import CommandRun, command_law
 from twin.errors import InputError
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.excitation import one_speed
 from twin.recordings.force_sign import low_passed, recorded_sign
 from twin.recordings.least_squares import solved
+from twin.recordings.profile_speed import PROFILE, SIGNAL
 
 BAND_HZ = 40.0
 LONGEST_DELAY_CYCLES = 8
@@ -35,10 +40,12 @@ MOVING = 0.02
 """Share of the highest speed above which an axis moves."""
 EXPLAINED = 0.5
 """Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
+MOST_OF_PEAK = 2.0
+"""Largest part of the balance as a multiple of the largest recorded command: filtered peaks and opposing parts."""
+
 LEAST_LOAD = 0.3
 """The response to an external load is visible if its share of the command (RMS) exceeds this share of the residual."""
 EFFORTS = ("current", "voltage", "torque")
-MOST_MEAN_CYCLES = 4
 
 
 @dataclass(frozen=True)
@@ -53,9 +60,14 @@ class Law:
     measured: bool = True
     dsc_delay: float = 0.0
     lag: float = 0.0  # of the speed loop
-    integral: bool = True
+    integral_time: float = math.nan  # of the speed controller; inf: it has none, NaN: the recording does not show it
     speed_gain: float = 0.0  # command per m/s; 0: derived from the lag
     mean_cycles: int = 0
+
+    @property
+    def direct(self) -> bool:
+        """True if the recorded command shows the speed controller."""
+        return self.speed_gain > 0.0
 
 
 @dataclass(frozen=True)
@@ -71,6 +83,7 @@ class Mechanics:
     explained: float
     peak: float
     force_per_unit: float | None = None  # N or Nm per unit of the command, if a known external load gives it
+    steady_speed: float | None = None  # the one speed of the recording: `coulomb` is then the whole friction there
 
     @property
     def scale(self) -> float:
@@ -120,6 +133,7 @@ class _Run:
     command: np.ndarray | None
     feedforward: np.ndarray | None
     effort: np.ndarray | None
+    speed: np.ndarray | None
     load: np.ndarray | None = None  # known external load [N, Nm at the axis]
     injected: np.ndarray | None = None  # added to the command by a test rig, in its unit
 
@@ -144,6 +158,7 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
             t.signals.get((axis, "velocity_setpoint")),
             t.signals.get((axis, "velocity_feedforward")),
             t.signals.get((axis, effort)),
+            t.signals.get((axis, "velocity")),
             next(iter(t.loads(axis).values()), None),
             t.injections(axis).get({"current": "A", "voltage": "V", "torque": "Nm"}.get(effort, "")),
         )
@@ -153,6 +168,7 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     if not parts:
         raise InputError(f"axis {axis}: it moves in no run of 40 samples or more; record a longer move")
     notes: list[str] = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
+    notes += [PROFILE] if any(run.fact(axis, SIGNAL).profile for run in runs) else []
     feedforward_flag = next((run.feedforward for run in runs if run.feedforward), None)
     mechanics = _mechanics(parts, kind, effort, notes) if effort else None
     law = (_direct_law(parts) if effort else None) or _position_law(parts, feedforward_flag, notes)
@@ -265,31 +281,18 @@ def _with_drive_loop(parts: Sequence[_Run], law: Law) -> Law:
 
 
 def _direct_law(parts: Sequence[_Run]) -> Law | None:
-    """Fit u = ks (Kv (s - x) - dx_n), a proportional speed controller that commands directly; None if the command does not follow this law."""
-    tp = parts[0].period
-    y = np.concatenate([(p.effort if p.injected is None else p.effort - p.injected)[8:] for p in parts])  # type: ignore[index, operator]
-    best: tuple[float, int, np.ndarray] | None = None
-    for n in range(1, MOST_MEAN_CYCLES + 1):
-        x = np.concatenate(
-            [np.column_stack([p.setpoint - p.position, _difference(p.position, n) / (n * tp), np.ones_like(p.position)])[8:] for p in parts]
-        )
-        limited = np.abs(y) > 0.995 * np.abs(y).max()
-        b = solved(x[~limited], y[~limited])
-        left = float(np.sqrt(np.mean((y - x @ b)[~limited] ** 2)))
-        if best is None or left < best[0]:
-            best = (left, n, b)
-    assert best is not None
-    left, n, (error_gain, speed_gain, _) = best
-    if left > LARGEST_RESIDUAL * np.sqrt(np.mean(y**2)) or error_gain <= 0.0 or speed_gain >= 0.0:
+    """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none."""
+    runs = []
+    for p in parts:
+        assert p.effort is not None
+        runs.append(CommandRun(p.period, p.setpoint, p.position, p.speed, p.effort if p.injected is None else p.effort - p.injected))
+    found = command_law(runs)
+    if found is None:
         return None
-    gain = -float(speed_gain)
-    return Law(float(error_gain) / gain, 0.0, 0.0, 0.0, left, integral=False, speed_gain=gain, mean_cycles=n)
-
-
-def _difference(values: np.ndarray, n: int) -> np.ndarray:
-    out = np.zeros_like(values)
-    out[n:] = values[n:] - values[:-n]
-    return out
+    return Law(
+        found.position_gain, found.delay, found.feedforward, found.delay, found.left, integral_time=found.integral_time,
+        speed_gain=found.speed_gain, mean_cycles=found.mean_cycles,
+    )  # fmt: skip
 
 
 def _lag_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: list[str]) -> Law:
@@ -314,7 +317,7 @@ def _lag_law(parts: Sequence[_Run], feedforward_flag: str | None, notes: list[st
 
 def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) -> Mechanics | None:
     """Lumped parameters by least squares with physical signs, from the samples where the axis moves."""
-    rows, values = [], []
+    rows, values, speeds = [], [], []
     for p in parts:
         assert p.effort is not None
         motion, u = _smooth(p.position, p.period), _smooth(p.effort, p.period)
@@ -329,6 +332,7 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
             columns.append(np.zeros_like(speed) if p.load is None else -_smooth(p.load, p.period))
         rows.append(np.column_stack(columns)[keep])
         values.append(u[keep])
+        speeds.append(speed[keep])
     x, y = np.concatenate(rows), np.concatenate(values)
     peak = max(float(np.abs(p.effort).max()) for p in parts if p.effort is not None)
     if len(y) < 40:
@@ -342,12 +346,21 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
     if loaded:
         low[-1] = 0.0
     one_way = min(np.mean(x[:, 1] > 0), np.mean(x[:, 1] < 0)) < 0.02
-    columns = [i for i in range(x.shape[1]) if not (one_way and i == 1)]
+    steady = one_speed(np.concatenate(speeds))
+    columns = [i for i in range(x.shape[1]) if not (one_way and i == 1) and not (steady and i == 2)]
+    if steady:
+        notes.append(
+            f"the axis moves at one speed, {steady:.3g} {'m' if kind == 'linear' else 'rad'}/s: only the sum of Coulomb and viscous friction at "
+            "this speed is known, and is given as Coulomb friction; record several speeds to separate them"
+        )
     if one_way:
         notes.append(
             f"the axis moves one way only: Coulomb friction and constant force cannot be separated, both are given as constant {effort}"
         )
-    found = lsq_linear(x[:, columns] / scale[columns], y, bounds=(low[columns], np.full(len(columns), np.inf)))
+    # no part of the balance exceeds the largest recorded command: larger ones would cancel each other unseen
+    high = MOST_OF_PEAK * peak / np.maximum(np.abs(x).max(axis=0), 1e-300)
+    low = np.maximum(low, -high)
+    found = lsq_linear(x[:, columns] / scale[columns], y, bounds=((low * scale)[columns], (high * scale)[columns]))
     b = np.zeros(x.shape[1])
     b[columns] = found.x / scale[columns]
     left = float(np.std(y - x @ b))
@@ -364,7 +377,7 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
             f"the {effort} does not respond to the recorded load: the load is too small, or it is part of the {effort} "
             '(then map it as signal = "injected_command")'
         )
-    return Mechanics(effort, float(b[0]), float(b[1]), float(b[2]), float(b[3]), gravity, explained, peak, force)
+    return Mechanics(effort, float(b[0]), float(b[1]), float(b[2]), float(b[3]), gravity, explained, peak, force, steady)
 
 
 def _smooth(values: np.ndarray, period: float) -> np.ndarray:

@@ -27,14 +27,15 @@ Program block events are in `events.parquet` beside the traces: time [s] in the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from twin.documents import named_file, read_toml, reading
 from twin.errors import InputError
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.ballbar import Ballbar, ballbar_of
+from twin.recordings.profile_speed import SIGNAL, answers_position
 from twin.recordings.trace import Trace, read_trace
 from twin.tables import is_number, known_keys, listed, positive
 
@@ -56,6 +57,7 @@ class ChannelFact:
     sign: int = 1
     against: bool = False
     unsigned: bool = False
+    profile: bool = False  # a speed set point that does not answer the position; it is not in the trace
 
     @property
     def latency_left(self) -> float:
@@ -132,11 +134,24 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
     if not isinstance(tables, list) or not tables:
         raise InputError(f'{file}: no [[run]]; list at least one, e.g. [[run]] file = "circle.parquet"')
     events = _read_events(path / EVENTS)
-    runs = tuple(_read_run(path, table, f"{file}: run {i + 1}", machine, events) for i, table in enumerate(tables))
+    runs = _without_profiles([_read_run(path, table, f"{file}: run {i + 1}", machine, events) for i, table in enumerate(tables)])
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
         raise InputError(f"{file}: two runs are named {next(n for n in names if names.count(n) > 1)}; rename one of the files")
     return Campaign(path, str(document.get("machine", "")), runs)
+
+
+def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
+    """The runs without recorded speed set points that no position controller gave, see `profile_speed`."""
+    axes = dict.fromkeys(axis for run in runs for axis in run.trace.axes)
+    gone = [(axis, SIGNAL) for axis in axes if answers_position([run.trace for run in runs], axis) is False]
+    out = []
+    for run in runs:
+        here = [key for key in gone if run.trace.has(*key)]
+        kept = {key: values for key, values in run.trace.signals.items() if key not in here}
+        facts = {key: replace(run.fact(*key), profile=True) for key in here}
+        out.append(replace(run, trace=replace(run.trace, signals=kept), facts={**run.facts, **facts}) if here else run)
+    return tuple(out)
 
 
 def _read_events(path: Path) -> dict[str, list[BlockEvent]]:

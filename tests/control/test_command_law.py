@@ -1,0 +1,57 @@
+"""A control whose command is recorded gives its law: P or PI, gains, feedforward, differentiated speed; no law is found where there is none."""
+
+import math
+
+import numpy as np
+import pytest
+
+from twin.control.command_law import CommandRun, command_law
+
+TS = 1e-3
+
+
+def driven(
+    kv: float, kp: float, tn: float, feedforward: float, weights: tuple[float, ...], seed: int, limit: float = math.inf, steps: float = 0.0
+) -> CommandRun:
+    """A mass with Coulomb and viscous friction under the law, in steps of its cycle; `steps`: resolution of the encoder."""
+    random = np.random.default_rng(seed)
+    t = np.arange(6000) * TS
+    s = 0.05 * np.sin(2.0 * np.pi * 0.7 * t) + 0.01 * np.sin(2.0 * np.pi * (2.3 + 0.1 * seed) * t)
+    x, v, integral, n = 0.0, 0.0, 0.0, len(weights)
+    seen = [0.0] * (n + 1)
+    position, command = np.zeros(len(t)), np.zeros(len(t))
+    for k in range(len(t)):
+        measured = x + 2e-7 * random.standard_normal()
+        measured = round(measured / steps) * steps if steps else measured
+        seen = [measured, *seen[:n]]
+        w = sum(b * (seen[j] - seen[j + 1]) for j, b in enumerate(weights)) / TS
+        fed = feedforward * (s[k] - s[max(k - 1, 0)]) / TS
+        error = kv * (s[k] - measured) + fed - w
+        u = kp * error + integral
+        clipped = min(max(u, -limit), limit)
+        integral += kp * TS / tn * error if u == clipped else 0.0
+        position[k], command[k] = measured, clipped
+        v += TS * (clipped - 3.0 * math.copysign(min(abs(v) / 1e-3, 1.0), v) - 5.0 * v) / 8.0
+        x += TS * v
+    return CommandRun(TS, s, position, None, command)
+
+
+@pytest.mark.parametrize(("tn", "feedforward", "weights"), [
+    (math.inf, 0.0, (0.5, 0.5)), (math.inf, 1.0, (0.3, 0.4, 0.3)), (math.inf, 0.8, (1.0,)), (0.02, 1.0, (0.5, 0.5)), (0.05, 0.0, (1.0,)),
+])  # fmt: skip
+def test_the_law_of_a_recorded_command_is_found(tn: float, feedforward: float, weights: tuple[float, ...]) -> None:
+    runs = [driven(40.0, 600.0, tn, feedforward, weights, seed, 60.0 if math.isinf(tn) else math.inf, 1e-7) for seed in (1, 2)]
+    law = command_law(runs)
+    assert law is not None
+    assert law.position_gain == pytest.approx(40.0, rel=0.02)
+    assert law.speed_gain == pytest.approx(600.0, rel=0.02)
+    assert law.feedforward == pytest.approx(feedforward, abs=0.02)
+    assert law.mean_cycles == len(weights)
+    assert law.delay == 0.0
+    assert math.isinf(law.integral_time) if math.isinf(tn) else law.integral_time == pytest.approx(tn, rel=0.1)
+
+
+def test_a_command_that_other_axes_disturb_has_no_law() -> None:
+    run = driven(40.0, 600.0, math.inf, 1.0, (1.0,), 3)
+    moved = run.command + 10.0 * np.sin(2.0 * np.pi * 5.0 * np.arange(len(run.command)) * TS)
+    assert command_law([CommandRun(TS, run.setpoint, run.position, None, moved)]) is None

@@ -1,0 +1,35 @@
+"""An effect on a number that the machine file had only assumed or tried is a calibration of this number, no finding."""
+
+from pathlib import Path
+import shutil
+from types import SimpleNamespace
+
+from twin.diagnose.diagnosis import Diagnosis
+from twin.diagnose.wording import verdict_sentence
+from twin.effects import EFFECTS, Setting
+from twin.machine.machine import Machine, load_machine
+
+
+def test_effects_on_assumed_and_tried_numbers_stand_apart(mikron: Machine, tmp_path: Path) -> None:
+    assert mikron.path is not None
+    shutil.copy(mikron.model_path, tmp_path)
+    text, changed = mikron.path.read_text(encoding="utf-8"), {}
+    for key, word in (("position_gain_per_s", "assumed"), ("speed_integral_time_s", "tried"), ("position_delay_s", "measured")):
+        line = next(line for line in text.split("[axis.X.loops]", 1)[1].splitlines() if line.startswith(key))
+        changed[line] = f"{line.split('#')[0]} # {word}"
+    head, loops = text.split("[axis.X.loops]", 1)
+    for old, new in changed.items():
+        loops = loops.replace(old, new, 1)
+    (tmp_path / "m.toml").write_text(f"{head}[axis.X.loops]{loops}", encoding="utf-8")
+    machine = load_machine(tmp_path / "m.toml")
+    parts = {"position_gain": {"factor": 0.8}, "speed_integral_time": {"factor": 2.0}, "loop_delay": {"delay_s": 1e-3}, "backlash": {}}
+    settings = [(Setting(EFFECTS[name], axis, values), None, 0.9) for name, values in parts.items() for axis in ("X", "Y")]
+    found = Diagnosis.calibrated.func(SimpleNamespace(machine=machine, settings=settings))  # type: ignore[attr-defined]
+    assert {key[:2] for key in found} == {("position_gain", "X"), ("speed_integral_time", "X")}
+
+
+def test_a_verdict_without_findings_names_what_was_calibrated() -> None:
+    entry = {"effect": "position_gain", "axis": "X", "parameters": {"factor": {"value": 0.8, "low": 0.7, "high": 0.9, "unit": "1"}}}
+    said = verdict_sentence({"verdict": "none", "effects": [], "calibrated": [entry]})
+    assert said.startswith("No effect")
+    assert "position gain on axis X" in said

@@ -1,0 +1,78 @@
+"""Strokes at one speed: the sum of Coulomb and viscous friction is known, nothing beyond the recording is written, and encoders that agree are not late."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.builders.identify_campaigns import campaign, path
+from twin.identify.campaign_fit import identify_campaign
+from twin.identify.recording import prepare_recording
+from twin.machine.from_recording import machine_from_recording
+from twin.machine.lumps import lumps_of
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace, write_trace
+
+SPEED, COULOMB, VISCOUS, MASS = 0.0168, 2.4, 60.0, 1.5
+SUM = COULOMB + VISCOUS * SPEED
+PERIOD = 2e-3
+
+
+def strokes(late_s: float = 0.0, speeds: tuple[float, ...] = (SPEED,)) -> MeasuredRun:
+    """Strokes of 60 mm that lag by 11 ms; a start takes a peak; the encoders differ by a play of 4 um, a ripple and noise; the motor's is late."""
+    s = np.concatenate([path([0.06, 0.0], [v, v], acceleration=0.9, jerk=60.0, dwell=0.6) for v in speeds])[::2]
+    t = np.arange(len(s)) * PERIOD
+    random = np.random.default_rng(5)
+    x = np.interp(t - 0.011, t, s)
+    # a ripple of the screw: speed and difference of the encoders swing together, by 3 % and 2 um, as a lateness of 4 ms would make them
+    swing = np.cos(4.0 * np.pi * t)
+    x = np.cumsum(np.diff(x, prepend=0.0) * (1.0 + 0.03 * swing))
+    ripple = 2e-6 * swing * np.sign(np.round(np.gradient(x, PERIOD), 6))
+    v, a = np.gradient(x, PERIOD), np.gradient(np.gradient(x, PERIOD), PERIOD)
+    force = MASS * a + COULOMB * np.sign(np.round(v, 6)) + VISCOUS * v + 3.0 * np.sign(v) * (np.abs(a) > 0.2)
+    motor = np.interp(t - late_s, t, x + ripple + 2e-6 * np.sign(np.round(v, 6)))
+    noise = random.standard_normal((3, len(t)))
+    signals = {
+        ("X", "setpoint"): s, ("X", "position"): np.round(x + 3e-7 * noise[0], 7), ("X", "motor_position"): motor + 3e-7 * noise[1],
+        ("X", "current"): force + 0.05 * noise[2],
+    }  # fmt: skip
+    return MeasuredRun("strokes", Trace(t, signals, {"X": "linear"}), None, 0.0)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    folder = tmp_path_factory.mktemp("one_speed")
+    write_trace(strokes().trace, folder / "strokes.parquet")
+    (folder / "campaign.toml").write_text('[[run]]\nfile = "strokes.parquet"\n', encoding="utf-8")
+    out = Path(folder / "made.toml")
+    machine_from_recording(folder, out)
+    assert "with the viscous friction at" in out.read_text(encoding="utf-8")
+    return load_machine(out)
+
+
+def test_one_speed_gives_the_sum_of_the_frictions(made: Machine) -> None:
+    axis = made.axis("X")
+    assert axis.coulomb_friction + SPEED * axis.viscous_friction == pytest.approx(SUM, rel=0.05)
+    found = identify_campaign(made, campaign([strokes()]), gaps=False)
+    refined = found.machine.axis("X")
+    assert refined.coulomb_friction + SPEED * refined.viscous_friction == pytest.approx(SUM, rel=0.05)
+    assert found.machine.axis("X").moving_mass_kg == axis.moving_mass_kg
+    assert any("too narrow a range of speeds" in str(f) for f in found.findings)
+
+
+def test_several_speeds_separate_them() -> None:
+    found = lumps_of([strokes(speeds=(0.01, 0.02, 0.05, 0.1))], "X").mechanics
+    assert found is not None
+    assert found.steady_speed is None
+    assert found.viscous == pytest.approx(VISCOUS, rel=0.15)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 4e-3])
+def test_encoders_that_agree_are_not_late(made: Machine, late_s: float) -> None:
+    # at one speed a play of the opposite sign looks like lateness; a real one shows at several speeds
+    run = replace(strokes(late_s, (0.01, 0.02, 0.05, 0.1) if late_s else (SPEED,)), feedforward="off")
+    said = " ".join(str(f) for f in prepare_recording(made, campaign([run])).findings)
+    assert ("motor_position was recorded" in said) == (late_s > 0.0)
+    assert "current was recorded" not in said

@@ -1,0 +1,31 @@
+"""A recorded speed set point counts as the output of a position controller only if it answers the following error."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.builders.identify_campaigns import SHORT_QUICK, campaign, recorded
+from twin.diagnose.check import notes_of
+from twin.identify.findings import missing_signals
+from twin.machine.machine import Machine
+from twin.recordings.campaign import read_campaign
+from twin.recordings.profile_speed import PROFILE, answers_position
+from twin.recordings.trace import Trace, write_trace
+
+
+@pytest.mark.parametrize("feedforward", ["off", "velocity"])
+def test_a_controller_answers_its_error_and_a_profile_does_not(mikron: Machine, tmp_path: Path, feedforward: str) -> None:
+    machine = mikron.with_axes(["X"])
+    run = recorded(machine, "quick", SHORT_QUICK, feedforward, 3)
+    assert answers_position([run.trace], "X") is True
+    slope = np.gradient(run.trace.get("X", "setpoint"), run.trace.period)
+    profile = Trace(run.trace.time, {**run.trace.signals, ("X", "velocity_setpoint"): np.round(slope, 5)}, run.trace.kinds)
+    write_trace(profile, tmp_path / "quick.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "quick.parquet"\n', encoding="utf-8")
+    read = read_campaign(tmp_path)
+    assert not read.runs[0].trace.has("X", "velocity_setpoint")
+    # it is said, and nothing is derived from it
+    assert any(PROFILE in note for note in notes_of(read, machine))
+    assert any(f.text == PROFILE for f in missing_signals(machine, read.runs))
+    assert not any(PROFILE in note for note in notes_of(campaign([run]), machine))

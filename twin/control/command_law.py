@@ -1,0 +1,138 @@
+"""The law of a control whose command is recorded: current, voltage or torque u(k) from set point s and position x at its own cycle Ts.
+
+    w*   = Kv (s(t - d) - x) + a_v ds/dt                 position controller with speed feedforward
+    w    = sum_j b_j (x(k-j) - x(k-j-1)) / Ts            speed by differences, sum b = 1; or the recorded speed
+    P    u = Kp (w* - w)                                 which is a PD controller of the position
+    PI   u = Kp (w* - w) + Kp / Tn int (w* - w) dt
+
+Written over the recorded signals both are linear: u = c_e (s - x) + sum a_j ds(k-j) - sum b_j dx(k-j) + c_i int (s - x) + c_x x + c, with
+c_i = c_x = 0 for P. The steps of s and x take up any difference filter of the control. A PI law is found only where the command stays below
+its limit, because the integrator holds there. The law with the fewest terms that the held-out pieces of the motion support is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from twin.control.evidence import held_out, is_better, pieces_of
+from twin.recordings.least_squares import solved
+
+LONGEST_DIFFERENCE = 6
+"""Most cycles over which the control differentiates the position."""
+
+AHEAD, BEHIND = 1, 2
+"""Steps of the set point before and after the present cycle that the feedforward uses; a profile's own speed is a cycle ahead of its steps."""
+
+FIRST = LONGEST_DIFFERENCE + BEHIND
+LARGEST_LEFT = 0.02
+"""The command follows a law if less than this share (RMS) is left on the held-out pieces: rounding, and a tick within the cycle."""
+
+ROUNDED = 1e-5
+"""Laws that leave less than this share of the command are equally good: signals are recorded with some digits."""
+
+PASSES = 5
+"""Rounds of the correction for the lag of an integrator by a cycle."""
+
+SAME_LAW = 0.02
+"""With full feedforward Kv and 1/Tn can be exchanged: the smaller one is taken as Kv, unless the other way fits better by this share of their sum."""
+
+AT_LIMIT = 0.995
+"""A command beyond this share of its largest value may be limited and is not used."""
+
+
+@dataclass(frozen=True)
+class CommandRun:
+    """Signals of one run at the cycles of the control (sample,), SI."""
+
+    period: float
+    setpoint: np.ndarray
+    position: np.ndarray
+    speed: np.ndarray | None
+    command: np.ndarray
+
+
+@dataclass(frozen=True)
+class CommandLaw:
+    """Position gain [1/s], speed gain [command per m/s or rad/s], integral time [s] (inf: P), feedforward weight, delay of the set point [s].
+
+    `mean_cycles`: cycles over which the position is differentiated, 0 if the recorded speed is used. `left`: share of the command (RMS)
+    that the law leaves on held-out pieces.
+    """
+
+    position_gain: float
+    speed_gain: float
+    integral_time: float
+    feedforward: float
+    delay: float
+    mean_cycles: int
+    left: float
+
+
+def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
+    """The law that the recorded command follows, or None."""
+    runs = [r for r in runs if len(r.command) > 4 * FIRST]
+    if not runs:
+        return None
+    y = np.concatenate([r.command[FIRST:-AHEAD] for r in runs])
+    pieces = np.concatenate([pieces_of(len(r.command) - FIRST - AHEAD, k) for k, r in enumerate(runs)])
+    use = np.abs(y) <= AT_LIMIT * np.abs(y).max()
+    size = float(np.sqrt(np.mean(y[use] ** 2)))
+    best: tuple[np.ndarray, int, bool] | None = None
+    measured = [0] if all(r.speed is not None for r in runs) else []
+    for integral in (False, True):
+        for n in (*range(1, LONGEST_DIFFERENCE + 1), *measured):
+            left = held_out(_columns(runs, n, integral), y, pieces, use)
+            if best is None or is_better(left, best[0], ROUNDED * size):
+                best = (left, n, integral)
+    assert best is not None
+    left, n, integral = best
+    share = float(np.sqrt(np.mean(left))) / size
+    if not share < LARGEST_LEFT:
+        return None
+    columns = _columns(runs, n, integral)
+    return _read(solved(columns[use], y[use]), n, integral, runs[0].period, share)
+
+
+def _columns(runs: Sequence[CommandRun], n: int, integral: bool) -> np.ndarray:
+    """Columns (row, k): error, steps of the set point, steps of the position (or the speed), a constant of each run, integral terms."""
+    parts = []
+    for k, run in enumerate(runs):
+        at = np.arange(FIRST, len(run.command) - AHEAD)
+        error = run.setpoint - run.position
+        ds, dx = (np.diff(v, prepend=v[0]) / run.period for v in (run.setpoint, run.position))
+        speeds = [dx[at - j] for j in range(n)] if n else [run.speed[at]]  # type: ignore[index]
+        constant = [np.full(len(at), float(k == other)) for other in range(len(runs))]
+        # the integrator of this cycle holds the errors up to the last one
+        terms = [(np.cumsum(error) * run.period)[at - 1], run.position[at - 1] - run.position[0]] if integral else []
+        parts.append(np.column_stack([error[at], *(ds[at + j] for j in range(AHEAD, -BEHIND - 1, -1)), *speeds, *constant, *terms]))
+    return np.concatenate(parts)
+
+
+def _read(b: np.ndarray, n: int, integral: bool, period: float, share: float) -> CommandLaw | None:
+    """Gains and times from the coefficients of `_columns`; None if they are those of no controller."""
+    fed = AHEAD + BEHIND + 1
+    on_error, on_setpoint, gain = float(b[0]), float(b[1 : 1 + fed].sum()), -float(b[1 + fed : 1 + fed + max(n, 1)].sum())
+    if on_error <= 0.0 or gain <= 0.0:
+        return None
+    # a set point that acts late takes from the weight of its slope what the position gain adds in this time
+    steps, weight, position_gain, rate = gain, on_setpoint / gain, on_error / gain, 0.0
+    for _ in range(PASSES if integral else 0):
+        # the position sees Kv + 1/Tn and Kv / Tn; the set point sees Kv + a_v / Tn, which tells both apart unless a_v is 1
+        whole, product = (on_error - float(b[-1])) / gain, float(b[-2]) / gain
+        if product <= 0.0 or whole <= 0.0:
+            return None
+        apart = math.sqrt(max(whole**2 - 4.0 * product, 0.0))
+        low, high = 0.5 * (whole - apart), 0.5 * (whole + apart)
+        misfit = [abs(kv + weight * y - on_error / gain) for kv, y in ((low, high), (high, low))]
+        position_gain, rate = (high, low) if misfit[1] + SAME_LAW * whole < misfit[0] else (low, high)
+        # the integrator is a cycle behind, and the mean of n differences (n - 1) / 2 more: part of the steps is its lag
+        late = rate * period
+        gain = steps / (1.0 - late * (0.5 * max(n - 1, 0) + weight))
+        weight = on_setpoint / (gain * (1.0 - late))
+    delay = max(-weight, 0.0) / position_gain
+    delay = delay if delay > 0.1 * period else 0.0
+    return CommandLaw(position_gain, gain, 1.0 / rate if rate > 0.0 else math.inf, max(weight, 0.0), delay, n, share)

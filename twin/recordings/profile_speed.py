@@ -1,0 +1,70 @@
+"""What a recorded speed set point is: the output of a position controller, or a profile such as the slope of the set point.
+
+profile     w*(t) = c + sum_j a_j (s(t+j) - s(t+j-1))                     any difference, filter or delay of the set point
+output      w*(t) = the same + sum_j b_j (s(t-j) - x(t-j))                a controller also answers the following error
+
+Both laws are fitted on the even pieces of the motion and judged on the odd ones, and the other way round. A recorded speed that the first
+law gives as well as the second does not answer the position: no gain, delay or lateness of a position controller follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twin.recordings.least_squares import solved
+from twin.recordings.trace import Trace
+
+SIGNAL = "velocity_setpoint"
+AHEAD, BEHIND, ERRORS = 2, 10, 3
+"""Samples of the set point before and after the present one, and samples of the following error that the laws use."""
+
+PIECES = 8
+"""Pieces of the motion of each run, alternately fitted and held out."""
+
+LEAST_ROWS, MOST_ROWS = 60, 4_000
+"""Fewest samples that are judged, and most that are read of one run."""
+
+ANSWERS = 0.8
+"""The recorded speed answers the position if the second law leaves less than this share of the held-out residual of the first. Controllers
+leave 0.05 to 0.5, profiles 1.0."""
+
+PROFILE = (
+    f"{SIGNAL} does not answer the position: it is the slope of the set point or another profile, no controller's output, and is not used"
+)
+
+
+def answers_position(traces: Sequence[Trace], axis: str) -> bool | None:
+    """Whether the recorded speed set point of an axis answers its following error; None if too little is recorded to tell."""
+    parts = [p for t in traces if t.has(axis, SIGNAL) and (p := _rows(t, axis)) is not None]
+    if not parts or sum(len(p[1]) for p in parts) < LEAST_ROWS:
+        return None
+    profile, errors, y, half = (np.concatenate([p[i] for p in parts]) for i in range(4))
+    alone = _held_out(profile, y, half)
+    return bool(_held_out(np.column_stack([profile, errors]), y, half) < ANSWERS * alone)
+
+
+def _rows(trace: Trace, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Columns of the profile and of the errors (row, k), speed set point (row,) and half (row,) of one trace while its set point moves."""
+    seen = [trace.get(axis, s) for s in ("position", "motor_position") if trace.has(axis, s)]
+    if not seen or not trace.moves(axis):
+        return None
+    setpoint, y = trace.get(axis, "setpoint"), trace.get(axis, SIGNAL)
+    step = np.diff(setpoint, prepend=setpoint[0])
+    at = np.arange(BEHIND + 1, len(y) - AHEAD)
+    at = at[np.convolve(step != 0.0, np.ones(BEHIND + AHEAD), "same")[at] > 0]
+    at = at[:: max(1, len(at) // MOST_ROWS)]
+    profile = np.column_stack([*(step[at + j] for j in range(AHEAD, -BEHIND - 1, -1)), np.ones(len(at))])
+    # only one encoder closes the loop; with both in each run the law finds which
+    errors = np.column_stack([(setpoint - (seen[0] if k == 0 else seen[-1]))[at - j] for k in range(2) for j in range(ERRORS)])
+    return profile, errors, y[at], np.arange(len(at)) * PIECES // max(len(at), 1) % 2
+
+
+def _held_out(columns: np.ndarray, y: np.ndarray, half: np.ndarray) -> float:
+    """RMS residual of a law on the rows that did not fit it."""
+    left = np.empty(len(y))
+    for out in (0, 1):
+        use = half != out
+        left[~use] = y[~use] - columns[~use] @ solved(columns[use], y[use])
+    return float(np.sqrt(np.mean(left**2)))
