@@ -47,6 +47,7 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
         Section("Outliers", tables=outliers)
         if outliers
         else Section("Outliers", [f"None: no signal is above {AS_EXPECTED:g} times noise alone."]),
+        *([Section("Notes", list(gap.notes))] if gap.notes else []),
         Section("Every signal", tables=[every]),
     ]
     write_page(path, f"Gap of {gap.campaign}", f"{gap.verdict}.", sections, made_line(gap.machine, gap.campaign))

@@ -42,6 +42,9 @@ NOISE_KEYS = {
 }
 """Keys of `[measurement]` by kind of axis and sensor."""
 
+MOST_SAMPLES = 60_000
+"""Samples of a run that are used, from its start: a minute at 1 kHz."""
+
 AGREES = 1.5
 """Ratio of recorded and given noise up to which a note says nothing."""
 
@@ -61,9 +64,8 @@ def _found(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[dict[str, Noi
     for axis in machine.axes:
         seen[axis.name] = {s: float(np.median(v)) for s in UNIT if (v := [of[axis.name, s] for of in by_run if (axis.name, s) in of])}
         steps = {
-            s: max((step_of(run.trace.get(axis.name, key)) for run in runs if run.trace.has(axis.name, key)), default=0.0)
+            s: max((step_of(run.trace.get(axis.name, of[s])) for run in runs if s in (of := _signals(axis, run))), default=0.0)
             for s in UNIT
-            if (key := signal_of(s, axis))
         }
         found[axis.name] = _noise_of(machine.noise(axis), seen[axis.name], steps)
     return found, seen
@@ -91,32 +93,38 @@ def total(noise: Noise, sensor: str) -> float:
     return math.hypot(getattr(noise, sensor), getattr(noise, STEP[sensor]) / math.sqrt(12.0) if sensor in STEP else 0.0)
 
 
+def _signals(axis: Axis, run: MeasuredRun) -> dict[str, str]:
+    """Recorded signals by sensor; the position that a ballbar measured is not that of the scale."""
+    by_bar = run.ballbar is not None and axis.name in run.ballbar.axes
+    return {s: key for s in UNIT if run.trace.has(axis.name, key := signal_of(s, axis)) and not (by_bar and s == "position")}
+
+
 def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], float]:
-    """Variance of each sensor (axis, sensor) in one run, with its quantisation, as far as its signal shows white noise."""
+    """Variance of each sensor (axis, sensor) in one run, with its quantisation, as far as its signal shows white noise.
+
+    A signal that does not contain the noise of its sensor shows none, such as the command of an axis without current loop.
+    """
+    part = {key: values[:MOST_SAMPLES] for key, values in run.trace.signals.items()}
+    run = replace(run, trace=replace(run.trace, time=run.trace.time[:MOST_SAMPLES], signals=part))
     silent, *noisy = _simulated(machine, run)
     out: dict[tuple[str, str], float] = {}
     for axis in machine.axes:
-        signals = {s: key for s in UNIT if run.trace.has(axis.name, key := signal_of(s, axis))}
+        signals = _signals(axis, run)
         levels = {s: quiet_noise(run.trace.get(axis.name, key) - silent.get(axis.name, key)) for s, key in signals.items()}
-        seen = {s: level for s, (level, white) in levels.items() if white and level > 0.0}
+        gains = {
+            s: [quiet_noise(trace.get(axis.name, key) - silent.get(axis.name, key))[0] / u**2 for u, trace in zip(UNIT.values(), noisy)]
+            for s, key in signals.items()
+        }
+        seen = {s: level for s, (level, white) in levels.items() if white and level > 0.0 and gains[s][list(UNIT).index(s)] > 0.0}
         if not seen:
             continue
-        gains = np.array(
-            [
-                [
-                    quiet_noise(trace.get(axis.name, signals[s]) - silent.get(axis.name, signals[s]))[0] / UNIT[sensor] ** 2
-                    for sensor, trace in zip(UNIT, noisy)
-                ]
-                for s in seen
-            ]
-        )
-        given = machine.noise(axis)
+        a = np.array([gains[s] for s in seen])
         own = [list(UNIT).index(s) for s in seen]
         others = [i for i in range(len(UNIT)) if i not in own]
-        known = np.array([total(given, s) ** 2 for s in UNIT])
+        known = np.array([total(machine.noise(axis), s) ** 2 for s in UNIT])
         v = np.array(list(seen.values()))
-        left = np.maximum(v - gains[:, others] @ known[others], 0.0)
-        out |= {(axis.name, s): float(x * y) for s, x, y in zip(seen, nnls(gains[:, own] * v / v[:, None], left / v)[0], v)}
+        left = np.maximum(v - a[:, others] @ known[others], 0.0)
+        out |= {(axis.name, s): float(x * y) for s, x, y in zip(seen, nnls(a[:, own] * v / v[:, None], left / v)[0], v)}
     return out
 
 
