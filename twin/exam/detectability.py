@@ -36,6 +36,7 @@ from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
 from twin.recordings.trace import Trace
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import BLUE, GREEN, SOFT
+from twin.simulation.recorded_noise import with_recorded_noise
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
@@ -217,6 +218,7 @@ def detectability_command(args: argparse.Namespace) -> int:
     """`twin exam --plan CAMPAIGN --out DIR`: print the tables, write plan.json and report.html."""
     machine = load_machine(args.machine) if args.machine else load_machine()
     campaign = read_campaign(args.plan, machine)
+    machine, _ = with_recorded_noise(machine, campaign.runs)
     with Progress("detectability", total=None) as bar:
         outlooks_of = detectability_of(campaign, machine, bar.say)
     out = output_folder(args.out)
