@@ -1,33 +1,36 @@
 """Meaning of column names as controls and instruments write them: axis, signal, unit.
 
 Known names: SINUMERIK (Edge: `DES_POS|1`; trace: `nckServoDataCmdPos64 [u1, 1]`; `Lagesollwert X`), HEIDENHAIN's oscilloscope
-(`s noml`, `V (ACT RPM)`, `I nominal`), LinuxCNC's halscope (`joint.0.motor-pos-cmd`), and plain words in English and German. A name
-is split into words. A single unknown word makes the name unknown. The data decide what a name leaves open (mm or deg).
+(`s noml`, `V (ACT RPM)`, `I nominal`), LinuxCNC's halscope (`joint.0.motor-pos-cmd`), plain words in English, German and French. A name
+is split into words, German compounds into their parts, accents are dropped. A single unknown word makes the name unknown. Of a path (`MAIN.axis.fActPos`)
+the last part counts. The data decide what a name leaves open (mm or deg).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 import re
+import unicodedata
 
 from twin.recordings.signals import known_unit
 
 _WORDS = {
-    "pos": "pos position lage weg angle winkel joint_position",
-    "vel": "vel velocity speed geschwindigkeit drehzahl rpm",
-    "current": "current curr strom iq amps",
-    "torque": "torque moment drehmoment trq",
-    "voltage": "voltage volt spannung",
+    "pos": "pos position lage weg winkel angle joint_position posn",
+    "vel": "vel velo velocity speed geschwindigkeit drehzahl rpm vitesse",
+    "current": "current curr strom iq amps courant",
+    "torque": "torque moment drehmoment trq couple",
+    "voltage": "voltage volt spannung tension",
     "acceleration": "acc accel acceleration beschleunigung",
-    "set": "set setpoint soll sollwert cmd command commanded des desired ref reference target nominal noml nom demand demanded",
-    "act": "act actual actl ist istwert enc encoder meas measured fb feedback fbk",
+    "set": "set setpoint soll sollwert cmd command commanded des desired ref reference target nominal noml nom demand demanded vorgabe fuehrung consigne commande",
+    "act": "act actual actl ist istwert enc encoder meas measured fb feedback fbk gemessen mesure mesuree reel reelle retour",
     "ffw": "ffw feedforward ff vorsteuerung precontrol",
-    "error": "error err lag following schleppfehler schleppabstand ferror",
-    "motor": "mot motor indirect rpm",
+    "error": "error err lag following schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
+    "motor": "mot motor moteur indirect rpm",
     "load": "se load direct second secondary scale",
-    "disturbance": "disturbance pulses pulse stoerung",
+    "disturbance": "disturbance pulses pulse stoerung storung",
     "injected": "injected injection excitation anregung",
-    "-": "rec data record signal value val all axis achse ax joint nck sd sema servo drive trace abs stage slide carriage table simple all rel relative pid",
+    "-": "rec data record signal value val all axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid "
+    "wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 _MEANS: dict[str, set[str]] = {}
 for _role, _listed in _WORDS.items():
@@ -36,6 +39,8 @@ for _role, _listed in _WORDS.items():
 _LETTERS = {
     "s": "pos",
     "q": "pos",
+    "qd": "vel",
+    "qdd": "acceleration",
     "v": "vel",
     "n": "vel",
     "i": "current",
@@ -64,15 +69,21 @@ _EXACT = {
 _UNIT_ENDING = re.compile(r"_(deg_per_s|rad_per_s|mm_per_s|m_per_s|mm_per_min|deg_s|mm_s|deg|rad|mm|um|nm|rpm|m|a|v|n)$", re.IGNORECASE)
 _UNIT_NAMES = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "rpm": "rev/min", "deg_s": "deg/s", "mm_s": "mm/s"}
 _INDEX = re.compile(r"\s*(?:\(\s*(\d+)\s*\)|\|\s*(\w+)|\[\s*u?\d+\s*,\s*(\d+)\s*\]|\[\s*(\d+)\s*\])\s*$")
-_COMPOUND = re.compile(
-    r"(lage|drehzahl|geschwindigkeits?|strom|drehmomenten?|momenten?|positions?|beschleunigungs?)(soll|ist)(?:werte?)?", re.IGNORECASE
-)
+_PARTS = (
+    "drehmomenten", "drehmoment", "momenten", "moment", "geschwindigkeits", "geschwindigkeit", "drehzahl", "beschleunigungs", "beschleunigung",
+    "positions", "position", "winkel", "lage", "strom", "spannungs", "spannung", "motor", "achs", "soll", "ist", "werte", "wert", "schlepp", "abstand", "fehler",
+)  # fmt: skip
+_COMPOUND = re.compile(rf"(?:{'|'.join(_PARTS)}){{2,}}", re.IGNORECASE)
+"""German compounds: Lagesollwert, Istdrehzahl, Motorstrom."""
+_PART = re.compile("|".join(_PARTS), re.IGNORECASE)
 _STEMS = {
     "geschwindigkeits": "geschwindigkeit",
     "drehmomenten": "drehmoment",
     "momenten": "moment",
     "positions": "position",
     "beschleunigungs": "beschleunigung",
+    "spannungs": "spannung",
+    "achs": "achse",
 }
 _AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
 
@@ -92,6 +103,16 @@ class Meaning:
 
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
     """Meaning of a name, or None. `unit` is given by the file. `only_axis`: axis of names that give none."""
+    found = _meaning_of(name, unit, only_axis)
+    path, _, last = name.strip().rpartition(".")
+    if found is not None or not path or not last[:1].isalpha():
+        return found
+    # a variable of a program: the last part of its path, the axis from the parts before
+    named = re.search(r"(?:^|[._])(?:axis|axes|achse|axe)?_?(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._\]])", path, re.IGNORECASE)
+    return _meaning_of(re.sub(r"^(?:lr|[fnrx])(?=[A-Z])", "", last), unit, named[1].upper() if named else only_axis)
+
+
+def _meaning_of(name: str, unit: str, only_axis: str) -> Meaning | None:
     plain = name.rpartition("/")[2].strip()
     index = _INDEX.search(plain)
     axis = next((part for part in index.groups() if part), "") if index else ""
@@ -111,7 +132,9 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
 
 def _words(text: str) -> list[str]:
     """Words of a name: 'nckServoDataCmdPos64', 'motor-pos-cmd', 'Lagesollwert X', 'rec.act_pos_mot'."""
-    text = _COMPOUND.sub(lambda m: f" {_STEMS.get(m[1].lower(), m[1])} {m[2]} ", text)
+    text = unicodedata.normalize("NFKD", text.replace("ü", "ue").replace("ö", "oe").replace("ä", "ae"))
+    text = "".join(c for c in text if not unicodedata.combining(c))
+    text = _COMPOUND.sub(lambda m: f" {' '.join(_STEMS.get(p.lower(), p) for p in _PART.findall(m[0]))} ", text)
     text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
     text = re.sub(r"(?i)f[ _-]error", "ferror", text)
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
