@@ -46,6 +46,8 @@ COUNTERS = (
     "point",
     "punkt",
     "count",
+    "cycle",
+    "zyklus",
 )
 """Names of a column that numbers the rows."""
 NO_TIME = "no time: neither a column nor a line of the file gives it; give the interval of the samples with --interval-ms"
@@ -176,11 +178,11 @@ def is_counter(name: str, head: np.ndarray | None) -> bool:
 
 
 def _even(head: np.ndarray | None) -> bool:
-    """True for a column without a name that rises by one step other than 1."""
+    """True for a column that rises by one step in every row."""
     if head is None or len(head) < 3:
         return False
     steps = np.diff(head)
-    return bool(steps.min() > 0.0 and np.ptp(steps) < 0.02 * steps.max() and not numbers_rows(head))
+    return bool(steps.min() > 0.0 and np.ptp(steps) < 0.02 * steps.max())
 
 
 def _distinct(head: np.ndarray | None) -> int:

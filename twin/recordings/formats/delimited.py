@@ -20,7 +20,7 @@ from twin.recordings.formats.text_heading import UNUSED, Heading, read_heading
 from twin.recordings.formats.text_layout import Long, Rows, find_rows, long_table, names_in_pairs
 from twin.recordings.formats.text_stream import Clocks, Plan, stream
 from twin.recordings.signals import ReadOptions, Recording, Signal, TimeSource, known_unit
-from twin.recordings.time_column import UNNAMED, Found, find_time, is_counter, time_candidates
+from twin.recordings.time_column import UNNAMED, Found, find_time, is_counter, numbers_rows, time_candidates
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}
 
@@ -90,7 +90,7 @@ def _recording(layout: Layout, signals: dict[str, Signal], clocks: Clocks, sourc
 
 def _plan(layout: Layout, chosen: Sequence[int], long: Long | None = None) -> Plan:
     ragged = len({id(found) for found in layout.times.values()}) > 1
-    return Plan(layout.sample, layout.rows, layout.names, tuple(chosen), layout.heading.line, ragged, long)
+    return Plan(layout.sample, layout.rows, layout.names, tuple(chosen), layout.heading.lines, ragged, long)
 
 
 def _long(layout: Layout, options: ReadOptions) -> Recording:
@@ -127,6 +127,9 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
     elif len(stamps) == 2 and names[-1] == "" and rows.kinds[-1] != BLANK:
         # a date and a clock time under one name
         names, units = ([*own[: stamps[1]], "", *own[stamps[1] : -1]] for own in (names, units))
+    elif names[-1] == "" and rows.kinds[-1] != BLANK and any(names) and numbers_rows(rows.values(0)):
+        # row numbers without a name, as R writes them
+        names, units = (["", *own[:-1]] for own in (names, units))
     names = [name or (UNNAMED.format(i + 1) if rows.kinds[i] != BLANK else "") for i, name in enumerate(names)]
     long = None if pairs else long_table(rows, names)
     if long:
@@ -168,7 +171,8 @@ def _kept(rows: Rows, names: Sequence[str], pairs: Mapping[int, str] | None, sta
     if words and not pairs:
         notes.append(f"columns of words, ignored: {', '.join(words)}")
     for i in list(kept):
-        if is_counter(names[i], rows.values(i)):
+        # a time without a name may count milliseconds, but is printed with decimals then
+        if is_counter(names[i], rows.values(i)) and not any(rows.decimal in text for text in rows.texts(i)):
             kept.remove(i)
             notes.append(f"'{names[i]}' numbers the rows, not read")
     return kept, notes

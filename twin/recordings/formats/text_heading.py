@@ -74,8 +74,8 @@ class Heading:
     intervals: Mapping[int, float]
     """Intervals of time columns of their own."""
     keyed: frozenset[int]
-    line: str
-    """The line of the names: pieces of one file may repeat it."""
+    lines: frozenset[str]
+    """The lines of names and units: pieces of one file may repeat them."""
 
 
 def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], given: Mapping[str, Any], path: Path) -> Heading:
@@ -86,6 +86,9 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
     width = len(filled)
     table = [_cells(line, delimiter, width) for line in lines]
     full = [i for i, cells in enumerate(table) if len(cells) in (width - 1, width) and any(cells)]
+    if lines and delimiter != " " and len(table[-1]) == width + 1 and _wordy(table[-1]):
+        full.append(len(lines) - 1)  # one name more than columns: a comment that no row has
+        table[-1] = table[-1][:width]
     names_at, units_at, keyed = _given_lines(given, len(lines), path) if "header_line" in given else _lines_of(table, full, given)
     names = _padded(table[names_at] if names_at is not None else [], width)
     below = _padded(table[units_at] if units_at is not None else [], width)
@@ -113,14 +116,15 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
         _interval(lines),
         {i: interval for i, interval in intervals.items() if interval},
         frozenset(keys_above),
-        lines[names_at] if names_at is not None else "",
+        frozenset(lines[i].strip() for i in full),
     )
 
 
 def _cells(line: str, delimiter: str, width: int) -> list[str]:
     """Cells of a line above the numbers; names beside numbers in columns of spaces may hold spaces themselves."""
     line = _COMMENT.sub("", line)
-    cells = cells_of(line, delimiter)
+    # in columns of spaces a unit in brackets belongs to the name before it
+    cells = [cell.replace("\x01", " ") for cell in cells_of(re.sub(r"\s+(?=[\[(])", "\x01", line) if delimiter == " " else line, delimiter)]
     while len(cells) > width and cells[-1] == "":
         cells.pop()
     if len(cells) not in (width - 1, width):

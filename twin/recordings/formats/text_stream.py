@@ -23,13 +23,13 @@ BLOCK_CHARACTERS = 1 << 22
 
 @dataclass(frozen=True)
 class Plan:
-    """What to read: chosen columns of the layout. `heading`: its line, which pieces of one file repeat. `ragged`: rows may lack their last cells."""
+    """What to read: chosen columns of the layout. `heading`: its lines, which pieces of one file repeat. `ragged`: rows may lack their last cells."""
 
     sample: Sample
     rows: Rows
     names: tuple[str, ...]
     chosen: tuple[int, ...]
-    heading: str
+    heading: frozenset[str]
     ragged: bool
     long: Long | None
 
@@ -316,12 +316,12 @@ class _Text(io.RawIOBase):
 
     def _clean(self, text: str) -> str:
         delimiter, heading = self.plan.rows.delimiter, self.plan.heading
-        repeated = bool(heading) and heading in text
+        repeated = any(line in text for line in heading)
         if not (delimiter == " " or self.plan.ragged or repeated):
             return text
         lines = text.split("\n")
         if repeated:
-            lines = [line for line in lines if line.strip() != heading.strip()]
+            lines = [line for line in lines if line.strip() not in heading]
         if delimiter == " ":
             lines = [" ".join(line.split()) for line in lines]
         elif self.plan.ragged:

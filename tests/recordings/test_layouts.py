@@ -1,0 +1,209 @@
+"""Layouts of exports and logs: names, units and times of each arrive as written. The files are made here in the layouts of the programs named."""
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devtools import fuzz_layouts
+from twin.cli import main
+from twin.recordings.imported import read_all
+from twin.recordings.signals import Recording
+from twin.recordings.trace import read_trace
+
+ROWS = 60
+T = np.arange(ROWS) * 2e-3
+A = np.round(10.0 * np.sin(40.0 * T), 4)
+B = np.round(400.0 * np.cos(40.0 * T), 3)
+
+
+def rows(line: Callable[[int], str]) -> str:
+    return "".join(line(k) + "\n" for k in range(ROWS))
+
+
+def de(value: float, places: int = 4) -> str:
+    return f"{value:.{places}f}".replace(".", ",")
+
+
+LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
+    # program -> text, names with units, interval [s] (None: unknown)
+    "MR Configurator": (
+        "Axis1\nNumber of sampling data,60\nSampling time interval(ms),2\nTime,Analog 1,Analog 2,Analog 3,Analog 4\n"
+        "ms,Servo motor speed,Torque,Not selected,Not selected\n" + rows(lambda k: f"{2.0 * k:.6f},{B[k]:.6f},{A[k]:.6f},0.000000,0.000000"),
+        {"Servo motor speed": "", "Torque": ""},
+        2e-3,
+    ),
+    "TwinCAT Scope": (
+        "Name\tscope\nFile\tC:\\scope.csv\nStarttime of export\t132959733843760000\tMontag, 2. Mai 2022\t15:56:24.376\n\n"
+        "Name\tActPos\tName\tActVelo\nData-Type\tREAL64\tData-Type\tREAL64\nSampleTime[ms]\t2\tSampleTime[ms]\t4\nUnit\tmm\tUnit\tmm/s (Velocity)\n\n"
+        + rows(lambda k: f"{2 * k}\t{de(A[k])}\t" + (f"{4 * k}\t{de(B[2 * k])}" if k < 30 else " \t ")) + "EOF\n",
+        {"ActPos": "mm", "ActVelo": "mm/s"},
+        2e-3,
+    ),
+    "halscope": (
+        "Sampling period is 2000000 nSec \n\n" + rows(lambda k: f"joint.0.pos-cmd {'+' if A[k] >= 0 else ''}{de(A[k])} joint.0.vel-cmd {de(B[k])} joint.0.pos-cmd {'+' if A[k] >= 0 else ''}{de(A[k])} "),
+        {"joint.0.pos-cmd": "", "joint.0.vel-cmd": ""},
+        2e-3,
+    ),
+    "CODESYS trace as text": (
+        "CODESYS Trace\nD:\\project.pro\nCycle PLC.fActPos PLC.fActVelo\n" + rows(lambda k: f"{k} {A[k]} {B[k]}"),
+        {"PLC.fActPos": "", "PLC.fActVelo": ""},
+        None,
+    ),
+    "log of a PLC": (
+        "Date;axis.position;axis.speed;\n" + rows(lambda k: f"2003-10-01 02:44:55.{2 * k:03d};{A[k]};{B[k]};"),
+        {"axis.position": "", "axis.speed": ""},
+        2e-3,
+    ),
+    "date and pairs": (
+        rows(lambda k: f"2003-10-01 02:44:55.{2 * k:03d};axis.position;{A[k]};axis.speed;{B[k]};"),
+        {"axis.position": "", "axis.speed": ""},
+        2e-3,
+    ),
+    "EPICS camonitor": (
+        rows(lambda k: f"IOC:m1.RBV 2024-05-14 08:21:07.{2000 * k:06d} {A[k]}\nIOC:m1.VELO 2024-05-14 08:21:07.{2000 * k:06d} {B[k]}"),
+        {"IOC:m1.RBV": "", "IOC:m1.VELO": ""},
+        2e-3,
+    ),
+    "historian": (
+        "TagName,TimeStamp,Value,Unit,Quality\n"
+        + rows(lambda k: f"X.Pos,14.05.2024 08:21:07.{2 * k:03d},{A[k]},mm,Good\nX.Speed,14.05.2024 08:21:07.{2 * k:03d},{B[k]},mm/s,Good"),
+        {"X.Pos": "mm", "X.Speed": "mm/s"},
+        2e-3,
+    ),
+    "scope with lines of meaning": (
+        "Timestamp,2020-03-16 17:04:51,Timestamp,2020-03-16 17:04:51\nInterval,0.002,Interval,0.002\nChannel name,\"Force\",Channel name,\"Input 1\"\n"
+        "Unit,\"V\",Unit,\"mA\"\n" + rows(lambda k: f"{T[k]:.4g},{A[k]},{T[k]:.4g},{B[k]}"),
+        {"Force": "V", "Input 1": "mA"},
+        2e-3,
+    ),
+    "names in two lines": (
+        ";X;;Y;\nt / ms;soll;ist;soll;ist\n" + rows(lambda k: f"{2 * k};{de(A[k])};{de(B[k])};{de(A[k] + 1)};{de(B[k] + 1)}"),
+        {"X soll": "", "X ist": "", "Y soll": "", "Y ist": ""},
+        2e-3,
+    ),
+    "names with their units, aligned by spaces": (
+        "# measured at the bench\n#  Zeit in s    Istposition mm    Drehzahl 1/min\n" + rows(lambda k: f"{T[k]:12.4f} {A[k]:15.4f} {B[k]:14.3f}"),
+        {"Istposition": "mm", "Drehzahl": "rev/min"},
+        2e-3,
+    ),
+    "rate above the numbers": (
+        "Abtastrate: 500 Hz\nposition [mm];current [A]\n" + rows(lambda k: f"{de(A[k])};{de(B[k])}"),
+        {"position": "mm", "current": "A"},
+        2e-3,
+    ),
+    "LabVIEW measurement": (
+        "LabVIEW Measurement\t\nWriter_Version\t2\nX_Columns\tOne\n***End_of_Header***\t\nChannels\t2\t\nX_Value\tposition\tspeed\tComment\n"
+        + rows(lambda k: f"{T[k]:.6f}\t{A[k]}\t{B[k]}"),
+        {"position": "", "speed": ""},
+        2e-3,
+    ),
+    "clock across midnight": (
+        "Uhrzeit;position\n" + rows(lambda k: f"{'23:59:59' if k < 30 else '00:00:00'}.{(940 + 2 * k) % 1000:03d};{A[k]}"),
+        {"position": ""},
+        2e-3,
+    ),
+    "date and time of day in two columns": (
+        "Datum,Zeit,pos\n" + rows(lambda k: f"14.05.2024,08:21:07.{2 * k:03d},{A[k]}"),
+        {"pos": ""},
+        2e-3,
+    ),
+    "microseconds since 1970": (
+        "stamp_id,timestamp,position\n" + rows(lambda k: f"{k},{1741076467250000 + 2000 * k},{A[k]}"),
+        {"stamp_id": "", "position": ""},
+        2e-3,
+    ),
+    "nanoseconds since 1970": (
+        "timestamp,position\n" + rows(lambda k: f"{1741076467250000000 + 2000000 * k},{A[k]}"),
+        {"position": ""},
+        2e-3,
+    ),
+    "nothing but numbers": (rows(lambda k: f"{A[k]}\t{B[k]}\t"), {"column 1": "", "column 2": ""}, None),
+    "rows numbered": (",pos,vel\n" + rows(lambda k: f"{k},{A[k]},{B[k]}"), {"pos": "", "vel": ""}, None),
+    "a column that only counts seconds": (
+        "time,timestamp,pos\n" + rows(lambda k: f"{int(T[k])},{1550.0 + T[k]:.4f},{A[k]}"),
+        {"time": "", "pos": ""},
+        2e-3,
+    ),
+    "row names of R": ("pos\tvel\n" + rows(lambda k: f"{k + 1}\t{A[k]}\t{B[k]}"), {"pos": "", "vel": ""}, None),
+    "units in brackets between spaces": ("t [ms] pos [mm] vel (mm/s)\n" + rows(lambda k: f"{2 * k} {A[k]} {B[k]}"), {"pos": "mm", "vel": "mm/s"}, 2e-3),
+    "UTF-16 with decimal commas": (
+        "Zeit [ms]\tLageistwert [mm]\n" + rows(lambda k: f"{2 * k}\t{de(A[k])}"),
+        {"Lageistwert": "mm"},
+        2e-3,
+    ),
+    "pieces with their headings": (
+        "".join("time [s],pos [mm],speed\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{B[k]}") for _ in range(3)),
+        {"pos": "mm", "speed": ""},
+        2e-3,
+    ),
+}  # fmt: skip
+
+
+def read(tmp_path: Path, text: str, ending: str = ".log", encoding: str = "utf-8") -> Recording:
+    file = tmp_path / f"recording{ending}"
+    file.write_bytes(text.encode(encoding))
+    (recording,) = read_all([file], str(tmp_path / "scratch"))
+    return recording
+
+
+@pytest.mark.parametrize("case", LAYOUTS)
+def test_layouts(tmp_path: Path, case: str) -> None:
+    text, expected, interval = LAYOUTS[case]
+    ending = (".log", ".txt", ".dat", ".trc", "")[len(case) % 5]
+    recording = read(tmp_path, text, ending, "utf-16" if case.startswith("UTF-16") else "utf-8")
+    assert {name: signal.unit for name, signal in recording.signals.items()} == expected
+    assert recording.source.known == (interval is not None)
+    signal = next(s for name, s in recording.signals.items() if name not in ("stamp_id", "time"))
+    values = np.asarray(signal.values[0 : len(signal.values)])
+    first = B if case == "MR Configurator" else A
+    assert np.allclose(values[:ROWS], first[: len(values)], atol=1e-9)
+    assert signal.time is not None
+    time = np.asarray(signal.time[0 : len(signal.time)])
+    assert np.allclose(np.diff(time)[: ROWS - 1], interval or 1.0, rtol=1e-6, atol=3e-7 if case.startswith("nanoseconds") else 1e-9)
+    assert recording.restarts == (2 if case.startswith("pieces") else 0)
+    # what the file does not state is said
+    assumed = ("a column that only counts seconds", "LabVIEW measurement", "scope with lines of meaning")
+    noted = ("halscope", "rate above the numbers", "microseconds since 1970", "nanoseconds since 1970")
+    assert recording.source.assumed == (case in assumed)
+    assert bool(recording.source.text) == (interval is None or case in (*assumed, *noted))
+
+
+def test_random_layouts_of_one_recording(tmp_path: Path) -> None:
+    """A part of `devtools/fuzz_layouts.py`: nothing is wrong without a word, and what names suffice for is right."""
+    counted: Counter[tuple[str, str]] = Counter()
+    for number in range(40):
+        case = fuzz_layouts.make(np.random.default_rng([7, number]))
+        (folder := tmp_path / str(number)).mkdir()
+        outcome, why = fuzz_layouts.judge(case, folder)
+        assert outcome not in ("wrong", "fault"), f"{why}\n{case.choice}"
+        counted[fuzz_layouts.enough(case), outcome] += 1
+    named = sum(count for (kind, _), count in counted.items() if kind == "names")
+    assert counted["names", "right"] >= 0.85 * named > 10
+
+
+def test_what_the_user_gives_overrules_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--columns` and `--interval-ms` stand in the map, so that the map alone imports the file again."""
+    file = tmp_path / "bare.trc"
+    t = np.arange(600) * 2e-3
+    x = 20.0 * np.sin(6.0 * t)
+    late = 20.0 * np.sin(6.0 * (t - 0.01))
+    file.write_text("".join(f"{a:.6f}\t{b:.6f}\t\n" for a, b in zip(x, late)), encoding="utf-8")
+    given = ["--columns", "set point [mm], position [mm]", "--interval-ms", "2"]
+    assert main(["import", str(file), "--out", str(tmp_path / "none"), "--no-picture"]) == 2
+    assert "--interval-ms" in capsys.readouterr().err
+    assert main(["import", str(file), *given, "--out", str(tmp_path / "one"), "--no-picture"]) == 0
+    assert main(["import", str(file), "--map", str(tmp_path / "one" / "map.toml"), "--out", str(tmp_path / "two"), "--no-picture"]) == 0
+    for out in ("one", "two"):
+        trace = read_trace(tmp_path / out / "bare.parquet")
+        assert trace.period == pytest.approx(2e-3)
+        assert np.abs(trace.get("X", "setpoint") * 1e3 - x).max() < 1e-5
+    capsys.readouterr()
+    for wrong, said in (
+        (["--columns", "a"], "1 names in --columns, but the file has 2 columns"),
+        (["--interval-ms", "0"], "--interval-ms 0"),
+    ):
+        assert main(["import", str(file), *wrong]) == 2
+        assert said in capsys.readouterr().err
