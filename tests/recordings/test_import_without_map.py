@@ -160,14 +160,14 @@ def test_a_disturbance_keeps_its_unit(tmp_path: Path) -> None:
     assert run.trace.loads("X")["N"].max() == 50.0
 
 
-def test_an_axis_commanded_by_a_torque_alone_is_refused_with_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_axis_commanded_by_a_torque_alone_has_its_motion_as_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     x = 40.0 * np.sin(1.7 * TIME)
     signals = {"time [s]": TIME, "X.torque_setpoint [Nm]": np.sin(3.0 * TIME), "X.position [mm]": x}
-    file = write_csv(tmp_path / "rig.csv", signals)
-    assert main(["import", str(file), "--out", str(tmp_path / "out"), "--no-picture"]) == 2
-    said = capsys.readouterr().err
-    assert "commanded by a torque alone has no position loop and cannot be simulated" in said
-    assert said.count("\n") == 1
+    (run,) = imported(tmp_path, write_csv(tmp_path / "rig.csv", signals)).values()
+    said = " ".join(capsys.readouterr().out.split())
+    assert "commanded by a torque alone it has no position loop" in said
+    assert run.fact("X", "setpoint").made_from == "position"
+    assert np.array_equal(run.trace.get("X", "setpoint"), run.trace.get("X", "position"))
 
 
 def test_the_message_that_no_axis_moves_appears_only_if_none_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,8 @@
     sign = -1                          # the sign was reversed at the import
     against = true                     # pushes against the motion; the sign was kept
     unsigned = true                    # only the magnitude of a force is recorded
+    made_from = "position"             # not recorded: a set point that is the recorded motion (position, motor_position, velocity), or that
+                                       # motion plus the following_error; a motor_position that is the sum of the velocity
     [run.labels]                       # columns that are constant within the run: load, trial
     load = 20.0
     [run.ballbar]                      # positions come from a ballbar between two axes, see `twin.recordings.ballbar`
@@ -43,6 +45,7 @@ _RUN_KEYS = ("file", "feedforward", "started_at_s", "channel", "labels", "ballba
 _CHANNEL_NUMBERS = ("latency_s", "latency_deviation_s", "taken_back_s", "offset_m", "offset_rad")
 _CHANNEL_FLAGS = ("offset_taken_out", "against", "unsigned")
 EVENTS = "events.parquet"
+MADE_FROM = ("following_error", "position", "motor_position", "velocity")
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class ChannelFact:
     against: bool = False
     unsigned: bool = False
     profile: bool = False  # a speed set point that does not answer the position; it is not in the trace
+    made_from: str = ""
 
     @property
     def latency_left(self) -> float:
@@ -175,7 +179,7 @@ def _facts(tables: object, where: str) -> dict[tuple[str, str], ChannelFact]:
         raise InputError(f"{where}: channel is a list of tables; write [[run.channel]]")
     out = {}
     for table in tables:
-        known_keys(table, ("axis", "signal", "sign", *_CHANNEL_NUMBERS, *_CHANNEL_FLAGS), f"{where}: channel")
+        known_keys(table, ("axis", "signal", "sign", "made_from", *_CHANNEL_NUMBERS, *_CHANNEL_FLAGS), f"{where}: channel")
         for key in ("axis", "signal"):
             if not isinstance(table.get(key), str):
                 raise InputError(f"{where}: channel: '{key}' is missing; name the {key} in quotes")
@@ -185,11 +189,15 @@ def _facts(tables: object, where: str) -> dict[tuple[str, str], ChannelFact]:
         for key in _CHANNEL_FLAGS:
             if not isinstance(table.get(key, False), bool):
                 raise InputError(f"{where}: channel: {key} = {table[key]!r}; use true or false")
+        if table.get("made_from", "") not in ("", *MADE_FROM):
+            raise InputError(f"{where}: channel: made_from = {table['made_from']!r}; use one of {', '.join(MADE_FROM)}")
         if table.get("sign", 1) not in (1, -1):
             raise InputError(f"{where}: channel: sign = {table['sign']!r}; use 1 or -1")
         latency, deviation, back, metres, radians = (float(table.get(key, 0.0)) for key in _CHANNEL_NUMBERS)
         flags = {key: table.get(key, False) for key in _CHANNEL_FLAGS}
-        out[table["axis"], table["signal"]] = ChannelFact(latency, deviation, back, metres or radians, sign=table.get("sign", 1), **flags)
+        out[table["axis"], table["signal"]] = ChannelFact(
+            latency, deviation, back, metres or radians, sign=table.get("sign", 1), made_from=table.get("made_from", ""), **flags
+        )
     return out
 
 

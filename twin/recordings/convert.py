@@ -24,15 +24,18 @@ _MOTION = {"length": "position", "angle": "position", "speed": "velocity", "angu
 
 @dataclass(frozen=True)
 class Conversion:
-    """value [SI] = factor * recorded + offset. `unit`: assumed unit of the number. `kind` of the axis, if the unit implies one."""
+    """value [SI] = factor * recorded + offset, after the sign bit of whole numbers. `unit`: assumed unit of the number. `kind` of the axis, if the unit implies one."""
 
     factor: float
     offset: float
     unit: str
     kind: str | None
+    sign_bit: int | None = None
     si: str = ""  # unit of the result for signals with several (disturbance, injected_command): V, A, Nm, N
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
+        if self.sign_bit is not None:
+            values = np.where(values >= 2.0**self.sign_bit, 2.0**self.sign_bit - values, values)
         return values * self.factor + self.offset if self.offset else values * self.factor
 
 
@@ -58,7 +61,7 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
             raise InputError(
                 f"{where}: [{unit}] is not a unit of {column.signal}; use N, Nm (external load, or effect of an injected command), V or A"
             )
-        return Conversion(column.factor * factor, column.offset * factor, unit, None, si)
+        return Conversion(column.factor * factor, column.offset * factor, unit, None, column.sign_bit, si)
     wanted = _wanted(column.signal)
     kind = _KIND.get(quantity)
     if quantity in ("turns", "turning speed"):
@@ -81,7 +84,7 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
         )
     if kind and column.kind and kind != column.kind:
         raise InputError(f"{where}: axis {column.axis} is {column.kind}, but [{unit}] is a unit of a {kind} axis; correct unit or axis")
-    return Conversion(column.factor * factor, column.offset * factor, unit, kind)
+    return Conversion(column.factor * factor, column.offset * factor, unit, kind, column.sign_bit)
 
 
 def kinds_of(columns: Sequence[ColumnMap], conversions: Sequence[Conversion], where: str) -> dict[str, str]:
@@ -95,7 +98,7 @@ def kinds_of(columns: Sequence[ColumnMap], conversions: Sequence[Conversion], wh
             )
     for column in columns:
         if column.axis not in kinds:
-            raise InputError(f"{where}: axis {column.axis} has no position or speed; map at least its setpoint")
+            raise InputError(f"{where}: axis {column.axis} has no position or speed; map at least one of them")
     return kinds
 
 

@@ -22,8 +22,10 @@ CLEAR = 0.25
 BETTER = 1.2
 """Factor by which the residual of |balance| must be smaller than that of the signed balance to count as unsigned."""
 
-MOST = 3.0
-"""Factor by which negative parts of the balance must outweigh positive ones before a sign is reversed."""
+MOST = 0.5
+"""Share by which negative parts of the balance must outweigh positive ones before a sign is reversed: they are three times as large."""
+LEAST = 20
+"""Fewest samples on which a balance is fitted."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +38,21 @@ class ForceSign:
     doubt: str = ""
 
 
-def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> ForceSign:
-    """Sign of a current, torque or voltage (sample,) in any unit, relative to a position (sample,) [m or rad]."""
-    if len(force) < 60 or not np.ptp(force) > 0.0 or not np.ptp(position) > 0.0:
-        return ForceSign()
+@dataclass(frozen=True)
+class Balance:
+    """Fit of the balance: unexplained share of the variance, the same for the speed alone and for |balance| (NaN in one direction only), and
+    `direction`: 1 if all parts of the force are along the motion, -1 if all are against it."""
+
+    left: float
+    left_speed: float
+    left_magnitude: float
+    direction: float
+
+
+def force_balance(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> Balance:
+    """Balance of a force (sample,) in any unit on the motion of a position (sample,) [m or rad; a linear axis: any unit]."""
+    if len(force) < LEAST or not np.ptp(force) > 0.0 or not np.ptp(position) > 0.0:
+        return Balance(1.0, 1.0, np.nan, 0.0)
     motion, f = low_passed(position, period, BAND_HZ), low_passed(force, period, BAND_HZ)
     speed = np.gradient(motion, period)
     acceleration = np.gradient(speed, period)
@@ -47,18 +60,28 @@ def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str
     direction = np.sign(speed) * moving
     inner = slice(len(f) // 50, len(f) - len(f) // 50)
     place = [np.cos(position), np.sin(position)] if kind == "rotary" else []
-    signed, coefficients = _fit(np.column_stack([acceleration, direction, speed, *place, np.ones_like(f)])[inner], f[inner])
+    rest = [*place, np.ones_like(f)]
+    left, coefficients = _fit(np.column_stack([acceleration, direction, speed, *rest])[inner], f[inner])
+    # few samples, fewer of them independent after the low-pass, explain anything
+    independent = len(f[inner]) * min(1.0, 2.0 * min(BAND_HZ * period, 0.15))
+    left = min(left * max(independent - 1.0, 1.0) / max(independent - len(coefficients), 0.1), 1.0)
+    left_speed, _ = _fit(np.column_stack([speed, *rest])[inner], f[inner])
+    left_magnitude = np.nan
     both_ways = min(np.count_nonzero(direction > 0), np.count_nonzero(direction < 0)) > 0.1 * np.count_nonzero(moving)
     if both_ways and (force.min() >= 0.0 or force.max() <= 0.0):
-        ahead = np.sign(acceleration * speed) * np.abs(acceleration)
-        size, _ = _fit(np.column_stack([ahead, np.abs(direction), np.abs(speed), np.ones_like(f)])[inner], f[inner])
-        if size * BETTER < signed:
-            return ForceSign(unsigned=True, remark="only the magnitude is recorded, without a sign")
-    if signed > 1.0 - CLEAR:
-        return ForceSign()
-    # inertia, Coulomb and viscous friction weighted by their part of the force: the sign is wrong if most of it is negative
+        along = np.sign(acceleration * speed) * np.abs(acceleration)
+        left_magnitude, _ = _fit(np.column_stack([along, np.abs(direction), np.abs(speed), np.ones_like(f)])[inner], f[inner])
+    # inertia, Coulomb and viscous friction weighted by their part of the force
     parts = coefficients[:3] * np.column_stack([acceleration, direction, speed])[inner].std(axis=0)
-    if -parts[parts < 0.0].sum() > MOST * parts[parts > 0.0].sum():
+    return Balance(left, left_speed, left_magnitude, float(parts.sum() / max(np.abs(parts).sum(), 1e-300)))
+
+
+def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> ForceSign:
+    """Sign of a current, torque or voltage (sample,) in any unit, relative to a position (sample,) [m or rad]."""
+    found = force_balance(force, position, period, kind)
+    if found.left_magnitude * BETTER < found.left:
+        return ForceSign(unsigned=True, remark="only the magnitude is recorded, without a sign")
+    if found.left <= 1.0 - CLEAR and found.direction < -MOST:
         return ForceSign(sign=-1, remark="sign reversed: as recorded it pushes against the motion")
     return ForceSign()
 

@@ -5,21 +5,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 import tempfile
-from typing import Any
 
 from twin.errors import InputError
 from twin.files import output_folder
 from twin.progress import Progress
 from twin.recordings.formats.by_content import read_recording
-from twin.recordings.map_text import map_text
 from twin.recordings.mapping import Map, RunMap, runs_of
 from twin.recordings.overview import draw_run, understood_table
-from twin.recordings.propose import propose
-from twin.recordings.signals import Clock, ReadOptions, Recording
+from twin.recordings.signals import ReadOptions, Recording
 from twin.recordings.understand import understand
 from twin.recordings.write import write_campaign, write_run
 
@@ -80,28 +77,3 @@ def _beginnings() -> Callable[[RunMap, datetime | None], float]:
         return (started - first[0]).total_seconds() if started is not None else 0.0
 
     return begun
-
-
-def read_all(files: Sequence[Path], scratch: str, clock: Clock | None = None, dialect: Mapping[str, Any] | None = None) -> list[Recording]:
-    """All columns of all files, without a map. `clock` and `dialect`: what the user gives where a file has no time or no heading."""
-    return [
-        read_recording(path, ReadOptions(clock or Clock(), None, Path(scratch) / str(i), dialect or {})) for i, path in enumerate(files)
-    ]
-
-
-def with_times(recordings: Sequence[Recording]) -> Sequence[Recording]:
-    """The recordings, if all have times.
-
-    Raises:
-        InputError: the times of one are row numbers.
-    """
-    for recording in recordings:
-        if not recording.source.known:
-            raise InputError(f"{recording.path}: {recording.source.text}")
-    return recordings
-
-
-def proposed_text(files: Sequence[Path], clock: Clock | None = None, dialect: Mapping[str, Any] | None = None) -> str:
-    """The proposed map of files as text."""
-    with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
-        return map_text(propose(with_times(read_all(files, scratch, clock, dialect))), [f.name for f in files], clock, dialect)

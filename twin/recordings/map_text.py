@@ -1,22 +1,49 @@
-"""A proposed map as text, with doubtful, omitted and unknown columns as comments."""
+"""A proposed map as text: evidence and second choices as comments; doubtful, omitted and unknown columns, too."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 import json
 import re
 
 from twin.documents import toml_text
 from twin.recordings.propose import Proposal
+from twin.recordings.propose_axis import FORCES, Proposed
 from twin.recordings.signals import Clock
 
 
-def map_text(proposal: Proposal, files: Iterable[str], clock: Clock | None = None, dialect: Mapping[str, object] | None = None) -> str:
-    """The map as TOML. `clock` and `dialect`: what the user gave to read the files."""
+def map_text(
+    proposal: Proposal, files: Iterable[str], clock: Clock | None = None, dialect: Mapping[str, object] | None = None, given: str = ""
+) -> str:
+    """The map as TOML. `clock` and `dialect`: what the user gave to read the files. `given`: text of a partial map, which stays as it is at the top;
+    only what it lacks is added."""
     lines = [
         f"# proposed by 'twin import' for {', '.join(files)} from column names and recorded numbers",
         "# edit it, and import again with: twin import FILES --map THIS_FILE --out CAMPAIGN",
     ]
+    if given:
+        lines = [given.rstrip(), "", f"# added by 'twin import' for {', '.join(files)} from column names and recorded numbers"]
+    else:
+        lines += _settings(proposal)
+    if clock and clock.interval_s and "[time]" not in given:
+        lines += ["", "[time]", f"interval_ms = {clock.interval_s * 1e3:.9g}"]
+    elif proposal.time is not None and "[time]" not in given:
+        lines += ["", *_time(proposal)]
+    if dialect and "[csv]" not in given:
+        lines += ["", "[csv]", *(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in dialect.items())]
+    stated = set(re.findall(r'^\s*name\s*=\s*["\'](.*?)["\']', given, re.MULTILINE))
+    for column in proposal.columns:
+        if column.name not in stated:
+            lines += ["", *_column(column)]
+    if proposal.left_out:
+        lines += ["", "# left out:", *(f"#   {_one_line(text)}" for text in proposal.left_out)]
+    if proposal.unknown:
+        lines += ["", "# columns without a use:", *(f"#   {_one_line(name)}" for name in grouped(proposal.unknown))]
+    return "\n".join(lines) + "\n"
+
+
+def _settings(proposal: Proposal) -> list[str]:
+    lines = []
     if proposal.mixed_feedforward:
         lines.append('# feedforward: it differs between the recordings; write a [[run]] with file = "..." and feedforward = "..." for each')
     elif proposal.feedforward:
@@ -27,44 +54,47 @@ def map_text(proposal: Proposal, files: Iterable[str], clock: Clock | None = Non
     lines.append('offsets = "correct"          # a constant difference between two encoders is removed and listed in campaign.toml')
     if proposal.labels:
         lines.append(f"labels = {json.dumps(proposal.labels, ensure_ascii=False)}   # constant within a run; they go into campaign.toml")
-    if clock and clock.interval_s:
-        lines += ["", "[time]", f"interval_ms = {clock.interval_s * 1e3:.9g}"]
-    if dialect:
-        lines += ["", "[csv]", *(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in dialect.items())]
-    for column in proposal.columns:
-        mark = "# " if column.doubt else ""
-        lines.append("")
-        if column.doubt:
-            lines.append(f"# doubtful, not used: {column.doubt}")
-        lines.append(f"{mark}[[column]]")
-        remark = f"   # {column.remark}" if column.remark else ""
-        unit = f"{mark}unit = {toml_text(column.unit)}" + ("" if column.signal.startswith(("current", "torque", "voltage")) else remark)
-        lines += [
-            f"{mark}name = {toml_text(column.name)}",
-            f"{mark}axis = {toml_text(column.axis)}",
-            f"{mark}signal = {toml_text(column.signal)}",
-            unit,
-        ]
-        if column.extra:
-            lines.append(f"{mark}{column.extra}")
-        if column.sign < 0:
-            lines.append(f"{mark}sign = -1{remark}")
-        elif column.signal.startswith(("current", "torque", "voltage")) and remark:
-            lines.append(f"#{remark[4:]}")
-    if proposal.left_out:
-        lines += ["", "# left out:", *(f"#   {_one_line(text)}" for text in proposal.left_out)]
-    if proposal.unknown:
-        lines += ["", "# columns without a known use:", *(f"#   {_one_line(name)}" for name in _grouped(proposal.unknown))]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
-def _grouped(names: Sequence[str]) -> list[str]:
-    """Columns with one name on one line: 'LOAD|1, LOAD|2' as 'LOAD|1 2', 'tau(1), tau(2)' as 'tau(1 2)'."""
-    groups: dict[tuple[str, str], list[str]] = {}
-    for name in names:
-        match = re.fullmatch(r"(.*[(|\[])(\w+)([)\]]?)", name)
-        groups.setdefault((match[1], match[3]) if match else (name, ""), []).append(match[2] if match else "")
-    return [f"{stem}{' '.join(numbers)}{end}" for (stem, end), numbers in groups.items()]
+def _time(proposal: Proposal) -> list[str]:
+    """[time], as a comment if it must still be given."""
+    time = proposal.time
+    assert time is not None
+    lines = [f"# {_one_line(time.question or time.text)}"]
+    if not time.known:
+        return [*lines, "# [time]", "# interval_ms = 1.0"]
+    if time.interval_s is not None:
+        return [*lines, "[time]", f"interval_ms = {time.interval_s * 1e3:.9g}"]
+    return [*lines, "[time]", f"column = {toml_text(time.column)}", f'unit = "{time.unit}"']
+
+
+def _column(column: Proposed) -> list[str]:
+    """[[column]] with its evidence; a doubtful one as a comment."""
+    mark = "# " if column.doubt else ""
+    lines = [f"# doubtful, not used: {column.doubt}"] if column.doubt else []
+    if column.reason and not column.doubt:
+        lines.append(f"# {column.reason}" + (f"; second choice: {column.second}" if column.second else ""))
+    lines.append(f"{mark}[[column]]")
+    remark = f"   # {column.remark}" if column.remark else ""
+    if column.assumed:
+        remark = f"   # assumed: {column.assumed}"
+    lines += [f"{mark}name = {toml_text(column.name)}", f"{mark}axis = {toml_text(column.axis)}"]
+    lines += [f"{mark}signal = {toml_text(column.signal)}"]
+    lines.append(f"{mark}unit = {toml_text(column.unit)}{'' if column.signal in FORCES and column.sign < 0 else remark}")
+    lines += [f"{mark}{key}" for key in column.extra]
+    if column.sign < 0:
+        lines.append(f"{mark}sign = -1{remark if column.signal in FORCES else ''}")
+    return lines
+
+
+def grouped(unknown: Mapping[str, str]) -> list[str]:
+    """Columns with one name and one reason on one line: 'LOAD|1, LOAD|2' as 'LOAD|1 2', 'tau(1), tau(2)' as 'tau(1 2)'."""
+    groups: dict[tuple[str, str, str], list[str]] = {}
+    for name, why in unknown.items():
+        match = re.fullmatch(r"(.*[(|\[_])(\w+)([)\]]?)", name)
+        groups.setdefault((match[1], match[3], why) if match else (name, "", why), []).append(match[2] if match else "")
+    return [f"{stem}{' '.join(numbers)}{end}" + (f": {why}" if why else "") for (stem, end, why), numbers in groups.items()]
 
 
 def _one_line(text: str) -> str:

@@ -1,5 +1,7 @@
 """The map (TOML): the axis, signal and unit of each recorded column, and the runs in the files.
 
+A map may be partial: without columns, or without a set point and a motion of an axis, `twin import` completes it.
+
 machine = "my_machine.toml"        # machine file beside the map, or a name for campaign.toml (default: the machine that ships with twin)
 feedforward = "velocity"           # feedforward in use: off | velocity | velocity+torque; a run may give its own
 period_ms = 1.0                    # period of the traces; default: that of the set points
@@ -32,6 +34,7 @@ sign = 1
 offset = 0.0
 skew_ms = 0.0                      # lateness of this column relative to the position; it is removed
 mm_per_rev = 10.0                  # travel per motor revolution (deg_per_rev), for rev, rev/min, and N as torque
+sign_bit = 15                      # whole numbers whose sign is a bit of the word: 33118 is -350
 optional = false                   # true: some files lack it, or name it differently
 
 [[run]]                            # default: each file is a run named after it
@@ -64,7 +67,7 @@ FOLLOWING_ERROR = "following_error"
 MAPPED = (*(s for s in SIGNALS if s not in UNIT_SIGNALS), FOLLOWING_ERROR, *BY_UNIT)
 _TOP = ("machine", "feedforward", "period_ms", "gaps", "skew", "offsets", "labels", "units", "time", "csv", "column", "run")
 _TIME = ("column", "unit", "interval_ms")
-_COLUMN = ("name", "axis", "signal", "unit", "scale", "sign", "offset", "skew_ms", "mm_per_rev", "deg_per_rev", "optional")
+_COLUMN = ("name", "axis", "signal", "unit", "scale", "sign", "offset", "skew_ms", "mm_per_rev", "deg_per_rev", "sign_bit", "optional")
 _RUN = ("file", "files", "name", "feedforward", "started_at_s", "from_s", "to_s")
 _CHOICES = {
     "gaps": ("split", "fill", "refuse"),
@@ -89,6 +92,7 @@ class ColumnMap:
     per_turn: float | None  # m or rad per motor revolution
     kind: str | None
     optional: bool
+    sign_bit: int | None = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -126,6 +130,18 @@ class Map:
     columns: tuple[ColumnMap, ...]
     runs: tuple[RunMap, ...]
 
+    @property
+    def partial(self) -> bool:
+        """True without columns, or without a set point or a measured motion of an axis."""
+        own: dict[str, set[str]] = {}
+        for column in self.columns:
+            own.setdefault(column.axis, set()).add(column.signal)
+        return not own or any("setpoint" not in signals or not signals & MOTIONS for signals in own.values())
+
+
+MOTIONS = frozenset(("position", "motor_position", FOLLOWING_ERROR, "velocity"))
+"""Signals that show how an axis moves."""
+
 
 def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     """Read and check a map. Raises InputError that names the table, the key and the remedy."""
@@ -148,8 +164,6 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     period = _number(document, "period_ms", None, where, above_zero=True)
     machine, name = _machine(document, path, machine_path)
     columns = tuple(_column(table, f"{where}: column {i + 1}", machine) for i, table in enumerate(_tables(document, "column", where)))
-    if not columns:
-        raise InputError(f'{where}: no [[column]]; give at least the column of the set point, e.g. name, axis = "X", signal = "setpoint"')
     keys = [c.key for c in columns]
     if twice := next((c.key for c in columns if keys.count(c.key) > 1 and not c.optional), None):
         raise InputError(
@@ -234,12 +248,15 @@ def _column(table: Mapping[str, Any], where: str, machine: Machine | None) -> Co
             per_turn, kind = (_number(table, key, None, where, above_zero=True) or 0.0) * factor, implied
     if per_turn is None and machine is not None and machine.axis(axis).drive != "direct":
         per_turn = machine.axis(axis).ratio * 2.0 * math.pi  # a direct drive has no revolutions
+    bit = table.get("sign_bit")
+    if bit is not None and (isinstance(bit, bool) or not isinstance(bit, int) or not 0 < bit < 64):
+        raise InputError(f"{where}: sign_bit = {bit!r}; give the number of the bit, 15 for a word of 16 bits")
     optional = table.get("optional", False)
     if not isinstance(optional, bool):
         raise InputError(f"{where}: optional = {optional!r}; use true or false")
     return ColumnMap(
         split_heading(name)[0], axis, signal, unit, float(sign) * float(scale or 1.0), _number(table, "offset", 0.0, where) or 0.0, "scale" in table,
-        (_number(table, "skew_ms", 0.0, where) or 0.0) * 1e-3, per_turn, kind, optional,
+        (_number(table, "skew_ms", 0.0, where) or 0.0) * 1e-3, per_turn, kind, optional, bit,
     )  # fmt: skip
 
 

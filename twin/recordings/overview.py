@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+import sys
+import textwrap
 from typing import Any
 
 import numpy as np
 
-from twin.recordings.signals import Recording
+from twin.recordings.map_text import grouped
+from twin.recordings.propose import Proposal
+from twin.recordings.signals import Recording, Signal
 from twin.recordings.understand import Understood
 from twin.recordings.write import ERROR, Written
 from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal
@@ -39,26 +43,52 @@ def understood_table(known: Understood, traces: Sequence[Written]) -> str:
     return table(["column", "signal", "unit", "factor", "interval", "skew removed", "range"], rows, left=3)
 
 
-def listing(recording: Recording) -> str:
-    """Content of a file, before there is a map."""
+def proposal_table(proposal: Proposal, recordings: Sequence[Recording], width: int = 100) -> str:
+    """What each used column is, its course as a line of blocks, and why; then what is not used. Fits into `width` columns of text."""
+    signals = {name: signal for r in recordings for name, signal in r.signals.items()}
     rows = []
-    for signal in recording.signals.values():
-        if not len(signal.values):
-            continue
-        low, high, total = np.inf, -np.inf, 0
-        for _, values in signal.blocks():
-            good = values[np.isfinite(values)]
-            total += len(values)
-            if len(good):
-                low, high = min(low, float(good.min())), max(high, float(good.max()))
-        interval = "-"
-        if signal.time is not None and len(signal.time) > 1:
-            ends = float(signal.time[0:1][0]), float(signal.time[len(signal.time) - 1 : len(signal.time)][0])
-            interval = f"{(ends[1] - ends[0]) / (len(signal.time) - 1) * 1e3:.4g} ms"
-        rows.append([signal.name, signal.description, signal.unit or "-", str(total), interval, f"{low:.5g} .. {high:.5g}"])
-    if all(not row[1] for row in rows):
-        return table(["column", "unit", "samples", "interval", "range"], [[r[0], *r[2:]] for r in rows], left=2)
-    return table(["column", "description", "unit", "samples", "interval", "range"], rows, left=3)
+    for c in proposal.columns:
+        if not c.doubt:
+            why = "; ".join(part for part in (c.reason or "its name", *c.extra, "sign = -1" * (c.sign < 0)) if part)
+            rows.append([c.name, f"{c.axis}.{c.signal}", c.unit, _blocks(signals[c.name]) if c.name in signals else "", why])
+    lines = []
+    if rows:
+        widths = [
+            max(min(max(len(row[i]) for row in rows), most), least)
+            for i, (most, least) in enumerate(((24, 6), (26, 6), (9, 4), (COURSE, 6)))
+        ]
+        room = max(width - sum(widths) - 2 * len(widths), 20)
+        for row in [["column", "signal", "unit", "course", "why"], ["-" * w for w in (*widths, room)], *rows]:
+            cells = [*(textwrap.wrap(cell, w) or [""] for cell, w in zip(row[:4], widths)), textwrap.wrap(row[4], room)]
+            for i in range(max(map(len, cells))):
+                parts = [(cell[i] if i < len(cell) else "").ljust(w) for cell, w in zip(cells, (*widths, 0))]
+                lines.append("  ".join(parts).rstrip())
+    lines += _wrapped([f"not used: '{c.name}' ({c.axis}.{c.signal}): {c.doubt}" for c in proposal.columns if c.doubt], "  - ", width)
+    lines += _wrapped(proposal.left_out, "  - ", width)
+    if proposal.unknown:
+        lines += _wrapped([f"columns without a use: {', '.join(grouped(proposal.unknown))}"], "  - ", width)
+    lines += _wrapped(proposal.notes, "  - ", width)
+    lines += _wrapped(proposal.questions, "  ? ", width)
+    return "\n".join(lines)
+
+
+COURSE = 16
+"""Characters of the course of a column."""
+_HEIGHTS = "\u2581\u2582\u2583\u2584\u2585\u2586\u2587\u2588"
+
+
+def _blocks(signal: Signal) -> str:
+    """The course of a column as a line of blocks, empty where the terminal has no such letters."""
+    if "utf" not in (getattr(sys.stdout, "encoding", None) or "").lower() or len(signal.values) < 2:
+        return ""
+    rows = np.linspace(0, len(signal.values) - 1, min(COURSE, len(signal.values))).astype(int)
+    values = np.array([float(signal.values[int(r) : int(r) + 1][0]) for r in rows])
+    span = float(np.ptp(values))
+    return "".join(_HEIGHTS[int(7.999 * (v - values.min()) / span) if span > 0.0 else 0] for v in values)
+
+
+def _wrapped(texts: Iterable[str], mark: str, width: int) -> list[str]:
+    return [line for text in texts for line in textwrap.wrap(text, width, initial_indent=mark, subsequent_indent=" " * len(mark))]
 
 
 def draw_run(known: Understood, trace: Written, path: Path) -> None:

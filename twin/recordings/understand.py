@@ -64,17 +64,35 @@ class Understood:
     offsets: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
     """Position minus motor position [m or rad] by piece and axis, if both are recorded."""
     centred: bool = False  # offsets are removed from the positions
+    made: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    """Signals that are not recorded -> what they are made from: a set point without which no run can be simulated."""
 
     def block(self, piece: Piece, first: int, last: int) -> dict[tuple[str, str], np.ndarray]:
         """Signals of rows first .. last of a piece, SI."""
         out = {c.key: c.conversion(on_grid(c.source, piece, first, last, self.fill)) for c in self.channels}
         for axis in {a for a, _ in out}:
-            if (axis, FOLLOWING_ERROR) in out:
-                error = out.pop((axis, FOLLOWING_ERROR))
-                out.setdefault((axis, "position"), out[axis, "setpoint"] - error)
+            error = out.pop((axis, FOLLOWING_ERROR), None)
             if self.centred and (piece, axis) in self.offsets:
                 out[axis, "position"] = out[axis, "position"] - self.offsets[piece, axis]
+            if (source := self.made.get((axis, "setpoint"))) == "velocity":
+                out[axis, "motor_position"] = self._travelled(axis, piece, first, last)
+            if source is not None:
+                measured = next(out[axis, s] for s in ("position", "motor_position") if (axis, s) in out)
+                out[axis, "setpoint"] = measured + (error if source == FOLLOWING_ERROR and error is not None else 0.0)
+            elif error is not None:
+                out.setdefault((axis, "position"), out[axis, "setpoint"] - error)
         return out
+
+    def _travelled(self, axis: str, piece: Piece, first: int, last: int) -> np.ndarray:
+        """Sum of the speed from the begin of the piece [m or rad], by trapezoids: T (v_0/2 + v_1 + ... + v_k/2)."""
+        channel = next(c for c in self.channels if c.key == (axis, "velocity"))
+
+        def speed(begin: int, end: int) -> np.ndarray:
+            return channel.conversion(on_grid(channel.source, piece, begin, end, self.fill))
+
+        before = sum(float(speed(at, min(at + BLOCK, first)).sum()) for at in range(0, first, BLOCK))
+        own = speed(first, last)
+        return piece.period * (before - 0.5 * float(speed(0, 1)[0]) + np.cumsum(own) - 0.5 * own)
 
 
 def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
@@ -83,7 +101,9 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     fill = mapping.gaps == "fill"
     if fill and (parts := next((r for r in recordings if r.restarts), None)) is not None:
         raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} starts again in each part; use gaps = "split"')
-    lead = next(c for c in channels if c.column.signal == "setpoint")  # its samples define the grid
+    made = _made(channels)
+    # the samples of the set point, or of what replaces it, define the grid
+    lead = next(c for s in ("setpoint", "position", "motor_position", "velocity") for c in channels if c.column.signal == s)
     period = mapping.period_s or _rounded_interval(lead.source.timing.interval)
     notes += [*_interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
     begin = min(s.begin for c in channels for s in c.source.timing.stretches)
@@ -93,7 +113,8 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         raise InputError(
             f"{mapping.path}: run {run.name}: its signals have no {SHORTEST_S:g} s in common; check from_s, to_s, skew_ms and the files"
         )
-    known = Understood(run, channels, kinds, pieces, fill, (), (), _started(recordings), begin)
+    known = Understood(run, channels, kinds, pieces, fill, (), (), _started(recordings), begin, made=made)
+    notes += _made_notes(made)
     longest = max(pieces, key=lambda p: p.count)
     window = known.block(longest, *block_with_most_travel(lead.source, longest, fill))
     notes += _doubts(window, period, kinds, mapping, run)
@@ -152,12 +173,14 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
             column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
         found.append((column, recording, signal, conversion))
     keys = [column.key for column, *_ in found]
+    if not found:
+        raise InputError(f"{mapping.path}: run {run.name}: the map has no [[column]] for its files; run 'twin import' without --map")
     if twice := next((k for k in keys if keys.count(k) > 1), None):
         raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
     notes += [f"no column '{c.name}' ({c.axis}.{c.signal}); it is optional" for c in missing if c.key not in keys]
     for axis in dict.fromkeys(axis for axis, _ in keys):
-        if (axis, "setpoint") not in keys:
-            raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no setpoint; map the column of its set points")
+        if not {s for a, s in keys if a == axis} & {"setpoint", "position", "motor_position", "velocity"}:
+            raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no set point, position or speed; map the column of one")
     kinds = kinds_of([column for column, *_ in found], [x[3] for x in found], str(mapping.path))
     timings: dict[int, Timing] = {}
     channels = []
@@ -170,6 +193,33 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         source = Source(signal, timings[id(signal.time)], column.skew_s)
         channels.append(Channel(column, source, conversion, recording.path.name))
     return tuple(channels), kinds, notes
+
+
+def _made(channels: Sequence[Channel]) -> dict[tuple[str, str], str]:
+    """Set points, and motor positions, that are not recorded -> what they are made from."""
+    made = {}
+    for axis in dict.fromkeys(c.key[0] for c in channels):
+        own = {c.key[1] for c in channels if c.key[0] == axis}
+        measured = next((s for s in ("position", "motor_position") if s in own), None)
+        if "setpoint" not in own:
+            made[axis, "setpoint"] = (FOLLOWING_ERROR if FOLLOWING_ERROR in own else measured) if measured else "velocity"
+            if not measured:
+                made[axis, "motor_position"] = "velocity"
+    return made
+
+
+def _made_notes(made: Mapping[tuple[str, str], str]) -> list[str]:
+    """What was done without a set point, and what it cannot show."""
+    return [f"{axis}: no set point is recorded; {_MADE[source]}" for (axis, signal), source in made.items() if signal == "setpoint"]
+
+
+_RECORDED_PATH = "the recorded motion is the path: no gain, delay or following error of the position loop can be shown"
+_MADE = {
+    FOLLOWING_ERROR: "position plus following error gives it back",
+    "position": _RECORDED_PATH,
+    "motor_position": _RECORDED_PATH,
+    "velocity": "the speed is summed up to the path: friction and inertia can be shown, nothing of the position loop",
+}
 
 
 def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], mapping: Map, run: RunMap) -> list[str]:
@@ -330,7 +380,7 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
 def _constant_channels(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
     """Notes on channels that never change although the axis moves."""
     return [
-        f"{axis}.{signal} never changes while the set point moves: is it the right column?"
+        f"{axis}.{signal} never changes while the axis moves: is it the right column?"
         for (axis, signal), values in window.items()
         if np.ptp(values) == 0.0 and np.ptp(window[axis, "setpoint"]) > 0.0
     ]

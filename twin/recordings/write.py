@@ -148,6 +148,7 @@ def _facts(known: Understood, trace: Written) -> list[str]:
         channel_keys += ["sign = -1"] if factors.get((axis, signal), 1.0) < 0.0 else []
         channel_keys += ["against = true"] if item is not None and item.against else []
         channel_keys += ["unsigned = true"] if (axis, signal) in known.unsigned else []
+        channel_keys += [f'made_from = "{known.made[axis, signal]}"'] if (axis, signal) in known.made else []
         if channel_keys:
             lines += ["[[run.channel]]", f"axis = {toml_text(axis)}", f"signal = {toml_text(signal)}", *channel_keys]
     labels = {name: value for (piece, name), value in known.labels.items() if piece == trace.piece}

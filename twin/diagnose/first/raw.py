@@ -13,8 +13,9 @@ from pathlib import Path
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.machine.from_recording import NewMachine, machine_from_recording
-from twin.recordings.imported import import_campaign, proposed_text
+from twin.recordings.imported import import_campaign
 from twin.recordings.mapping import read_map
+from twin.recordings.proposed import proposal_of
 
 MACHINE = "machine_from_recording.toml"
 
@@ -39,7 +40,11 @@ def campaign_of(files: Sequence[Path], given: Path | None, out: Path, say: Calla
     folder = out / "campaign"
     map_file = given or folder / "map.toml"
     if not map_file.exists():
-        write_whole(map_file, proposed_text(files))
+        found = proposal_of(files)
+        say(found.table)
+        write_whole(map_file, found.map)
+        if found.lacking:
+            raise InputError(f"{map_file}: {found.lacking}")
         say(f"map proposed from names and numbers: {map_file}; edit it and repeat this command")
     if is_stale(folder / "campaign.toml", [map_file, *files]):
         import_campaign(read_map(str(map_file)), files, folder, say=say)

@@ -1,0 +1,196 @@
+"""A proposal always: what the names of columns do not say, their numbers say. Made data with the names taken away, and recordings of others."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.builders.one_axis import there_and_back
+from tests.builders.recorded_files import move, write_csv
+from twin import simulate
+from twin.cli import main
+from twin.machine.machine import load_machine
+from twin.recordings.campaign import MeasuredRun, read_campaign
+from twin.recordings.force_sign import force_sign
+from twin.recordings.propose import Proposal, propose
+from twin.recordings.signals import Recording, Signal, TimeSource
+from twin.recordings.trace import Trace
+
+Array = np.ndarray
+TIME = np.arange(3000) * 2e-3
+RECORDINGS = Path(__file__).resolve().parents[3] / "shared" / "data" / "recordings"
+UNITS = {"mm": 1.0, "m": 1e-3}
+SPEEDS = {"mm/s": 1.0, "mm/min": 60.0, "m/min": 0.06}
+
+
+def recording(columns: Mapping[str, Array], period: float | None = None, source: TimeSource | None = None) -> Recording:
+    """A recording of columns, every `period` [s]; None: without a time."""
+    rows = np.arange(len(next(iter(columns.values()))), dtype=float)
+    time = rows if period is None else rows * period
+    source = source or TimeSource("rows" if period is None else "file")
+    return Recording(Path("run.csv"), "CSV", {n: Signal(n, np.asarray(v, float), time) for n, v in columns.items()}, source=source)
+
+
+def roles(proposal: Proposal) -> dict[str, str]:
+    """Column -> axis.signal of the used columns."""
+    return {c.name: f"{c.axis}.{c.signal}" for c in proposal.used}
+
+
+def unit_of(proposal: Proposal, name: str) -> str:
+    return next(c.unit for c in proposal.columns if c.name == name)
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Trace:
+    """Two axes of the Mikron that go there and back one after the other, every 1 ms."""
+    machine = load_machine().with_axes(["X", "Z"]).with_feedforward("off")
+    move = there_and_back(0.12, 0.3)
+    x = np.concatenate([move, np.full(len(move) // 2, move[-1]), 0.5 * move])
+    z = np.concatenate([np.zeros(len(move)), 0.4 * move[: len(move) // 2], 0.7 * move])[: len(x)]
+    z = np.pad(z, (0, len(x) - len(z)), mode="edge")
+    time = np.arange(len(x)) * 1e-3
+    setpoints = Trace(time, {("X", "setpoint"): x, ("Z", "setpoint"): z - 0.2}, {"X": "linear", "Z": "linear"})
+    return simulate(machine, setpoints).trace
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_columns_without_names_or_time_are_known_by_their_numbers(simulated: Trace, seed: int) -> None:
+    """Any order, any usual unit of the speed, any sign of the current: the roles, the unit, the sign and the period are found."""
+    rng = np.random.default_rng(seed)
+    trace, noise = simulated, rng.normal(0.0, 5e-5, (2, len(simulated.time)))  # mm
+    wound_up = 1.5e-3 * np.tanh(trace.get("X", "velocity") / 1e-3)  # friction winds up the drive train
+    speed_unit = str(rng.choice(list(SPEEDS)))
+    sign = float(rng.choice([-1.0, 1.0]))
+    truth = {
+        "setpoint": trace.get("X", "setpoint") * 1e3,
+        "position": trace.get("X", "position") * 1e3 + noise[0],
+        "motor_position": trace.get("X", "motor_position") * 1e3 + wound_up + noise[1],
+        "velocity": trace.get("X", "velocity") * 1e3 * SPEEDS[speed_unit],
+        "velocity_setpoint": trace.get("X", "velocity_setpoint") * 1e3 * SPEEDS[speed_unit],
+        "current": sign * trace.get("X", "current"),
+    }
+    order = rng.permutation(list(truth))
+    columns = {f"column {i + 1}": truth[signal] for i, signal in enumerate(order)}
+    found = propose([recording(columns)])
+    assert roles(found) == {f"column {i + 1}": f"X.{signal}" for i, signal in enumerate(order)}
+    velocity = f"column {list(order).index('velocity') + 1}"
+    current = next(c for c in found.columns if c.signal == "current")
+    assert current.sign == sign
+    assert found.time is not None
+    if speed_unit == "mm/s":  # other units explain other usual periods as well, and the period is asked for
+        assert found.time.interval_s == pytest.approx(1e-3)
+        assert unit_of(found, velocity) == "mm/s"
+    assert any("--interval-ms" in question for question in found.questions)
+
+
+def test_axes_without_names_are_told_apart(simulated: Trace) -> None:
+    signals = ("setpoint", "position", "velocity")
+    columns = {f"{axis}{signal}": simulated.get(axis, signal) * 1e3 for axis in "XZ" for signal in signals}
+    names = {f"f{i}": key for i, key in enumerate(columns)}
+    found = propose([recording({f: columns[key] for f, key in names.items()}, simulated.period)])
+    own = {axis: {names[n][0] for n, role in roles(found).items() if role.startswith(axis)} for axis in found.axes}
+    assert len(own) == 2
+    assert all(len(real) == 1 for real in own.values())
+    assert {names[n][1:]: role.partition(".")[2] for n, role in roles(found).items()} == {s: s for s in signals}
+
+
+def test_the_speed_of_the_profile_is_no_output_of_a_controller() -> None:
+    m = move(TIME)
+    profile = np.gradient(m["soll"], 2e-3)
+    for name in ("target_velocity", "f9"):
+        found = propose([recording({"target_position": m["soll"], "actual_position": m["ist"], name: profile}, 2e-3)])
+        assert "X.velocity_setpoint" not in roles(found).values()
+        assert found.feedforward is None
+    assert any("no gain follows from it" in note for note in found.notes) or roles(found).get("f9") != "X.velocity_setpoint"
+    controlled = 20.0 * (m["soll"] - m["ist"])
+    found = propose([recording({"target_position": m["soll"], "actual_position": m["ist"], "target_velocity": controlled}, 2e-3)])
+    assert roles(found)["target_velocity"] == "X.velocity_setpoint"
+
+
+def test_what_is_no_measurement_is_said_and_not_used() -> None:
+    m = move(TIME)
+    droop = np.clip(np.rint(4000.0 * (m["soll"] - m["ist"])), -32768.0, 20000.0)
+    columns = {
+        "Lagesollwert X": m["soll"], "Lageistwert X": m["ist"], "Schleppabstand X": droop, "Strom X": m["strom"],
+        "Spannung X": 48.0 + 0.1 * np.sin(9.0 * TIME), "aux": np.repeat([0.0, 1.0], 1500), "n": np.arange(3000.0), "copy": m["soll"],
+    }  # fmt: skip
+    droop[:900] = -32768.0
+    found = propose([recording(columns, 2e-3)])
+    assert set(roles(found).values()) == {"X.setpoint", "X.position", "X.current"}
+    doubts = {c.name: c.doubt for c in found.columns if c.doubt}
+    assert "end of its counter" in doubts["Schleppabstand X"] or "position itself" in doubts["Schleppabstand X"]
+    assert "a supply" in doubts["Spannung X"]
+    assert found.unknown["aux"] == "a switch"
+    assert "counts" in found.unknown["n"]
+    assert "Lagesollwert X" in found.unknown["copy"]
+
+
+def test_counts_and_signs_in_a_bit() -> None:
+    x = 500.0 * np.sin(1.3 * TIME)
+    s = np.rint(2048.0 + x)
+    speed = np.rint(np.gradient(x, 2e-3))
+    columns = {"target pos (1)": s, "pos (1)": np.rint(2048.0 + np.roll(x, 5)), "speed (1)": np.where(speed < 0, 32768.0 - speed, speed)}
+    found = propose([recording(columns, 2e-3)])
+    by_name = {c.name: c for c in found.used}
+    assert "sign_bit = 15" in by_name["speed (1)"].extra
+    assert {c.unit for c in found.used} == {"deg", "deg/s"}
+    assert any("counts, taken as 4096 a turn" in question for question in found.questions)
+
+
+@pytest.mark.parametrize(("unit", "step"), [("ms", 2.0), ("s", 2e-3), ("us", 2000.0)])
+def test_the_recorded_speed_decides_the_unit_of_time(unit: str, step: float) -> None:
+    m = move(TIME)
+    source = TimeSource("column", "time", "ms" if step >= 0.5 else "s", assumed=True, text="nothing states the unit")
+    read = step * (1e-3 if step >= 0.5 else 1.0)
+    columns = {"Lagesollwert X": m["soll"], "Lageistwert X": m["ist"], "Drehzahlistwert X": m["speed"]}
+    found = propose([recording(columns, read, source)])
+    assert found.time is not None
+    assert found.time.unit == unit
+    assert unit_of(found, "Drehzahlistwert X") == "mm/s"
+
+
+def imported(tmp_path: Path, file: Path, *more: str) -> MeasuredRun:
+    assert main(["import", str(file), "--out", str(tmp_path / "out"), "--no-picture", *more]) == 0
+    return read_campaign(tmp_path / "out").runs[0]
+
+
+def test_a_partial_map_is_completed(tmp_path: Path) -> None:
+    m = move(TIME)
+    file = write_csv(tmp_path / "run.csv", {"t": TIME, "a": m["soll"], "b": m["ist"], "c": m["speed"], "d": m["strom"]})
+    partial = tmp_path / "partial.toml"
+    partial.write_text('[[column]]\nname = "b"\naxis = "Y"\nsignal = "position"\nunit = "mm"\n', encoding="utf-8")
+    run = imported(tmp_path, file, "--map", str(partial))
+    assert set(run.trace.signals) == {("Y", s) for s in ("setpoint", "position", "velocity", "current")}
+    assert np.allclose(run.trace.get("Y", "setpoint") * 1e3, m["soll"])
+    partial.write_text('[time]\ncolumn = "t"\n', encoding="utf-8")
+    assert imported(tmp_path / "again", file, "--map", str(partial)).trace.axes == ("X",)
+
+
+def test_without_a_set_point_there_is_still_an_answer(tmp_path: Path) -> None:
+    m = move(TIME)
+    lag = imported(
+        tmp_path / "a", write_csv(tmp_path / "a.csv", {"t": TIME, "actual_position": m["ist"], "position_error": m["soll"] - m["ist"]})
+    )
+    assert lag.fact("X", "setpoint").made_from == "following_error"
+    assert np.allclose(lag.trace.get("X", "setpoint") * 1e3, m["soll"])
+    path = imported(tmp_path / "b", write_csv(tmp_path / "b.csv", {"t": TIME, "actual_position": m["ist"], "current": m["strom"]}))
+    assert path.fact("X", "setpoint").made_from == "position"
+    speed = imported(tmp_path / "c", write_csv(tmp_path / "c.csv", {"t": TIME, "actual_speed_mm_s": m["speed"], "current": m["strom"]}))
+    assert speed.fact("X", "setpoint").made_from == speed.fact("X", "motor_position").made_from == "velocity"
+    travelled = speed.trace.get("X", "motor_position") * 1e3
+    assert np.abs(travelled - (m["ist"] - m["ist"][0])).max() < 1e-3 * np.ptp(m["ist"])
+    assert not force_sign(speed.trace.get("X", "current"), speed.trace.get("X", "motor_position"), 2e-3, "linear").doubt
+
+
+def test_without_out_it_prints_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    m = move(TIME)
+    file = write_csv(tmp_path / "run.csv", {"f1": m["soll"], "f2": m["ist"], "f3": m["strom"]})
+    assert main(["import", str(file)]) == 0
+    table = capsys.readouterr().out.partition("# proposed by")[0]
+    assert "X.setpoint" in table
+    assert "--interval-ms" in table
+    assert max(map(len, table.splitlines()[1:])) <= 100
+    assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
+    assert main(["import", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert "--interval-ms" in capsys.readouterr().err

@@ -1,0 +1,208 @@
+"""Relations between two recorded columns in any units: one follows another, one is the slope of another, one drives another.
+
+follows:   x(t) = a s(t - d) + c             a set point s and a position x, or two encoders
+slope:     v(t) = k dx/dt                    a speed
+balance:   u(t) = m dv/dt + d sign(v) + b v + c      a current, torque or voltage     (plus cos, sin of the position on a rotary axis)
+law:       w(t) = k (s - x) + a ds/dt        output of a position controller, which is more than the slope of its set point
+
+`left` is always the share of the variance that a relation leaves, 0 to 1. All columns (sample,) lie on one even grid; `period` [s].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.recordings.force_sign import force_balance
+from twin.recordings.least_squares import solved
+
+TINY = 1e-300
+WINDOWS = (1, 4, 16, 64)
+"""Samples over which a slope is averaged; the best one counts, so that neither noise nor few digits hide a slope."""
+TRIMMED = 0.98
+"""Share of the samples that count for the roughness: a step of a set point is no noise."""
+
+
+@dataclass(frozen=True)
+class Relation:
+    """`factor` k or a; `left`: unexplained share of the variance; `lag` [samples]; `left_without`: the same without the lag (or the extra term)."""
+
+    factor: float
+    left: float
+    lag: float = 0.0
+    left_without: float = 1.0
+
+
+def moves(values: np.ndarray) -> bool:
+    """True if a column changes at all."""
+    return len(values) > 3 and float(np.ptp(values)) > 0.0
+
+
+def follows(x: np.ndarray, s: np.ndarray, reach: int | None = None) -> Relation:
+    """x as a copy of s that is `lag` samples later (negative: earlier), at most `reach`, by default an eighth of the record."""
+    x, s = x - x.mean(), s - s.mean()
+    xx = float(x @ x)
+    if not moves(x) or not moves(s):
+        return Relation(0.0, 1.0)
+    n = len(x)
+    reach = min(max(n // 8, 1), reach or n)
+    size = 1 << (2 * n - 1).bit_length()
+    product = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(s, size)), size)
+    shifts = np.r_[np.arange(reach + 1), np.arange(-reach, 0)]
+    k = int(shifts[np.argmax(product[shifts])])
+    shifted = s[np.clip(np.arange(n) - k, 0, n - 1)]
+    speed = np.gradient(shifted)
+    factor, still = solved(np.column_stack([shifted, np.ones(n)]), x)
+    rest = x - factor * shifted - still
+    # the fraction of a sample that is left
+    vv = float(speed @ speed)
+    part = float(np.clip(-(rest @ speed) / (factor * vv), -1.0, 1.0)) if vv > 0.0 and factor else 0.0
+    rest = rest + part * factor * speed
+    alone = x - float(s @ x) / max(float(s @ s), TINY) * s
+    return Relation(float(factor), float(rest @ rest) / xx, k + part, float(alone @ alone) / xx)
+
+
+def follows_in_part(x: np.ndarray, s: np.ndarray) -> Relation:
+    """The same for the part of the record in which x follows s best: an axis follows slow motion even where it cannot follow the rest."""
+    size = len(x) // PARTS
+    parts = [slice(i * size, (i + 1) * size) for i in range(PARTS)] if size >= LEAST_OF_PART else []
+    wide = [p for p in parts if np.ptp(s[p]) > 0.3 * np.ptp(s)]
+    return min([follows(x, s), *(follows(x[p], s[p]) for p in wide)], key=lambda r: r.left)
+
+
+PARTS = 6
+LEAST_OF_PART = 50
+
+
+def slope(v: np.ndarray, x: np.ndarray, period: float) -> Relation:
+    """v as a multiple of the slope of x."""
+    summed = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]))]) * period
+    best = Relation(0.0, 1.0)
+    for step in WINDOWS:
+        if step * 4 > len(v):
+            break
+        y, moved = summed[step:] - summed[:-step], x[step:] - x[:-step]
+        xx, xy, yy = float(moved @ moved), float(moved @ y), float(y @ y)
+        if xx > 0.0 and yy > 0.0 and 1.0 - xy * xy / (xx * yy) < best.left:
+            best = Relation(xy / xx, max(1.0 - xy * xy / (xx * yy), 0.0))
+    return best
+
+
+def second_slope(a: np.ndarray, x: np.ndarray, period: float) -> Relation:
+    """a as a multiple of the second slope of x."""
+    return slope(a, np.gradient(x, period), period)
+
+
+def is_slope(v: np.ndarray, s: np.ndarray, period: float, digits: float = 0.0) -> bool:
+    """True if v is a forward, backward or central difference of s in any unit, up to rounding to `digits` (of v)."""
+    forward, backward, inner = np.diff(s)[1:] / period, np.diff(s)[:-1] / period, v[1:-1]
+    for difference in (forward, backward, 0.5 * (forward + backward)):
+        xx = float(difference @ difference)
+        if xx > 0.0 and np.std(inner - float(difference @ inner) / xx * difference) < max(SAME_SLOPE * np.std(inner), digits):
+            return True
+    return False
+
+
+SAME_SLOPE = 2e-3
+"""Relative RMS difference below which a speed is only the slope of a position."""
+
+
+def law(w: np.ndarray, s: np.ndarray, x: np.ndarray, period: float) -> Relation:
+    """w as output of a position controller; `left_without`: without the following error."""
+    speed, error = np.gradient(s, period), s - x
+    columns = np.column_stack([error, speed, np.ones_like(error)])
+    total = max(float(np.var(w)), TINY)
+    b = solved(columns, w)
+    alone = w - columns[:, 1:] @ solved(columns[:, 1:], w)
+    return Relation(float(b[0]), float(np.var(w - columns @ b)) / total, 0.0, float(np.var(alone)) / total)
+
+
+def balance(u: np.ndarray, x: np.ndarray, period: float, kind: str) -> Relation:
+    """u as the force that moves x; `left_without`: what the speed alone leaves. `factor` < 0: it pushes against the motion."""
+    found = force_balance(u, x, period, kind)
+    return Relation(found.direction, found.left, 0.0, found.left_speed)
+
+
+def uneven(values: np.ndarray) -> float:
+    """RMS third difference without the largest ones: what is not smooth motion (noise, steps of an encoder)."""
+    third = np.sort(np.abs(np.diff(values, 3)))
+    kept = third[: max(int(TRIMMED * len(third)), 1)]
+    return float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+
+
+def ahead(m: np.ndarray, x: np.ndarray) -> float:
+    """How far m is ahead of x in the direction of motion, over the spread of their difference: a motor winds up what it moves."""
+    motion = np.gradient(x)
+    direction = np.sign(motion) * (np.abs(motion) > 0.1 * np.abs(motion).max())
+    apart = (m - x) - np.median(m - x)
+    if not direction.any() or not apart.any():
+        return 0.0
+    return float(np.mean(apart[direction != 0] * direction[direction != 0]) / max(np.std(apart), TINY))
+
+
+def settled(s: np.ndarray, x: np.ndarray) -> float:
+    """Spread of s - x where s rests; the encoder that closes the position loop has the smaller one. NaN if s never rests."""
+    step = np.abs(np.diff(s, prepend=s[0]))
+    quiet = max(20, len(s) // 200)
+    resting = np.convolve((step > 0.0).astype(float), np.ones(quiet), "full")[: len(s)] == 0.0
+    resting[:quiet] = False
+    return float(np.std((s - x)[resting])) if np.count_nonzero(resting) > quiet else float("nan")
+
+
+def switches(values: np.ndarray) -> bool:
+    """True if a column has two values only: a switch, no measurement."""
+    return len(np.unique(values)) == 2
+
+
+def supplies(voltage: np.ndarray) -> bool:
+    """True if a voltage only wavers about a constant: a supply, no command."""
+    return abs(float(voltage.mean())) > SUPPLY * float(voltage.std())
+
+
+SUPPLY = 20.0
+"""Mean over standard deviation of a voltage from which it is a supply; a command of an axis that moves passes through zero or changes."""
+
+
+def stuck_at(values: np.ndarray) -> float | None:
+    """The limit of a counter at which a column stops (the largest or smallest number of 8, 16 or 32 bits), or None."""
+    for end in (float(values.min()), float(values.max())):
+        if end in LIMITS and 1 < np.count_nonzero(values == end) < len(values):
+            return end
+    return None
+
+
+LIMITS = {float(sign * 2**bits - over) for bits in (7, 15, 31) for sign, over in ((1, 1), (-1, 0), (-1, -1))} | {65535.0, 4294967295.0}
+
+
+def sign_bit(values: np.ndarray, positive: np.ndarray) -> int | None:
+    """Bit that carries the sign of whole numbers (33118 = -350 in a 16-bit word), if the decoded values go with `positive`; else None."""
+    if not whole(values) or values.min() < 0.0:
+        return None
+    for bit in (15, 10, 11, 31):
+        high = values >= 2.0**bit
+        if high.any() and not high.all() and values.max() < 2.0 ** (bit + 1):
+            signed = np.where(high, 2.0**bit - values, values)
+            moving = (signed != 0.0) & (positive != 0.0)
+            if np.count_nonzero(moving) > 3 and abs(np.mean(np.sign(signed[moving]) * np.sign(positive[moving]))) > 0.7:
+                return bit
+    return None
+
+
+def whole(values: np.ndarray) -> bool:
+    """True if all values are whole numbers."""
+    return bool(np.all(values == np.rint(values)))
+
+
+def even_step(values: np.ndarray) -> float | None:
+    """Step of a column that increases evenly from its first to its last row."""
+    steps = np.diff(values)
+    if len(steps) < 10:
+        return None
+    usual = float(np.median(steps))
+    even = usual > 0.0 and float(np.abs(steps - usual).max()) <= EVEN * usual
+    return usual if even else None
+
+
+EVEN = 0.02
+"""Largest deviation of the steps of a time column without a name, relative to their median: printed times are rounded."""
