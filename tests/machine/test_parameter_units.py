@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from twin.control.number import unit_of_key
 from twin.machine.machine import Machine
-from twin.machine.parameters import PARAMETERS, parameter, unit_of_key
+from twin.machine.parameters import PARAMETERS, parameter
 from twin.machine.toleranced import inertia_of
 
 

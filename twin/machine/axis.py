@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from twin.control.number import si_from_key
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
-from twin.machine.parameters import PARAMETERS, si_from_key, typed_from_file
+from twin.machine.parameters import PARAMETERS, typed_from_file
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from twin.control.number import si_from_key
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.axis import Axis
-from twin.machine.parameters import si_from_key, typed_from_file
+from twin.machine.parameters import typed_from_file
 
 TABLES = ("name", "structure", "model", "axis_order", "driven_axes", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "tool", "identified", "variables", "program")  # fmt: skip
 """Keys and tables of a machine file besides `keys.TOP`."""

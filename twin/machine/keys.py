@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any
 
+from twin.control.number import INFINITE, Key, not_negative, positive
 from twin.errors import InputError, nearest
-from twin.machine.parameters import INFINITE, PARAMETERS, Key, not_negative, positive
+from twin.machine.parameters import PARAMETERS
 
 STRUCTURES = ("P/PI/PI", "P/PI", "P/P")
 """Position, speed and current controller of an axis. The first is a servo drive; the others end in an ideal actuator."""

@@ -13,6 +13,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
+from twin.control.number import si_from_key
 from twin.documents import named_file, read_toml
 from twin.errors import InputError, nearest
 from twin.files import write_whole
@@ -20,7 +21,7 @@ from twin.machine import keys
 from twin.machine.axis import Axis, axis_of_table
 from twin.machine.document import changed, check_cycles, check_document, cycles_of, in_file
 from twin.machine.model_file import check_mjcf, copy_model, state_of_model
-from twin.machine.parameters import file_from_typed, key_of, si_from_key
+from twin.machine.parameters import file_from_typed, key_of
 
 DEFAULT_MACHINE = "mikron_ucp710.toml"
 FEEDFORWARD = ("off", "velocity", "velocity+torque")

@@ -12,34 +12,15 @@ All code that handles a number of an axis by name (file, typed view, variants, t
 from __future__ import annotations
 
 from dataclasses import dataclass
-import itertools
 import math
 
-INFINITE = math.inf
+from twin.control.number import Key, not_negative, positive, si_from_key, unit_of_key
+
 MOST_MEAN_CYCLES = 16
 """Most speed cycles over which a position may be differentiated."""
 
 MOST_MODE_SHARE = 0.95
 """Largest mass share of a structural mode: the mass that feels the drive without delay must not vanish."""
-
-
-@dataclass(frozen=True)
-class Key:
-    """Bounds of a number in the unit of the file, and whether it is required."""
-
-    low: float = -INFINITE
-    high: float = INFINITE
-    required: bool = True
-    above: bool = False  # excludes the lower bound itself (a mass of 0)
-    count: int = 1  # how many numbers
-
-
-def positive(required: bool = True) -> Key:
-    return Key(low=0.0, above=True, required=required)
-
-
-def not_negative(required: bool = True) -> Key:
-    return Key(low=0.0, required=required)
 
 
 @dataclass(frozen=True)
@@ -197,36 +178,6 @@ def machine_data_of(kind: str) -> tuple[Datum, ...]:
             key, unit, factor = ("travel_m", "mm", 1e-3) if kind == "linear" else ("travel_deg", "deg", 1.0)
             out += [Datum(36100, "POS_LIMIT_MINUS", unit, f"{key}.0", factor), Datum(36110, "POS_LIMIT_PLUS", unit, f"{key}.1", factor)]
     return tuple(out)
-
-
-# longest first, so that '_rev_per_s2' is not read as '_per_s'
-_SUFFIX_TO_SI = {
-    "_deg_per_s": math.pi / 180.0,
-    "_rev_per_min": 2.0 * math.pi / 60.0,
-    "_rev_per_s2": 2.0 * math.pi,
-    "_rev_per_s3": 2.0 * math.pi,
-    "_m_per_min": 1.0 / 60.0,
-    "_deg": math.pi / 180.0,
-    "_us": 1e-6,
-}
-
-
-_UNIT_WORDS = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "h": "H", "hz": "Hz", "per": "/"}
-_UNIT_WORDS |= {word: word for word in ("m", "kg", "s", "us", "rad", "deg", "rev", "min", "ohm", "m2", "s2", "s3")}
-
-
-def unit_of_key(key: str) -> str:
-    """Unit at the end of a key: 'm/rev' for screw_lead_m_per_rev, 'Nm s/rad' for a damping; '' if the key has none."""
-    units = [_UNIT_WORDS[word] for word in itertools.takewhile(_UNIT_WORDS.__contains__, reversed(key.split("_")))]
-    return " ".join(reversed(units)).replace(" / ", "/").replace("/ ", "1/")
-
-
-def si_from_key(key: str) -> float:
-    """Factor from the unit at the end of a key to SI; 1 for an SI unit."""
-    for suffix, factor in _SUFFIX_TO_SI.items():
-        if key.endswith(suffix):
-            return factor
-    return 1.0
 
 
 def typed_from_file(key: str, value: float) -> float:

@@ -19,8 +19,8 @@ import math
 import numpy as np
 from scipy.optimize import nnls
 
+from twin.control.number import si_from_key
 from twin.machine.machine import Axis, Machine, Noise
-from twin.machine.parameters import si_from_key
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.trace import Trace

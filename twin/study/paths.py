@@ -17,12 +17,13 @@ import copy
 import fnmatch
 from typing import Any
 
+from twin.control.number import unit_of_key
 from twin.effects.change import total_inertia
 from twin.effects.effect import find_effect
 from twin.errors import InputError, nearest
 from twin.machine.axis import Axis
 from twin.machine.machine import Machine
-from twin.machine.parameters import key_of, unit_of_key
+from twin.machine.parameters import key_of
 from twin.simulation.plant_spec import load_spec
 
 ADDED_MASS = "added_mass."
