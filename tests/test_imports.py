@@ -45,6 +45,7 @@ BORROWED = {
     ("machine", "effects"),  # check, loops: effects that a machine file lists
     ("machine", "recordings"),
     ("control", "recordings"),  # least squares
+    ("control", "simulation"),  # the stages and signals of the compiled loop
     ("machine", "geometry"),
     ("geometry", "simulation"),  # kinematics and tool path read the compiled model
     ("geometry", "recordings"),

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.control.block import Listed, keys_of, listed, named_blocks
 from twin.control.number import si_from_key
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
@@ -98,6 +99,7 @@ class Axis:
     commissioned_inertia          [kg m2 at the motor] of the torque feedforward; None: that of the model in the home pose
     effort                        signal that the speed controller commands: current, voltage or torque
     encoder                       measuring system that closes the position loop: scale (at the load) or motor
+    blocks                        blocks of its control that the file lists beside the structure, in the order in which they act
     friction_side                 where friction acts if an elastic drive train separates motor and load: load (guideways) or motor (gear of a robot)
     presliding_stiffness          [N/m or Nm/rad at the axis] of friction below break-away, as in the effect of that name, which takes its place; 0: rigid
     mode_frequency_hz             natural frequency of a structural mode in the axis' direction with the axis held (bed on its mounts, carried part)
@@ -125,6 +127,7 @@ class Axis:
     effort: str = "current"
     encoder: str = "scale"
     friction_side: str = "load"
+    blocks: tuple[Listed, ...] = ()
     presliding_stiffness: float = 0.0
     mode_frequency_hz: float = 0.0
     mode_mass_share: float = 0.0
@@ -232,8 +235,21 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         effort=effort,
         encoder=words["encoder"],
         friction_side=words["friction_side"],
+        blocks=_blocks(name, table, kind, checked),
         **own,
     )
+
+
+def _blocks(name: str, table: Mapping[str, Any], kind: str, checked: bool) -> tuple[Listed, ...]:
+    """The blocks of `[axis.NAME.block]`."""
+    if "block" not in table:
+        return ()
+    import twin.control.library  # noqa: F401 - its laws are compiled: only for machines that list some
+
+    found = named_blocks(table["block"], f"[axis.{name}.block]")
+    for block in found if checked else ():
+        keys.check_table(table["block"][block.name], keys_of(block.name, kind), f"[axis.{name}.block.{block.name}]")
+    return tuple(listed(block, table["block"][block.name], kind) for block in found)
 
 
 def _check_keys(name: str, kind: str, direct: bool, structure: str, table: Mapping[str, Any], where: str) -> None:
@@ -242,7 +258,7 @@ def _check_keys(name: str, kind: str, direct: bool, structure: str, table: Mappi
     endless = kind == "rotary" and table.get("travel_deg") == "endless"
     if endless:
         del own["travel_deg"]
-    keys.check_table(table, own, where, ("kind", *(["travel_deg"] if endless else []), "structure", *keys.WORDS, "drive", *parts))
+    keys.check_table(table, own, where, ("kind", *(["travel_deg"] if endless else []), "structure", "block", *keys.WORDS, "drive", *parts))
     for part, part_keys in parts.items():
         if part not in table and part != "commissioned":
             raise InputError(f"{where}: table [axis.{name}.{part}] is missing; add it")

@@ -167,9 +167,11 @@ def _is_allowed(document: Mapping[str, Any], path: str) -> bool:
         known = {"control": (*keys.CONTROL, "setpoint_interpolation"), "geometry": keys.GEOMETRY, "measurement": keys.MEASUREMENT}
         return parts[1] in known[parts[0]]
     table = document["axis"].get(parts[1]) if parts[0] == "axis" else None
-    if not isinstance(table, Mapping) or len(parts) > 4:
+    if not isinstance(table, Mapping) or len(parts) > (5 if parts[2:3] == ["block"] else 4):
         return False
     kind, direct = table.get("kind"), table.get("drive") == "direct"
+    if parts[2] == "block":
+        return True  # its names and keys are checked with the axis
     own, below = keys.tables_of_axis(str(kind), direct, table.get("structure", keys.STRUCTURES[0]), table, f"[axis.{parts[1]}]")
     if len(parts) == 3:
         return parts[2] in own or parts[2] in (*keys.WORDS, "commissioned")

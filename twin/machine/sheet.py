@@ -62,6 +62,7 @@ def sheet(machine: Machine) -> str:
         each(lambda a: _g(a.presliding_stiffness * (1e-6 if a.kind == "linear" else 1e-3)) if a.presliding_stiffness else "-"),
     )
     row("structural mode", "Hz", each(lambda a: _g(a.mode_frequency_hz) if a.mode_mass_share else "-"))
+    row("further blocks", "", each(lambda a: "; ".join(listed.text(a.kind) for listed in a.blocks) or "-"))
     cycles = {"position": machine.position_cycle, "speed": machine.speed_cycle}
     if "P/PI/PI" in kinds:
         cycles["current"] = machine.current_cycle

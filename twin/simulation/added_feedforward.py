@@ -42,12 +42,19 @@ def added_feedforward(trace: Trace, machine: Machine, set_points: Callable[[np.n
     """
     if trace.period > machine.position_cycle * 1.001:
         return None
-    recorded = [a for a in machine.axes if trace.has(a.name, "velocity_feedforward") and a.loops.velocity_feedforward != 0.0]
+    recorded = [
+        a for a in machine.axes if trace.has(a.name, "velocity_feedforward") and a.loops.velocity_feedforward != 0.0 and not _made(a)
+    ]
     out = np.zeros((len(trace.time), len(machine.axes)))
     for axis in recorded:
         a = machine.axis_names.index(axis.name)
         out[:, a] = _rest(trace, axis, lambda times, a=a: set_points(times)[:, a], machine.position_cycle)  # type: ignore[misc]
     return out if out.any() else None
+
+
+def _made(axis: Axis) -> bool:
+    """Whether a block of the control makes the added signals itself."""
+    return any("velocity_feedforward" in listed.block.replaces for listed in axis.blocks)
 
 
 def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray], cycle: float) -> np.ndarray:

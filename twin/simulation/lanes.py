@@ -114,7 +114,7 @@ def lane_of(
     """The machine with its effects, at rest; arguments as for `simulate`. Raises InputError if it cannot be held or recorded."""
     # effects change the machine, not the values that the control was commissioned with
     inertia = commissioned_inertia(machine)
-    actual = apply_effects(machine, started_at)
+    actual = _with_blocks(apply_effects(machine, started_at))
     actual.lead_ticks = round(setpoints.lead / machine.base_tick)
     schedule = _schedule(machine, sample_period)
     _check_length(machine, setpoints, schedule)
@@ -150,6 +150,17 @@ def _schedule(machine: Machine, sample_period: float | None) -> loop.Schedule:
         speed_bound=DIVERGED_SPEED * np.array([axis.max_velocity for axis in machine.axes]),
         end=np.zeros(len(machine.axes), np.int64),  # set by _joined
     )
+
+
+def _with_blocks(actual: Change) -> Change:
+    """The change with the compiled laws of the blocks that the machine file lists; at each stage they precede the effects."""
+    for axis in actual.machine.axes:
+        for order, listed in enumerate(axis.blocks, start=-len(axis.blocks)):
+            if listed.block.law is not None:
+                actual.add_term(
+                    listed.block.law, listed.block.stage, axis, listed.block.constants(listed.values, actual.machine), order=order
+                )
+    return actual
 
 
 def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives, setpoints: Setpoints) -> np.ndarray:

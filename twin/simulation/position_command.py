@@ -5,6 +5,8 @@ The control differentiates the set points s(t) backwards over its position cycle
     v_ff = a_v (s(t - d) - s(t - d - Tp)) / Tp
     T_ff = a_t J_ff (s(t - d) - 2 s(t - d - Tp) + s(t - d - 2 Tp)) / Tp^2 / r
 
+Set point filters that the machine file lists (`twin.control.set_point_filters`) act on all three alike.
+
 With `setpoint_interpolation = "linear"` the delay of a set point is interpolated linearly between the NC's samples at its position
 cycles: a set point delayed by 1.5 cycles is the mean of the values one and two cycles old.
 """
@@ -16,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.machine.machine import Machine
+from twin.control.block import Cycles
+from twin.machine.machine import Axis, Machine
 from twin.simulation.setpoints import Command, Setpoints
 
 WHOLE_CYCLE = 1e-9
@@ -38,19 +41,32 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
         for axis, inertia in zip(machine.axes, commissioned_inertia.tolist())
     ]
 
-    return setpoints.command((tp, *laws), tp, first_cycle, count, lambda first, n: _evaluated(setpoints, laws, tp, first, n))
+    kernels = [kernel_of(axis, machine) for axis in machine.axes]
+    key = (tp, *laws, *(kernel.tobytes() for kernel in kernels))
+    return setpoints.command(key, tp, first_cycle, count, lambda first, n: _evaluated(setpoints, laws, kernels, tp, first, n))
 
 
-def _evaluated(setpoints: Setpoints, laws: list[_CommandLaw], tp: float, first: int, count: int) -> Command:
-    """The command of `count` position cycles of length `tp` [s]."""
+def kernel_of(axis: Axis, cycles: Cycles) -> np.ndarray:
+    """Weights of the set point filters of an axis at the last position cycles, newest first; [1] without a filter."""
+    kernel = np.ones(1)
+    for listed in axis.blocks:
+        if listed.block.kernel is not None:
+            kernel = np.convolve(kernel, listed.block.kernel(listed.values, cycles))
+    return kernel
+
+
+def _evaluated(setpoints: Setpoints, laws: list[_CommandLaw], kernels: list[np.ndarray], tp: float, first: int, count: int) -> Command:
+    """The command of `count` position cycles of length `tp` [s]; `kernels` hold the set point filter of each axis."""
     # one spline evaluation serves all axes and delays
     delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in law.weights(wanted, tp)})
-    at = dict(zip(delays, setpoints.at_cycles(first, count, tp, delays)))
+    back = max(map(len, kernels)) - 1
+    at = dict(zip(delays, setpoints.at_cycles(first - back, count + back, tp, delays)))
     setpoint, velocity, torque = np.empty((3, count, len(laws)))
     for a, law in enumerate(laws):
 
         def read(delay: float, a: int = a, law: _CommandLaw = law) -> np.ndarray:
-            return sum((weight * at[d][:, a] for d, weight in law.weights(delay, tp)), start=np.zeros(count))
+            values = sum((weight * at[d][:, a] for d, weight in law.weights(delay, tp)), start=np.zeros(count + back))
+            return np.convolve(values, kernels[a])[back : back + count] if back else values
 
         now, before, earlier = map(read, law.steps_back(tp))
         setpoint[:, a] = read(law.delay)

@@ -120,10 +120,10 @@ class Setpoints:
 
     def at_cycles(self, first: int, count: int, period: float, delays: list[float]) -> list[np.ndarray]:
         """Delayed positions (cycle, axis) at position cycles, for each delay [s]; cached for short runs."""
-        if self._spline is None:
+        lead, total = self._cycle_counts(period)
+        if self._spline is None or first < -lead:
             times = np.arange(first, first + count) * period
             return list(self.at((times - np.array(delays)[:, None]).ravel()).reshape(len(delays), count, -1))
-        lead, total = self._cycle_counts(period)
         out = []
         for delay in delays:
             known = self._cycles.get((period, delay))

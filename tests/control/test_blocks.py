@@ -1,0 +1,107 @@
+"""Blocks that a machine file lists: read, checked, written and simulated; each law against its own statement."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.builders.one_axis import steady, swing
+from twin.control.friction_pulse import pulses
+from twin.control.library import BLOCKS
+from twin.errors import InputError
+from twin.machine.machine import Machine, load_machine, write_machine
+from twin.machine.sheet import sheet
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
+
+PULSE = {"amplitude_m_per_min": 0.12, "decay_time_s": 0.015}
+
+
+@pytest.fixture(scope="module")
+def machine(mikron: Machine) -> Machine:
+    return mikron.with_axes(["X"])
+
+
+def speed_set_point(machine: Machine, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Speed set point and position of X at the position cycles."""
+    trace = simulate(machine, Setpoints(position[:, None], 1e-3), sample_period=machine.position_cycle).trace
+    return trace.get("X", "velocity_setpoint"), trace.get("X", "position")
+
+
+def stated_pulses(setpoint: np.ndarray, output: np.ndarray, amplitude: float, decay: float) -> np.ndarray:
+    """The law in plain words: a pulse whenever command and set point go one way that is not the last one; it decays by a factor a cycle."""
+    out, direction, pulse = np.zeros(len(setpoint)), 0, 0.0
+    for k in range(1, len(setpoint)):
+        pulse *= decay
+        way = int(np.sign(round(setpoint[k] - setpoint[k - 1], 11)))
+        if way and way == np.sign(output[k]) and way != direction:
+            direction, pulse = way, amplitude * way
+        out[k] = pulse
+    return out
+
+
+def test_a_pulse_follows_its_law_and_decays_with_its_time() -> None:
+    random = np.random.default_rng(4)
+    setpoint = np.cumsum(np.round(1e-6 * random.standard_normal(400).cumsum(), 7))
+    output = np.gradient(setpoint, 2e-3) + 1e-4 * random.standard_normal(400)
+    found = pulses({"amplitude": 2e-3, "decay_time": 0.015}, setpoint, output, 2e-3)
+    assert found == pytest.approx(stated_pulses(setpoint, output, 2e-3, math.exp(-2.0 / 15.0)), abs=1e-15)
+    assert np.count_nonzero(np.abs(found) == 2e-3) > 3
+
+
+@pytest.mark.parametrize("closed_in_drive", [False, True])
+def test_the_simulated_pulse_is_that_of_the_recorded_signals(machine: Machine, closed_in_drive: bool) -> None:
+    base = machine.with_feedforward("velocity").with_values({"axis.X.loops.position_delay_s": 0.0})
+    base = base.with_values({"axis.X.loops.dsc_delay_s": 0.004}) if closed_in_drive else base
+    with_pulse = base.with_values({f"axis.X.block.friction_pulse.{key}": value for key, value in PULSE.items()})
+    path = swing(0.02, 1.5, 1.6)
+    command, position = speed_set_point(with_pulse, path)
+    loops, tp = base.axis("X").loops, base.position_cycle
+    setpoint = path[:: round(tp / 1e-3)][: len(command)]
+    fed = Setpoints(path[:, None], 1e-3).at(np.arange(len(command)) * tp - loops.feedforward_delay_s)[:, 0]
+    without = loops.position_gain_per_s * (setpoint - position) + np.diff(fed, prepend=fed[0]) / tp
+    assert command - without == pytest.approx(stated_pulses(setpoint, without, 0.002, math.exp(-tp / 0.015)), abs=3e-6)
+    # it does what it is for: less following error after a reversal
+    plain, _ = speed_set_point(base, path)
+    assert not np.allclose(command, plain, atol=1e-4)
+
+
+@pytest.mark.parametrize(("name", "numbers", "late_s"), [
+    ("set_point_lag", {"time_constant_s": 0.02}, 2e-3 / math.expm1(0.1)), ("set_point_average", {"length_s": 0.021}, 2e-3 * 50.0 / 10.5),
+])  # fmt: skip
+def test_a_set_point_filter_delays_position_and_feedforward_alike(
+    machine: Machine, name: str, numbers: dict[str, float], late_s: float
+) -> None:
+    base = machine.with_feedforward("velocity")
+    filtered = base.with_values({f"axis.X.block.{name}.{key}": value for key, value in numbers.items()})
+    path = steady(0.05, 0.9)
+    (_, x), (_, y) = speed_set_point(base, path), speed_set_point(filtered, path)
+    # at steady speed a filter is a delay by the mean age of its weights; the following error itself does not grow
+    assert (x - y)[-50:] == pytest.approx(0.05 * late_s, abs=2e-8)
+    assert BLOCKS[name].kernel(dict(zip((n.name for n in BLOCKS[name].numbers), numbers.values())), machine).sum() == pytest.approx(1.0)  # type: ignore[misc]
+
+
+def test_a_machine_file_keeps_its_blocks(machine: Machine, tmp_path: Path) -> None:
+    changed = machine.with_values({"axis.X.block": {"friction_pulse": PULSE}}).with_values(
+        {"axis.X.block.set_point_average.length_s": 0.004}
+    )
+    write_machine(changed, tmp_path / "m.toml")
+    read = load_machine(tmp_path / "m.toml")
+    assert [listed.block.name for listed in read.axis("X").blocks] == ["friction_pulse", "set_point_average"]
+    assert read.axis("X").blocks[0].values == pytest.approx({"amplitude": 0.002, "decay_time": 0.015})
+    assert "friction_pulse 0.12 m/min, 0.015 s" in sheet(read)
+
+
+@pytest.mark.parametrize(("path", "value", "said"), [
+    ("axis.X.block.friction_pulse.decay_time_s", 0.01, "'amplitude_m_per_min' is missing"),
+    ("axis.X.block.friction_puls.decay_time_s", 0.01, "no block 'friction_puls'; did you mean"),
+    ("axis.X.block", {"friction_puls": {}}, "no block 'friction_puls'; did you mean"),
+    ("axis.X.block", {"friction_pulse": {**PULSE, "decay_s": 1.0}}, "unknown key 'decay_s'"),
+    ("axis.X.block", {"friction_pulse": {**PULSE, "decay_time_s": -1.0}}, "impossible"),
+    ("axis.X.block", {"friction_pulse": {**PULSE, "decay_time_s": "x"}}, "expected a number"),
+    ("axis.X.block", [PULSE], "must hold one table for each block"),
+])  # fmt: skip
+def test_a_wrong_block_is_refused(machine: Machine, path: str, value: object, said: str) -> None:
+    with pytest.raises(InputError, match=said.replace(".", r"\.")):
+        machine.with_values({path: value})

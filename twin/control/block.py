@@ -1,0 +1,137 @@
+"""A block of an axis' control that its machine file lists: numbers with their keys, law, place in the loop.
+
+    [axis.X.block.friction_pulse]
+    amplitude_m_per_min = 0.015
+    decay_time_s = 0.015
+
+The package docstring says how a block is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from twin.control.number import Key, si_from_key, unit_of_key
+from twin.errors import InputError, nearest
+
+
+class Cycles(Protocol):
+    """Cycles of a control [s]; a Machine has them."""
+
+    @property
+    def position_cycle(self) -> float: ...
+    @property
+    def speed_cycle(self) -> float: ...
+    @property
+    def current_cycle(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a block.
+
+    name            name for the laws, which get it in SI at the axis
+    linear, rotary  key in the machine file on a linear and on a rotary axis, with its unit at the end
+    bounds          bounds in the unit of the key
+    data            control -> (name, unit, factor from this unit to that of the key), for its files: {"sinumerik": ("MD32540", "s", 1.0)}
+    """
+
+    name: str
+    linear: str
+    rotary: str
+    bounds: Key
+    data: Mapping[str, tuple[str, str, float]] = field(default_factory=dict)
+
+    def key(self, kind: str) -> str:
+        """Key on an axis of this kind."""
+        return self.linear if kind == "linear" else self.rotary
+
+
+Values = Mapping[str, float]
+"""Numbers of a block by name, SI at the axis."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block, declared once in its own file.
+
+    name       table below `[axis.N.block]`
+    summary    one line: what it does
+    numbers    its numbers
+    stage      stage of the loop at which `law` is called (`loop_terms`: SETPOINT, SPEED, DRIVE, CURRENT, VOLTAGE)
+    law        compiled term with its own state; None for a set point filter
+    constants  parameters of the term from the numbers and the cycles
+    kernel     weights of a set point filter at the last position cycles, newest first, with the sum 1
+    recorded   what the block adds to its output, evaluated over recorded signals: (values, set point, output, cycle [s]) -> (sample,)
+    replaces   recorded signals whose unexplained part this block makes itself, so that a simulation must not add it again
+    """
+
+    name: str
+    summary: str
+    numbers: tuple[Number, ...]
+    stage: int = -1
+    law: Any = None
+    constants: Callable[[Values, Cycles], list[float]] = lambda _values, _cycles: []
+    kernel: Callable[[Values, Cycles], np.ndarray] | None = None
+    recorded: Callable[[Values, np.ndarray, np.ndarray, float], np.ndarray] | None = None
+    replaces: tuple[str, ...] = ()
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A block of an axis with its numbers in the order of `block.numbers`, SI."""
+
+    block: Block
+    sizes: tuple[float, ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The numbers by name, SI."""
+        return {number.name: size for number, size in zip(self.block.numbers, self.sizes)}
+
+    def text(self, kind: str) -> str:
+        """The block in one line, in the units of the file: 'friction_pulse 0.015 m/min, 0.015 s'."""
+        shown = []
+        for number, size in zip(self.block.numbers, self.sizes):
+            key = number.key(kind)
+            shown.append(f"{size / si_from_key(key):.4g} {unit_of_key(key)}".strip())
+        return f"{self.block.name} {', '.join(shown)}"
+
+
+BLOCKS: dict[str, Block] = {}
+"""All blocks by name; `twin.control.library` fills it."""
+
+
+def register(block: Block) -> Block:
+    """Add a block to BLOCKS. Raises InputError for a name that exists."""
+    if block.name in BLOCKS:
+        raise InputError(f"block {block.name}: a block of that name exists already; use another name")
+    BLOCKS[block.name] = block
+    return block
+
+
+def keys_of(name: str, kind: str) -> dict[str, Key]:
+    """Keys of a block on an axis of this kind, with their bounds; empty for an unknown block."""
+    return {n.key(kind): n.bounds for n in BLOCKS[name].numbers} if name in BLOCKS else {}
+
+
+def named_blocks(tables: Any, where: str) -> list[Block]:
+    """The blocks of `[axis.N.block]` in the order in which they act. Raises InputError for an unknown one."""
+    if not isinstance(tables, Mapping) or not all(isinstance(table, Mapping) for table in tables.values()):
+        raise InputError(f"{where}: must hold one table for each block; write [axis.N.block.NAME]")
+    for name in tables:
+        if name not in BLOCKS:
+            raise InputError(f"{where}: no block '{name}'; {nearest(str(name), BLOCKS)}")
+    return [block for name, block in BLOCKS.items() if name in tables]
+
+
+def listed(block: Block, table: Mapping[str, Any], kind: str) -> Listed:
+    """A block with the numbers of its checked table."""
+    return Listed(block, tuple(float(table[n.key(kind)]) * si_from_key(n.key(kind)) for n in block.numbers))
