@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.program.tables import ACTS, ISO_G, ISO_M, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
+from twin.program.tables import ACTS, ISO_G, ISO_M, KLARTEXT, KLARTEXT_M, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "programs.md"
 BEGIN, END = "<!-- words: python devtools/words_table.py --write -->\n", "<!-- end of words -->\n"
@@ -38,6 +38,8 @@ def text() -> str:
         ("SINUMERIK, names", SINUMERIK_NAMES, ""),
         ("ISO, Fanuc and LinuxCNC, G", ISO_G, "G"),
         ("ISO, M (any other is not known, and noted as such)", ISO_M, "M"),
+        ("HEIDENHAIN Klartext, start of a block", KLARTEXT, ""),
+        ("HEIDENHAIN Klartext, M (any other is not known, and noted as such)", KLARTEXT_M, "M"),
     ):
         lines = [f"\n#### {title}\n", "| words | | meaning here |", "|---|---|---|"]
         lines += [f"| `{words}` | {kind} | {meaning} |" for words, kind, meaning in rows(table, prefix)]

@@ -8,7 +8,7 @@ import pytest
 from tests.conftest import ROOT
 
 EXAMPLES = ROOT / "examples"
-KINDS = (".py", ".mpf", ".apt", ".ngc", ".csv")
+KINDS = (".py", ".mpf", ".apt", ".ngc", ".h", ".csv")
 """What can be run: scripts, programs, tables of set points or readings."""
 HELD = ("golden",)
 """Folders of results, not of examples."""

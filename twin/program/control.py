@@ -15,7 +15,7 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.compensation import GOUGE, Compensation, CompensationError, Element
-from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, drill
+from twin.program.cycles import ASIDE, BACK, DWELL, FEED, RAPID, Drilling, drill
 from twin.program.expressions import WordError
 from twin.program.state import INDEX, LINEAR, ROTARY, Item, State
 
@@ -237,18 +237,26 @@ class Control:
         out.pauses[len(out.kinds)] = seconds
         out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.state.line, self.state.block)
 
+    def height(self, value: float) -> None:
+        """Rapid to a height [program units] along the normal of the plane."""
+        self.steps([(RAPID, value, 1.0)])
+
     def drill(self, cycle: Drilling) -> None:
-        """The steps of a drilling cycle at this place, along the normal of the plane."""
+        """The steps of a drilling cycle at this place."""
+        self.steps(drill(cycle), cycle.aside)
+
+    def steps(self, steps: list[tuple[str, float, float]], aside: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Steps (kind, height or time, share of the feed) along the normal of the plane; ASIDE and BACK also move by `aside`."""
         across = arcs.PLANES[self.state.plane][2]
         feed = self.state.feed
-        for what, value, share in drill(cycle):
+        for what, value, share in steps:
             if what == DWELL:
                 self.dwell(value)
                 continue
             point = self.state.here()
             point[across] = value * self.state.unit
             if what in (ASIDE, BACK):
-                for i, step in zip(arcs.PLANES[self.state.plane][:2], cycle.aside):
+                for i, step in zip(arcs.PLANES[self.state.plane][:2], aside):
                     point[i] += step * self.state.unit * (1.0 if what == ASIDE else -1.0)
             self.state.feed = feed * share
             self.go(mv.LINE if what == FEED else mv.RAPID, point, [math.nan, math.nan])

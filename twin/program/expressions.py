@@ -1,4 +1,4 @@
-"""Expressions of both languages: one evaluator, two grammars.
+"""Expressions of all languages: one evaluator, a grammar for each.
 
 SINUMERIK writes `R1+2*SIN(30)`, `X == 5`, `ARRAY[1,2]`, `$P_UIFR[1,X,TR]`; ISO and LinuxCNC write `[#1+2*SIN[30]]`, `#<depth> GT 5`.
 Angles are in degrees. A value is a number or a text. Every fault is a `WordError` with its column; the reader adds file,
@@ -66,13 +66,13 @@ _LOGIC = {
     "XOR": lambda a, b: float(bool(a) != bool(b)),
     "AND": lambda a, b: float(bool(a) and bool(b)),
 }
-_SUMS: dict[str, Callable] = {
+SUMS: dict[str, Callable] = {
     "+": lambda a, b: a + b,
     "-": lambda a, b: a - b,
     "*": lambda a, b: a * b,
     "/": lambda a, b: a / b,
 }
-_FUNCTIONS: dict[str, Callable] = {
+FUNCTIONS: dict[str, Callable] = {
     "SIN": lambda x: math.sin(math.radians(x)),
     "COS": lambda x: math.cos(math.radians(x)),
     "TAN": lambda x: math.tan(math.radians(x)),
@@ -99,6 +99,7 @@ class Grammar:
     operators: dict[str, tuple[int, Callable]]
     functions: dict[str, Callable]
     constants: dict[str, float]
+    bare: bool = False  # a function may take its argument without brackets
 
 
 SINUMERIK = Grammar(
@@ -113,14 +114,14 @@ SINUMERIK = Grammar(
         "B_OR": (6, _bits(lambda a, b: a | b)),
         "B_XOR": (7, _bits(lambda a, b: a ^ b)),
         "B_AND": (8, _bits(lambda a, b: a & b)),
-        "+": (9, _SUMS["+"]),
-        "-": (9, _SUMS["-"]),
-        "*": (10, _SUMS["*"]),
-        "/": (10, _SUMS["/"]),
+        "+": (9, SUMS["+"]),
+        "-": (9, SUMS["-"]),
+        "*": (10, SUMS["*"]),
+        "/": (10, SUMS["/"]),
         "DIV": (10, lambda a, b: float(math.trunc(a / b))),
         "MOD": (10, math.fmod),
     },
-    _FUNCTIONS
+    FUNCTIONS
     | {
         "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
         "POT": lambda x: x * x,
@@ -144,14 +145,14 @@ ISO = Grammar(
     {
         **{name: (1, test) for name, test in _LOGIC.items()},
         **{name: (2, COMPARE[sign]) for name, sign in zip(("EQ", "NE", "LT", "GT", "LE", "GE"), COMPARE)},
-        "+": (3, _SUMS["+"]),
-        "-": (3, _SUMS["-"]),
-        "*": (4, _SUMS["*"]),
-        "/": (4, _SUMS["/"]),
+        "+": (3, SUMS["+"]),
+        "-": (3, SUMS["-"]),
+        "*": (4, SUMS["*"]),
+        "/": (4, SUMS["/"]),
         "MOD": (4, lambda a, b: a - b * math.floor(a / b)),
         "**": (5, _power),
     },
-    _FUNCTIONS
+    FUNCTIONS
     | {
         "FIX": math.floor,
         "FUP": math.ceil,
@@ -172,7 +173,7 @@ FANUC = replace(
 """ISO as a Fanuc reads it: AND, OR and XOR work on the bits and bind like * and +, ahead of a comparison; two letters of a word are enough."""
 _NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:EX([+-]?\d{1,3}))?", re.A)
 _NAME = re.compile(r"[A-Z_$][A-Z0-9_$]*", re.A)
-_SIGN = re.compile(r"==|<>|<=|>=|<<|\*\*|[-+*/<>]")
+_SIGN = re.compile(r"==|<>|<=|>=|<<|\*\*|[-+*/<>^]")
 _CODED = re.compile(r"'(?:H([0-9A-F]{1,8})|B([01]{1,32}))'")
 
 
@@ -310,6 +311,8 @@ class Expression:
                 self.at += 1
                 arguments += [self.atom()]
             return self._apply(name, self.grammar.functions[name], tuple(arguments), at)
+        if name in self.grammar.functions and self.grammar.bare:
+            return self._apply(name, self.grammar.functions[name], (self.atom(),), at)
         if name in self.grammar.functions:
             raise self.fail(f"{name} needs its argument in brackets {self.grammar.opening} {self.grammar.closing}", at)
         return self.variable(self, name, at)

@@ -12,6 +12,7 @@ from twin.program.collect import Collector
 from twin.program.expressions import WordError
 from twin.program.iso import Iso
 from twin.program.iso_lines import LINUXCNC
+from twin.program.klartext import Klartext
 from twin.program.moves import Program, place_of
 from twin.program.sinumerik import Sinumerik
 from twin.program.source import Source, units_of
@@ -68,9 +69,9 @@ _SINUMERIK = re.compile(
 )
 _APT = re.compile(r"^\s*(?:PARTNO|TOOL PATH/|GOTO\s*/|FEDRAT\s*/|LOADTL\s*/|MULTAX|SPINDL\s*/|CUTTER\s*/|FROM\s*/|UNITS\s*/|\$\$)", re.M)
 _ISO = re.compile(r"^\s*[O:]\d{2,}|\bG43\s*H|#\d+\s*=|#<|\bM98\s*P|\bG9[89]\b|\bG8[1-9]\b|\bO<|\bG5[4-9]\.1", re.M | re.I)
+_KLARTEXT = re.compile(r"^\s*\d*\s*BEGIN\s+PGM\b", re.M)
 DIN_ISO = "a HEIDENHAIN program in DIN/ISO"
 _OTHER = (
-    (re.compile(r"^\s*\d*\s*BEGIN\s+PGM\b", re.M), "a HEIDENHAIN Klartext program"),
     (re.compile(r"^%\s*\S+\s+G7[01]\b", re.M), DIN_ISO),
     (re.compile(r"^\$\S+%\s*$|^\s*(?:N\d+\s*)?(?:CALL\s+O[A-Z0-9]+|V[CS]\d+\s*=|RTS\s*$)", re.M), "an OKUMA OSP program"),
     (re.compile(r"^\s*(?:%L\s+\w+|#VAR\b|\$(?:IF|FOR|WHILE|SWITCH)\b)|\bV\.[LGPE]\.\w", re.M), "an ISG or Beckhoff program"),
@@ -97,7 +98,7 @@ _FADAL = re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t
 
 
 def dialect(source: Source) -> str:
-    """Language of a program: 'sinumerik', 'linuxcnc', 'iso' or 'apt'.
+    """Language of a program: 'sinumerik', 'linuxcnc', 'iso', 'klartext' or 'apt'.
 
     Raises:
         InputError: it is in another language, which is named.
@@ -106,6 +107,8 @@ def dialect(source: Source) -> str:
     text = "\n".join(source.lines[:SNIFFED_LINES])
     found = [name for pattern, name in _OTHER if pattern.search(text)]
     found += [name for first, second, name in _BOTH if first.search(text) and second.search(text)]
+    if ending == ".h" or _KLARTEXT.search(text):
+        return "klartext"
     if found:
         raise InputError(f"{source.path}: this is {found[0]}, which is not read; post the program as SINUMERIK, ISO or APT")
     if "G43" not in text and _FADAL.search(text) and re.search(r"\bE\d\b", text):
@@ -140,8 +143,13 @@ def _understand(source: Source, machine: Machine) -> Collector:
         reader.read_statements()
         return reader.out
     units = units_of(source)
-    front: Sinumerik | Iso
-    front = Sinumerik(path, machine, units) if language == "sinumerik" else Iso(path, machine, units[0], linuxcnc=language == "linuxcnc")
+    front: Sinumerik | Iso | Klartext
+    if language == "klartext":
+        front = Klartext(path, machine, units[0])
+    elif language == "sinumerik":
+        front = Sinumerik(path, machine, units)
+    else:
+        front = Iso(path, machine, units[0], linuxcnc=language == "linuxcnc")
     try:
         front.run()
     except (WordError, arcs.ArcError) as error:
@@ -152,7 +160,7 @@ def _understand(source: Source, machine: Machine) -> Collector:
         raise InputError(
             f"{place_of(path, front.state.line, front.state.block)}: calls or brackets are nested too deeply; take some apart"
         ) from None
-    front.out.files = tuple(front.calls.folder.read)
+    front.out.files = tuple(front.folder.read if isinstance(front, Klartext) else front.calls.folder.read)
     return front.out
 
 

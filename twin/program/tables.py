@@ -192,3 +192,48 @@ SINUMERIK_NAMES: dict[str, tuple[str, str]] = {
     **_group(REFUSED, "stamping and oscillating are not simulated", "SON PON SPN SPP WAITOSC OSP1 OSP2"),
 }  # fmt: skip
 """Names of SINUMERIK programs."""
+
+
+def _named(kind: str, meaning: str, names: str) -> dict[str, tuple[str, str]]:
+    return dict.fromkeys(names.split(", "), (kind, meaning))
+
+
+KLARTEXT: dict[str, tuple[str, str]] = {
+    "L": (ACTS, "line; X Y Z A B C, I incremental, R0 RL RR, F, FMAX in this block, F AUTO that of TOOL CALL, M"), "LP": (ACTS, "line to PR PA about CC"),
+    "LN": (ACTS, "line with the tool axis TX TY TZ under M128; the surface normal NX NY NZ has no effect"),
+    "CC": (ACTS, "pole, or the last position"), "C": (ACTS, "arc about CC; DR+ counter-clockwise"), "CP": (ACTS, "arc about CC by PA or IPA, with Z a helix"),
+    "CR": (ACTS, "arc by radius; R below 0 is more than half a circle"), **_named(ACTS, "arc that goes on as a tangent", "CT, CTP"),
+    "RND": (ACTS, "rounds the corner between two lines"), "CHF": (ACTS, "cuts off the corner between two lines"),
+    **_named(ACTS, "approach on a line, at right angles, on an arc, on a line and an arc", "APPR LT, APPR LN, APPR CT, APPR LCT"),
+    **_named(ACTS, "departure, likewise", "DEP LT, DEP LN, DEP CT, DEP LCT"),
+    "TOOL CALL": (ACTS, "tool change; its axis gives the plane; S, F, DL, DR"), "TOOL DEF": (ACTS, "L and R of a tool; alone it prepares one"),
+    "FUNCTION TCPM": (ACTS, "as M128; PATHCTRL VECTOR turns the tool on a great circle"), "FUNCTION RESET": (ACTS, "TCPM: as M129"),
+    "PLANE SPATIAL": (ACTS, "tilted plane by spatial angles; A and C turn with the next move"), "PLANE RESET": (ACTS, "end of a tilted plane"),
+    **_named(ACTS, "frames: datum shift, mirror, rotation, scale, tilted plane, scale by axis, preset from [frame.PRESET1]", "CYCL DEF 7, CYCL DEF 8, CYCL DEF 10, CYCL DEF 11, CYCL DEF 19, CYCL DEF 26, CYCL DEF 247"),
+    "TRANS DATUM": (ACTS, "as CYCL DEF 7"), "CYCL DEF 9": (ACTS, "dwell"), "CYCL DEF 32": (ACTS, "tolerance T, of the orientation TA"),
+    **_named(ACTS, "drilling, reaming, boring, pecking, tapping, bore milling; Q200 and so on", ", ".join(f"CYCL DEF {n}" for n in range(200, 210))),
+    "CYCL CALL": (ACTS, "carries out the cycle; with POS at a place"), "CYCL DEF 13": (NOTE, "turns the spindle, " + NOTHING),
+    **_named(ACTS, "subprogram or repeated part; program beside this one", "LBL, CALL LBL, CALL PGM"),
+    "FN": (ACTS, "0 to 13: values and jumps; 15 and 16 print and are noted; others are refused"), **_named(ACTS, "parameter = formula", "Q, QL, QR"),
+    "STOP": (ACTS, "exact stop, then on"), **_named(ACTS, "begin and end, unit MM or INCH", "BEGIN PGM, END PGM"),
+    "BLK FORM": (NOTE, "the blank, without effect on the motion"), "M": (ACTS, "M codes alone in a block"),
+    **_named(REFUSED, "free contours; let the CAM system output L, C or CR", "FL, FLT, FC, FCT, FPOL, FSELECT"),
+    **_named(REFUSED, "use PLANE SPATIAL", "PLANE PROJECTED, PLANE EULER, PLANE VECTOR, PLANE POINTS, PLANE RELATIV, PLANE AXIAL"),
+    **_named(REFUSED, "write the moves", "APPR PLT, APPR PLN, APPR PCT, APPR PLCT, DEP PLCT"),
+    **_named(REFUSED, "patterns and contours of cycles; write the places or moves", "PATTERN DEF, CONTOUR DEF, SEL CONTOUR, SEL PATTERN, CYCL DEF 12, CYCL DEF 14, CYCL DEF 220, CYCL DEF 221"),
+    **_named(REFUSED, "probing is not simulated", "TCH PROBE"), **_named(REFUSED, "tables of the control are not simulated", "SEL TABLE, SEL PGM, PRESET SELECT"),
+    **_named(REFUSED, "turning and other functions of the control are not simulated", "FUNCTION MODE, FUNCTION TURNDATA, FUNCTION FEED, FUNCTION PARAX, FUNCTION PARAXCOMP, FUNCTION PARAXMODE, TRANS MIRROR, TRANS ROTATION, TRANS SCALE, CORRDATA, POLARKIN"),
+}  # fmt: skip
+"""Words at the start of a HEIDENHAIN Klartext block; any other is refused by name, and so is any other cycle."""
+
+KLARTEXT_M: dict[int, tuple[str, str]] = {
+    **dict.fromkeys((0, 1, 6), (ACTS, "exact stop, then on")), **dict.fromkeys((2, 30), (ACTS, "end")), 89: (ACTS, "the cycle behind each move, until M99"), 99: (ACTS, "the cycle here"),
+    91: (ACTS, "machine coordinates in this block"), 92: (REFUSED, "the place is set by the builder of the machine; write it with M91"),
+    126: (ACTS, "rotary axes go the shorter way"), 127: (ACTS, "end of M126"), 128: (ACTS, "five-axis transformation on: X Y Z are the tool tip in the part frame"), 129: (ACTS, "end of M128"),
+    136: (ACTS, "F in mm a turn"), 137: (ACTS, "F per minute"), 140: (ACTS, "retracts along the tool axis by MB, or to the end of its travel"),
+    **dict.fromkeys((3, 4, 5, 13, 14), (NOTE, "spindle and coolant, " + NOTHING)), **dict.fromkeys((7, 8, 9), (NOTE, "coolant, " + NOTHING)),
+    **dict.fromkeys((90, 107, 108, 101, 102, 111, 115, 117, 118, 120, 134, 135, 141, 142, 143, 145, 148, 149, 150), (NOTE, NOTHING)),
+    **dict.fromkeys((93, 97, 98, 103, 109, 110, 124), (REFUSED, "a special law of the path or its feed")), 94: (REFUSED, "it reduces angles by whole turns; write angles below 360 degrees"),
+    **dict.fromkeys((105, 106, 112, 113, 114, 116, 130, 138, 144), (REFUSED, "kinematics and filters of the control; use M128")),
+}  # fmt: skip
+"""M codes of Klartext; any other is not known, and noted as such."""
