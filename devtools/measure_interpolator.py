@@ -77,8 +77,8 @@ def planned_time(program, machine) -> float:  # type: ignore[no-untyped-def]
     starts = program.starts()
     (stretch,) = [s for a, b in stretches(program) if (s := stretch_of(program, starts, a, b, great_circle_rows(program, starts)))]
     frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
-    feeds = lookahead.Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
-    law = lookahead.plan(interpolator.spline_of(stretch), stretch.elements, frames, interpolator.limits_of(machine), feeds)
+    feeds = interpolator.feeds_of(program, stretch)
+    law = lookahead.plan(interpolator.spline_of(program, stretch), stretch.elements, frames, interpolator.limits_of(machine), feeds)
     return float(sampling.node_times(law.nodes, law.a, law.slope)[-1])
 
 

@@ -102,7 +102,7 @@ def check(text: str, folder: Path, machine: Machine) -> Finding:
         stretch = stretch_of(program, starts, first, last, circles)
         if stretch is None:
             continue
-        spline = interpolator.spline_of(stretch)
+        spline = interpolator.spline_of(program, stretch)
         ends = max(ends, _block_ends(stretch, spline))
         h, c = np.diff(spline.t)[:, None], spline.c
         for power in range(3):

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csr_matrix, vstack
 
-from twin.program import axis_path, elements, interpolator, lookahead
+from twin.program import axis_path, elements, interpolator
 from twin.program.stretches import great_circle_rows, stretch_of, stretches
 
 
@@ -22,8 +22,8 @@ def only_stretch(program):
     assert not more
     stretch = stretch_of(program, starts, first, last, great_circle_rows(program, starts))
     frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
-    feeds = lookahead.Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
-    return interpolator.spline_of(stretch), stretch.elements, frames, feeds
+    feeds = interpolator.feeds_of(program, stretch)
+    return interpolator.spline_of(program, stretch), stretch.elements, frames, feeds
 
 
 def jets_at(spline, frames, at):

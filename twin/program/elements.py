@@ -35,6 +35,14 @@ class Elements(NamedTuple):
     angle: np.ndarray  # (E,) angle [rad] > 0 of arcs
 
 
+def ways(e: Elements, rotary: np.ndarray) -> np.ndarray:
+    """Way (E,) that the feed of each element counts: of the tip [m], or of A and C together [rad] where `rotary` (E,)."""
+    step = e.end - e.start
+    turn = np.linalg.norm(step[:, 3:], axis=1)
+    arc = np.sqrt(np.maximum(np.diff(e.u) ** 2 - (REFERENCE_RADIUS * turn) ** 2, 0.0))
+    return np.where(rotary, turn, np.where(e.kind == ARC, arc, np.linalg.norm(step[:, :3], axis=1)))
+
+
 @compiled(allocates=True)
 def find(u, at, hint):
     """Index of the interval of the increasing array `u` that holds `at`, searched from `hint`."""

@@ -16,13 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, TwinError
 from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Machine
-from twin.program import axis_path, blend, lookahead, sampling, timelaw
+from twin.program import axis_path, blend, elements, lookahead, sampling, timelaw
 from twin.program.collect import travel_text
 from twin.program.moves import Program
+from twin.program.nodes import split_at_feeds
 from twin.program.stretches import Stretch, great_circle_rows, stretch_of, stretches
 from twin.recordings.trace import PROGRAM, Trace, joined
 
@@ -36,6 +37,8 @@ LIMIT_TOLERANCE = 1e-4
 """Tolerated excess: a speed limit may be exceeded by this fraction, acceleration by twice and jerk by three times it."""
 WORTH_PLANNING, ATTEMPTS = 2e-3, 8
 """An excess up to the first value slows the whole stretch; a larger one causes a new plan, at most this many times."""
+FUTILE = 3
+"""Number of times in a row that a slower motion may leave more than the root of its excess."""
 FAR_ABOVE = 1.1
 """If a value between two nodes exceeds its limit by more than this factor, the limit there is divided by the square of the excess, because
 the result decreases by less than the limit."""
@@ -136,9 +139,15 @@ def _standing(at: np.ndarray, row: int, count: int) -> _Piece:
     return _Piece(np.tile(at, (count, 1)), np.full(count, row), np.zeros(count), np.zeros(count))
 
 
-def spline_of(stretch: Stretch) -> blend.Spline:
-    """The path of a stretch in the coordinates of the program."""
-    return blend.blend(stretch.elements, stretch.tolerance, stretch.angle_tolerance, stretch.distance)[0]
+def feeds_of(program: Program, stretch: Stretch) -> lookahead.Feeds:
+    """The feed of each element of a stretch."""
+    return lookahead.Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
+
+
+def spline_of(program: Program, stretch: Stretch) -> blend.Spline:
+    """The path of a stretch in the coordinates of the program, with a break at each change of feed."""
+    spline = blend.blend(stretch.elements, stretch.tolerance, stretch.angle_tolerance, stretch.distance)[0]
+    return split_at_feeds(spline, stretch.elements, feeds_of(program, stretch))
 
 
 class _Samples(NamedTuple):
@@ -174,16 +183,16 @@ def _stretch_pieces(
 ) -> Iterator[_Piece]:
     limits = limits_of(machine, stretch.brisk, program.kinematics)
     frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
-    feeds = lookahead.Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
+    feeds = feeds_of(program, stretch)
     with np.errstate(over="ignore"):
-        at_feed = np.diff(stretch.elements.u) / feeds.speed  # s, an estimate
+        at_feed = elements.ways(stretch.elements, feeds.rotary) / feeds.speed  # s, an estimate
     slowest = int(stretch.row[int(np.argmax(at_feed))])
     _check_length(float(at_feed.sum()), period, program, slowest, most)
-    spline = spline_of(stretch)
+    spline = spline_of(program, stretch)
     windows: lookahead.Windows = {}
     law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, kept=windows)
     ease = np.ones((2, len(law.piece)))
-    slower, attempt = 1.0, 0
+    slower, slowed_by, attempt, futile = 1.0, math.inf, 0, 0
     while True:
         times = sampling.node_times(law.nodes, law.a, law.slope)
         _check_length(times[-1] * slower, period, program, stretch.row[0], most)
@@ -200,8 +209,16 @@ def _stretch_pieces(
             # a limit is exceeded between two nodes: plan again with a lower limit there
             ease /= np.where(inside > 1.0, inside * 1.001, 1.0) ** np.where(inside > FAR_ABOVE, 2, 1)
             law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (law, ease), windows)
-        else:
-            slower *= excess * (1.0 + 1e-5)
+            continue
+        # slower by its excess, a smooth motion keeps its limits; the excess of a jump stays
+        futile = futile + 1 if excess > math.sqrt(slowed_by) else 0
+        if futile == FUTILE:
+            raise TwinError(
+                f"{program.place(int(stretch.row[0]))}: the set points of the moves to line {program.moves.line[stretch.row[-1]]} exceed a limit "
+                f"{excess:.4g} times, however slow they are; report this program"
+            )
+        slowed_by = excess
+        slower *= excess * (1.0 + 1e-5)
     if count > BLOCK:
         blocks = _sampled(spline, frames, law, times, slower, period, count)  # compute them again instead of keeping all in memory
     for block in blocks:

@@ -12,10 +12,13 @@ import numpy as np
 
 from twin.compiled_functions import compiled
 from twin.program import axis_path, elements
+from twin.program.blend import Spline
 
 DIVIDE = 0.06
 BEND = 0.1  # change of direction [rad] within an interval
 FINEST = 65.0  # nodes at least over a run-up
+SHORTEST = 1e-4  # of a piece of the spline: an interval at least
+CLOSE = 1e-6  # of a piece of the spline: a change of feed nearer to its end counts as there
 AT_EASE = 0.5  # share of its limits below which an axis does not make the path slower
 
 
@@ -32,6 +35,21 @@ class Feeds(NamedTuple):
 
     speed: np.ndarray
     rotary: np.ndarray
+
+
+def split_at_feeds(s: Spline, e: elements.Elements, feeds: Feeds) -> Spline:
+    """The same path with a break of the spline wherever the feed changes, so that no piece has two feeds."""
+    changes = 1 + np.flatnonzero((feeds.speed[1:] != feeds.speed[:-1]) | (feeds.rotary[1:] != feeds.rotary[:-1]))
+    at = e.u[changes]
+    piece = np.clip(np.searchsorted(s.t, at, side="right") - 1, 0, len(s.t) - 2)
+    inside = np.minimum(at - s.t[piece], s.t[piece + 1] - at) > CLOSE * (s.t[piece + 1] - s.t[piece])
+    at, piece = at[inside], piece[inside]
+    if not len(at):
+        return s
+    x = (at - s.t[piece])[:, None]
+    c0, c1, c2, c3 = (s.c[piece, k] for k in range(4))
+    moved = np.stack([c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + 3.0 * x * c3), c2 + 3.0 * x * c3, c3], axis=1)
+    return s._replace(t=np.insert(s.t, piece + 1, at), c=np.insert(s.c, piece + 1, moved, axis=0))
 
 
 @compiled(allocates=True)
@@ -125,10 +143,14 @@ def grid(s, e, f, limits, feeds):
         if bent or feeds.speed[i] != feeds.speed[before]:
             far[j] = 0.0
             far[j + 1] = 0.0
+        if j and feeds.speed[i] != feeds.speed[before]:
+            # the speed changes within the run-up of the slower side, however long the faster one is
+            least = SHORTEST * min(s.t[j] - s.t[j - 1], s.t[j + 1] - s.t[j])
+            step[j] = min(step[j], max(min(way[j - 1], way[j]) / FINEST, least))
     # the first and last interval have constant jerk; next to them the steps grow in proportion to the distance from rest
     first_step, last_step = way[0] / 1000.0, way[pieces - 1] / 1000.0
-    step[0] = DIVIDE * first_step
-    step[pieces] = DIVIDE * last_step
+    step[0] = max(DIVIDE * first_step, SHORTEST * s.t[1])
+    step[pieces] = max(DIVIDE * last_step, SHORTEST * (s.t[pieces] - s.t[pieces - 1]))
     far[0] = 0.0
     far[pieces] = 0.0
     for j in range(1, pieces + 1):
@@ -150,8 +172,8 @@ def grid(s, e, f, limits, feeds):
             # fine while the speed changes; once the feed is reached nothing happens
             longest = max(way[j] / FINEST, DIVIDE * (clear - 2.0 * way[j]))
             size = min(longest, step[j] + DIVIDE * left)
-            size = min(size, step[j + 1] + DIVIDE * max(0.0, right - size))
-            size = max(size, 1e-4 * (s.t[j + 1] - s.t[j]))
+            size = min(size, (step[j + 1] + DIVIDE * right) / (1.0 + DIVIDE))  # DIVIDE times what is left behind it
+            size = max(size, min(step[j], step[j + 1], SHORTEST * (s.t[j + 1] - s.t[j])))
             if j == 0 and left == 0.0:
                 size = min(first_step, 0.5 * right)
             elif j == pieces - 1 and right < 1.5 * last_step:

@@ -4,7 +4,7 @@ Within an interval a(u) is a quadratic, so u(t) solves u'' = y0 + k (u - u0) wit
 
     u - u0 = x0 S1(t) + y0 S2(t),   S1 = sinh(sqrt(k) t) / sqrt(k),   S2 = (cosh(sqrt(k) t) - 1) / k      (sin, cos for k < 0)
 
-x0 = sqrt(a), y0 = a'/2 at the node. From rest u = j t^3 / 6.
+x0 = sqrt(a), y0 = a'/2 at the node; x1, y1 at the next one. From rest u = j t^3 / 6.
 """
 
 from __future__ import annotations
@@ -44,16 +44,22 @@ def _moved(x0, y0, k, t):
 
 @compiled(allocates=True)
 def _interval_time(x0, x1, y0, y1, h):
-    """Time for an interval: exact for constant acceleration, then Newton on the closed form."""
-    k = (y1 - y0) / h
-    t = 2.0 * h / (x0 + x1)
-    for _ in range(8):
-        way, speed, _ = _moved(x0, y0, k, t)
-        change = (h - way) / max(speed, 0.1 * max(x0, x1))
-        t += change
-        if abs(change) <= 1e-15 * t:
-            break
-    return t
+    """Time for an interval in closed form, T = 2 artanh(sqrt(z)) / sqrt(k) with z = k h^2 / (x0 + x1)^2 (arctan for k < 0).
+
+    1 - z = 2 (b + x0 x1) / (x0 + x1)^2 with the middle Bernstein coefficient b of a(u). From the slower end b is exact, so T is exact for any ratio
+    of the two speeds.
+    """
+    both = x0 + x1
+    t = 2.0 * h / both
+    z = (y1 - y0) * h / (both * both)
+    if abs(z) < SMALL:
+        return t * (1.0 + z * (1.0 / 3.0 + z * (0.2 + z / 7.0)))
+    if z < 0.0:
+        w = math.sqrt(-z)
+        return t * math.atan(w) / w
+    w = math.sqrt(z)
+    b = x0 * x0 + y0 * h if x0 < x1 else x1 * x1 - y1 * h
+    return t * math.log((1.0 + w) * both / math.sqrt(2.0 * (b + x0 * x1))) / w
 
 
 @compiled(allocates=True)
@@ -100,8 +106,13 @@ def sample(s, f, nodes, piece, a, slope, times, stretch, begin, period, count, a
                 at, x = nodes[n] - h * part**3, math.sqrt(a[n - 1]) * part**2
             else:
                 k = 0.5 * (slope[i + 1] - slope[i]) / h
-                way, x, _ = _moved(math.sqrt(a[i]), 0.5 * slope[i], k, t - times[i])
-                at = nodes[i] + min(max(way, 0.0), h)
+                # from the slower end: rounding errors grow with sinh towards it
+                if a[i] <= a[i + 1]:
+                    way, x, _ = _moved(math.sqrt(a[i]), 0.5 * slope[i], k, t - times[i])
+                    at = nodes[i] + min(max(way, 0.0), h)
+                else:
+                    way, x, _ = _moved(math.sqrt(a[i + 1]), -0.5 * slope[i + 1], k, times[i + 1] - t)
+                    at = nodes[i + 1] - min(max(way, 0.0), h)
         axis_path.spline_jet(s, piece[i], at, w)
         axis_path.axis_jet(f, w, work, q)
         for d in range(5):

@@ -32,6 +32,8 @@ GAP = 0.001
 """The iteration ends when limits times multipliers (the duality gap) fall below this fraction of the time."""
 MAX_STEPS = 200
 START_SHARE = 0.5  # share of the jerk limit that the first guess aims at
+STILL_GROWING = 0.2
+"""The duality gap bounds the time only if the last Newton step was short: no coefficient grew by more than this fraction."""
 TO_THE_WALL = 0.98  # share of the way to the nearest limit that a step may go
 
 
@@ -84,7 +86,9 @@ def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
     guess = first_guess(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j)
     c = np.zeros(n)
     for i in range(2, n - 2):
-        c[i] = 0.5 * (guess[i - 1] + guess[i])
+        c[i] = min(
+            guess[i - 1], guess[i]
+        )  # a(u) lies between its neighbouring coefficients, so it stays below the guess at any change of feed
     c[1] = ties[0] * c[2]
     c[n - 2] = ties[1] * c[n - 3]
     # shrink until strictly inside; a motion that is slow enough keeps every limit
@@ -163,13 +167,16 @@ def time_law(h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, gap_wanted):
         )
         go_primal = min(1.0, TO_THE_WALL / primal) if primal > 0.0 else 1.0
         go_dual = min(1.0, TO_THE_WALL / dual) if dual > 0.0 else 1.0
+        grown = 0.0
+        for i in range(2, n - 2):
+            grown = max(grown, step[i] / c[i])
         c += go_primal * step
         dual_top += go_dual * move_top
         dual_c += go_dual * move_c
         dual_a += go_dual * move_a
         dual_j += go_dual * move_j
         worse = min(go_primal, go_dual)
-        settled = worse > 0.6
+        settled = worse > 0.6 and grown < STILL_GROWING
         # the larger the last step, the more the multipliers are reduced
         mu = gap / rows * max(0.3, 1.0 - worse) if steps > 1 else mu
     return c, time, MAX_STEPS, STALLED
