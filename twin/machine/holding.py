@@ -34,7 +34,9 @@ def holding_of(machine: Machine) -> Holding:
     plant = build_plant(machine)
     rotary = [a for a, axis in enumerate(machine.axes) if axis.kind == "rotary"]
     grids = [_angles(machine.axes[a]) for a in rotary]
-    poses = np.array(list(itertools.product(*grids))).reshape(-1, len(rotary))
+    poses = np.array(list(itertools.product(*grids))).reshape(
+        math.prod(map(len, grids)), len(rotary)
+    )  # without rotary axes one pose of no angle
     forces = np.empty((len(poses), len(machine.axes)))
     for i, pose in enumerate(poses):
         plant.data.qpos[:] = 0.0

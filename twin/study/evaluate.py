@@ -34,6 +34,10 @@ GEOMETRY = ("geometry", "frame", "tool")
 """Tables of the machine file that determine the tool position for given axis positions."""
 
 
+FAULT = "fault in the twin"
+"""Start of the reason of a variant that an unforeseen error ended."""
+
+
 @dataclass(frozen=True)
 class Source:
     """Motion of one run: set points, or a program file if its interpolation depends on the variant.
@@ -150,7 +154,7 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
         return Answer(reason=" ".join(str(error).split()))
     except (ArithmeticError, ValueError, LookupError, RuntimeError) as error:
         # an unforeseen error must not end a study of thousands of variants
-        return Answer(reason=f"fault in the twin, please report: {type(error).__name__}: {' '.join(str(error).split())}")
+        return Answer(reason=f"{FAULT}, please report: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
 def _answer(machine: Machine, work: Work) -> Answer:

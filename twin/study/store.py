@@ -11,7 +11,7 @@ from typing import Any
 
 from twin.errors import InputError
 from twin.files import output_file, output_folder
-from twin.study.evaluate import Answer
+from twin.study.evaluate import FAULT, Answer
 from twin.tables import is_number
 
 FILE = "study.sqlite"
@@ -45,6 +45,8 @@ class Store:
                 self.connection.execute(
                     "CREATE TABLE IF NOT EXISTS variant (number INTEGER PRIMARY KEY, factors TEXT, responses TEXT, reason TEXT)"
                 )
+                # a variant that an error of the program ended is computed again
+                self.connection.execute("DELETE FROM variant WHERE reason LIKE ?", (FAULT + "%",))
                 known = [row[0] for row in self.connection.execute("SELECT fingerprint FROM study")]
                 if not known:
                     self.connection.execute("INSERT INTO study VALUES (?)", (fingerprint,))
