@@ -20,20 +20,26 @@ import numpy as np
 import pytest
 
 from twin.cli import main
+from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import DEFAULT
+from twin.diagnose.view import view_of
 from twin.effects.law import VARIABLES
 from twin.errors import InputError
 from twin.exam.answer import read_answer, write_answer
-from twin.exam.detectability import Answers, outlooks
+from twin.exam.detectability import CHANNEL_SETS, Answers, _eliminated, answers_of, outlooks, starts_by_key
 from twin.exam.draw import RUN_SETS
 from twin.exam.mark import NOT_DIAGNOSED, digest_of, kept_mark, mark_answer
 from twin.exam.plant.effects import LIBRARY
 from twin.exam.plant.outside import LAWS, OUTSIDE
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
-from twin.exam.score import calibration, confusion, is_failed, macro_f1, score, target_word, wilson
+from twin.exam.score import OF_LAWS, _met, calibration, confusion, is_failed, macro_f1, score, target_word, value_text, wilson
 from twin.exam.session import draw, is_answered, same_examination, seal, sit, unseal
+from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import default_machine_path, load_machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.run import simulate
 
 PACKAGE = Path(__file__).resolve().parents[2] / "twin" / "exam"
 PLANT = [*sorted((PACKAGE / "plant").glob("*.py")), *(PACKAGE / f"{name}.py" for name in ("budget", "draw", "paths", "programme"))]
@@ -485,3 +491,58 @@ def test_an_answer_that_was_changed_is_refused_and_a_mark_made_again(tmp_path: P
     for damaged in ('{"case": "0001"}', "[]", "{"):
         (tmp_path / "mark.json").write_text(damaged, encoding="utf-8")
         assert kept_mark(tmp_path / "mark.json") is None
+
+
+def test_detectability_adds_up_over_runs_with_zeros_of_their_own() -> None:
+    """Regression: three runs have other encoder zeros than one, so their products had other shapes. A further run never shows less."""
+    machine = load_machine().with_axes(["X"])
+
+    def recorded(way: float, seed: int) -> MeasuredRun:
+        time, position = moves_in_turn(0.0, [way, 0.0], 0.1, 2.0, 50.0, 0.06, 1e-3)
+        trace = Trace(time, {("X", "setpoint"): position}, machine.kinds)
+        return MeasuredRun(f"run {seed}", simulate(machine, trace, noise_seed=seed).trace, None, 600.0 * seed)
+
+    def seen(runs: list[MeasuredRun]) -> tuple[Group, Answers]:
+        group = observe([view_of(machine, run) for run in runs], ("X",))
+        starts = {k: s for k, s in starts_by_key(group, machine).items() if k[0] in ("backlash", "inertia", "lead_error")}
+        return group, answers_of(group, machine, starts, lambda work, items: list(map(work, items)))
+
+    _, own = seen([recorded(0.02, 1), recorded(0.03, 2), recorded(-0.02, 3)])
+    _, extra = seen([recorded(0.05, 4)])
+    everything = CHANNEL_SETS["as recorded"][1]
+    before = outlooks(own.over(everything), own)
+    after = outlooks(own.over(everything) + extra.over(everything), own)
+    assert len(before) == 3
+    for less, more in zip(before, after):
+        assert 0.0 < more.found <= less.found * (1.0 + 1e-6)
+    # encoder zeros are fitted, so a constant between the encoders shows nothing
+    products = _eliminated(np.array([[4.0, 2.0], [2.0, 1.0]]), 1, np.array([1e-9]))
+    assert products == pytest.approx(np.zeros((1, 1)), abs=1e-6)
+
+
+def test_laws_are_not_asked_of_a_quick_examination() -> None:
+    there = truth(outside=("windage", "X", "mechanics"))
+    marks = [{**marked("outside", there, answer("unknown")), "shape": 0.0, "gap": {"before": 9.0, "after": 8.0, "floor": 1.0}}] * 40
+    words = {t["what"]: target_word(t) for t in score(marks)["targets"]}
+    quick = {t["what"]: target_word(t) for t in score(marks, laws_searched=False)["targets"]}
+    changed = {what for what in words if words[what] != quick[what]}
+    assert changed == set(OF_LAWS)
+    assert {words[what] for what in OF_LAWS} == {"missed"}
+    assert {quick[what] for what in OF_LAWS} == {""}
+    assert quick["outside the library recognised"] == "met"
+
+
+@pytest.mark.parametrize(
+    ("value", "word", "shown"), [(0.1 + 0.1 + 1e-17, "met", "0.2"), (1.0 - 0.8 + 5e-17, "met", "0.2"), (0.20004, "missed", "0.20004")]
+)
+def test_a_value_is_not_missed_by_a_rounding_error_nor_shown_as_its_target(value: float, word: str, shown: str) -> None:
+    row = {"value": value, "target": -0.2, "met": _met({"value": value}, -0.2)}
+    assert target_word(row) == word
+    assert value_text(row) == shown
+
+
+def test_a_mean_of_tenths_meets_its_target() -> None:
+    """Regression: 0.2, at most 0.2: missed."""
+    value = float(np.mean([0.0, 0.2, 0.4]))
+    assert value > 0.2
+    assert _met({"value": value}, -0.2)

@@ -89,7 +89,7 @@ def carry_out(args: argparse.Namespace) -> int:
         print(f"opened: {out / TRUTHS}", flush=True)
         with Progress("marking", total=len(asked)) as bar:
             marks = each(pool, mark, {q.name: (q, cases[q.name], folders[q.name], machine_file) for q in asked}, bar)
-    scored = score(list(marks.values()))
+    scored = score(list(marks.values()), laws_searched=not args.quick)
     document = {
         "twin": twin.__version__,
         **options,
@@ -143,7 +143,7 @@ def _machine_of(args: argparse.Namespace) -> tuple[str, str, str]:
 def summary(document: dict) -> str:
     """The score as a table for the terminal."""
     from twin.exam.report import counted
-    from twin.exam.score import target_text, target_word
+    from twin.exam.score import target_text, target_word, value_text
     from twin.simulation.summary import table
 
     s = document["score"]
@@ -152,7 +152,7 @@ def summary(document: dict) -> str:
         if "value" not in t:
             rows.append([t["what"], "not asked", target_text(t["target"]), ""])
             continue
-        value = f"{t['right']} of {t['of']} ({t['value']:.0%})" if "right" in t else f"{t['value']:.3g} (of {t['of']})"
+        value = f"{t['right']} of {t['of']} ({t['value']:.0%})" if "right" in t else f"{value_text(t)} (of {t['of']})"
         rows.append([t["what"], value, target_text(t["target"]), target_word(t)])
     lines = [table(["", "measured", "target", ""], rows, left=1)]
     strata = [

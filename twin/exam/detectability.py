@@ -72,7 +72,10 @@ class Outlook:
 
 @dataclass(frozen=True)
 class Answers:
-    """Inner products of the responses to toleranced parameters and effects in some runs, by channel. They add up over runs."""
+    """Inner products of the responses to toleranced parameters and effects in some runs, by channel. They add up over runs.
+
+    What each run has for itself, the zeros of its encoders, is eliminated from them.
+    """
 
     nuisances: int
     places: dict[Key, slice]  # columns of each effect on each axis
@@ -89,20 +92,27 @@ def answers_of(group: Group, machine: Machine, starts: Mapping[Key, Start], mapp
     """Simulate the response to every toleranced parameter and every start on the runs of a group."""
     tuning = tuning_of(group, machine, mapper)
     simulated = mapper(lambda s: _columns(group, s), starts.values())
-    blocks = [tuning.jacobian.astype(np.float32)]
+    at = len(tuning.nuisances)
+    blocks = [tuning.jacobian[:, :at].astype(np.float32)]
+    own_to_the_runs = tuning.jacobian[:, at:].astype(np.float32)
     places: dict[Key, slice] = {}
-    at = tuning.jacobian.shape[1]
     for (key, start), columns in zip(starts.items(), simulated):
         columns = np.zeros((group.size, len(start.settings)), np.float32) if columns is None else columns
         places[key] = slice(at, at + columns.shape[1])
         at += columns.shape[1]
         blocks.append(columns)
-    matrix = np.concatenate(blocks, axis=1)
+    matrix = np.concatenate([*blocks, own_to_the_runs], axis=1)
     products: dict[str, np.ndarray] = {}
     for channel in group.channels:
         rows = matrix[channel.rows].astype(float)
         products[channel.name] = products.get(channel.name, 0.0) + rows.T @ rows
-    return Answers(tuning.jacobian.shape[1], places, products)
+    return Answers(len(tuning.nuisances), places, {name: _eliminated(p, at, tuning.further) for name, p in products.items()})
+
+
+def _eliminated(products: np.ndarray, kept: int, prior: np.ndarray) -> np.ndarray:
+    """Products of the first columns after fitting the others, which belong to these runs alone: encoder zeros, each in one channel."""
+    cross = products[kept:, :kept]
+    return np.asarray(products[:kept, :kept] - cross.T @ np.linalg.solve(products[kept:, kept:] + np.diag(prior), cross))
 
 
 def starts_by_key(group: Group, machine: Machine) -> dict[Key, Start]:

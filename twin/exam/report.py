@@ -13,7 +13,7 @@ from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.stamp import made_line
 
 from .mark_budget import VISIBLE
-from .score import is_failed, label_of, singles, target_text, target_word
+from .score import is_failed, label_of, singles, target_text, target_word, value_text
 
 Document = Mapping[str, Any]
 
@@ -102,7 +102,7 @@ def _asked(targets: Sequence[Document]) -> list[Document]:
 def _target_table(targets: Sequence[Document]) -> Table:
     rows = []
     for t in targets:
-        value = "not asked" if "value" not in t else f"{t['right']} of {t['of']}" if "right" in t else f"{t['value']:.3g} (of {t['of']})"
+        value = "not asked" if "value" not in t else f"{t['right']} of {t['of']}" if "right" in t else f"{value_text(t)} (of {t['of']})"
         interval = f"{t['low']:.0%} to {t['high']:.0%}" if "low" in t else ""
         share = f"{t['value']:.0%}" if "right" in t else ""
         rows.append([t["what"], value, share, interval, target_text(t["target"]), target_word(t)])
