@@ -13,6 +13,7 @@ The public names, each imported on first use:
     simulate(machine, trace_or_setpoints)                      a Run: trace, errors, limits
     compare(a, b, machine)                                     two runs, aligned on their set points
     read_campaign(folder, machine)                             measured runs
+    write_campaign({"stroke": run}, folder)                    runs as a campaign
     gap(campaign, machine)                                     measured minus simulated, signal by signal
     identify(campaign, machine)                                friction, inertia, gains, delays with intervals
     diagnose(campaign, machine)                                the effects behind a gap, with size and probability
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from twin.recordings.trace import Trace as Trace
     from twin.recordings.trace import read_trace as read_trace
     from twin.recordings.trace import write_trace as write_trace
+    from twin.simulation.campaign_file import write_campaign as write_campaign
     from twin.simulation.campaign_gap import CampaignGap as CampaignGap
     from twin.simulation.campaign_gap import gap as gap
     from twin.simulation.result import Run as Run
@@ -81,6 +83,7 @@ _PLACES = {
     "read_campaign": "recordings.campaign",
     "read_trace": "recordings.trace",
     "simulate": "simulation.run",
+    "write_campaign": "simulation.campaign_file",
     "write_machine": "machine.machine",
     "write_trace": "recordings.trace",
 }

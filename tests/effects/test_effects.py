@@ -352,6 +352,9 @@ BAD = {
     "backlash": "write NAME:AXIS:PARAMETER=VALUE",
     "backlash:X:clearance": "'clearance' is not of the form PARAMETER=VALUE",
     "backlash:X:clearance=wide": "clearance = 'wide' is not a number",
+    "backlash:X:clearance=20A": "clearance = '20A': give it in m (or mm, um, cm, in)",
+    "backlash:X:clearance=20parsec": "give it in m (or mm",
+    "thermal_drift:X:rate=1um": "give it in m/s",
     "backlash:X:clearance=nan": "expected a number in m",
     "backlash:X:clearance=-1e-6": "clearance = -1e-06 m is out of bounds; give 0 to 0.01 m",
     "backlash:X:clearance=1": "clearance = 1 m is out of bounds",
@@ -369,6 +372,25 @@ BAD = {
     "cross_axis_coupling:X:mass=50,from_axis=X": "from_axis = 'X' cannot be; name another of the linear axes: Y, Z",
     "cross_axis_coupling:X:mass=50,from_axis=A": "from_axis = 'A' cannot be",
 }
+
+
+@pytest.mark.parametrize(
+    ("given", "si"),
+    [
+        ("backlash:X:clearance=20um", "backlash:X:clearance=20e-6"),
+        ("backlash:X:clearance=2.0e1 \N{MICRO SIGN}m", "backlash:X:clearance=20e-6"),
+        ("backlash:X:clearance=.02mm", "backlash:X:clearance=20e-6"),
+        ("backlash:A:clearance=10arcsec", "backlash:A:clearance=4.84813681109536e-05"),
+        (
+            "table_unbalance:A:mass_kg=3kg,radius_m=20mm,angle_rad=90deg",
+            "table_unbalance:A:mass_kg=3,radius_m=0.02,angle_rad=1.5707963267948966",
+        ),
+    ],
+)
+def test_a_value_may_have_its_unit(given: str, si: str) -> None:
+    """Any parameter, in any unit of its dimension."""
+    found, wanted = parse_setting(given, MACHINE), parse_setting(si, MACHINE)
+    assert found.parameters == pytest.approx(wanted.parameters, rel=1e-12)
 
 
 @pytest.fixture

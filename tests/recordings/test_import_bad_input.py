@@ -48,6 +48,10 @@ MAPS: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "unknown column key": (lambda m: m.replace("axis =", "axes =", 1), ("column 1", "unknown key 'axes'", "did you mean 'axis'")),
     "column key missing": (lambda m: m.replace('axis = "X"\n', "", 1), ("column 1", "'axis' is missing")),
     "signal twice": (lambda m: m.replace('"position"', '"setpoint"'), ("two columns are X.setpoint",)),
+    "all columns optional and absent": (
+        lambda m: m.replace('name = "', 'name = "no_').replace("unit =", "optional = true\nunit ="),
+        ("run run", "the map has no [[column]] for its files"),
+    ),
     "feedforward": (lambda m: m.replace('"off"', '"on"'), ("feedforward = 'on'", "off, velocity, velocity+torque")),
     "scale zero": (lambda m: m + "scale = 0\n", ("column 4", "scale = 0")),
     "scale as text": (lambda m: m + 'scale = "ten"\n', ("column 4", "scale = 'ten'", "give a number")),

@@ -53,13 +53,18 @@ class Diagnosis:
     without_laws: Mapping[str, float] = field(default_factory=dict)  # gap over noise of each axis after correction without laws
     decided: bool = True  # False: a quick look found no effect but a gap remains
 
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """The effects found, as in `diagnosis.json`: name, axis, probability, parameters with intervals, block."""
+        return [self._effect(s, f, p) for s, f, p in self.settings if s.key not in self.calibrated]
+
     def document(self) -> dict[str, Any]:
         """The document of `diagnosis.json`."""
         before, after = self._pooled("before"), self._pooled("after")
         return {
             "verdict": self.verdict,
             **({} if self.decided else {"decided": False}),
-            "effects": [self._effect(s, f, p) for s, f, p in self.settings if s.key not in self.calibrated],
+            "effects": self.effects,
             "calibrated": [self._effect(s, f, p) for s, f, p in self.settings if s.key in self.calibrated],
             "candidates": self._candidates(),
             "where": self.where,

@@ -10,7 +10,8 @@ from twin.machine.machine import Machine
 def add_effects(machine: Machine, *effects: str | Setting) -> Machine:
     """The machine with these effects in addition to its own.
 
-    Each is 'NAME:AXIS:PARAMETER=VALUE[,PARAMETER=VALUE]' in SI, as after `--effect`, e.g. 'backlash:X:clearance=15e-6', or a Setting.
+    Each is 'NAME:AXIS:PARAMETER=VALUE[,PARAMETER=VALUE]' as after `--effect`, or a Setting. A value is in SI or has its unit:
+    'backlash:X:clearance=15e-6', 'backlash:X:clearance=15um'.
     Raises InputError for an unknown name, axis or parameter, a value out of bounds, or a duplicate effect on an axis.
     """
     settings = [parse_setting(effect, machine) if isinstance(effect, str) else effect for effect in effects]

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
+import re
 from typing import Any
 
 from twin.effects.effect import FROM_TABLE, Effect, find_effect
 from twin.errors import InputError, nearest
 from twin.machine.machine import Machine
 from twin.machine.parameters import parameter
+from twin.units import RECORDED_UNITS, dimension_recorded
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def settings_of(machine: Machine) -> tuple[Setting, ...]:
 
 
 def parse_setting(text: str, machine: Machine) -> Setting:
-    """A Setting from the command line: 'backlash:X:clearance=15e-6,contact_stiffness=6e9'."""
+    """A Setting from the command line: 'backlash:X:clearance=15e-6,contact_stiffness=6e9'; a value may have a unit (15um)."""
     where = f"--effect {text}"
     parts = text.split(":", 2)
     if len(parts) < 2:
@@ -136,5 +138,19 @@ def parse_setting(text: str, machine: Machine) -> Setting:
         try:
             table[key.strip()] = value.strip() if key.strip() == "from_axis" else float(value)
         except ValueError:
-            raise InputError(f"{where}: {key} = '{value}' is not a number") from None
+            table[key.strip()] = _with_unit(value, key.strip(), table, machine, where)
     return check_setting(table, machine, where)
+
+
+def _with_unit(text: str, key: str, table: Mapping[str, Any], machine: Machine, where: str) -> float:
+    """A value with its unit, such as 20um, in the unit of the parameter (SI)."""
+    given = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*?)\s*", text)
+    if given is None or table["axis"] not in machine.axis_names:
+        raise InputError(f"{where}: {key} = '{text}' is not a number")
+    unit = given[2].replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
+    wanted = find_effect(table["name"], where).parameter(key).unit(machine.axis(table["axis"]))
+    alike = [u for u in RECORDED_UNITS if wanted in RECORDED_UNITS and dimension_recorded(u) == dimension_recorded(wanted)]
+    if unit != wanted and unit not in alike:
+        others = f" (or {', '.join(u for u in alike if u != wanted)})" if len(alike) > 1 else ""
+        raise InputError(f"{where}: {key} = '{text}': give it in {wanted}{others}")
+    return float(given[1]) * (1.0 if unit == wanted else RECORDED_UNITS[unit][1])

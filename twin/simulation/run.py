@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 import itertools
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from twin.effects import Change
-from twin.errors import SimulationError, TwinError
+from twin.errors import InputError, SimulationError, TwinError
 from twin.machine.machine import Machine
-from twin.recordings.trace import Trace
+from twin.recordings.trace import Trace, read_trace
 from twin.simulation import cascade, loop, loop_record
 from twin.simulation.drive_load import drive_load
 from twin.simulation.lanes import DIVERGED_SPEED, Lane, LaneResults, PlantInterface, lane_of, run_lanes
@@ -44,7 +45,7 @@ SETPOINT_ROUNDING = 1e-12
 
 def simulate(
     machine: Machine,
-    setpoints: Setpoints | Trace,
+    setpoints: Setpoints | Trace | str | Path,
     *,
     sample_period: float | None = None,
     started_at: float = 0.0,
@@ -55,17 +56,25 @@ def simulate(
 ) -> Run:
     """Simulate a machine with its effects.
 
-    `setpoints` is a `Setpoints` (sample, axis) in the machine's axis order and SI units, or a trace. In a trace, axes without set points
-    stand still. `sample_period` [s] of the record defaults to that of the machine file and is rounded to whole ticks. `started_at` [s] is
+    `setpoints` is a `Setpoints` (sample, axis) in the machine's axis order and SI units, or a trace or its file. In a trace, axes without
+    set points stand still. `sample_period` [s] of the record defaults to that of the machine file and is rounded to whole ticks. `started_at` [s] is
     the start of the run in its campaign; drift depends on it. `noise_seed` adds the measuring noise of the machine file to the signals
     that the control sees; None simulates ideal sensors. `plant_of` builds the mechanics, by default in MuJoCo. `count_load` fills
     `Run.load`. `progress` receives the fraction done.
 
     Raises SimulationError, with the trace so far, if an axis diverges, and InputError if an axis cannot be held at its start.
     """
+    if isinstance(setpoints, (str, Path)):
+        if Path(setpoints).suffix.lower() not in (".csv", ".parquet"):
+            raise InputError(f"simulate: {setpoints}: a part program becomes set points with twin.interpolate(file, machine); give those")
+        setpoints = read_trace(setpoints, axes=machine.kinds, need=("setpoint",))
     if isinstance(setpoints, Trace):
         setpoints = setpoints_of(setpoints, machine)
         check_travel(setpoints, machine, "simulate")
+    if not isinstance(setpoints, Setpoints):
+        raise InputError(
+            f"simulate: set points are a Setpoints or a trace, not {type(setpoints).__name__}; see twin.read_trace, twin.interpolate"
+        )
     lane = lane_of(
         machine,
         setpoints,

@@ -1,0 +1,68 @@
+"""Write a campaign: simulated runs, or the runs of another campaign, as a folder that `read_campaign` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+import json
+from pathlib import Path
+import warnings
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.files import output_folder, write_whole
+from twin.recordings.campaign import ChannelFact, MeasuredRun
+from twin.recordings.trace import Trace, write_trace
+from twin.simulation.result import Run
+
+_KEYS = {"latency": "latency_s", "latency_deviation": "latency_deviation_s", "taken_back": "taken_back_s"}
+"""Field of a finding -> its key in `campaign.toml`, where the names differ."""
+
+
+def write_campaign(runs: Mapping[str, Run | Trace | MeasuredRun], folder: str | Path, feedforward: str | None = None) -> Path:
+    """Write runs by name to `folder`: one parquet file each, and `campaign.toml`. Returns the folder.
+
+    `feedforward` (off, velocity, velocity+torque) was on in all runs; None: as the machine file says. A `MeasuredRun` keeps its own, with
+    start time and findings. A run that was simulated without `noise_seed` has ideal sensors, which no measured run has: a diagnosis with
+    the noise of the machine file then finds less noise than it expects, so a warning says so.
+
+    Raises InputError if there is no run, a name is no file name, or the folder cannot be written.
+    """
+    if not runs:
+        raise InputError("write_campaign: no run; give at least one as {'stroke': run}")
+    out = output_folder(Path(folder))
+    lines: list[str] = []
+    for name, run in runs.items():
+        if not name or Path(name).name != name or name in (".", ".."):
+            raise InputError(f"write_campaign: '{name}' cannot name a file; use letters, digits, - and _")
+        if isinstance(run, Run) and _is_ideal(run):
+            warnings.warn(
+                f"run {name} has no measuring noise; simulate it with noise_seed=1 to diagnose it like a measured one", stacklevel=2
+            )
+        trace = run if isinstance(run, Trace) else run.trace
+        measured = run if isinstance(run, MeasuredRun) else MeasuredRun(name, trace, feedforward, 0.0)
+        write_trace(trace, out / f"{name}.parquet")
+        lines += ["[[run]]", f"file = {json.dumps(name + '.parquet')}", f"started_at_s = {measured.started_at:.6f}"]
+        lines += [f"feedforward = {json.dumps(measured.feedforward)}"] if measured.feedforward else []
+        for (axis, signal), fact in measured.facts.items():
+            lines += ["[[run.channel]]", f"axis = {json.dumps(axis)}", f"signal = {json.dumps(signal)}", *_fact(fact, trace.kinds[axis])]
+        lines += ["[run.labels]", *(f"{json.dumps(k)} = {v!r}" for k, v in measured.labels.items())] if measured.labels else []
+        if measured.ballbar is not None:
+            lines += ["[run.ballbar]", f"axes = {json.dumps(list(measured.ballbar.axes))}", f"noise_m = {measured.ballbar.noise!r}"]
+        lines.append("")
+    write_whole(out / "campaign.toml", "\n".join(lines))
+    return out
+
+
+def _is_ideal(run: Run) -> bool:
+    """Was the run simulated without the measuring noise that its machine file gives?"""
+    noisy = any(value > 0.0 for key, value in run.machine.document.get("measurement", {}).items() if "noise" in key)
+    return noisy and all(np.array_equal(values, run.without_noise.signals[key]) for key, values in run.trace.signals.items())
+
+
+def _fact(fact: ChannelFact, kind: str) -> list[str]:
+    """Lines of the findings that differ from none."""
+    keys = {**_KEYS, "offset": "offset_m" if kind == "linear" else "offset_rad"}
+    found = {f.name: getattr(fact, f.name) for f in fields(fact) if getattr(fact, f.name) != f.default}
+    return [f"{keys.get(name, name)} = {json.dumps(value)}" for name, value in found.items()]
