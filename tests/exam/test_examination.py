@@ -498,7 +498,7 @@ def test_detectability_adds_up_over_runs_with_zeros_of_their_own() -> None:
     machine = load_machine().with_axes(["X"])
 
     def recorded(way: float, seed: int) -> MeasuredRun:
-        time, position = moves_in_turn(0.0, [way, 0.0], 0.1, 2.0, 50.0, 0.06, 1e-3)
+        time, position = moves_in_turn(0.0, [way, -way], 0.1, 2.0, 50.0, 0.06, 1e-3)
         trace = Trace(time, {("X", "setpoint"): position}, machine.kinds)
         return MeasuredRun(f"run {seed}", simulate(machine, trace, noise_seed=seed).trace, None, 600.0 * seed)
 

@@ -21,14 +21,15 @@ SHIPPED = sorted(
 
 
 def study_of(machine: Machine, path: Path, folder: Path) -> Path:
-    """A study of the inertia of the first axis, on a short move of that axis."""
+    """A study of the inertia of the first axis (of its mass, if it is driven directly), on a short move of that axis."""
     axis = machine.axes[0]
+    factor = f"inertia.{axis.name}" if axis.rotor_inertia_kg_m2 > 0.0 else f"axis.{axis.name}.moving_mass_kg"
     way = 0.01 if axis.kind == "linear" else 0.1
     time, position = moves_in_turn(0.0, [way], 0.5 * axis.max_velocity, 0.5 * axis.max_acceleration, axis.max_jerk, 0.06, 1e-3)
     write_trace(Trace(time, {(axis.name, "setpoint"): position}, machine.kinds), folder / "move.csv")
     spec = folder / "study.toml"
     spec.write_text(
-        f'machine = "{path.as_posix()}"\n[[run]]\ninput = "move.csv"\n[[factor]]\nname = "inertia"\npath = "inertia.{axis.name}"\n'
+        f'machine = "{path.as_posix()}"\n[[run]]\ninput = "move.csv"\n[[factor]]\nname = "inertia"\npath = "{factor}"\n'
         'relative = true\n[design]\nkind = "list"\nrows = [[1.0], [1.2]]\n',
         encoding="utf-8",
     )
