@@ -5,8 +5,8 @@ devtools/fuzz_layouts.py [--cases 200] [--seed 1] [--show]      table of outcome
 
 The twin simulates strokes of two axes; each case writes some of their signals with a random delimiter, decimal mark, heading, language, units, kind of time, order, extra
 columns, blanks and pieces, as a table, in pairs, as a long table or with a time for each signal. Outcomes: `right` (all written signals of a known
-meaning arrive as they were simulated), `part` (some do, none is wrong), `asked` (refused in one line, or nothing used), `said` (the interval is wrong, and the
-report says that it was assumed), `wrong` (a signal or the interval differs, and nothing says so), `fault` (an error that is no InputError).
+meaning arrive as they were simulated), `part` (some do, none is wrong), `asked` (refused in one line, or nothing used), `said` (a unit or the interval is wrong, and the
+proposal asks about it), `wrong` (a signal or the interval differs, and nothing says so), `fault` (an error that is no InputError).
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class Case:
 
 
 @functools.cache
-def simulated() -> dict[Key, np.ndarray]:
-    """Two axes of the Mikron on strokes with rests, 3 s at 1 kHz [SI]."""
+def simulated(feedforward: str) -> dict[Key, np.ndarray]:
+    """Two axes of the Mikron on strokes with rests, 3 s at 1 kHz [SI]; `feedforward`: on or off."""
     import twin
     from twin.recordings.trace import Trace
 
@@ -64,7 +64,8 @@ def simulated() -> dict[Key, np.ndarray]:
     x = 0.05 * (1.0 - np.cos(2.0 * np.pi * np.clip(time - 0.2, 0.0, 2.5) / 1.25)) * 0.5
     y = 0.02 * np.sin(2.0 * np.pi * np.clip(time - 0.4, 0.0, 2.0) / 0.8) ** 3
     setpoints = Trace(time, {("X", "setpoint"): x, ("Y", "setpoint"): y}, {"X": "linear", "Y": "linear"})
-    run = twin.simulate(twin.load_machine(), setpoints, noise_seed=1)
+    machine = twin.load_machine().with_feedforward("velocity" if feedforward == "on" else "off")
+    run = twin.simulate(machine, setpoints, noise_seed=1)
     return {(axis, signal): run.trace.get(axis, signal) for axis in "XY" for signal in SIGNALS}
 
 
@@ -82,6 +83,7 @@ def make(rng: np.random.Generator) -> Case:
         "time": pick("s", "ms", "us", "s unsaid", "ms unsaid", "date", "clock", "since 1970", "line", "none"),
         "pieces": pick("one", "one", "one", "two", "three with headings"),
         "extra": pick("none", "none", "unused", "words", "noise", "counter"),
+        "feedforward": pick("on", "off"),
         "blanks": pick("none", "none", "none", "slow channel"),
     }
     if delimiter == " " or choice["layout"] == "pairs":
@@ -121,7 +123,7 @@ def make(rng: np.random.Generator) -> Case:
     # rows of each piece, values as written
     count = 3000
     bounds = {"one": [(0, count)], "two": [(0, 1600), (1600, count)]}.get(choice["pieces"], [(0, 1000), (1000, 2000), (2000, count)])
-    truth = tuple({key: simulated()[key][a:b] for key, _ in columns.values()} for a, b in bounds)
+    truth = tuple({key: simulated(choice["feedforward"])[key][a:b] for key, _ in columns.values()} for a, b in bounds)
     factor = {**LENGTHS, **SPEEDS, "A": 1.0}
     values = {name: [part[key] * factor[u] for part in truth] for name, (key, u) in columns.items()}
     digits = {
@@ -230,7 +232,7 @@ def _extra(rng: np.random.Generator, kind: str, count: int, number: Callable[[fl
 def judge(case: Case, folder: Path) -> tuple[str, str]:
     """Outcome of importing a case without a map, and why."""
     from twin.recordings.formats.by_content import read_recording
-    from twin.recordings.imported import proposed_text
+    from twin.recordings.proposed import proposal_of
     from twin.recordings.mapping import read_map, runs_of
     from twin.recordings.signals import ReadOptions
     from twin.recordings.understand import understand
@@ -238,8 +240,10 @@ def judge(case: Case, folder: Path) -> tuple[str, str]:
     file, map_file = folder / "case.log", folder / "map.toml"
     file.write_bytes(case.text.encode(case.encoding))
     try:
-        text = proposed_text([file])
-        map_file.write_text(text, encoding="utf-8")
+        found = proposal_of([file])
+        map_file.write_text(found.map, encoding="utf-8")
+        if found.lacking:
+            return "asked", found.lacking
         mapping = read_map(map_file)
         ((run, paths),) = runs_of(mapping, [file])
         wanted = frozenset(c.name for c in mapping.columns)
@@ -249,7 +253,8 @@ def judge(case: Case, folder: Path) -> tuple[str, str]:
         return "asked", str(error)
     except Exception as error:
         return "fault", f"{type(error).__name__}: {error}"
-    said = recording.source.text
+    # what the proposal asks about is an assumption that it says; the user may overrule it
+    said = "; ".join([recording.source.text] * recording.source.assumed + found.proposal.questions)
     period = known.pieces[0].period
     if case.interval_s is not None and abs(period / case.interval_s - 1.0) > WITHIN:
         return ("said" if said else "wrong"), f"interval {period * 1e3:g} ms; {said}"
@@ -259,15 +264,21 @@ def judge(case: Case, folder: Path) -> tuple[str, str]:
         for (axis, signal), values in known.block(piece, 0, piece.count).items():
             # a slow channel has every fourth sample
             step = 4 if case.choice["blanks"] == "slow channel" and signal == "current" else 1
-            same = [key for key in written if signal in _also(key[1]) and _same(values[::step], truth[key][::step])]
+            same = [
+                key for key in written if key[1] in _also(signal, case.choice["feedforward"]) and _same(values[::step], truth[key][::step])
+            ]
             if not same:
-                return "wrong", f"{axis}.{signal} is not what was simulated"
+                return ("said" if said else "wrong"), f"{axis}.{signal} is not what was simulated; {said}"
             arrived.add(min(same, key=lambda key: (key in arrived, key[1] != signal)))
     return ("right", "") if arrived == written else ("part", f"missing: {', '.join('.'.join(k) for k in sorted(written - arrived))}")
 
 
-def _also(signal: str) -> tuple[str, ...]:
-    """Signals that a column may be taken for without harm: numbers alone do not tell which of two encoders is which."""
+def _also(signal: str, feedforward: str) -> tuple[str, ...]:
+    """Simulated signals that may arrive under this name without harm: numbers alone do not tell which of two encoders is which, nor, with feedforward,
+    a speed from its set point."""
+    speeds = ("velocity", "velocity_setpoint", "velocity_feedforward")
+    if feedforward == "on" and signal in speeds:
+        return speeds
     return ("position", "motor_position") if signal in ("position", "motor_position") else (signal,)
 
 
