@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
 import math
 import os
 
@@ -23,6 +25,19 @@ def raised_by() -> float:
     if not 1.0 <= factor <= 1e6:
         raise InputError(f"{RAISED_BY} = '{os.environ[RAISED_BY][:40]}': give a factor from 1 to 1e6")
     return factor
+
+
+@contextlib.contextmanager
+def raised(factor: float) -> Iterator[None]:
+    """Context in which all limits are multiplied by this factor, also in child processes."""
+    before = os.environ.get(RAISED_BY)
+    os.environ[RAISED_BY] = repr(factor)
+    try:
+        yield
+    finally:
+        os.environ.pop(RAISED_BY)
+        if before is not None:
+            os.environ[RAISED_BY] = before
 
 
 def refuse_above(estimate: float, limit: float, what: str, where: str, remedy: str) -> None:

@@ -2,42 +2,78 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
+import threading
+from typing import Any
+
 from tqdm import tqdm
 
+FIRST_S, EACH_S = 1.0, 0.5
+"""Time [s] until a bar appears, and between its updates. A bar is drawn while the work reports nothing too, so that the clock in it runs."""
 
-class Progress:
-    """A progress bar that appears after one second.
+SHARE = "{desc} {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+COUNT = "{desc} {n_fmt} of {total_fmt} |{bar}| {elapsed} < {remaining}"
+NAMED = "{desc} |{bar}| {elapsed}"
+ENDLESS = "{desc} ({elapsed})"
 
-    Call it with the fraction done, or with None to count one of `total` steps.
-    """
+_hushed = False
+
+
+@contextlib.contextmanager
+def hushed() -> Iterator[None]:
+    """Context without any progress bar."""
+    global _hushed
+    before, _hushed = _hushed, True
+    try:
+        yield
+    finally:
+        _hushed = before
+
+
+class _Bar:
+    """A bar that draws itself until it is closed."""
+
+    def __init__(self, text: str, total: float, layout: str) -> None:
+        self.bar: tqdm[Any] = tqdm(total=total, desc=text, delay=FIRST_S, disable=True if _hushed else None, bar_format=layout, leave=False)
+        self._closed = threading.Event()
+        if not self.bar.disable:
+            threading.Thread(target=self._draw, daemon=True).start()
+
+    def _draw(self) -> None:
+        wait = FIRST_S
+        while not self._closed.wait(wait):
+            self.bar.refresh()
+            wait = EACH_S
+
+    def __exit__(self, *_: object) -> None:
+        self._closed.set()
+        self.bar.close()
+
+
+class Progress(_Bar):
+    """A progress bar. Call it with the fraction done, or with None to count one of `total` steps."""
 
     def __init__(self, text: str, total: int | None = None) -> None:
-        if total is None:
-            layout = "{desc} {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-            self.bar = tqdm(total=1.0, desc=text, delay=1.0, disable=None, bar_format=layout, leave=False)
-        else:
-            self.bar = tqdm(total=total, desc=text, delay=1.0, disable=None, leave=False)
+        super().__init__(text, 1.0 if total is None else total, SHARE if total is None else COUNT)
 
     def __call__(self, fraction: float | None) -> None:
         self.bar.update(1 if fraction is None else fraction - self.bar.n)
 
     def say(self, text: str) -> None:
         """Show a text instead of the bar, for work of unknown length."""
-        self.bar.bar_format = "{desc} ({elapsed})"
+        self.bar.bar_format = ENDLESS
         self.bar.set_description_str(text)
 
     def __enter__(self) -> Progress:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.bar.close()
 
-
-class Steps:
+class Steps(_Bar):
     """A progress bar that advances one step per call and shows the name of the step."""
 
     def __init__(self, text: str, total: int) -> None:
-        self.bar = tqdm(total=total, desc=text, delay=1.0, disable=None, leave=False, bar_format="{desc} |{bar}| {elapsed}")
+        super().__init__(text, total, NAMED)
 
     def __call__(self, name: str) -> None:
         self.bar.set_description_str(name)
@@ -46,6 +82,3 @@ class Steps:
 
     def __enter__(self) -> Steps:
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.bar.close()

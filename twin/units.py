@@ -31,6 +31,20 @@ ARCSEC = math.pi / 180.0 / 3600.0
 """One arcsecond [rad]."""
 
 
+LEAST_SHOWN = 1e-3
+"""Smallest number [um, arcsec, A, x noise] that a report writes out; no machine is measured or simulated to less."""
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """A number for people, with at least so many significant digits and without exponent: '14400', '0.0123', '< 0.001', '0'."""
+    size = abs(value)
+    if not math.isfinite(value):
+        return str(value)
+    if size < LEAST_SHOWN:
+        return "< 0.001" if size > 1e-6 * LEAST_SHOWN else "0"
+    return f"{value:.{max(digits - 1 - math.floor(math.log10(size)), 0)}f}"
+
+
 def factor_to_si(unit: str, where: str) -> float:
     """Factor from `unit` to SI; `where` is the prefix of the error message."""
     if unit not in UNITS:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,3 +69,30 @@ def with_signal(run: MeasuredRun, axis: str, signal: str, values: np.ndarray | N
     if values is not None:
         signals[axis, signal] = values
     return replace(run, trace=Trace(run.trace.time, signals, run.trace.kinds))
+
+
+def on_a_linear_motor(machine: Machine, name: str = "X") -> Machine:
+    """The machine with the same moving axis on a linear motor: no screw, no rotor, and no commissioned mass in the file."""
+    old = machine.axis(name)
+    table = copy.deepcopy(machine.document["axis"][name])
+    r, motor, loops = old.ratio, old.motor, table["loops"]
+    mass = (old.moving_mass_kg or 0.0) + old.reflected_inertia
+    for key in (
+        "screw_lead_m_per_rev",
+        "rotor_and_screw_inertia_kg_m2",
+        "coulomb_friction_nm",
+        "viscous_friction_nm_s_per_rad",
+        "commissioned",
+    ):
+        del table[key]
+    del loops["speed_gain_nm_s_per_rad"]
+    table |= {"drive": "direct", "moving_mass_kg": mass}
+    table |= {"coulomb_friction_n": old.coulomb_friction, "viscous_friction_n_s_per_m": old.viscous_friction}
+    table["motor"] = {
+        "force_constant_n_per_a": motor.torque_constant_nm_per_a / r, "back_emf_v_s_per_m": motor.back_emf_v_s_per_rad / r,
+        "resistance_ohm": motor.resistance_ohm, "inductance_h": motor.inductance_h, "peak_current_a": motor.peak_current_a,
+        "bus_limit_v": motor.bus_limit_v,
+    }  # fmt: skip
+    loops["speed_gain_n_s_per_m"] = old.loops.speed_gain_nm_s_per_rad / r**2
+    document = {**machine.document, "axis": {**machine.document["axis"], name: table}}
+    return Machine(document, machine.model_path, machine.path)

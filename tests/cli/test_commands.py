@@ -13,8 +13,11 @@ import pytest
 
 from devtools import benchmark
 from tests.conftest import ROOT
+from twin import progress
 from twin.cli import main
 from twin.cli.parser import COMMANDS
+from twin.limits import raised, raised_by
+from twin.progress import Progress, hushed
 from twin.recordings.trace import read_trace
 
 EXAMPLE = ROOT / "examples" / "x_200mm.csv"
@@ -206,3 +209,17 @@ def test_two_machine_files_give_a_comparison_page(tmp_path: Path) -> None:
 def test_an_action_takes_the_options_of_every_command(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words) == 0
     assert capsys.readouterr().out == ""
+
+
+def test_a_command_leaves_nothing_behind_in_the_process(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The options of one call do not change the next call, also after an error."""
+    monkeypatch.setenv("TWIN_LIMITS", "3")
+    before = dict(os.environ)
+    for words in (["effects", "--limits", "7", "--quiet"], ["effects", "no such effect", "--limits", "7", "--quiet"]):
+        main(words)
+        assert dict(os.environ) == before
+        assert raised_by() == 3.0
+        assert not progress._hushed
+    with raised(5.0), hushed():
+        assert raised_by() == 5.0
+        assert Progress("work").bar.disable

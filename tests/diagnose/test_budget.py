@@ -144,3 +144,24 @@ def test_drift_of_an_axis_at_rest_counts(of_drift):
     budget = budget_of(machine, corrected_machine(machine, found), found, [view], [None], {})
     (row,) = [r for r in budget.rows if r.kind == "effect"]
     assert row.tool_point == pytest.approx(100.0 * RATE, rel=0.02)
+
+
+def test_what_was_not_recorded_does_not_change_the_multiple_of_noise():
+    """A spring moves the motor encoder most. Without that encoder in the record, the multiple is that of the other signals alone."""
+    group = group_of([np.zeros(SAMPLES)])
+    setting = Setting(EFFECTS["thermal_drift"], "X", {"rate": RATE})
+    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), no_tuning(SAMPLES))
+    machine, found = group.views[0].machine, [found_of(group, fit=fit)]
+    corrected = corrected_machine(machine, found)
+
+    def multiple(**noise):
+        by_signal = {("X", signal): level for signal, level in noise.items()}
+        (row,) = [r for r in budget_of(machine, corrected, found, group.views, [None], by_signal).rows if r.kind == "effect"]
+        return row.times_noise, row.signals
+
+    both, signals = multiple(position=1e-7, motor_position=1e-9)
+    alone, _ = multiple(position=1e-7)
+    assert alone == pytest.approx(signals["position"] / 1e-7)
+    expected = np.sqrt(((signals["position"] / 1e-7) ** 2 + (signals["motor_position"] / 1e-9) ** 2) / 2.0)
+    assert both == pytest.approx(expected)
+    assert both > 20.0 * alone

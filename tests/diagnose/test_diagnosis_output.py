@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 import re
+import shlex
 import tomllib
 from typing import Any
 
@@ -19,7 +20,7 @@ from twin.diagnose import diagnose, report
 from twin.diagnose.check import notes_of
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.output import write_proposal
-from twin.diagnose.wording import effect_title, interval_text, parameters_of, verdict_sentence, where_text
+from twin.diagnose.wording import effect_title, interval_text, parameters_of, times, verdict_sentence, where_text
 from twin.effects import BLOCKS, EFFECTS, settings_of
 from twin.exam.draw import draw_case
 from twin.machine.machine import default_machine_path, load_machine
@@ -168,6 +169,24 @@ def test_next_measurement_of_an_earlier_diagnosis_is_deleted(tmp_path: Path) -> 
     file.write_text("of another diagnosis", encoding="utf-8")
     write_proposal(Proposal("none needed", None), file)
     assert not file.exists()
+
+
+def test_the_printed_command_can_be_given_where_it_is_printed(document: dict[str, Any], diagnosed: Path, tmp_path: Path) -> None:
+    """From any folder, also one with a blank in its name."""
+    command = shlex.split(document["next_measurement"].split("with: ")[1])
+    assert command[0] == "twin"
+    assert [Path(word).parent for word in command if word.endswith((".csv", ".toml"))] == [diagnosed, diagnosed]
+    assert main([*command[1:], "--out", str(tmp_path / "run"), "--no-recording"]) == 0
+
+
+def test_every_gap_of_the_report_is_one_number(document: dict[str, Any], diagnosed: Path) -> None:
+    """Y rests throughout and creeps by more than its noise: it is not diagnosed, so that only X counts."""
+    gap = document["gap"]
+    assert gap["after"] < 1.4
+    assert "from" in (page := (diagnosed / "report.html").read_text(encoding="utf-8"))
+    assert f"to {times(gap['after'])} times the noise" in page
+    for wrong in ("-0 %", "+0 %", "e-05", "e-06", "e+0"):
+        assert wrong not in re.sub(r"src=\"data:[^\"]*\"", "", page)
 
 
 def test_next_measurement_can_be_run(diagnosed: Path) -> None:

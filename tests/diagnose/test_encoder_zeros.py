@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.diagnose.encoder_zeros import with_common_zeros, without_zeros, zeros_left
 from twin.diagnose.observe import observe
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
@@ -16,6 +15,8 @@ from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace, write_trace
+from twin.simulation.campaign_gap import gap
+from twin.simulation.encoder_zeros import aligned, clear_zeros, with_common_zeros, zeros_left
 from twin.simulation.gap import gap_of, predict
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -72,10 +73,11 @@ def test_constants_after_correction_are_zeros_but_a_trend_is_not(elastic: Machin
         MeasuredRun(f"{k}", shifted(run.trace, YZ.axis("Z"), 1e-6 * k + offset), None, t)
         for k, (offset, t) in enumerate(zip(offsets, times))
     ]
-    left = zeros_left(runs, YZ, {r.name: run.trace for r in runs}, {"Z"})
+    predicted = {r.name: run.trace for r in runs}
+    left = zeros_left(runs, YZ, predicted)
     drift = 1e-6 * np.arange(3)
     np.testing.assert_allclose([left["Z", k] for k in range(3)], -offsets - drift.mean(), atol=1e-9)
-    cleared, _ = without_zeros(runs, YZ, left)
+    cleared = aligned(runs, YZ, predicted)
     means = [float(np.mean(motor_minus_scale(r.trace, "Z") - motor_minus_scale(run.trace, "Z"))) for r in cleared]
     np.testing.assert_allclose(means, drift.mean() - drift, atol=1e-9)
 
@@ -86,7 +88,28 @@ def test_an_axis_that_sticks_elsewhere_for_a_while_has_the_same_zeros(elastic: M
     stuck = np.where(np.arange(len(run.trace.time)) > 0.75 * len(run.trace.time), 30e-6, 0.0)
     key = ("Z", "motor_position")
     measured = replace(run, trace=replace(run.trace, signals={**run.trace.signals, key: run.trace.signals[key] + stuck}))
-    assert abs(zeros_left([measured], YZ, {"run": run.trace}, {"Z"})["Z", 0]) < 1e-9
+    assert abs(zeros_left([measured], YZ, {"run": run.trace})["Z", 0]) < 1e-9
+
+
+@pytest.mark.parametrize("offset", [3e-8, 4e-7, 8e-5, 0.2])
+def test_a_gap_and_a_diagnosis_treat_zeros_alike(elastic: Machine, offset: float, tmp_path: Path) -> None:
+    """On a new run of the corrected machine a constant between the encoders is no gap, however large; only a clear one gets a note."""
+    for name in ("first", "second"):
+        write_trace(recorded(elastic, "Z", name, offset).trace, tmp_path / f"{name}.parquet")
+    entries = (f'[[run]]\nfile = "{name}.parquet"\nstarted_at_s = {t}\n' for name, t in (("first", 0.0), ("second", 60.0)))
+    (tmp_path / "campaign.toml").write_text("".join(entries), encoding="utf-8")
+    found = gap(tmp_path, elastic)
+    assert found.outliers == []
+    assert [note.split(":")[0] for note in found.notes] == (["axis Z"] if offset > 1e-6 else [])
+
+
+def test_a_constant_of_a_resting_axis_is_a_zero_whatever_its_trend() -> None:
+    """Where an axis rests throughout, the constant is where it stuck. Two runs have always a trend: that is no growth of the screw."""
+    run = recorded(YZ, "Y", "run")
+    runs = [MeasuredRun(f"{k}", shifted(run.trace, YZ.axis("Z"), offset), None, 60.0 * k) for k, offset in enumerate((4e-8, -9e-8))]
+    left = zeros_left(runs, YZ, {r.name: run.trace for r in runs})
+    np.testing.assert_allclose([left["Z", 0], left["Z", 1]], [-4e-8, 9e-8], atol=1e-12)
+    assert clear_zeros(left, YZ) == {}
 
 
 def test_an_axis_at_rest_that_is_pushed_is_observed() -> None:

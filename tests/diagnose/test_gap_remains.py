@@ -1,10 +1,8 @@
-"""When effects do not explain an axis: a large gap remains, or most of a moderate gap."""
-
-from types import SimpleNamespace
+"""When effects do not explain an axis: a large gap remains, or most of a moderate gap; and the verdict that follows."""
 
 import pytest
 
-from twin.diagnose.diagnosis import Diagnosis
+from twin.diagnose.judgement import final_verdict, gap_remains
 
 
 @pytest.mark.parametrize(
@@ -12,11 +10,17 @@ from twin.diagnose.diagnosis import Diagnosis
     [(20.0, 8.0, True), (40.0, 3.5, False), (3.5, 2.9, True), (8.0, 2.5, False), (2.2, 1.9, False), (1.0, 1.0, False)],
 )
 def test_a_gap_remains_if_it_is_large_or_mostly_unexplained(before: float, after: float, remains: bool) -> None:
-    levels = {
-        ("before", True): before,
-        ("after", True): after,
-        ("before", False): 50.0,
-        ("after", False): 49.0,
-    }  # at rest it sticks elsewhere
-    of = SimpleNamespace(axis_level=lambda which, axis, in_motion=False: levels[which, in_motion])
-    assert Diagnosis.gap_remains(of, "X") is remains
+    assert gap_remains(before, after) is remains
+    assert final_verdict("effect", {"X": before, "Y": 1.0}, {"X": after, "Y": 1.0}, has_laws=False) == ("unknown" if remains else "effect")
+
+
+def test_a_machine_with_a_law_is_not_without_a_fault() -> None:
+    """Whatever the levels: beside a law the verdict is never 'none', and it is 'law' only if all but a tenth is explained."""
+    for before in (1.4, 2.0, 5.0, 100.0):
+        for left in (0.0, 0.05, 0.2, 0.6, 1.0):
+            after = (1.0 + left * (before**2 - 1.0)) ** 0.5
+            for found in ("none", "effect", "unknown"):
+                verdict = final_verdict(found, {"X": before}, {"X": after}, has_laws=True)
+                assert verdict != "none"
+                assert (verdict == "law") is (left < 0.1)
+    assert final_verdict("none", {"X": 2.0}, {"X": 2.0}, has_laws=False) == "none"

@@ -7,11 +7,11 @@ import pytest
 
 from twin.diagnose import diagnose
 from twin.diagnose import observe as observing
-from twin.diagnose.encoder_zeros import with_common_zeros
 from twin.effects import parse_setting, with_effects
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import Trace, read_trace
+from twin.simulation.encoder_zeros import with_common_zeros
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
-from twin.diagnose import corrected, validation
+from twin.diagnose import corrected, judgement, validation
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import nuisances_of
 from twin.diagnose.tuning import tuning_from
@@ -17,6 +17,7 @@ from twin.errors import InputError, SimulationError
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.gap import SignalGap
+from twin.simulation.gap_level import levels
 
 RUNS = [MeasuredRun(name, Trace(np.arange(3.0), {}), None, 0.0) for name in ("first", "second", "third")]
 FOLDS = [[0], [1], [2]]
@@ -67,9 +68,18 @@ def test_a_correction_that_increases_the_gap_is_detected(monkeypatch, after, wor
     level = {"before": 1.1, "after": after}
     monkeypatch.setattr(corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(9.0, 9.0, 1.0, "um", level[which])}})
     held_out = corrected.HeldOut({which: {run.name: which for run in RUNS} for which in level}, [])
-    levels = [held_out.levels("nominal", RUNS, which) for which in level]
-    assert corrected.is_worse("X", *levels) is worse
-    assert not corrected.is_worse("Y", *levels)
+    of = [levels(held_out.gaps("nominal", RUNS, which)) for which in level]
+    assert judgement.is_worse(["X"], *of) is worse
+    assert not judgement.is_worse(["Y"], *of)
+
+
+def test_the_judgement_does_not_depend_on_the_number_of_axes():
+    """A group of axes that all change alike is judged as one of them."""
+    for now in (1.2, 1.39, 1.41, 3.0):
+        alone = judgement.is_worse(["0"], {"0": 1.1}, {"0": now})
+        for count in (2, 5, 40):
+            axes = [str(i) for i in range(count)]
+            assert judgement.is_worse(axes, dict.fromkeys(axes, 1.1), dict.fromkeys(axes, now)) is alone
 
 
 def test_axes_that_a_correction_makes_worse_keep_the_machine_file(mikron):
@@ -112,8 +122,10 @@ def with_proposed_laws(monkeypatch, levels, laws):
     predictions = {which: {"after": {run.name: which for run in RUNS}} for which in levels}
     monkeypatch.setattr(corrected, "gap_of", gaps)
     monkeypatch.setattr(validation, "find_unlisted_laws", proposed)
+    monkeypatch.setattr(corrected.HeldOut, "traces", {})
+    monkeypatch.setattr(validation, "aligned", lambda runs, *_: runs)
     monkeypatch.setattr(validation, "predictions_with_laws", lambda law, *_, **__: corrected.HeldOut(predictions[law.corrected], []))
-    records = SimpleNamespace(runs=RUNS, motions=[], aligned=lambda *_: RUNS)
+    records = SimpleNamespace(runs=RUNS, motions=[])
     setup = SimpleNamespace(quick=False, machine="m", nominal="m", thresholds=DEFAULT, folds=FOLDS, threads=1, progress=None)
     before = {"X": math.sqrt(sum(level**2 for level in levels["nominal"].values()) / len(levels["nominal"]))}
     without = validation.Validated(tuple(RUNS), [], corrected.HeldOut(predictions["nominal"], []), before, before, "nominal")
@@ -143,11 +155,11 @@ def test_a_law_is_judged_by_relative_changes_of_its_axes_only():
     """One random stiction that grows from 2.2 to 2.6 x noise does not outweigh a current explained down to noise; other axes do not count."""
     without = {("Z", "motor_position"): 2.2, ("Z", "current"): 2.0, ("Z", "position"): 0.9, ("A", "position"): 40.0}
     with_law = {("Z", "motor_position"): 2.6, ("Z", "current"): 0.7, ("Z", "position"): 0.8, ("A", "position"): 50.0}
-    assert corrected.remaining_share(without, with_law, {"Z"}) == pytest.approx(2.6 / (2.2 * 2.0))
-    assert corrected.remaining_share(without, without, {"Z"}) == 1.0
-    assert corrected.remaining_share({("Z", "position"): 0.5}, {("Z", "position"): 0.6}, {"Z"}) == 1.0
+    assert judgement.remaining_share(without, with_law, {"Z"}) == pytest.approx(2.6 / (2.2 * 2.0))
+    assert judgement.remaining_share(without, without, {"Z"}) == 1.0
+    assert judgement.remaining_share({("Z", "position"): 0.5}, {("Z", "position"): 0.6}, {"Z"}) == 1.0
     # a fifth of a large gap, and of a small one
     for level in (100.0, 10.0):
         of = {("Z", "position"): level}
-        assert corrected.remaining_share(of, {("Z", "position"): 0.8 * level}, {"Z"}) == pytest.approx(0.64)
-    assert corrected.loudest(without) == {"Z": 2.2, "A": 40.0}
+        assert judgement.remaining_share(of, {("Z", "position"): 0.8 * level}, {"Z"}) == pytest.approx(0.64)
+    assert judgement.loudest(without) == {"Z": 2.2, "A": 40.0}

@@ -1,5 +1,7 @@
 """One more nuisance next to a tuning: its predicted gain equals that of the extended tuning."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -66,3 +68,13 @@ def test_a_held_column_acts_like_a_missing_one(drawn):
         np.testing.assert_allclose(theta[2:][held] * np.abs(further[:, held]).max(axis=0), 0.0, atol=1e-6)
         np.testing.assert_allclose(np.delete(theta, [2 + k for k in held]), others.solve(residual), rtol=1e-6, atol=1e-9)
     assert every.loss(residual) < 0.1 * every.holding([0, 2]).loss(residual)
+
+
+def test_products_belong_to_the_runs_they_are_asked_for(drawn):
+    """The same tuning, asked for another division into runs, as after a run was left out."""
+    tuning, column, _ = drawn
+    for of in (tuning, tuning.with_free(column[:, None])):
+        for edges in ((0, 100, ROWS), (0, 250, ROWS), (0, 130, 260, ROWS)):
+            runs = [[slice(a, b)] for a, b in itertools.pairwise(edges)]
+            expected = [of.jacobian[a:b].T @ of.jacobian[a:b] for a, b in itertools.pairwise(edges)]
+            np.testing.assert_allclose(of.products(runs), expected, rtol=1e-9, atol=1e-9)

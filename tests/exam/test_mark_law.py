@@ -9,6 +9,7 @@ import pytest
 
 from twin.exam.mark_law import SIMILAR, laws_of_fault, shape_agreement
 from twin.exam.plant.outside import LAWS, OUTSIDE
+from twin.exam.score import confusion, macro_f1
 from twin.machine.machine import load_machine
 
 MACHINE = load_machine()
@@ -112,3 +113,17 @@ def test_a_law_elsewhere_or_none_has_no_shape() -> None:
 def test_a_dead_time_that_is_longer_than_the_memory_of_the_tick_is_compared_at_the_cycle_of_its_controller() -> None:
     late = {**entry("speed_set_point_smoothing"), "formula": "dead time", "parameters": {"time_s": {"value": 9e-3}}}
     assert shape_agreement(fault("speed_set_point_smoothing"), {"laws": [late]}, MACHINE) < SIMILAR
+
+
+@pytest.mark.parametrize("verdict", ["unknown", "law"])
+def test_a_fault_outside_the_library_is_told_by_both_verdicts(verdict: str) -> None:
+    """Confusion and F1 count 'law' on such a fault as the mark does: right. On another machine it is the wrong label."""
+    outside, healthy, backlash = (
+        {"outside": o, "true": t, "verdict": verdict, "named": []}
+        for o, t in (([["creep", "X", "mechanics"]], []), ([], []), ([], [["backlash", "X"]]))
+    )
+    assert confusion([outside, healthy, backlash]) == {
+        true: {"outside the library": 1} for true in ("backlash", "none", "outside the library")
+    }
+    assert macro_f1([outside]) == 1.0
+    assert macro_f1([healthy]) == 0.0

@@ -15,6 +15,7 @@ from twin.identify.recording import prepare_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
+from twin.simulation.lanes import with_commissioned_inertia
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -87,7 +88,7 @@ def test_without_gravity_in_the_file_the_balance_has_no_gravity_columns(tmp_path
     run = swings(machine)
     found = {}
     for gravity in (9.81, 0.0):
-        there = machine.with_values({"gravity_m_per_s2": gravity})
+        there = with_commissioned_inertia(machine.with_values({"gravity_m_per_s2": gravity}))
         found[gravity] = direct_route(there, prepare_recording(there, campaign([run])).axis_runs).balance["B"]
     assert {"gravity_cos", "gravity_sin"} <= set(found[9.81].names)
     assert not {"gravity_cos", "gravity_sin"} & set(found[0.0].names)

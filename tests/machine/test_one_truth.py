@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 import tempfile
 from typing import Any
@@ -207,7 +208,7 @@ def test_a_change_does_not_modify_the_original_machine(mikron: Machine) -> None:
 
 def test_every_number_of_an_axis_is_in_the_table(mikron: Machine) -> None:
     """The typed view has exactly the numbers of the table."""
-    typed = {f.name for f in dataclasses.fields(Axis)} - {"name", "kind", "motor", "loops", "structure", "effort", *WORDS}
+    typed = {f.name for f in dataclasses.fields(Axis)} - {"name", "kind", "drive", "motor", "loops", "structure", "effort", *WORDS}
     typed |= {f"motor.{f.name}" for f in dataclasses.fields(Motor)} | {f"loops.{f.name}" for f in dataclasses.fields(Loops)}
     assert {p.field for p in PARAMETERS} == typed
     assert all(parameter(field).field == field for field in SPREAD.values())
@@ -229,3 +230,11 @@ def test_other_structures_take_typed_numbers_in_their_own_keys(tmp_path: Path) -
     doubled = machine.with_axis("X", speed_gain_nm_s_per_rad=2.0 * machine.axis("X").loops.speed_gain_nm_s_per_rad)
     assert doubled.document["axis"]["X"]["loops"]["speed_gain_v_s_per_m"] == pytest.approx(486.0)
     assert doubled.axis("X").loops.speed_gain_nm_s_per_rad == pytest.approx(2.0 * 243.0 * 36.0)
+
+
+def test_the_drive_is_what_the_file_says(mikron: Machine) -> None:
+    """A screw whose lead makes the ratio 1 turns its motor; it is no direct drive."""
+    screw = mikron.with_values({"axis.X.screw_lead_m_per_rev": 2.0 * math.pi})
+    axis = screw.axis("X")
+    assert (axis.ratio, axis.drive, axis.motor_unit) == (1.0, "screw", "Nm")
+    assert screw.forces == frozenset()

@@ -22,8 +22,8 @@ from twin.machine.machine import Machine, load_machine
 from twin.machine.sheet import check_text, sheet, sinumerik_sheet
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
+from twin.simulation.campaign_gap import gap
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.gap import gap_of_campaign
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, setpoints_of
 
@@ -91,7 +91,7 @@ def recorded(machine: Machine, effects: list[dict], folder: Path) -> Path:
 def test_gap_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     machine = load_machine(LAB / "axis.toml")
     campaign = read_campaign(recorded(machine, [{"name": "constant_force", "axis": "X", "force": 3.6}], tmp_path / "c"), machine)
-    gaps = gap_of_campaign(machine, campaign)["strokes"]["X"]
+    gaps = gap(campaign, machine).runs["strokes"]["X"]
     assert set(gaps) == {"motor_position", "voltage"}
     assert gaps["voltage"].unit == "V"
     # 3.6 N / 18 N/V, with a following error of 3.6 N / (18 * 100 * 25) m

@@ -79,7 +79,7 @@ def test_each_of_two_effects_keeps_its_own_place():
     """Both effects keep their own blocks; the share of a block without an effect goes to the larger one, except a twentieth."""
     listed = [{"axis": "X", "block": b, "_share": e} for b, e in (("transmission", 100.0), ("mechanics", 20.0), ("speed controller", 10.0))]
     for name, parameters in (("backlash", {"clearance": 1e-5}), ("coulomb_friction", {"factor": 1.3})):
-        _assign_effect(listed, Setting(EFFECTS[name], "X", parameters), load_machine())
+        _assign_effect(listed, Setting(EFFECTS[name], "X", parameters), load_machine(), {})
     _merge_echoes(listed, DEFAULT.echo)
     assert {p["block"]: p["_share"] for p in listed} == pytest.approx({"transmission": 109.5, "mechanics": 20.0, "speed controller": 0.5})
     by_block = {p["block"]: p for p in listed}
@@ -91,7 +91,7 @@ def test_a_speed_gain_of_two_p_controllers_is_assigned_to_the_speed_controller()
     machine = load_machine()
     p_only = machine.with_axis("X", speed_integral_time_s=math.inf)
     listed = [{"axis": "X", "block": "position controller", "_excess": 100.0}]
-    _assign_effect(listed, Setting(EFFECTS["speed_gain"], "X", {"factor": 1.3}), p_only)
+    _assign_effect(listed, Setting(EFFECTS["speed_gain"], "X", {"factor": 1.3}), p_only, {})
     assert [p["block"] for p in listed] == ["speed controller"]
 
 
@@ -127,3 +127,11 @@ def test_effects_that_a_campaign_cannot_show_are_listed(tmp_path):
     assert {key for key, sizes in told.items() if sizes is None} >= never
     assert set(told) - never == {("viscous_asymmetry", None), ("viscous_friction", None)}
     assert "cross axis coupling on Y from X, Y from Z; current limit on Y; viscous asymmetry on Y" in summary_text(document)
+
+
+def test_the_level_of_an_effect_without_a_place_is_the_measured_one() -> None:
+    """The residual of a block whose law holds is what was measured there; a block that was not measured has no level."""
+    for levels, expected in (({("X", "transmission"): 1.17}, 1.17), ({("X", "mechanics"): 3.0}, None)):
+        listed = []
+        _assign_effect(listed, Setting(EFFECTS["backlash"], "X", {"clearance": 1e-5}), load_machine(), levels)
+        assert listed[0].get("level") == expected

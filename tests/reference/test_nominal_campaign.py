@@ -6,7 +6,8 @@ import pytest
 
 from twin.machine.machine import Machine
 from twin.recordings.campaign import read_campaign
-from twin.simulation.gap import SignalGap, gap_of_campaign
+from twin.simulation.campaign_gap import gap
+from twin.simulation.gap import SignalGap
 
 POSITION_RMS = {"um": 0.2, "arcsec": 0.5}
 POSITION_MAX = 2.0  # um or arcsec
@@ -17,7 +18,7 @@ NOISE_FACTOR = 1.2
 
 @pytest.fixture(scope="module")
 def gaps(nominal_campaign: Path, mikron: Machine) -> dict[str, dict[str, dict[str, SignalGap]]]:
-    return gap_of_campaign(mikron, read_campaign(nominal_campaign, mikron))
+    return gap(read_campaign(nominal_campaign, mikron), mikron).runs
 
 
 def test_every_run_and_axis_is_compared(gaps: dict[str, dict[str, dict[str, SignalGap]]]) -> None:

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import twin
 from twin.errors import TwinError, nearest, one_line
 from twin.files import hold_folders, release_folders
-from twin.limits import RAISED_BY
+from twin.limits import raised
+from twin.progress import hushed
 from twin.stopping import say
 
 DESCRIPTION = """Digital twin of a machine tool's feed drives on MuJoCo.
@@ -149,11 +150,12 @@ def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[N
 def _carried_out(args: argparse.Namespace) -> int:
     """Run the command and return its exit code. --quiet prints nothing; --verbose adds versions and run time on standard error."""
     began = time.perf_counter()
-    if args.limits is not None:
-        os.environ[RAISED_BY] = repr(args.limits)
-    if args.quiet:
-        os.environ["TQDM_DISABLE"] = "1"
-    with open(os.devnull, "w") if args.quiet else contextlib.nullcontext(sys.stdout) as out, contextlib.redirect_stdout(out):
+    with contextlib.ExitStack() as stack:
+        if args.limits is not None:
+            stack.enter_context(raised(args.limits))
+        if args.quiet:
+            stack.enter_context(hushed())
+            stack.enter_context(contextlib.redirect_stdout(stack.enter_context(open(os.devnull, "w"))))
         code = int(_module(args.command).carry_out(args) or 0)
     if args.verbose:
         parts = [f"{name} {importlib.metadata.version(name)}" for name in ("mujoco", "numpy", "numba")]

@@ -114,7 +114,7 @@ def carry_out(args: argparse.Namespace) -> int:
     if not args.no_recording:
         from twin.replay import write_recording
 
-        write_recording(out / "run.rrd", machine, {"simulated": followed})
+        write_recording(out / "run.rrd", machine, {"simulated": followed}, summary=f"effects: {effects}\nfeedforward: {feedforward}")
         written.append("run.rrd")
     if args.beside:
         written += _beside(args, machine, setpoints, followed, out)

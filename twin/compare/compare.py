@@ -16,7 +16,7 @@ from twin.simulation.errors_of_run import axis_errors, delayed_set_point
 from twin.simulation.gap import COMPARED, gap_unit
 from twin.simulation.result import Run
 from twin.simulation.summary import table
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,7 +74,7 @@ class Comparison:
         most = f", most on {worst.axis}" if len(self.differing) > 1 else ""
         return (
             f"{self.names[0]} and {self.names[1]} differ on {axes}{most}: {worst.signal.replace('_', ' ')} by up to "
-            f"{worst.max:.3g} {worst.unit} at {worst.at_s:.3f} s."
+            f"{plain(worst.max)} {worst.unit} at {worst.at_s:.3f} s."
         )
 
     @property
@@ -100,7 +100,7 @@ class Comparison:
     def difference_rows(self) -> list[list[str]]:
         """Axis, signal, RMS and largest difference with units, and the time of the largest."""
         return [
-            [d.axis, d.signal.replace("_", " "), f"{d.rms:.3g} {d.unit}", f"{d.max:.3g} {d.unit}", f"{d.at_s:.3f} s"]
+            [d.axis, d.signal.replace("_", " "), f"{plain(d.rms)} {d.unit}", f"{plain(d.max)} {d.unit}", f"{d.at_s:.3f} s"]
             for d in self.differences
             if d.axis in self.differing
         ]

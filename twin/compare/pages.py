@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from twin.report import Figure, Section, Table, figure_svg, write_page
 from twin.report.stamp import made_line
 from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap, Outlier
+from twin.units import plain
 
 if TYPE_CHECKING:
     from twin.compare.compare import Comparison
@@ -25,9 +26,9 @@ def gap_cells(rows: Sequence[Outlier]) -> list[list[str]]:
             r.run,
             r.axis,
             r.signal.replace("_", " "),
-            f"{r.gap.rms:.3g} {r.gap.unit}",
-            f"{r.gap.max:.3g}",
-            f"{r.gap.noise:.3g}",
+            f"{plain(r.gap.rms)} {r.gap.unit}",
+            plain(r.gap.max),
+            plain(r.gap.noise),
             f"{r.times_noise:.1f}",
         ]
         for r in rows
@@ -50,7 +51,13 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
         *([Section("Notes", list(gap.notes))] if gap.notes else []),
         Section("Every signal", tables=[every]),
     ]
-    write_page(path, f"Gap of {gap.campaign}", f"{gap.verdict}.", sections, made_line(gap.machine, gap.campaign))
+    write_page(
+        path,
+        f"Gap of {gap.campaign}",
+        f"{gap.verdict}.",
+        sections,
+        made_line(gap.machine, gap.campaign),
+    )
 
 
 def write_comparison_page(comparison: Comparison, path: Path, inputs: str, numbers: Sequence[Number] = ()) -> None:

@@ -229,7 +229,7 @@ def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) 
         "position": q - q.mean(),
         "time": t - t.mean(),
     }
-    if axis.kind == "rotary" or axis.ratio != 1.0:  # a direct drive has no motor turn
+    if axis.drive != "direct":
         regressors |= {"motor turn (sin)": np.sin(angle), "motor turn (cos)": np.cos(angle)}
     if view.trace.has(name, axis.effort):
         regressors["current"] = view.trace.get(name, axis.effort)[index]

@@ -5,7 +5,7 @@ The corrected machine is simulated with and without a contribution. The differen
     tool point    RMS of the true tool point in the part frame, including motion that no encoder measures
     position      RMS of the true position of the contribution's axis
     signals       RMS of the recorded signals of the axis: position, motor position, current
-    times noise   RMS over all axes, runs and these signals, in multiples of their noise
+    times noise   RMS over all runs and those of these signals that were recorded, in multiples of their noise
 
 Contributions overlap. `alone` is the same difference for the nominal machine with this contribution only. The root sum of squares of all
 contributions is the combined change if they are independent. If it is larger than the combined change, contributions partly cancel; if it is
@@ -30,8 +30,8 @@ from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.gap import LEAST_NOISE, SignalGap, gap_unit, is_moving, sensor_noise
-from twin.units import AXIS_UNITS
+from twin.simulation.gap import SignalGap, gap_unit, is_moving
+from twin.units import AXIS_UNITS, plain
 
 SIGNALS = ("position", "motor_position", "current")
 """Signals of a row; its multiple of noise is taken over them."""
@@ -125,7 +125,7 @@ def budget_of(
     retuned: bool = True,
 ) -> Budget:
     """The budget over the motion of `views`. `residual` is the position residual of the corrected machine in each run (None: not measured), `noise`
-    the noise of each axis and signal [SI]. `retuned` False leaves out the rows of re-tuned parameters.
+    the noise of each recorded signal [SI]. `retuned` False leaves out the rows of re-tuned parameters.
     """
     parts = [part for part in _parts(machine, corrected, states) if retuned or part.kind != "re-tuned"]
     tool = ToolPoint(machine)
@@ -244,8 +244,9 @@ def _row(
     worst = max(range(len(out)), key=lambda i: out[i].largest)
     axis = part.axis if part.axis in machine.axis_names else part.moved[0]
     signals = {signal: float(np.sqrt(np.average([c.signals.get((axis, signal), 0.0) for c in out], weights=samples))) for signal in SIGNALS}
-    over_noise = [square / _noise(machine, noise, a, signal) ** 2 for c in out for (a, signal), square in c.signals.items()]
-    places = len(machine.axes) * len(SIGNALS) * len(out)
+    # a signal that was not recorded has no noise to compare with
+    over_noise = [square / noise[key] ** 2 for c in out for key, square in c.signals.items() if key in noise]
+    places = max(len(noise) * len(out), 1)
     return Row(
         kind=part.kind,
         name=part.name,
@@ -266,8 +267,8 @@ def _row(
 def overlap_text(budget: dict[str, Any]) -> str:
     """Overlap of the contributions in `budget` of diagnosis.json, in words."""
     return (
-        f"combined change {budget['explained']:.3g} um; removed one at a time {budget['one_out']:.3g} um (root sum of "
-        f"squares), added one at a time {budget['one_in']:.3g} um"
+        f"combined change {plain(budget['explained'])} um; removed one at a time {plain(budget['one_out'])} um (root sum of "
+        f"squares), added one at a time {plain(budget['one_in'])} um"
     )
 
 
@@ -292,13 +293,6 @@ def noise_of(gaps: Mapping[str, Mapping[str, Mapping[str, SignalGap]]], machine:
             if levels:
                 found[axis.name, signal] = float(np.sqrt(np.mean(np.square(levels)))) / gap_unit(axis, name)[1]
     return found
-
-
-def _noise(machine: Machine, noise: Mapping[tuple[str, str], float], axis: str, signal: str) -> float:
-    """Noise of a signal [SI]; if it was not recorded or is zero, that of its sensor."""
-    own = machine.axis(axis)
-    name = own.recorded_as(signal)
-    return noise.get((axis, signal)) or sensor_noise(machine, own, name) or LEAST_NOISE.get(name, LEAST_NOISE["current"])
 
 
 def _rms(squares: Sequence[float], samples: np.ndarray) -> float:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import itertools
-import math
 from typing import Any
 
 import numpy as np
 
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.fit import no_effect
-from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.diagnose.tuning import tuning_from
@@ -22,7 +20,8 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import Motion
-from twin.simulation.gap import REALISATIONS, Job, Prediction, SignalGap, gap_of, predict_each
+from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_each
+from twin.simulation.gap_level import Gaps
 
 FEWER_REALISATIONS = 2
 """Realisations of noise in a quick look, which uses the decoupled plant only."""
@@ -86,60 +85,9 @@ class HeldOut:
         """Predicted trace of each run after correction."""
         return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
-    def levels(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[str, float]:
-        """RMS of gap over noise of each axis in motion before or after correction, over runs and signals."""
-        of_axis: dict[str, list[float]] = {}
-        for (axis, _), gaps in self._gaps(machine, runs, which).items():
-            of_axis.setdefault(axis, []).extend(g.times_noise_moving**2 for g in gaps)
-        return {axis: float(np.sqrt(np.mean(squares))) for axis, squares in of_axis.items()}
-
-    def signal_levels(self, machine: Machine, runs: Sequence[MeasuredRun]) -> dict[tuple[str, str], float]:
-        """RMS of gap over noise in motion after correction, over runs, by axis and signal."""
-        return {key: float(np.sqrt(np.mean([g.times_noise_moving**2 for g in gaps]))) for key, gaps in self._gaps(machine, runs).items()}
-
-    def _gaps(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> dict[tuple[str, str], list[SignalGap]]:
-        """Gaps with known noise before or after correction, by axis and signal, one per run."""
-        found: dict[tuple[str, str], list[SignalGap]] = {}
-        for run in runs:
-            for axis, signals in gap_of(machine, run, self.predictions[which][run.name]).items():
-                for signal, g in signals.items():
-                    if g.noise > 0.0:
-                        found.setdefault((axis, signal), []).append(g)
-        return found
-
-
-def is_worse(axes: Sequence[str], before: Mapping[str, float], after: Mapping[str, float], thresholds: Thresholds = DEFAULT) -> bool:
-    """Does the correction increase the gap of these axes by more than chance? `before` and `after`: gap over noise by axis."""
-    was, now = (float(np.hypot.reduce([level for axis, level in of.items() if axis in axes] or [0.0])) for of in (before, after))
-    return now > was + thresholds.worse_by_chance
-
-
-def loudest(levels: Mapping[tuple[str, str], float]) -> dict[str, float]:
-    """Largest gap over noise of each axis; `levels` by axis and signal."""
-    return {axis: max(level for (of, _), level in levels.items() if of == axis) for axis, _ in levels}
-
-
-def remaining_share(before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float], axes: Collection[str]) -> float:
-    """Geometric mean over the signals of these axes of (after / before)^2: gaps over noise by axis and signal, at least 1.
-
-    The geometric mean compares relative changes. In a sum of squares, the random duration of one stiction could outweigh a signal that a law
-    explains completely. Signals within noise before and after do not count; 1 if there is no other.
-    """
-    changes = [
-        math.log(max(1.0, after[key]) / max(1.0, level)) for key, level in before.items() if key[0] in axes and max(level, after[key]) > 1.0
-    ]
-    return math.exp(2.0 * float(np.mean(changes))) if changes else 1.0
-
-
-def worse_signals(
-    before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float], thresholds: Thresholds = DEFAULT
-) -> list[tuple[str, str]]:
-    """Signals that a law makes worse, as (axis, signal): `before` and `after` are the gaps over noise without and with the law.
-
-    A law of the wrong kind may close the gap of one signal and open one in another that the machine explained without it.
-    """
-    limit = thresholds.signal_worse
-    return [key for key, level in after.items() if level > limit * max(1.0, before.get(key, math.inf))]
+    def gaps(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> Gaps:
+        """Gaps before or after correction: run -> axis -> signal."""
+        return {run.name: gap_of(machine, run, self.predictions[which][run.name]) for run in runs}
 
 
 def held_out_gaps(

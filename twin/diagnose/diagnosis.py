@@ -13,8 +13,8 @@ import numpy as np
 from twin.diagnose.budget import Budget, document_of
 from twin.diagnose.corrected import normal_imperfections
 from twin.diagnose.fit import Sizes
+from twin.diagnose.judgement import explained
 from twin.diagnose.law.laws import Law
-from twin.diagnose.law.step import gap_remains
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
@@ -27,7 +27,8 @@ from twin.effects import Setting
 from twin.machine.commented import ASSUMED, TRIED, assumed_values
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
-from twin.simulation.gap import COMPARED, Prediction, SignalGap
+from twin.simulation.gap import COMPARED, Prediction
+from twin.simulation.gap_level import Gaps, levels, overall
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Diagnosis:
     found: list[GroupState]
     settings: list[tuple[Setting, GroupState, float]]
     where: list[dict[str, Any]]
-    gaps: dict[str, dict[str, dict[str, dict[str, SignalGap]]]]  # before/after -> run -> axis -> signal
+    gaps: Mapping[str, Gaps]  # before and after correction
     held_out: list[str]
     proposal: Proposal
     notes: list[str] = field(default_factory=list)
@@ -50,7 +51,7 @@ class Diagnosis:
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[Law, ...] = ()
-    without_laws: Mapping[str, float] = field(default_factory=dict)  # gap over noise of each axis after correction without laws
+    without_laws: Mapping[str, float] = field(default_factory=dict)  # level of each axis after correction without laws
     decided: bool = True  # False: a quick look found no effect but a gap remains
 
     @property
@@ -60,7 +61,7 @@ class Diagnosis:
 
     def document(self) -> dict[str, Any]:
         """The document of `diagnosis.json`."""
-        before, after = self._pooled("before"), self._pooled("after")
+        before, after = (overall(self.levels[which]) for which in ("before", "after"))
         return {
             "verdict": self.verdict,
             **({} if self.decided else {"decided": False}),
@@ -72,7 +73,7 @@ class Diagnosis:
                 "before": before,
                 "after": after,
                 "noise_floor": 1.0,  # unit of the other gaps
-                "unit": "RMS over axes and signals, in multiples of what noise alone makes",
+                "unit": "RMS over axes and signals in motion, in multiples of what noise alone makes",
                 "retuning_share": retuning_share(self.waterfall),
                 "held_out_runs": self.held_out,
                 "axes": self._axis_gaps(),
@@ -115,36 +116,22 @@ class Diagnosis:
         rows = []
         for found in self.found:
             for axis in found.group.axes:
-                level = self.axis_level("after", axis)
-                if axis in self.axes and level > self.thresholds.unexplained_gap and self.budget is not None:
+                level = self.levels["after"].get(axis, 1.0)
+                if level > self.thresholds.unexplained_gap and self.budget is not None:
                     block, law = largest_remaining_block(found, axis)
                     tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
         return sorted(rows, key=lambda row: -row["times_noise"])
 
-    def axis_level(self, which: str, axis: str, *, in_motion: bool = False) -> float:
-        """RMS over runs and signals of gap over noise of one axis, of whole runs or in motion only."""
-        values = [
-            (g.times_noise_moving if in_motion else g.rms / g.noise) ** 2
-            for run, axes in self.gaps[which].items()
-            for name, signals in axes.items()
-            if name == axis
-            for g in signals.values()
-            if g.noise > 0 and g.rms > 0
-        ]
-        return float(np.sqrt(np.mean(values))) if values else 1.0
+    @cached_property
+    def levels(self) -> dict[str, dict[str, float]]:
+        """Level of each diagnosed axis, 'before' and 'after' correction. How an axis rests that never moves is chance."""
+        diagnosed = {c.axis for state in self.found for c in state.group.channels} or set(self.machine.axis_names)
+        return {which: {axis: level for axis, level in levels(gaps).items() if axis in diagnosed} for which, gaps in self.gaps.items()}
 
-    def explained(self, axes: Collection[str], *, in_motion: bool = False) -> float:
-        """1 - (after^2 - floor^2) / (before^2 - floor^2) summed over axes, on held-out runs; clipped to 0 to 1."""
-        before, after = (
-            sum(max(self.axis_level(which, axis, in_motion=in_motion) ** 2 - 1.0, 0.0) for axis in axes) for which in ("before", "after")
-        )
-        return max(0.0, min(1.0, 1.0 - after / max(before, 1e-9)))
-
-    def gap_remains(self, axis: str) -> bool:
-        """Does the correction leave so much of an axis' gap in motion that its effects do not explain it?"""
-        before, after = (self.axis_level(which, axis, in_motion=True) for which in ("before", "after"))
-        return gap_remains(before, after)
+    def explained(self, axes: Collection[str]) -> float:
+        """Share of the gap on these axes that the correction closes on held-out runs."""
+        return explained(self.levels["before"], self.levels["after"], axes)
 
     @property
     def axes(self) -> list[str]:
@@ -154,14 +141,10 @@ class Diagnosis:
     @cached_property
     def waterfall(self) -> list[tuple[str, float]]:
         """Gap after each step of the correction, see `twin.diagnose.waterfall`."""
-        after = {axis: self.axis_level("after", axis) ** 2 for axis in self.axes}
+        before, after = ({axis: level**2 for axis, level in self.levels[which].items()} for which in ("before", "after"))
         with_laws = {law.axis: after[law.axis] for law in self.laws if law.axis in after}
-        without = after | {axis: self.without_laws[axis] ** 2 for axis in with_laws}
-        ends = {axis: (self.axis_level("before", axis) ** 2, without[axis]) for axis in self.axes}
+        ends = {axis: (before[axis], self.without_laws[axis] ** 2 if axis in with_laws else after[axis]) for axis in before}
         return waterfall(self.found, ends, self.machine.parameter_tolerance, {s.key for s, _, _ in self.settings}, with_laws)
-
-    def _pooled(self, which: str) -> float:
-        return float(np.sqrt(np.mean([self.axis_level(which, axis) ** 2 for axis in self.axes]))) if self.axes else 1.0
 
     def _axis_gaps(self) -> dict[str, Any]:
         out: dict[str, Any] = {}

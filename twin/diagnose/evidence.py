@@ -13,6 +13,7 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.force_balance import MOTION
 from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
+from twin.simulation.gap_level import levels
 
 BLOCKS_NEED = {
     "position controller": (),  # seen through its channel, see `_is_seen`
@@ -108,28 +109,19 @@ def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list
             width = min(len(square), max(2, round(stretch_s / run.trace.period)))
             energy = np.convolve(square, np.ones(width), mode="valid")
             at = int(np.argmax(energy))
-            level = gap.rms / gap.noise
-            if best is None or level > best[0]:
-                best = level, Stretch(axis, run.name, float(run.trace.time[at]), float(run.trace.time[at + width - 1]), block)
+            if best is None or gap.times_noise > best[0]:
+                best = gap.times_noise, Stretch(axis, run.name, float(run.trace.time[at]), float(run.trace.time[at + width - 1]), block)
     return [best[1]] if best else []
 
 
 def run_levels(diagnosis: Diagnosis) -> tuple[list[str], list[tuple[str, list[tuple[float, float] | None]]]]:
-    """Axes, and per run the gap over noise of each axis before and after correction; None if the axis did not move."""
+    """Axes, and per run the level of each axis before and after correction; None if the axis did not move."""
     axes = [a for a in diagnosis.machine.axis_names if any(run.trace.moves(a) for run in diagnosis.campaign.runs)]
     rows = []
     for run in diagnosis.campaign.runs:
-        cells: list[tuple[float, float] | None] = []
-        for axis in axes:
-            levels = [_level(diagnosis.gaps[which][run.name].get(axis, {})) for which in ("before", "after")]
-            cells.append((levels[0], levels[1]) if run.trace.moves(axis) and all(levels) else None)
-        rows.append((run.name, cells))
+        before, after = (levels({run.name: diagnosis.gaps[which][run.name]}) for which in ("before", "after"))
+        rows.append((run.name, [(before[a], after[a]) if run.trace.moves(a) and a in before and a in after else None for a in axes]))
     return axes, rows
-
-
-def _level(signals: dict[str, Any]) -> float:
-    values = [(g.rms / g.noise) ** 2 for g in signals.values() if g.noise > 0 and g.rms > 0]
-    return float(np.sqrt(np.mean(values))) if values else 0.0
 
 
 def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:

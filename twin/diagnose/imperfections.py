@@ -13,7 +13,7 @@ from twin.diagnose.drive_train import with_drive_train
 from twin.diagnose.observe import Group, Variation, channels_of, noise_seed
 from twin.diagnose.settings import Thresholds
 from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_groups
-from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, tuned
+from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, can_be_imperfect, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -59,7 +59,8 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     above_noise = channels_above_noise(group, remaining)
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
     elastic = [a for a in group.axes if above_noise & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
-    tried = [Nuisance(a, "elasticity", t) for a in elastic] + [Nuisance(a, "slip", t) for a in group.axes if shows_slip(above_noise, a)]
+    slipping = [a for a in group.axes if can_be_imperfect(machine, a, "slip") and shows_slip(above_noise, a)]
+    tried = [Nuisance(a, "elasticity", t) for a in elastic] + [Nuisance(a, "slip", t) for a in slipping]
     current = plain
     for nuisance in tried:
         trials = functools.partial(_at_shares, current, group, machine, nuisance, residual, mapper)

@@ -13,8 +13,7 @@ from twin.diagnose.budget import budget_of, noise_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.encoder_zeros import notes_of_zeros, with_common_zeros, without_zeros
-from twin.diagnose.law.step import ALL_BUT, LOUD
+from twin.diagnose.judgement import LOUD, above_noise, final_verdict
 from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
@@ -31,7 +30,8 @@ from twin.effects import Setting, settings_of, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
-from twin.simulation.gap import gap_of
+from twin.simulation.encoder_zeros import clear_zeros, notes_of_zeros, with_common_zeros, zeros_left
+from twin.simulation.gap_level import levels_at_rest_too
 from twin.simulation.recorded_noise import with_recorded_noise
 
 
@@ -58,15 +58,16 @@ def diagnose(
     check_campaign(campaign, machine, thresholds)
     machine, of_noise = with_recorded_noise(machine, campaign.runs)
     nominal = with_effects(machine, [])
-    runs, zeros = with_common_zeros(campaign.runs, nominal, thresholds)
+    runs, zeros = with_common_zeros(campaign.runs, nominal)
     campaign = replace(campaign, runs=runs)
     folds = folds_of(len(campaign.runs))
     setup = Setup(machine, nominal, folds, quick, seed, threads or os.cpu_count() or 1, thresholds, progress or (lambda _: None))
 
     views, states = _searched(setup, campaign)
-    records, views, fitted_zeros = _without_fitted_zeros(setup, campaign, views, states)
+    records = Records(runs, [view.motion for view in views])
     correction = with_laws(setup, records, validated(setup, records, states))
-    diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, fitted_zeros | zeros)
+    zeros = clear_zeros(zeros_left(runs, nominal, correction.held_out.traces), nominal) | zeros
+    diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, zeros)
     diagnosis = replace(diagnosis, notes=[*diagnosis.notes, *of_noise])
     diagnosis = _with_verdict(setup, diagnosis)
     by_certainty = [setting for setting, _, _ in diagnosis.settings]
@@ -98,16 +99,6 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
     return views, [state for axes in groups if (state := results[axes])]
 
 
-def _without_fitted_zeros(
-    setup: Setup, campaign: Campaign, views: Sequence[RunView], states: Sequence[GroupState]
-) -> tuple[Records, list[RunView], dict[str, float]]:
-    """Runs and views without the encoder zeros that the states fitted, and the largest clear zero of each axis [m or rad]."""
-    offsets = {key: offset for state in states for key, offset in state.zeros.items()}
-    runs, clear = without_zeros(campaign.runs, setup.nominal, offsets, setup.thresholds)
-    views = [replace(view, trace=run.trace) for view, run in zip(views, runs)]
-    return Records(runs, [view.motion for view in views], frozenset(axis for axis, _ in offsets)), views, clear
-
-
 def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[str, float]) -> Diagnosis:
     """The diagnosis before verdict, budget and places are final: effects of the corrected machine, gaps and notes."""
     machine, states, held_out = setup.machine, correction.states, correction.held_out
@@ -123,10 +114,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
         found=states,
         settings=settings,
         where=[],
-        gaps={
-            which: {run.name: gap_of(machine, run, predictions[run.name]) for run in campaign.runs}
-            for which, predictions in held_out.predictions.items()
-        },
+        gaps={which: held_out.gaps(machine, campaign.runs, which) for which in held_out.predictions},
         held_out=held_out.runs,
         proposal=propose(machine, states, verdict),
         notes=_notes(setup, campaign, correction, zeros),
@@ -179,34 +167,28 @@ def kept_in(
 
 
 def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
-    """The diagnosis with the verdict that the held-out gaps in motion allow: 'unknown' if too much remains, 'law' if laws explain almost all.
-
-    At rest the gap depends on where each axis stuck, which no effect explains.
-    """
-    states, verdict = diagnosis.found, diagnosis.verdict
-    above = any(diagnosis.axis_level("after", axis, in_motion=True) > setup.thresholds.undecided for axis in diagnosis.axes)
-    keeps = any(diagnosis.gap_remains(axis) for state in states for axis in state.group.axes)
-    if (verdict == "none" and above) or (verdict == "effect" and keeps):
+    """The diagnosis with the verdict that the held-out gaps allow."""
+    before, after = diagnosis.levels["before"], diagnosis.levels["after"]
+    verdict = final_verdict(diagnosis.verdict, before, after, bool(diagnosis.laws), setup.thresholds)
+    if verdict == "unknown" != diagnosis.verdict:
         # a quick look skips axes whose blocks show no more than noise, so that a gap there is not examined
-        decided = not (setup.quick and verdict == "none")
-        proposal = propose(setup.machine, states, "unknown") if states else diagnosis.proposal
-        diagnosis = replace(diagnosis, decided=decided, verdict="unknown", proposal=proposal)
-    if diagnosis.verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.settings):
-        diagnosis = replace(diagnosis, verdict="none")
-    if diagnosis.laws and diagnosis.explained(diagnosis.axes, in_motion=True) >= 1.0 - ALL_BUT:
-        diagnosis = replace(diagnosis, verdict="law")
-    return replace(diagnosis, notes=[*diagnosis.notes, *_notes_at_rest(diagnosis)])
+        decided = not (setup.quick and diagnosis.verdict == "none")
+        proposal = propose(setup.machine, diagnosis.found, "unknown") if diagnosis.found else diagnosis.proposal
+        diagnosis = replace(diagnosis, decided=decided, proposal=proposal)
+    if verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.settings):
+        verdict = "unknown" if diagnosis.laws else "none"
+    return replace(diagnosis, verdict=verdict, notes=[*diagnosis.notes, *_notes_at_rest(diagnosis)])
 
 
 def _notes_at_rest(diagnosis: Diagnosis) -> list[str]:
     """Axes whose remaining gap lies at rest."""
     notes = []
-    for axis in diagnosis.axes:
-        whole, moving = (diagnosis.axis_level("after", axis, in_motion=only) for only in (False, True))
-        if whole > LOUD and moving < 0.5 * whole:
+    moving = diagnosis.levels["after"]
+    for axis, whole in levels_at_rest_too(diagnosis.gaps["after"]).items():
+        if axis in moving and whole > LOUD and moving[axis] < 0.5 * whole:
             notes.append(
-                f"axis {axis}: {moving:.1f} x noise remains in motion and {whole:.1f} x noise over whole runs; where an axis sticks after a motion"
-                " depends on its history"
+                f"axis {axis}: {moving[axis]:.1f} x noise remains in motion and {whole:.1f} x noise over whole runs; where an axis sticks after a"
+                " motion depends on its history"
             )
     return notes
 
@@ -233,7 +215,7 @@ def _with_places(setup: Setup, diagnosis: Diagnosis, effects: Sequence[Setting])
     """The diagnosis with the places of the gap; unchanged for the verdict 'none'. Laws, then `effects`, claim the blocks in this order."""
     if diagnosis.verdict == "none":
         return diagnosis
-    weights = {axis: max(diagnosis.axis_level("before", axis) ** 2 - 1.0, 0.0) for axis in setup.machine.axis_names}
+    weights = {axis: above_noise(level) for axis, level in diagnosis.levels["before"].items()}
     setup.progress("locating the gap")
     claims = [*(law.setting for law in diagnosis.laws), *effects]
     return replace(diagnosis, where=places(diagnosis.found, claims, setup.machine, weights, setup.threads))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+import shlex
 from typing import Any
 
 import jinja2
@@ -25,7 +26,7 @@ from twin.diagnose.wording import (
 from twin.effects import EFFECTS
 from twin.files import write_whole
 from twin.report.stamp import made_line
-from twin.units import ARCSEC
+from twin.units import ARCSEC, plain
 
 CANDIDATES_SHOWN = 12
 STRETCHES_SHOWN = 3
@@ -33,11 +34,11 @@ STRETCHES_SHOWN = 3
 
 def write_report(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
     """Write the page. Raises InputError if the file cannot be written."""
-    write_whole(path, report_page(diagnosis, document))
+    write_whole(path, report_page(diagnosis, document, path.parent))
 
 
-def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
-    """The page as HTML."""
+def report_page(diagnosis: Diagnosis, document: dict[str, Any], folder: Path = Path()) -> str:
+    """The page as HTML; `folder` holds the corrected machine."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("twin.diagnose", "."),
         autoescape=True,
@@ -46,7 +47,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters.update(
-        percent=percent, times=times, effect_title=effect_title, parameters=parameters_of, sentence_case=sentence_case
+        percent=percent, plain=plain, times=times, effect_title=effect_title, parameters=parameters_of, sentence_case=sentence_case
     )
     axes, blocks = blocks_map(diagnosis, document)
     run_axes, runs = run_levels(diagnosis)
@@ -54,6 +55,7 @@ def report_page(diagnosis: Diagnosis, document: dict[str, Any]) -> str:
         document=document,
         made=made_line(),
         campaign=diagnosis.campaign,
+        corrected=shlex.quote(str(folder / "machine.toml")),
         machine=diagnosis.machine,
         seconds=sum(float(run.trace.time[-1] - run.trace.time[0]) for run in diagnosis.campaign.runs),
         verdict=verdict_sentence(document, numbers=True),

@@ -24,6 +24,7 @@ from twin.report import figure_svg
 from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.gap import gap_unit, is_moving, sensor_noise
 from twin.simulation.two_encoders import has_both, motor_minus_scale
+from twin.units import plain
 
 MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"
 NOISE, CLOSED = "#8b929c", "#b9d3f0"
@@ -60,7 +61,8 @@ def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
     total = levels[0] ** 2 - levels[-1] ** 2
     for i in range(1, len(steps) if total > WORTH_A_SHARE else 0):
         share = (levels[i - 1] ** 2 - levels[i] ** 2) / total
-        ax.text(i, max(levels[i - 1], levels[i]) + 0.02 * top, f"{-100 * share:+.0f} %", ha="center", fontsize=9.5, color=CORRECTED)
+        closed = percent(share) if share >= 0.0 else f"+{percent(-share)}"
+        ax.text(i, max(levels[i - 1], levels[i]) + 0.02 * top, closed, ha="center", fontsize=9.5, color=CORRECTED)
     labels = [fill(label, max(9, 76 // (len(steps) + 1))) for label in (*(label for label, _ in steps), "corrected machine")]
     ax.set_xticks(range(len(labels)), labels, fontsize=8.5 if len(labels) < 7 else 7.5)
     ax.set_ylim(0.0, 1.16 * top)
@@ -102,7 +104,7 @@ def budget_figure(budget: dict[str, Any]) -> Figure:
         ax.text(budget["floor"], -0.75, " noise floor", color="#5c636d", fontsize=8, va="center")
     ends = dict(enumerate((row["high"] for row in shown), start=1))
     for i, value in enumerate(values):
-        ax.text(max(value, ends.get(i, 0.0)), i, f"  {value:.3g} um", va="center", fontsize=8.5, color=MEASURED)
+        ax.text(max(value, ends.get(i, 0.0)), i, f"  {plain(value)} um", va="center", fontsize=8.5, color=MEASURED)
     ax.set_yticks(range(len(names)), names, fontsize=8.5)
     ax.set_ylim(len(names) - 0.4, -1.1)
     ax.set_xlim(0.0, 1.14 * max(*values, budget.get("floor", 0.0), 1e-9))
@@ -176,8 +178,11 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
         ax.set_ylabel(f"{label} [{unit}]", fontsize=9)
     signal = _gap_signal(run.trace, axis, stretch.block)
     unit, factor = gap_unit(axis, signal)
-    noise = sensor_noise(diagnosis.machine, axis, signal) * factor
-    parts[-1].axhspan(-2 * noise, 2 * noise, color="#d5dae1", zorder=0, label="noise of the sensor (95 %)")
+    scatter = diagnosis.predictions["after"][run.name].scatter[axis.name, signal]
+    noise = 2.0 * factor * np.hypot(scatter, sensor_noise(diagnosis.machine, axis, signal))[shown]
+    parts[-1].fill_between(
+        time, -noise, noise, color="#d5dae1", zorder=0, linewidth=0, label="noise: sensor, and the motion it causes (95 %)"
+    )
     for name, colour, trace in series[1:]:
         difference = (run.trace.get(axis.name, signal) - trace.get(axis.name, signal)) * factor
         if signal == axis.effort:

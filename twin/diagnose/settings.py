@@ -48,15 +48,6 @@ class Thresholds:
         1e-4, "share of the speed", "model error of a control law; a law fitted by hand to a real control deviates by 3e-5 of the top speed"
     )
 
-    zero_least: float = _of(20.0, "encoder noises", "constant difference of two encoders from which their zeros differ")
-    zero_constant: float = _of(
-        0.25, "share", "standard deviation within a run, over the largest difference, up to which the difference is constant"
-    )
-    zero_by_trend: float = _of(
-        0.9, "share", "variance between runs explained by time and position from which it is an effect (drift, lead error)"
-    )
-
-    trend_runs: int = _of(5, "runs", "runs from which a trend over time and place, which has three parameters, is tested")
     followed: float = _of(0.8, "share", "share of motor minus scale that the motion of other axes explains if one of them pushes this axis")
     pushed: float = _of(5.0, "encoder noises", "motion of motor minus scale from which an axis at rest counts as pushed")
 

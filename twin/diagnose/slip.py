@@ -18,7 +18,7 @@ from twin.diagnose.fit import fit_effects, no_effect
 from twin.diagnose.imperfections import channels_above_noise, moved_to, shows_slip
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import Nuisance, tuned
+from twin.diagnose.tolerance import Nuisance, can_be_imperfect, tuned
 from twin.diagnose.tuning import stacked_columns
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -39,7 +39,7 @@ def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> G
     """
     if state.tuning.spread <= 0.0 or state.fit.loss > state.thresholds.small_residual * state.group.expected_loss:
         return state
-    for slip in [Nuisance(axis, "slip", state.thresholds) for axis in state.group.axes]:
+    for slip in [Nuisance(axis, "slip", state.thresholds) for axis in state.group.axes if can_be_imperfect(machine, axis, "slip")]:
         residual = state.fit.residual(state.group) / state.group.weights
         if slip in state.tuning.nuisances or shows_slip(channels_above_noise(state.group, residual), slip.owner):
             state = _sized(state, machine, slip, mapper)

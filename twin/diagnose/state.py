@@ -85,7 +85,6 @@ class GroupState:
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round
     not_visible: Mapping[Key, float] | None = None  # invisible effects: multiple of the usual size from which each is visible
-    zeros: Mapping[tuple[str, int], float] = field(default_factory=dict)  # axis and run -> constant motor encoder minus scale [m or rad]
     unknown: bool = False  # is there a residual that no effect explains?
     response_cache: dict[str, CachedResponse | TwinError] = field(default_factory=dict, repr=False, compare=False)
 

@@ -87,6 +87,11 @@ def _damped(machine: Machine, owner: str, factor: float) -> Machine:
     return with_effects(machine, changed)
 
 
+def can_be_imperfect(machine: Machine, axis: str, quantity: str) -> bool:
+    """Whether an axis can have a normal imperfection. Slip precedes break-away, so an axis without Coulomb friction has none."""
+    return quantity != "slip" or machine.axis(axis).coulomb_friction > 0.0
+
+
 def normal_slip(axis: Axis, thresholds: Thresholds) -> float:
     """Largest normal travel before break-away [m, rad]."""
     return thresholds.normal_slip_linear_m if axis.kind == "linear" else math.radians(thresholds.normal_slip_rotary_arcsec / 3600.0)
@@ -102,7 +107,9 @@ def _softest(machine: Machine, axis: Axis, quantity: str, thresholds: Thresholds
 def is_normal(machine: Machine, setting: Setting, thresholds: Thresholds) -> bool:
     """Whether a setting is a normal imperfection: a spring that is no softer than the softest normal one."""
     kind = setting.effect.normal
-    return bool(kind) and setting.parameters["stiffness"] >= _softest(machine, machine.axis(setting.axis), kind, thresholds)
+    if not kind or not can_be_imperfect(machine, setting.axis, kind):
+        return False
+    return bool(setting.parameters["stiffness"] >= _softest(machine, machine.axis(setting.axis), kind, thresholds))
 
 
 def spring_of(settings: Sequence[Setting], axis: str) -> Setting | None:

@@ -42,7 +42,7 @@ class Tuning:
     prior_weight: float = DEFAULT.prior_weight
     further: np.ndarray = field(default_factory=lambda: np.zeros(0))  # prior weight of each further column
     narrower: Tuning | None = field(default=None, repr=False)  # the tuning that this one extends by further columns
-    _products: list[np.ndarray] = field(default_factory=list, repr=False, compare=False)
+    _products: dict[tuple[tuple[tuple[int, int], ...], ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         # tunings share columns: a change in place would change another state
@@ -51,7 +51,8 @@ class Tuning:
 
     def products(self, runs: Sequence[Sequence[slice]]) -> np.ndarray:
         """J'J over the rows of each run (run, column, column); cached. `runs` are the row slices of each run."""
-        if not self._products:
+        key = tuple(tuple((rows.start, rows.stop) for rows in slices) for slices in runs)
+        if key not in self._products:
             n = self.jacobian.shape[1]
             known = self.narrower.products(runs) if self.narrower else np.zeros((len(runs), 0, 0))
             k = known.shape[1]
@@ -62,8 +63,8 @@ class Tuning:
                     new = self.jacobian[rows, k:]
                     out[run, :, k:] += self.jacobian[rows].T @ new
                 out[run, k:, :k] = out[run, :k, k:].T
-            self._products.append(out)
-        return self._products[0]
+            self._products[key] = out
+        return self._products[key]
 
     @property
     def prior(self) -> np.ndarray:

@@ -6,53 +6,39 @@ keep the values of the machine file. `with_laws` then looks for unlisted laws an
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
 
-from twin.diagnose.corrected import (
-    HeldOut,
-    corrected_machine,
-    held_out_gaps,
-    is_worse,
-    loudest,
-    remaining_share,
-    uncorrected,
-    worse_signals,
-)
-from twin.diagnose.encoder_zeros import at_rest_without_zeros, without_zeros, zeros_left
+from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, uncorrected
+from twin.diagnose.judgement import ALL_BUT, gap_remains, is_worse, loudest, remaining_share, unexplained_share, worse_signals
 from twin.diagnose.law.acceptance import LEAST_CLOSED
 from twin.diagnose.law.laws import Laws
-from twin.diagnose.law.step import ALL_BUT, find_unlisted_laws, gap_remains, many_effects_explain, predictions_with_laws, unexplained_share
+from twin.diagnose.law.step import find_unlisted_laws, many_effects_explain, predictions_with_laws
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import Motion
+from twin.simulation.encoder_zeros import aligned
+from twin.simulation.gap_level import levels, signal_levels
 
 Runs = Sequence[MeasuredRun]
 
 
 @dataclass(frozen=True)
 class Records:
-    """Measured runs without the fitted encoder zeros, their nominal motions, and the axes for which a zero was fitted."""
+    """Measured runs and their nominal motions."""
 
     runs: tuple[MeasuredRun, ...]
     motions: Sequence[Motion]
-    axes_with_zeros: frozenset[str]
-
-    def aligned(self, nominal: Machine, held_out: HeldOut, law_axes: Collection[str] = ()) -> tuple[MeasuredRun, ...]:
-        """The runs without the encoder zeros that a prediction leaves: at rest, and in every run for `law_axes`."""
-        remaining = zeros_left(self.runs, nominal, held_out.traces, law_axes)
-        runs, _ = without_zeros(self.runs, nominal, remaining)
-        return at_rest_without_zeros(runs, nominal, held_out.traces, self.axes_with_zeros)
 
 
 @dataclass(frozen=True)
 class Validated:
-    """A correction with its predictions of held-out runs; `before` and `after` are the gaps over noise of each axis there."""
+    """A correction with its predictions of held-out runs; `before` and `after` are the levels of each axis there."""
 
     runs: tuple[MeasuredRun, ...]  # aligned with the predictions
     states: list[GroupState]
@@ -70,14 +56,14 @@ def validated(setup: Setup, records: Records, states: list[GroupState]) -> Valid
 
     def predicted(of: Sequence[GroupState]) -> tuple[HeldOut, tuple[MeasuredRun, ...]]:
         held_out = held_out_gaps(records.runs, records.motions, nominal, of, setup.folds, engine=not setup.quick, threads=setup.threads)
-        return held_out, records.aligned(nominal, held_out)
+        return held_out, aligned(records.runs, nominal, held_out.traces)
 
     held_out, runs = predicted(states)
-    before, after = (held_out.levels(machine, runs, which) for which in ("before", "after"))
+    before, after = (levels(held_out.gaps(machine, runs, which)) for which in ("before", "after"))
     if any(worse := [is_worse(s.group.axes, before, after, setup.thresholds) for s in states]):
         states = [uncorrected(s) if w else s for s, w in zip(states, worse)]
         held_out, runs = predicted(states)
-        after = held_out.levels(machine, runs, "after")
+        after = levels(held_out.gaps(machine, runs))
     states = [replace(s, unknown=s.unknown and not many_effects_explain(s, before, after)) for s in states]
     return Validated(runs, states, held_out, before, after, corrected_machine(machine, states))
 
@@ -92,7 +78,7 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
             validated.states,
             validated.before,
             validated.after,
-            loudest(validated.held_out.signal_levels(setup.machine, validated.runs)),
+            loudest(signal_levels(validated.held_out.gaps(setup.machine, validated.runs))),
             setup.nominal,
             validated.corrected,
             setup.folds,
@@ -114,7 +100,7 @@ def _as_probable_as_complete(correction: Validated, machine: Machine) -> Validat
     """
     if correction.laws is None:
         return correction
-    after = correction.held_out.levels(machine, correction.runs)
+    after = levels(correction.held_out.gaps(machine, correction.runs))
     closed = {axis: 1.0 - min(unexplained_share(before, after[axis]), 1.0) for axis, before in correction.before.items() if axis in after}
     laws = tuple(replace(law, probability=min(law.probability, closed[law.axis])) for law in correction.laws.laws)
     return replace(correction, laws=replace(correction.laws, laws=laws))
@@ -124,7 +110,7 @@ def _closes_the_gap(correction: Validated, machine: Machine) -> bool:
     """Whether laws leave no considerable gap on any of their axes. Other weights of the samples then find no better laws."""
     if correction.laws is None:
         return False
-    after = correction.held_out.levels(machine, correction.runs)
+    after = levels(correction.held_out.gaps(machine, correction.runs))
     return not any(gap_remains(correction.before[law.axis], after[law.axis]) for law in correction.laws.laws)
 
 
@@ -137,9 +123,8 @@ def _with(laws: Laws, setup: Setup, records: Records, validated: Validated) -> t
     if predicted is None:
         return math.inf, validated
     axes = {law.axis for law in laws.laws}
-    # the encoder zeros are as free without the laws as with them
-    runs, runs_without = (records.aligned(setup.nominal, of, axes) for of in (predicted, held_out))
-    without, with_them = held_out.signal_levels(machine, runs_without), predicted.signal_levels(machine, runs)
+    runs = aligned(records.runs, setup.nominal, predicted.traces)
+    without, with_them = signal_levels(held_out.gaps(machine, validated.runs)), signal_levels(predicted.gaps(machine, runs))
     if worse_signals(without, with_them, setup.thresholds):
         return math.inf, validated
     share = remaining_share(without, with_them, axes)

@@ -67,7 +67,6 @@ def with_zeros_out(state: GroupState) -> GroupState:
     group, count = state.group, len(state.tuning.nuisances)
     columns, theta = state.tuning.jacobian[:, count:], state.fit.tuning[count:]
     offset = columns @ theta / group.weights
-    zeros = {(c.axis, c.run): float(offset[c.rows][0]) for c in group.channels if c.name == "motor_minus_scale"}
 
     def shifted(of: Group) -> Group:
         return replace(of, channels=[replace(c, residual=c.residual - offset[c.rows]) for c in of.channels])
@@ -75,7 +74,7 @@ def with_zeros_out(state: GroupState) -> GroupState:
     group, rigid = shifted(state.group), shifted(state.rigid)
     tuning = np.concatenate([state.fit.tuning[:count], np.zeros(len(theta))])
     fit = replace(state.fit, tuning=tuning, loss=state.tuning.loss(group.residual - state.fit.response))
-    return replace(state, group=group, rigid=rigid, fit=fit, retuned=no_effect(group, state.tuning), zeros=zeros)
+    return replace(state, group=group, rigid=rigid, fit=fit, retuned=no_effect(group, state.tuning))
 
 
 def is_unknown(state: GroupState) -> bool:

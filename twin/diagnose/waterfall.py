@@ -1,58 +1,63 @@
-"""The gap step by step: machine file, re-tuned within tolerance, with each effect, with the unlisted laws.
+"""The gap step by step: machine file, re-tuned within tolerance and with its normal imperfections, with each effect, with the unlisted laws.
 
 The levels of the machine file and of the corrected machine, without and with unlisted laws, are measured on held-out runs. The levels in
-between are interpolated by the fit.
-With E the mean square residual over noise of an axis in the fit, step k of the axis has
+between are interpolated by the fit. With E the mean square residual over noise of an axis in the fit, step k of the axis has
 
     level_k^2 = after^2 + (E_k - E_end) / (E_0 - E_end) (before^2 - after^2)
 
-and the gap is the root mean square over the axes.
+and the gap is the root mean square over the axes. E_0 is that of the machine file, which has no normal imperfections. The last step of
+each axis has its measured level.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+import math
 
 import numpy as np
 
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.fit import Fit
+from twin.diagnose.observe import Group
 from twin.diagnose.state import GroupState, Key
 from twin.diagnose.wording import effect_title
+from twin.simulation.gap_level import overall
 
 Ends = Mapping[str, tuple[float, float]]
-"""Axis -> squared gap over noise before and after correction."""
+"""Axis -> squared level before and after correction."""
 
 
 def waterfall(
-    state: Sequence[GroupState], ends: Ends, tolerance: float, kept: Collection[Key], with_laws: Mapping[str, float] | None = None
+    states: Sequence[GroupState], ends: Ends, tolerance: float, kept: Collection[Key], with_laws: Mapping[str, float] | None = None
 ) -> list[tuple[str, float]]:
     """Gap in multiples of noise: before, re-tuned, after each effect, with unlisted laws. The last level is the gap that remains.
 
-    `state` holds the final state of each group of axes, `tolerance` that of the machine's parameters (a fraction), `kept` the effects that no law replaced. `ends` are without
-    laws; `with_laws` holds the squared gap over noise that remains on axes with laws.
+    `states` holds the final state of each group of axes, `tolerance` that of the machine's parameters (a fraction), `kept` the effects that no
+    law replaced. `ends` are without laws; `with_laws` holds the squared level that remains on axes with laws.
     """
+    with_laws = with_laws or {}
+    effects = {state.group.axes: _accepted(state, kept) for state in states}
     current = {axis: before for axis, (before, _) in ends.items()}
     steps: list[tuple[str, float]] = []
 
-    def step(label: str, found: GroupState | None = None, fit: Fit | None = None) -> None:
-        if found is not None:
-            current.update(_levels_after(found, fit, ends))
-        square = float(np.mean(list(current.values()))) if current else 1.0
+    def step(label: str, now: Mapping[str, float]) -> None:
+        current.update(now)
         if steps and steps[-1][0] == label:
             steps.pop()
-        steps.append((label, float(np.sqrt(square))))
+        steps.append((label, overall({axis: math.sqrt(square) for axis, square in current.items()})))
 
-    step("machine file")
-    for found in state:
-        step("re-tuned within tolerance", found, retuned_within(found, tolerance))
+    step("machine file", {})
+    for state in states:
+        now = _levels_after(state, retuned_within(state, tolerance), ends)
+        # without a later step of its own, an axis ends here
+        ended = {axis: ends[axis][1] for axis in now if not effects[state.group.axes] and axis not in with_laws}
+        step("re-tuned within tolerance", now | ended)
     # groups of axes are independent: the one whose effects close most comes first
-    for found in sorted(state, key=lambda f: sum(ends[a][1] - ends[a][0] for a in f.group.axes if a in ends)):
-        for label, fit in _accepted(found, kept):
-            step(label, found, fit)
-    for axis, square in (with_laws or {}).items():
-        current[axis] = square
-        step(f"unlisted law {axis}")
+    for state in sorted(states, key=lambda f: sum(ends[a][1] - ends[a][0] for a in f.group.axes if a in ends)):
+        for label, fit in effects[state.group.axes]:
+            step(label, _levels_after(state, fit, ends))
+    for axis, square in with_laws.items():
+        step(f"unlisted law {axis}", {axis: square})
     return steps
 
 
@@ -62,9 +67,10 @@ def retuning_share(steps: Sequence[tuple[str, float]]) -> float:
     return min(max((levels[0] - levels[1]) / (levels[0] - 1.0), 0.0), 1.0) if len(levels) > 1 and levels[0] > 1.0 else 0.0
 
 
-def _levels_after(state: GroupState, fit: Fit | None, ends: Ends) -> dict[str, float]:
+def _levels_after(state: GroupState, fit: Fit, ends: Ends) -> dict[str, float]:
     """Squared level of each axis of a group after a step, interpolated between the measured ends."""
-    first, now, last = (_axis_squares(state, f) for f in (None, fit, state.fit))
+    first = _squares_by_axis(state.rigid, state.rigid.residual)
+    now, last = (_squares_by_axis(state.group, _left_by(state, f)) for f in (fit, state.fit))
     out = {}
     for axis, (before, after) in ends.items():
         if axis in now:
@@ -88,16 +94,18 @@ def _accepted(state: GroupState, kept: Collection[Key]) -> list[tuple[str, Fit]]
     return [*steps[:-1], (steps[-1][0], state.fit)] if steps else []
 
 
-def _axis_squares(state: GroupState, fit: Fit | None) -> dict[str, float]:
-    """Mean square residual over noise of each axis over runs and measured signals; `fit` None: the nominal machine."""
-    residual = state.group.residual.copy()
-    if fit is not None:
-        residual -= fit.response
-        # a later round may have other normal imperfections, so that the coefficients belong to other nuisances
-        same_nuisances = len(fit.tuning) == state.tuning.jacobian.shape[1]
-        residual -= fit.retuning if same_nuisances else state.tuning.jacobian @ state.tuning.solve(residual)
+def _left_by(state: GroupState, fit: Fit) -> np.ndarray:
+    """Residual (row,) that a fit leaves, weighted."""
+    residual: np.ndarray = state.group.residual - fit.response
+    # a later round may have other normal imperfections, so that the coefficients belong to other nuisances
+    same_nuisances = len(fit.tuning) == state.tuning.jacobian.shape[1]
+    return residual - (fit.retuning if same_nuisances else state.tuning.jacobian @ state.tuning.solve(residual))
+
+
+def _squares_by_axis(group: Group, residual: np.ndarray) -> dict[str, float]:
+    """Mean square over noise of a residual (row,), weighted, of each axis over runs and measured signals."""
     squares: dict[str, list[float]] = {}
-    for channel in state.group.channels:
+    for channel in group.channels:
         if channel.name != "controller":  # motor_minus_scale represents the motor encoder
             normed = residual[channel.rows] / channel.weight / channel.sigma
             squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))

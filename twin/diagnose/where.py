@@ -33,6 +33,7 @@ def places(
     noticeable share of the gap in position or current (`share_of_gap`).
     """
     listed: list[dict[str, Any]] = []
+    levels: dict[tuple[str, str], float] = {}
     least = max((f.thresholds.place_share for f in states), default=0.0) * max(weights.values(), default=0.0)
     with ThreadPoolExecutor(threads) as pool:
         for f in states:
@@ -44,11 +45,12 @@ def places(
             for axis, block in sorted({(b.axis, b.block) for b in residuals}):
                 parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
                 share = share_of_gap(f.rigid, axis, block, parts)
-                level = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
-                if level > f.thresholds.noticed_square and share > f.thresholds.place_share:
-                    listed.append(_place(group, axis, block, parts, share, level))
+                square = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
+                levels[axis, block] = float(np.sqrt(square))
+                if square > f.thresholds.noticed_square and share > f.thresholds.place_share:
+                    listed.append(_place(group, axis, block, parts, share, levels[axis, block]))
     for setting in settings:
-        _assign_effect(listed, setting, machine)
+        _assign_effect(listed, setting, machine, levels)
     _merge_echoes(listed, states[0].thresholds.echo if states else 0.0)
     # an axis has the weight of its gap, divided among its blocks by their shares
     for axis in {p["axis"] for p in listed}:
@@ -80,10 +82,11 @@ def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
     return block, _scales_with(group, axis, parts[block])
 
 
-def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Machine) -> None:
+def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Machine, levels: Mapping[tuple[str, str], float]) -> None:
     """Assign an effect to a listed place on its axis, and name the place after the block of the effect.
 
-    An effect without a matching place is listed as a new one with the share `LEAST_SHARE`.
+    An effect without a matching place is listed as a new one with the share `LEAST_SHARE`, and with the level of its block if the block was
+    measured. `levels` holds the residual over noise by axis and block.
     """
     block, axis = setting.effect.block, setting.axis
     # two P controllers in series are recorded as one law
@@ -113,7 +116,7 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
             "scales_with": "-",
             "regime": "all",
             "runs": [],
-            "level": 1.0,
+            **({"level": levels[axis, block]} if (axis, block) in levels else {}),
             "effect": setting.effect.name,
         }
     )
@@ -152,7 +155,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
         "scales_with": _scales_with(group, axis, parts),
         "regime": _regime(group, axis, parts),
         "runs": named,
-        "level": float(np.sqrt(level)),
+        "level": level,
         "stretch": {"run": view.name, "from_s": float(view.trace.time[start]), "to_s": float(view.trace.time[stop])},
         "band_hz": _band(top, view.trace.period),
     }

@@ -81,14 +81,14 @@ def where_text(place: dict[str, Any]) -> str:
 
 
 def headline_number(entry: dict[str, Any]) -> str:
-    """The first parameter of an effect with few digits: '12.6 um'."""
-    for name, p in entry["parameters"].items():
-        return interval_text(p["unit"], p["value"], p["value"], p["value"], _parameter(entry, name))[0]
-    return ""
+    """The first parameter of an effect: '12.6 um'."""
+    return next((p["value"] for p in parameters_of(entry)), "")
 
 
 def percent(share: float) -> str:
-    """A share in per cent; never 0 % or 100 % by rounding."""
+    """A share in per cent, of either sign; never 0 % or 100 % by rounding."""
+    if share < 0.0:
+        return f"-{percent(-share).removeprefix('< ')}" if share <= -0.005 else "0 %"
     if 0.0 < share < 0.005:
         return "< 1 %"
     if 0.995 < share <= 1.0:

@@ -104,8 +104,8 @@ def law_value(p, s, x, axis, in_the_middle):  # type: ignore[no-untyped-def]
         u -= p[P_PERIOD] * math.floor(u / p[P_PERIOD])
     shape = int(p[P_SHAPE])
     y = filtered(shape, u, p[HEAD:], s[FIRST_FREE:], s[S_STARTED] == 0.0) - u if shape >= LAG else value_of(shape, u, p[HEAD:])
-    if shape == JITTER:  # an ideal sensor gives no digits: a fixed sequence, tick by tick
-        digits = row[X_NOISE] if row[X_NOISE] != 0.0 else math.sin(round(row[X_TIME] / h) + 1.0)
+    if shape == JITTER:  # an ideal sensor gives no digits: a fixed sequence, tick by tick, of its own on each axis
+        digits = x[axis, X_NOISE] if x[axis, X_NOISE] != 0.0 else math.sin((round(row[X_TIME] / h) + 1.0) * math.sqrt(axis + 1.5))
         y *= gaussian_of(digits)
     if p[P_MEMORY] > 0.0:
         if s[S_STARTED] == 0.0:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.encoder_zeros import without_zeros, zeros_left
 from twin.documents import read_json_table, read_toml
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
@@ -22,7 +21,9 @@ from twin.files import write_whole
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace
-from twin.simulation.gap import Prediction, SignalGap, gap_of, predict_campaign
+from twin.simulation.encoder_zeros import aligned
+from twin.simulation.gap import Prediction, gap_of, predict_campaign
+from twin.simulation.gap_level import Gaps, levels, overall
 
 from .answer import FAILED, MACHINE, read_answer
 from .draw import Case, truth_of, write_campaign
@@ -45,8 +46,6 @@ NOT_DIAGNOSED: dict[str, Any] = {
     "budget": None,
 }
 """Mark of a case without a diagnosis: wrong in every respect."""
-
-Gaps = dict[str, dict[str, dict[str, SignalGap]]]
 
 
 def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict[str, Any]:
@@ -175,11 +174,10 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     """Gap on the exam's own runs, as a multiple of noise: `before` and `after` correction, and for comparison:
 
     floor         difference of two recordings of this machine, divided by sqrt 2
-    true_effects  gap of the twin with the true parameters and effects; missing where encoders keep their zero, which the twin does not model
+    true_effects  gap of the twin with the true parameters and effects
     size          change of the twin's signals by the true effects alone
 
-    `after` is missing if the corrected machine cannot be simulated. Where encoders keep their zero, the constant offset between the two
-    encoders in each run is removed first, as in a diagnosis.
+    `after` is missing if the corrected machine cannot be simulated. Differences of the encoders' zeros are no gap, as in a diagnosis.
     """
     machine = load_machine(machine_file)
     runs, again = (
@@ -189,28 +187,25 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     scatter = {name: prediction.scatter for name, prediction in before.items()}
 
     def gaps_of(traces: Mapping[str, Trace]) -> Gaps:
-        recorded = runs
-        if case.encoder_zero != "each run":
-            recorded, _ = without_zeros(runs, machine, zeros_left(runs, machine, traces, machine.axis_names))
-        return {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in recorded}
+        return {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in aligned(runs, machine, traces)}
 
     def level_of(traces: Mapping[str, Trace]) -> float:
-        return _level(gaps_of(traces))
+        return overall(levels(gaps_of(traces)))
 
     out: dict[str, Any] = {"before": level_of(_traces(before)), "floor": level_of({run.name: run.trace for run in again}) / math.sqrt(2.0)}
     answer = place / "answer" / MACHINE
     if answer.exists():
         with contextlib.suppress(TwinError):
             out["after"] = level_of(_traces(predict_campaign(load_machine(answer), runs, realisations=REALISATIONS)))
-    if not truth["outside"] and case.encoder_zero == "each run":
+    if not truth["outside"]:
         exact = gaps_of(_traces(predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)))
-        out |= {"true_effects": _level(exact), "true_effects_position": _position_um(exact)}
+        out |= {"true_effects": overall(levels(exact)), "true_effects_position": _position_um(exact)}
     if truth["effect"]:
         with_effect = predict_campaign(with_effects(machine, truth["effect"]), runs, realisations=REALISATIONS)
         alone = {run.name: gap_of(machine, replace(run, trace=with_effect[run.name].trace), before[run.name]) for run in runs}
         axes = {e["axis"] for e in truth["effect"]}
-        levels = [g.rms / g.noise for run in alone.values() for axis, s in run.items() if axis in axes for g in s.values() if g.noise > 0]
-        out["size"] = float(np.sqrt(np.mean(np.square(levels)))) if levels else 0.0
+        of_them = {axis: level for axis, level in levels(alone).items() if axis in axes}
+        out["size"] = overall(of_them) if of_them else 0.0
     return out
 
 
@@ -227,12 +222,6 @@ def _recorded(case: Case, folder: Path, machine: Machine, machine_file: str) -> 
 
 def _traces(predictions: Mapping[str, Prediction]) -> dict[str, Trace]:
     return {name: prediction.trace for name, prediction in predictions.items()}
-
-
-def _level(gaps: Gaps) -> float:
-    """RMS over runs, axes and signals of gap over noise."""
-    ratios = [g.rms / g.noise for run in gaps.values() for signals in run.values() for g in signals.values() if g.noise > 0 and g.rms > 0]
-    return float(np.sqrt(np.mean(np.square(ratios))))
 
 
 def _position_um(gaps: Gaps) -> dict[str, float]:

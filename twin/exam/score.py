@@ -240,7 +240,8 @@ def label_of(m: Mark) -> str:
 def answer_of(m: Mark) -> str:
     """Label of the answer; the right effect on another axis gets a label of its own."""
     if m["verdict"] != "effect" or not m["named"]:
-        return {"unknown": "outside the library", "effect": "none"}.get(m["verdict"], str(m["verdict"]))
+        outside = dict.fromkeys(("unknown", "law"), label_of({"outside": True}))
+        return {**outside, "effect": "none"}.get(m["verdict"], str(m["verdict"]))
     name, axis = m["named"][0]
     same = any(t[0] == name for t in m["true"])
     return name if [name, axis] in m["true"] or not same else f"{name}, other axis"

@@ -120,6 +120,12 @@ def slides_above(axis: Axis) -> float:
     return SLIDING_M_PER_S if axis.drive == "direct" else SLIDING_RAD_PER_S
 
 
+def control_inertia(axis: Axis) -> float:
+    """J_ff [kg m2 at the motor]. Identification starts from a machine that has it written down (`with_commissioned_inertia`)."""
+    assert axis.commissioned_inertia is not None
+    return axis.commissioned_inertia
+
+
 @dataclass(frozen=True)
 class _Signals:
     """Recorded signals of an axis by name, each shifted by the lateness of its channel."""
@@ -258,7 +264,7 @@ def _torque_feedforward(axis: Axis, run: MeasuredRun, setpoint: CubicSpline, sta
     if run.feedforward in ("off", "velocity"):
         return np.zeros(len(start))
     s = [setpoint(np.clip(start - k * cycle, 0.0, setpoint.x[-1])) for k in range(3)]
-    return (axis.commissioned_inertia or 0.0) * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
+    return control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
 
 
 def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[np.ndarray, dict[str, float]]:

@@ -36,6 +36,7 @@ from twin.identify.recording import prepare_recording
 from twin.identify.result import Identification, Parameter
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.simulation.lanes import with_commissioned_inertia
 from twin.simulation.recorded_noise import measurement_values
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import recorded_setpoints
@@ -66,6 +67,7 @@ def identify_campaign(
         raise InputError(
             f"{campaign.path}: run {by_bar[0]}: a ballbar measures the radius only, which identifies no parameter; give it to 'twin diagnose'"
         )
+    machine = with_commissioned_inertia(machine)
     recording = prepare_recording(machine, campaign)
     division = divide_runs(machine, recording.runs)
     if not any(r is not None and (r.current is not None or r.speed_setpoint is not None) for a in recording.axis_runs.values() for r in a):

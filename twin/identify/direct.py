@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from twin.identify import tilting_pair
-from twin.identify.axis_run import AxisRun
+from twin.identify.axis_run import AxisRun, control_inertia
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import ITERATIONS, MeanCurrent, Rows, fit_linear
 from twin.identify.drive_balance import NAMES as LINEAR_NAMES
@@ -64,8 +64,8 @@ def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, pr
         else:
             out.position[axis.name] = position
         if any(r.current is not None for r in here):
-            start = axis.commissioned_inertia or axis.rotor_inertia_kg_m2
-            out.current[axis.name] = MeanCurrent.start(machine, axis, here, start, _partners(machine, axis, runs))  # type: ignore[arg-type]
+            partners = _partners(machine, axis, runs)
+            out.current[axis.name] = MeanCurrent.start(machine, axis, here, control_inertia(axis), partners)  # type: ignore[arg-type]
     _one_interpolation(machine, moving, out)
     for axis in machine.axes:
         if axis.name in out.position:
@@ -150,10 +150,10 @@ def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs 
     twins = [z for r, z in zip(runs[axis.name], simulated[axis.name]) if r is not None] if simulated else []
     delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
     mean = out.current[axis.name]
-    known = fast_loop_of(machine, axis, axis.commissioned_inertia or axis.rotor_inertia_kg_m2)
+    known = fast_loop_of(machine, axis, control_inertia(axis))
     found = fit_speed_control(axis, here, [_commanded(axis, r, mean.of(r)) for r in here], mean.fit.loop, delay, twins, known)
     if found is not None:
-        doubt = mean.inertia_deviation / (axis.commissioned_inertia or np.inf)
+        doubt = mean.inertia_deviation / control_inertia(axis)
         deviations = {**found.deviations, "torque_feedforward": float(np.hypot(found.deviations["torque_feedforward"], doubt))}
         out.speed[axis.name] = replace(found, deviations=deviations)
 

@@ -222,7 +222,7 @@ class DriveResiduals:
         """File values for a total inertia at the motor: rotor and load scale together, or the part that the file has changes."""
         axis = self.machine.axis(name)
         load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
-        if axis.rotor_inertia_kg_m2 > 0.0 and axis.drive != "direct":
+        if axis.rotor_inertia_kg_m2 > 0.0:
             # keep the shares of rotor and load if the load is known
             share = load / (load + axis.rotor_inertia_kg_m2) if axis.moving_mass_kg is not None else 0.0
             out: dict[str, object] = {path_of(axis, "rotor_inertia"): inertia * (1.0 - share) if share else max(inertia - load, 1e-12)}
@@ -234,7 +234,7 @@ class DriveResiduals:
     def fits_rotor(self, name: str) -> bool:
         """Is `inertia` that of the rotor alone, beside a load whose inertia is that of the model?"""
         axis = self.machine.axis(name)
-        return "inertia" in self.fields[name] and axis.moving_mass_kg is None and axis.drive != "direct" and axis.rotor_inertia_kg_m2 > 0.0
+        return "inertia" in self.fields[name] and axis.moving_mass_kg is None and axis.rotor_inertia_kg_m2 > 0.0
 
     def residuals(self, x: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]] | None:
         """Measured less simulated on the training rows, by axis and signal, in units of the signal's range; None if it diverges."""

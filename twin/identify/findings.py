@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.identify.axis_run import AxisRun, slides_above
+from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent, hardly_accelerates
 from twin.identify.position_control import linearised, loop_position
@@ -128,11 +128,11 @@ def _velocity_weight(axis: Axis, run: AxisRun) -> float | None:
 
 def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     """Weight of the torque feedforward in one run: residual of the current after the machine file's PI law, projected on the feedforward."""
-    if run.speed_setpoint is None or run.current is None or axis.commissioned_inertia is None:
+    if run.speed_setpoint is None or run.current is None:
         return None
     from twin.identify.speed_control import regressors
 
-    loop = fast_loop_of(machine, axis, axis.commissioned_inertia)
+    loop = fast_loop_of(machine, axis, control_inertia(axis))
     kt = loop.control_torque_constant
     columns, y = regressors(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
     kp = axis.loops.speed_gain_nm_s_per_rad
@@ -185,7 +185,7 @@ def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[Ch
         add_skew("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
     if seen.current is not None and not hardly_accelerates(axis, [seen]):  # friction alone gives no timing
         # the mean current of a cycle, corrected with the machine file's saw-tooth, belongs to the acceleration at mid-cycle
-        mean_current = MeanCurrent.start(machine, axis, [seen], axis.commissioned_inertia or axis.rotor_inertia_kg_m2).of(seen)
+        mean_current = MeanCurrent.start(machine, axis, [seen], control_inertia(axis)).of(seen)
         assert mean_current is not None
         jerk = np.gradient(f(seen.acceleration), seen.cycle)[rows]
         turning = [f(np.cos(seen.axis_position))[rows], f(np.sin(seen.axis_position))[rows]] if axis.kind == "rotary" else []

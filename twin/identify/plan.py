@@ -33,6 +33,7 @@ from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
+from twin.simulation.lanes import with_commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, check_travel
 from twin.units import AXIS_UNITS
@@ -230,6 +231,7 @@ PREDICTED = (
 
 def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[str], None] | None) -> list[tuple[Parameter, float, float]]:
     """Parameter, relative half interval of the law, and that of the scatter of one round, from one and two simulated rounds."""
+    machine = with_commissioned_inertia(machine)
     seen: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}
     quiet: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}  # noise-free: the instruments
     halves: list[dict[tuple[str, str], Parameter]] = []

@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 
 from twin.effects.change import upward
 from twin.identify import tilting_pair
+from twin.identify.axis_run import control_inertia
 from twin.identify.direct import Balance, Direct
 from twin.machine.machine import Machine
 from twin.machine.toleranced import field_value, inertia_of, path_of
@@ -149,7 +150,7 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
     mass = index.get(path_of(axis, "moving_mass"))
     load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
     if axis.moving_mass_kg is None:
-        load = max((axis.commissioned_inertia or 0.0) - axis.rotor_inertia_kg_m2, 0.0)
+        load = max(control_inertia(axis) - axis.rotor_inertia_kg_m2, 0.0)
     vertical = is_vertical(machine, name)
 
     def single(x: np.ndarray) -> np.ndarray:

@@ -213,11 +213,14 @@ def _gap(result: Identification, picture: Figure | None) -> Section:
 def _signals(result: Identification) -> Section:
     rows = [[c.axis, c.signal, f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.skews]
     before, after = (m.document.get("measurement", {}) for m in (result.before, result.machine))
-    noise = [[k, f"{before[k]:.4g}", f"{after[k]:.4g}"] for k in before if "noise" in k]
+    noise = [[k, f"{before[k]:.4g}", f"{after[k]:.4g}"] for k in before if "noise" in k and after[k] != before[k]]
     return Section(
         "Recording",
         [
             "Skew of each channel against the scale, the current against the acceleration; below 0.4 ms a current's skew cannot be separated from the current loop."
         ],
-        tables=[Table(["axis", "channel", "late [us]", "95 %"], rows, left=2), Table(["measuring noise", "file", "measured"], noise)],
+        tables=[
+            Table(["axis", "channel", "late [us]", "95 %"], rows, left=2),
+            Table(["measuring noise, from standstills", "file", "measured"], noise),
+        ],
     )

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from twin.identify.axis_run import AxisRun
+from twin.identify.axis_run import AxisRun, control_inertia
 from twin.identify.between_samples import FastLoop
 from twin.identify.drive_balance import mean_of, simulated_torque_weight
 from twin.machine.machine import Axis
@@ -66,7 +66,7 @@ def fit_speed_control(
     kept = [
         (r, i, z) for r, i, z in zip(runs, mean_current, twins) if r.speed_setpoint is not None and i is not None and np.ptp(r.angle) > 1.0
     ]
-    if not kept or axis.commissioned_inertia is None:
+    if not kept:
         return None
     kt = loop.control_torque_constant
     rows, y, clusters, instruments = [], [], [], []
@@ -154,7 +154,7 @@ def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, de
     mean_angle = 0.5 * (run.angle[1:] + run.angle[:-1]) - np.gradient(turned / tp, tp) * tp**2 / 12.0 - run.angle[0]
     integral = before + 0.5 * tp * run.speed_setpoint - mean_angle + early * run.speed
     s = [run.setpoint_at(run.start - delay - k * tp) for k in range(3)]
-    feedforward = (axis.commissioned_inertia or 0.0) * (s[0] - 2.0 * s[1] + s[2]) / tp**2 / axis.ratio
+    feedforward = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / tp**2 / axis.ratio
     # lag of the current loop's integrator behind the voltage: s / (1 + Tni s), trapezoidal rule
     change = np.gradient(current, tp)
     voltage = loop.inductance * np.gradient(change, tp) + loop.resistance * change + loop.back_emf * run.acceleration

@@ -93,6 +93,7 @@ class Loops:
 class Axis:
     """One axis in SI: positions in m or rad at the axis, torques and inertias at the motor.
 
+    drive                         screw, gear or direct: what turns the motor into motion of the axis (keys of `twin.machine.parameters`)
     ratio                         axis units per motor radian: lead / 2 pi (screw), 1 / gear ratio (gear), 1 (direct)
     commissioned_torque_constant  [Nm/A] by which the control divides torques; the motor's own if the file omits it
     constant_torque_nm            steady load against +q: counterbalance, hoses, cable drag
@@ -109,6 +110,7 @@ class Axis:
 
     name: str
     kind: str
+    drive: str
     travel: tuple[float, float]
     max_velocity: float
     max_acceleration: float
@@ -132,13 +134,6 @@ class Axis:
     mode_frequency_hz: float = 0.0
     mode_mass_share: float = 0.0
     mode_damping_ratio: float = 0.0
-
-    @property
-    def drive(self) -> str:
-        """Drive as in `twin.machine.parameters`: screw, gear or direct."""
-        if self.kind == "rotary":
-            return "gear"
-        return "direct" if self.ratio == 1.0 else "screw"
 
     @property
     def has_current_loop(self) -> bool:
@@ -199,7 +194,8 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         table = sinumerik.with_plain_keys(table, where)
     structure = _word(table, "structure", keys.STRUCTURES, where)
     words = {key: _word(table, key, allowed, where) for key, allowed in keys.WORDS.items()}
-    direct = _word(table, "drive", keys.DRIVES[kind], where) == "direct"
+    drive = _word(table, "drive", keys.DRIVES[kind], where)
+    direct = drive == "direct"
     if checked:
         _check_keys(name, kind, direct, structure, table, where)
     plain = keys.canonical(table) if direct else table
@@ -226,6 +222,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     return Axis(
         name=name,
         kind=kind,
+        drive=drive,
         travel=_travel(table, kind, where),
         motor=motor,
         loops=Loops(**loops),

@@ -141,7 +141,7 @@ def _travel(axis: Axis) -> str:
 
 def _gear(axis: Axis) -> str:
     if axis.kind == "linear":
-        return "-" if axis.ratio == 1.0 else _g(axis.ratio * 2.0 * math.pi * 1e3)
+        return "-" if axis.drive == "direct" else _g(axis.ratio * 2.0 * math.pi * 1e3)
     return _g(1.0 / axis.ratio)
 
 

@@ -157,10 +157,10 @@ def _campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
 
 
 def _gap(case: Case, machine: Machine) -> Outcome:
-    from twin.simulation.gap import gap_of_campaign
+    from twin.simulation.campaign_gap import gap
 
     with tempfile.TemporaryDirectory() as folder:
-        gaps = gap_of_campaign(machine, _campaign(case, machine, Path(folder)))
+        gaps = gap(_campaign(case, machine, Path(folder)), machine).runs
     features = {
         f"{axis}.{signal} gap in {run}": Feature(gap.rms, gap.unit, axis, "", gap.noise)
         for run, axes in gaps.items()

@@ -18,15 +18,17 @@ FINEST_BIN = 4
 """Length of the shortest bin [samples]."""
 JUMP = 0.02
 """A larger change between two samples, as a share of the curve's range, is a jump (unless there are many: then it is noise)."""
-SAME_LINE = 5e-4
+SAME_LINE = 1e-4
 """Largest distance of a dropped point from the line, as a share of the curve's range."""
 
 
 def decimate(curves: Sequence[tuple[np.ndarray, np.ndarray]], budget: int) -> list[np.ndarray]:
     """Indices to keep of each curve (time, values), at most about `budget` points in total.
 
-    Each curve keeps its two ends and its smallest and largest value.
+    All points are kept if they fit. Otherwise each curve keeps its two ends and its smallest and largest value.
     """
+    if sum(len(time) for time, _ in curves) <= budget:
+        return [np.arange(len(time)) for time, _ in curves]
     bins = [FINEST_BIN] * len(curves)
     kept = [thinned(time, values, FINEST_BIN) for time, values in curves]
     total = sum(map(len, kept))

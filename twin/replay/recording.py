@@ -38,7 +38,8 @@ POSES_PER_SECOND = 50.0
 """Rate at which poses of the bodies are logged [1/s]."""
 CURVE_POINTS_PER_MINUTE = 100_000
 """Points of all curves together; at 25 bytes each, half of the 5 MB allowed per minute."""
-LEAST_CURVE_POINTS = 15_000
+LEAST_CURVE_POINTS = 100_000
+"""The same for a short recording: all samples of five axes for some seconds."""
 STALLED_S = 5.0
 """A writer whose file does not grow for this time has stopped [s]."""
 

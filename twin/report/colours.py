@@ -49,8 +49,8 @@ ERROR_BANDS: tuple[Colour, ...] = (
 
 
 def axis_colour(axis: str, order: int = 0) -> Colour:
-    """Colour of an axis; for other names by `order`, its index in the machine."""
-    return AXIS_COLOURS.get(axis, _OTHER_AXES[order % len(_OTHER_AXES)])
+    """Colour of an axis, in either case of its letter; for other names by `order`, its index in the machine."""
+    return AXIS_COLOURS.get(axis.upper(), _OTHER_AXES[order % len(_OTHER_AXES)])
 
 
 def lighter(colour: Colour, part: float = 0.5) -> Colour:

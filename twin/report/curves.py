@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal
+from twin.report.colours import AXIS_COLOURS, SETPOINT_COLOUR, axis_colour, hexadecimal
 from twin.report.figure import new_figure
+from twin.units import plain
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 SETPOINT = "setpoint"
@@ -21,6 +23,12 @@ THIN = 1.2
 
 LABEL_WIDTH, LABEL_HEIGHT = 0.1, 0.12
 """Share of a panel that a peak label takes; labels of closer peaks are moved apart."""
+
+COLUMNS = 700
+"""Columns of a panel within which a line is not resolved."""
+
+LEAST_IN_COLUMN, LEAST_BAND = 3, 0.08
+"""Samples in a column, and mean range in a column as a share of the curve's range, above which a curve is drawn as a band."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +52,16 @@ class Panel:
 
 def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figure:
     """A figure of stacked panels over time (sample,) [s]; legends stand beside the panels."""
+    own = list(dict.fromkeys(curve.colour for panel in panels for curve in panel.curves if curve.colour.upper() not in AXIS_COLOURS))
     figure, grid = new_figure(len(panels), 1, height=1.7 if len(panels) > 1 else 2.6, sharex=True)
     for axes, panel in zip(grid[:, 0], panels):
         labelled: list[tuple[float, float]] = []  # in shares of the panel's width and height
         reach = 2.0 * max((float(np.max(np.abs(curve.values), initial=0.0)) for curve in panel.curves), default=0.0) or 1.0
         for curve in panel.curves:
             asked = curve.colour == SETPOINT
-            colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour))
-            axes.plot(time, curve.values, curve.dashes, color=colour, linewidth=WIDE if asked else THIN, label=curve.label or None)
+            order = own.index(curve.colour) if curve.colour in own else 0
+            colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour, order))
+            _draw(axes, time, curve, colour, WIDE if asked else THIN)
             if panel.peaks and len(curve.values):
                 worst = int(np.argmax(np.abs(curve.values)))
                 at, value = float(time[worst]), float(curve.values[worst])
@@ -60,7 +70,7 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figu
                 beside = sum(abs(place[0] - x) < LABEL_WIDTH and abs(place[1] - y) < LABEL_HEIGHT for x, y in labelled)
                 labelled.append(place)
                 axes.annotate(
-                    f"{abs(value):.3g} {panel.peaks}",
+                    f"{plain(abs(value))} {panel.peaks}",
                     (at, value),
                     (-8 if right else 8, beside * (11 if value < 0 else -11)),  # moved away from labels already there
                     textcoords="offset points",
@@ -78,3 +88,16 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figu
     grid[-1, 0].set_xlabel("time in s")
     figure.align_ylabels(grid[:, 0])
     return figure
+
+
+def _draw(axes: Axes, time: np.ndarray, curve: Curve, colour: str, width: float) -> None:
+    """A curve; one that swings many times within the width of a line as its moving mean in the band that it fills."""
+    values, each = curve.values, -(-len(curve.values) // COLUMNS)
+    if each >= LEAST_IN_COLUMN:
+        whole = len(values) // each * each
+        columns = values[:whole].reshape(-1, each)
+        low, high, middle = columns.min(axis=1), columns.max(axis=1), time[:whole].reshape(-1, each).mean(axis=1)
+        if float(np.mean(high - low)) > LEAST_BAND * float(np.ptp(values)):
+            axes.fill_between(middle, low, high, color=colour, alpha=0.3, linewidth=0)
+            time, values = middle, columns.mean(axis=1)
+    axes.plot(time, values, curve.dashes, color=colour, linewidth=width, label=curve.label or None)

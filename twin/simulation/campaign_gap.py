@@ -6,17 +6,21 @@ For every run, axis and signal the gap is the RMS of measured minus simulated, c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import html
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
-from twin.simulation.gap import COMPARED, SignalGap, gap_of_campaign
+from twin.simulation.encoder_zeros import aligned, clear_zeros, notes_of_zeros, with_common_zeros, zeros_left
+from twin.simulation.gap import COMPARED, SignalGap, compared_signals, gap_of, predict_campaign
+from twin.simulation.gap_level import Gaps
 from twin.simulation.recorded_noise import with_recorded_noise
 from twin.simulation.summary import table
+from twin.units import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,16 +51,17 @@ class CampaignGap:
 
     machine: str
     campaign: str
-    runs: Mapping[str, Mapping[str, Mapping[str, SignalGap]]]
-    notes: tuple[str, ...] = ()  # where the noise of the record is not that of the machine file
+    runs: Gaps
+    notes: tuple[str, ...] = ()  # where the noise of the record is not that of the machine file, or encoders have no common zero
 
     def rows(self) -> list[Outlier]:
         """Every signal with its gap over noise, largest first."""
         found = [
-            Outlier(run, axis, signal, gap, gap.rms / gap.noise if gap.noise > 0 else 0.0)
+            Outlier(run, axis, signal, gap, gap.times_noise)
             for run, axes in self.runs.items()
             for axis, signals in axes.items()
             for signal, gap in signals.items()
+            if gap.is_compared
         ]
         return sorted(found, key=lambda row: -row.times_noise)
 
@@ -76,7 +81,7 @@ class CampaignGap:
         good = [axis for axis in axes if axis in compared and axis not in worst]
         parts = [f"{listed(good)} as {'they' if len(good) > 1 else 'it'} should be"] if good else []
         parts += [
-            f"{axis} {row.times_noise:.3g} x noise in run {row.run} ({row.signal.replace('_', ' ')})"
+            f"{axis} {plain(row.times_noise)} x noise in run {row.run} ({row.signal.replace('_', ' ')})"
             for axis, row in sorted(worst.items(), key=lambda item: -item[1].times_noise)
         ]
         parts += [f"{listed(left)} not compared (no measured signal)"] if (left := [a for a in axes if a not in compared]) else []
@@ -91,7 +96,7 @@ class CampaignGap:
             for signal in shown:
                 rows = [row for row in self.rows() if (row.axis, row.signal) == (axis, signal)]
                 cells += (
-                    [f"{rows[0].gap.rms:.3g} {rows[0].gap.unit}", f"{rows[0].times_noise:.1f}", rows[0].run] if rows else ["-", "-", "-"]
+                    [f"{plain(rows[0].gap.rms)} {rows[0].gap.unit}", f"{rows[0].times_noise:.1f}", rows[0].run] if rows else ["-", "-", "-"]
                 )
             lines.append(cells)
         return table(["axis", *(text for s in shown for text in (s.replace("_", " "), "x noise", "in run"))], lines)
@@ -102,7 +107,9 @@ class CampaignGap:
         rows = []
         for run, axes in self.runs.items():
             for axis, signals in axes.items():
-                cells = [f"{g.rms:.3f} {g.max:.2f} {g.noise:.3f} {g.unit}" if (g := signals.get(s)) else "-" for s in shown]
+                cells = [
+                    f"{g.rms:.3f} {g.max:.2f} {g.noise:.3f} {g.unit}" if (g := signals.get(s)) and g.is_compared else "-" for s in shown
+                ]
                 rows.append([run, axis, *cells])
         return table(["run", "axis", *(s.replace("_", " ") for s in shown)], rows)
 
@@ -152,8 +159,15 @@ def gap(campaign: Campaign | str | Path, machine: Machine | None = None, *, prog
     """
     machine = machine or load_machine()
     known = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)
+    if not any(compared_signals(run.trace, axis) for run in known.runs for axis in machine.axes):
+        raise InputError(f"{known.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
     noisy, notes = with_recorded_noise(machine, known.runs)
-    return CampaignGap(machine.name, known.path.resolve().name, gap_of_campaign(noisy, known, progress=progress), tuple(notes))
+    runs, zeros = with_common_zeros(known.runs, noisy)
+    predictions = predict_campaign(noisy, runs, progress=progress)
+    traces = {name: prediction.trace for name, prediction in predictions.items()}
+    zeros = clear_zeros(zeros_left(runs, noisy, traces), noisy) | zeros
+    gaps = {run.name: gap_of(noisy, run, predictions[run.name]) for run in aligned(runs, noisy, traces)}
+    return CampaignGap(machine.name, known.path.resolve().name, gaps, (*notes, *notes_of_zeros(zeros, noisy)))
 
 
 def _entry(gap: SignalGap) -> dict[str, Any]:

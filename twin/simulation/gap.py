@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.effects import Change
-from twin.errors import InputError
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
 from twin.recordings.ballbar import FINEST, Ballbar
-from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.lanes import PlantInterface
@@ -63,6 +62,16 @@ class SignalGap:
     noise: float
     unit: str
     times_noise_moving: float
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether there were samples to compare: the effort of a resting axis has none."""
+        return self.rms > 0.0
+
+    @property
+    def times_noise(self) -> float:
+        """RMS of the whole run over noise; 0 without noise."""
+        return self.rms / self.noise if self.noise > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -182,16 +191,6 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
             )
         table[axis.name] = signals
     return table
-
-
-def gap_of_campaign(
-    machine: Machine, campaign: Campaign, progress: Callable[[str], None] | None = None
-) -> dict[str, dict[str, dict[str, SignalGap]]]:
-    """Gap of every run of a campaign: run -> axis -> signal."""
-    if not any(compared_signals(run.trace, axis) for run in campaign.runs for axis in machine.axes):
-        raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
-    predictions = predict_campaign(machine, campaign.runs, progress=progress)
-    return {run.name: gap_of(machine, run, predictions[run.name]) for run in campaign.runs}
 
 
 def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:

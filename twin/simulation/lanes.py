@@ -215,6 +215,14 @@ def commissioned_inertia(machine: Machine) -> np.ndarray:
     return np.where([value is None for value in known], home_inertia_at_motor(machine), np.array(known, float))
 
 
+def with_commissioned_inertia(machine: Machine) -> Machine:
+    """The machine with J_ff written down for every axis. A later change of its masses then leaves the control as it was commissioned."""
+    for axis, inertia in zip(machine.axes, commissioned_inertia(machine).tolist()):
+        if axis.commissioned_inertia is None:
+            machine = machine.with_axis(axis.name, commissioned_inertia=inertia)
+    return machine
+
+
 @dataclass(frozen=True)
 class LaneResults:
     """Results of lanes that have run in one loop; axes of all lanes in order.

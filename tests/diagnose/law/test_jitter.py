@@ -138,3 +138,14 @@ def test_a_machine_with_jitter_gets_the_law():
     assert law.setting.parameters["deviation_s"] == pytest.approx(TAU, rel=0.1)
     assert all(len(m.effects) == 1 for m in (laws.corrected, *laws.without_fold))
     assert "too early or too late" in sentence(law, SimpleNamespace(axis=X.axis))
+
+
+def test_ideal_sensors_of_two_axes_jitter_independently():
+    machine = load_machine().with_axes(["X", "Y"]).with_values({"measurement.linear_scale_noise_m": 0.0})
+    both = with_effects(machine, [JITTER, {**JITTER, "axis": "Y"}])
+    way = points().position
+    trace = simulate(both, Setpoints(np.hstack([way, way]), points().period)).without_noise
+    apart = [trace.get(axis, "position") - trace.get(axis, "motor_position") for axis in "XY"]
+    rows = np.abs(trace.get("X", "velocity")) > 0.05
+    x, y = (a[rows] / np.std(a[rows]) for a in apart)
+    assert max(abs(float(np.mean(x[k:] * y[: len(y) - k]))) for k in range(3)) < 5.0 / np.sqrt(rows.sum())

@@ -45,7 +45,7 @@ class Candidate:
 def candidates_of(samples: Samples, axis: Axis) -> Iterator[Candidate]:
     """All candidates for the residual of a block whose variables were recorded."""
     metre = 1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD
-    turns = axis.kind == "rotary" or axis.ratio != 1.0
+    turns = axis.drive != "direct"
     if samples.block == MECHANICS:
         # a friction is odd in the speed, a force even
         for variable in ("position", *(("turn",) if turns else ()), "speed", "time"):

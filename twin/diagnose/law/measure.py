@@ -308,8 +308,7 @@ def _is_harmonic_of_turn(period: float, span: float, axis: Axis) -> bool:
     """Whether a period over the position is a harmonic of the motor turn, within the resolution of the measured range."""
     each_turn = 2.0 * math.pi * axis.ratio / period
     turns = span / (2.0 * math.pi * axis.ratio)
-    direct = axis.kind == "linear" and axis.ratio == 1.0
-    return not direct and 1 <= round(each_turn) <= TURN_PIECES // 2 and abs(each_turn - round(each_turn)) * turns < 1.0
+    return axis.drive != "direct" and 1 <= round(each_turn) <= TURN_PIECES // 2 and abs(each_turn - round(each_turn)) * turns < 1.0
 
 
 FINEST_WAVE_M = 1e-5
