@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
-from twin.diagnose.cross_validation import beyond_tolerance
+from twin.diagnose.cross_validation import beyond_tolerance, bounded
 from twin.diagnose.state import excess_of
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import trial_of, tuning_from
@@ -78,3 +78,18 @@ def test_products_belong_to_the_runs_they_are_asked_for(drawn):
             runs = [[slice(a, b)] for a, b in itertools.pairwise(edges)]
             expected = [of.jacobian[a:b].T @ of.jacobian[a:b] for a, b in itertools.pairwise(edges)]
             np.testing.assert_allclose(of.products(runs), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_bounded_tuning_is_the_optimum_within_its_bounds(drawn):
+    """No coefficient inside its bounds, and none at a bound towards the inside, reduces the loss further; further columns are free."""
+    plain, column, residual = drawn
+    tuning = plain.with_free(np.column_stack([1e4 * column, 1e-3 * residual[::-1]]))
+    for tolerance in (1e-4, 0.01, 0.05, 10.0):
+        found = bounded(tuning, 30.0 * residual, np.zeros(4), tolerance)
+        bound = np.array([tolerance / SPREAD] * 2 + [np.inf] * 2)
+        slope = (tuning.jacobian.T @ (30.0 * residual) - tuning.normal @ found) / np.sqrt(np.diag(tuning.normal))
+        assert np.all(np.abs(found) <= bound * (1.0 + 1e-9))
+        inside = np.abs(found) < bound * (1.0 - 1e-9)
+        np.testing.assert_allclose(slope[inside], 0.0, atol=1e-6 * np.linalg.norm(30.0 * residual))
+        assert np.all(slope[~inside] * found[~inside] >= 0.0)
+        assert inside.all() == (tolerance == 10.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
+from scipy.optimize import lsq_linear
 
 from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
@@ -18,8 +19,8 @@ from twin.effects import Setting
 FOLDS = 3
 """Number of cross-validation folds."""
 
-DESCENTS = 200
-"""Sweeps of the bounded least squares; a dozen parameters have converged after these."""
+SINGULAR = 1e-13
+"""Smallest eigenvalue of scaled normal equations, over the largest, that counts as information."""
 
 
 def folds_of(runs: int) -> list[list[int]]:
@@ -34,10 +35,10 @@ def retuned_within(state: GroupState, tolerance: float) -> Fit:
 
 
 def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Tuning (nuisance,) within +-tolerance that fits a residual best: bounded least squares by coordinate descent."""
+    """Tuning (nuisance,) within +-tolerance that fits a residual best."""
     if not tuning.nuisances:
         return start
-    return _inside(tuning, residual, start, _bounds(tuning, tolerance), tuning.prior_weight)
+    return _inside(tuning, residual, _bounds(tuning, tolerance), tuning.prior_weight)
 
 
 def _bounds(tuning: Tuning, tolerance: float) -> np.ndarray:
@@ -47,16 +48,19 @@ def _bounds(tuning: Tuning, tolerance: float) -> np.ndarray:
     return bound
 
 
-def _inside(tuning: Tuning, residual: np.ndarray, start: np.ndarray, bound: np.ndarray, weight: float) -> np.ndarray:
-    """Bounded least squares with bounds +-bound (column,) in spreads and prior weight `weight` of the nuisances."""
-    slope = tuning.jacobian.T @ residual
-    normal = tuning.normal + np.diag(np.where(np.arange(len(start)) < len(tuning.nuisances), weight - tuning.prior_weight, 0.0))
-    theta = np.clip(start, -bound, bound)
-    for _ in range(DESCENTS):
-        for i in range(len(theta)):
-            step = (slope[i] - normal[i] @ theta) / normal[i, i]
-            theta[i] = min(max(theta[i] + step, -bound[i]), bound[i])
-    return theta
+def _inside(tuning: Tuning, residual: np.ndarray, bound: np.ndarray, weight: float) -> np.ndarray:
+    """Bounded least squares with bounds +-bound (column,) in spreads and prior weight `weight` of the nuisances.
+
+    The normal equations N x = s are those of R x = R^-T s with N = R'R, columns scaled to equal size.
+    """
+    own = np.arange(len(bound)) < len(tuning.nuisances)
+    normal = tuning.normal + np.diag(np.where(own, weight - tuning.prior_weight, 0.0))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
+    root = np.sqrt(np.maximum(values, SINGULAR * values[-1]))
+    target = vectors.T @ (scale * (tuning.jacobian.T @ residual)) / root
+    reach = np.maximum(bound, 1e-12) / scale
+    return np.asarray(scale * lsq_linear(root[:, None] * vectors.T, target, (-reach, reach), method="bvls", max_iter=10 * len(bound)).x)
 
 
 def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> np.ndarray:
@@ -71,7 +75,7 @@ def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool 
     bound = _bounds(tuning, tolerance)
     if not normal:
         bound[: len(tuning.nuisances)][[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
-    return residual - tuning.jacobian @ _inside(tuning, residual, fit.tuning, bound, 1.0)
+    return residual - tuning.jacobian @ _inside(tuning, residual, bound, 1.0)
 
 
 def loss_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> float:

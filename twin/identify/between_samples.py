@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import math
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 from twin.errors import InputError
@@ -101,7 +102,7 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
         m = loop.inertia - load
         a = np.array([[-d / m, d / m, -k / m], [d / load, -d / load, k / load], [1.0, -1.0, 0.0]])
         b = np.array([1.0 / m, 0.0, 0.0])
-    exact = _exponential(np.block([[a, b[:, None]], [np.zeros((1, 4))]]) * h)
+    exact = expm(np.block([[a, b[:, None]], [np.zeros((1, 4))]]) * h)
     decay = math.exp(-loop.resistance * h / loop.inductance)
     mean_decay = (1.0 - decay) * loop.inductance / (loop.resistance * h)
     # one tick is linear in z = (masses 3, speed integral, current integral, current) and the two inputs: advance with matrices
@@ -141,15 +142,6 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
             )
     seen = np.einsum("tij,cjk->kict", free[:ticks, [0, 5]], starts) + forced[:ticks, [0, 5]].transpose(2, 1, 0)[:, :, None]
     return [(seen[k, 1], seen[k, 0]) for k in range(2)]
-
-
-def _exponential(x: np.ndarray) -> np.ndarray:
-    """Matrix exponential of a small matrix by its series. A mode turns by less than 1.2 rad per tick, so 18 terms give an error of 1e-13."""
-    out = term = np.eye(len(x))
-    for k in range(1, 19):
-        term = term @ x / k
-        out = out + term
-    return out
 
 
 def convolved(kernel: np.ndarray, steps: np.ndarray) -> np.ndarray:
