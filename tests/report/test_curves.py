@@ -1,10 +1,38 @@
-"""Plots over time: labels of peaks do not lie on each other."""
-
-from __future__ import annotations
+"""Curves over time: labels of peaks apart from each other, bands instead of solid blocks, a colour of its own for each axis, numbers that people read."""
 
 import numpy as np
+import pytest
 
 from twin.report.curves import Curve, Panel, curves_figure
+from twin.units import plain
+
+TIME = np.arange(0.0, 3.0, 125e-6)
+
+
+@pytest.mark.parametrize(("swing", "band"), [(0.0, False), (0.2, True)])
+def test_a_curve_that_swings_within_a_line_is_a_band(swing: float, band: bool) -> None:
+    """The saw-tooth of a current at 500 Hz; its moving mean stays the line."""
+    slow = np.sin(4.0 * TIME)
+    figure = curves_figure(TIME, [Panel("current", [Curve("", slow + swing * np.sign(np.sin(3140.0 * TIME)), "X")])], "")
+    (axes,) = figure.axes
+    (line,) = axes.lines
+    assert bool(axes.collections) == band
+    x, y = line.get_data()
+    assert np.abs(y - np.interp(x, TIME, slow)).max() < 0.11 * (swing > 0.0) + 1e-12
+
+
+def test_axes_have_colours_of_their_own_whatever_their_names() -> None:
+    for names in ("xyz", ["J1", "J2", "J3", "J4"], "XYZABC"):
+        figure = curves_figure(TIME[:9], [Panel(n, [Curve("", TIME[:9], n), Curve("asked", TIME[:9], "setpoint")]) for n in names], "")
+        assert len({axes.lines[0].get_color() for axes in figure.axes}) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(14400.3, "14400"), (3.27e-17, "0"), (6.92e-05, "< 0.001"), (-0.0, "0"), (9.951, "9.95"), (0.0123, "0.0123"), (-123.4, "-123")],
+)
+def test_numbers_have_no_exponent(value: float, text: str) -> None:
+    assert plain(value) == text
 
 
 def test_peaks_at_one_place_have_their_labels_below_each_other() -> None:

@@ -27,8 +27,8 @@ LABEL_WIDTH, LABEL_HEIGHT = 0.1, 0.12
 COLUMNS = 700
 """Columns of a panel within which a line is not resolved."""
 
-LEAST_IN_COLUMN, LEAST_BAND = 3, 0.08
-"""Samples in a column, and mean range in a column as a share of the curve's range, above which a curve is drawn as a band."""
+LEAST_IN_COLUMN, LEAST_BAND, LEAST_BANDS = 3, 0.03, 0.1
+"""A curve is drawn as a band if so many samples fall into a column, and so large a share of its columns swings by this share of its range."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _draw(axes: Axes, time: np.ndarray, curve: Curve, colour: str, width: float)
         whole = len(values) // each * each
         columns = values[:whole].reshape(-1, each)
         low, high, middle = columns.min(axis=1), columns.max(axis=1), time[:whole].reshape(-1, each).mean(axis=1)
-        if float(np.mean(high - low)) > LEAST_BAND * float(np.ptp(values)):
+        if float(np.mean(high - low > LEAST_BAND * np.ptp(values))) > LEAST_BANDS:
             axes.fill_between(middle, low, high, color=colour, alpha=0.3, linewidth=0)
             time, values = middle, columns.mean(axis=1)
     axes.plot(time, values, curve.dashes, color=colour, linewidth=width, label=curve.label or None)
