@@ -80,7 +80,7 @@ def test_overlap_is_computed_from_all_rows(of_drift):
     pair = Budget((replace(row, tool_point=3e-6, alone=6e-6), replace(row, tool_point=4e-6, alone=8e-6)), 7e-6, 0.0, 0.0, {})
     assert (pair.one_out, pair.one_in) == pytest.approx((5e-6, 10e-6))
     document = document_of(pair, of_drift[1], {}, {})
-    assert all(f" {um} um" in overlap_text(document) for um in (5, 7, 10))
+    assert all(f" {um} um" in overlap_text(document) for um in ("5.00", "7.00", "10.0"))
 
 
 def test_the_document_uses_um_and_arcsec(of_drift):

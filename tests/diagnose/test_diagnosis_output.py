@@ -279,11 +279,11 @@ def changed(campaign: Path, folder: Path, change: Any) -> Path:
 
 
 def test_missing_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert "no such folder" in refused(capsys, tmp_path / "nowhere", "--out", tmp_path / "out")
+    assert "no such file" in refused(capsys, tmp_path / "nowhere", "--out", tmp_path / "out")
 
 
 def test_folder_without_campaign(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert "campaign.toml" in refused(capsys, tmp_path, "--out", tmp_path / "out")
+    assert "give a campaign or recordings" in refused(capsys, tmp_path, "--out", tmp_path / "out")
 
 
 def test_set_points_outside_travel(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def telling_gaps(document: dict[str, Any]) -> list[dict[str, Any]]:
 def _stiffness(diagnosis: Diagnosis, table: dict[str, Any]) -> str:
     """Stiffness of a normal imperfection in data-sheet units."""
     linear = diagnosis.machine.axis(table["axis"]).kind == "linear"
-    return f"{table['stiffness'] * 1e-6:.3g} N/um" if linear else f"{table['stiffness'] * ARCSEC:.3g} Nm/arcsec"
+    return f"{plain(table['stiffness'] * 1e-6)} N/um" if linear else f"{plain(table['stiffness'] * ARCSEC)} Nm/arcsec"
 
 
 def _retuned_table(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
         return "No effect: the machine agrees with its file within tolerance and noise."
     if document.get("decided") is False:
         left = document["gap"]["after"]
-        return f"Not decided: the quick look found no effect, but the gap is {left:.3g} times the noise; diagnose without --quick."
+        return f"Not decided: the quick look found no effect, but the gap is {times(left)} times the noise; diagnose without --quick."
     effects = document["effects"]
     named = effects[: FEW if len(effects) > FEW else None]
     names = listed([effect_title(e) + (f" ({headline_number(e)})" if numbers else "") for e in named])
