@@ -163,10 +163,11 @@ def edge_columns(time: Array) -> dict[str, Array]:
     m = move(time)
     lag = move(time - 0.004)
     slope = np.gradient(m["soll"], time)
-    command = 30.0 * (m["soll"] - lag["ist"]) + slope
+    place = lag["ist"] + 2e-3 * np.sin(37.0 * time)  # what the set point does not explain, and the position controller answers
+    command = 30.0 * (m["soll"] - place) + slope
     still, spin = np.full_like(time, 12.5), 4000.0 * time
     return {
-        "DES_POS|1": m["soll"], "ENC_POS|1": lag["ist"], "CMD_SPEED|1": command, "VEL_FFW|1": slope, "TORQUE_FFW|1": 0.0 * time,
+        "DES_POS|1": m["soll"], "ENC_POS|1": place, "CMD_SPEED|1": command, "VEL_FFW|1": slope, "TORQUE_FFW|1": 0.0 * time,
         "CURRENT|1": -lag["strom"], "LOAD|1": np.abs(lag["strom"]),
         "DES_POS|2": spin, "ENC_POS|2": spin - 3.0, "CURRENT|2": 0.1 * np.sin(time),
         "DES_POS|3": still, "ENC_POS|3": still + 1e-4 * np.sin(900.0 * time),

@@ -36,7 +36,9 @@ REACH_S = 0.06
 
 SLIDING_RAD_PER_S, SLIDING_M_PER_S = 5.0, 8e-3
 """Speed above which friction is linear in speed: motor speed of a screw drive (8 mm/s with a 10 mm screw) and speed of a direct drive.
-The Stribeck excess has decayed at 4 mm/s."""
+The Stribeck excess has decayed at 4 mm/s. A slow axis slides above SLIDING_SHARE of its highest speed."""
+
+SLIDING_SHARE = 0.1
 
 STROKE_S = 0.5
 """Longer strokes are split into clusters of this length."""
@@ -117,7 +119,9 @@ def low_pass_window(cycle: float) -> np.ndarray:
 
 def slides_above(axis: Axis) -> float:
     """Motor speed above which friction is linear in speed [rad/s; m/s of a direct drive]."""
-    return SLIDING_M_PER_S if axis.drive == "direct" else SLIDING_RAD_PER_S
+    if axis.drive == "direct":
+        return min(SLIDING_M_PER_S, SLIDING_SHARE * axis.max_velocity)
+    return min(SLIDING_RAD_PER_S, SLIDING_SHARE * axis.max_velocity / axis.ratio)
 
 
 def control_inertia(axis: Axis) -> float:

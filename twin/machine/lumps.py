@@ -45,6 +45,10 @@ MOST_OF_PEAK = 2.0
 
 LEAST_LOAD = 0.3
 """The response to an external load is visible if its share of the command (RMS) exceeds this share of the residual."""
+LEAST_SAMPLES = 25
+"""Fewest samples of a run that is read."""
+LEAST_ROWS = 4
+"""Fewest samples in motion for each number of the mechanics."""
 EFFORTS = ("current", "voltage", "torque")
 
 
@@ -163,15 +167,21 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
             t.injections(axis).get({"current": "A", "voltage": "V", "torque": "Nm"}.get(effort, "")),
         )
         for t in traces
-        if len(t.time) >= 40 and np.ptp(t.get(axis, "setpoint")) > 0.0
+        if len(t.time) >= LEAST_SAMPLES and np.ptp(t.get(axis, "setpoint")) > 0.0
     ]
     if not parts:
-        raise InputError(f"axis {axis}: it moves in no run of 40 samples or more; record a longer move")
+        raise InputError(f"axis {axis}: it moves in no run of {LEAST_SAMPLES} samples or more; record a longer move")
     notes: list[str] = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
     notes += [PROFILE] if any(run.fact(axis, SIGNAL).profile for run in runs) else []
     feedforward_flag = next((run.feedforward for run in runs if run.feedforward), None)
     mechanics = _mechanics(parts, kind, effort, notes) if effort else None
-    law = (_direct_law(parts) if effort else None) or _position_law(parts, feedforward_flag, notes)
+    if any(run.fact(axis, "setpoint").made_from in ("position", "motor_position", "velocity") for run in runs):
+        notes.append(
+            "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
+        )
+        law = Law(50.0, 0.0, 1.0, 0.0, measured=False, lag=1.5e-3)
+    else:
+        law = (_direct_law(parts) if effort else None) or _position_law(parts, feedforward_flag, notes)
     if not effort:
         notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be identified and are assumed")
     low, high = min(float(p.setpoint.min()) for p in parts), max(float(p.setpoint.max()) for p in parts)
@@ -335,8 +345,8 @@ def _mechanics(parts: Sequence[_Run], kind: str, effort: str, notes: list[str]) 
         speeds.append(speed[keep])
     x, y = np.concatenate(rows), np.concatenate(values)
     peak = max(float(np.abs(p.effort).max()) for p in parts if p.effort is not None)
-    if len(y) < 40:
-        notes.append(f"the axis hardly moves: mass and friction cannot be identified from the {effort}")
+    if len(y) < LEAST_ROWS * x.shape[1]:
+        notes.append(f"the axis moves in {len(y)} samples only: mass and friction cannot be identified from the {effort}")
         return None
     # at a single speed in one direction Coulomb friction, weight and viscous friction cannot be separated
     scale = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from twin.errors import InputError
+from twin.recordings.grid import Source
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
 from twin.recordings.signals import Signal
 from twin.recordings.trace import ACCELERATIONS, BY_UNIT, DISTURBANCE, OTHER_UNITS, POSITIONS, SPEEDS
@@ -37,6 +38,20 @@ class Conversion:
         if self.sign_bit is not None:
             values = np.where(values >= 2.0**self.sign_bit, 2.0**self.sign_bit - values, values)
         return values * self.factor + self.offset if self.offset else values * self.factor
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A mapped column: its source, conversion and timing."""
+
+    column: ColumnMap
+    source: Source
+    conversion: Conversion
+    file: str
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.column.key
 
 
 def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:

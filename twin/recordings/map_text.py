@@ -8,7 +8,7 @@ import re
 
 from twin.documents import toml_text
 from twin.recordings.propose import Proposal
-from twin.recordings.propose_axis import FORCES, Proposed
+from twin.recordings.propose_columns import FORCES, Proposed
 from twin.recordings.signals import Clock
 
 

@@ -23,8 +23,8 @@ SHARP = 0.9
 
 # ratio of recorded to expected values -> probable mistake
 _MISTAKES = {
-    1000.0: "a unit 1000 times too large (mm taken as m?)",
-    1e-3: "a unit 1000 times too small (m taken as mm?)",
+    1000.0: "a unit 1000 times too large (mm taken as m, or a time in ms as s?)",
+    1e-3: "a unit 1000 times too small (m taken as mm, or a time in s as ms?)",
     60.0: "recorded per minute, taken as per second?",
     1.0 / 60.0: "recorded per second, taken as per minute?",
     60e3: "recorded in mm/min, taken as m/s?",

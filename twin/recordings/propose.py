@@ -14,7 +14,8 @@ import numpy as np
 from twin.recordings.grouping import groups
 from twin.recordings.mapping import Map
 from twin.recordings.names import Meaning, meaning_of
-from twin.recordings.propose_axis import PROFILE, AxisProposal, Proposed, propose_axis
+from twin.recordings.propose_axis import AxisProposal, propose_axis
+from twin.recordings.propose_columns import PROFILE, Proposed
 from twin.recordings.relations import moves
 from twin.recordings.signals import BLOCK, Recording, Signal
 from twin.recordings.time_found import TimeFound, by_speed, row_counters, time_of, with_time

@@ -1,7 +1,4 @@
-"""Proposed columns of one axis: roles by names and numbers, then units, signs and doubts.
-
-A column whose name fits but whose numbers do not is doubtful: it becomes a comment in the map and is not used.
-"""
+"""Proposal for one axis: its columns on a common time, their roles, and whether the axis moves, rests or spins."""
 
 from __future__ import annotations
 
@@ -13,53 +10,19 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.recordings import relations
-from twin.recordings.force_sign import force_sign
 from twin.recordings.names import Meaning
+from twin.recordings.propose_columns import POSITIONS, SPEEDS, Proposed, proposed_columns
 from twin.recordings.relations import moves
-from twin.recordings.roles import ORDER, Candidate, Role, Roles, assign
+from twin.recordings.roles import ORDER, Candidate, Roles, assign
 from twin.recordings.roughness import SECOND_DIFFERENCE, roughness
 from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Signal
 from twin.recordings.timing import timing_of
-from twin.recordings.units_found import Scale, counts, position_scale, speed_unit
-from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded
+from twin.units import RECORDED_UNITS, dimension_recorded
 
 MOST_ROWS = 1 << 14
 """Samples that are compared: those of the longest stretch around the most motion."""
 ONE_WAY_TURNS = 5.0
 """An axis that turns farther than this in one direction is a spindle."""
-FOLLOWS = 0.1
-"""A position is doubtful if its ratio to the set point or to the other encoder differs from 1 by more."""
-APART = 0.02
-"""Two encoders that differ by more than this share of their travel do not measure the same motion."""
-CLEAR, UNLIKE = 0.02, 0.5
-"""Unexplained share of the variance below which a ratio of two positions is clear, and above which one does not follow the other."""
-COUNTED = 0.2
-"""Share by which counts per second may differ from the slope of counts: few samples and whole numbers are coarse."""
-POSITIONS = ("setpoint", "position", "motor_position", "following_error")
-SPEEDS = ("velocity", "velocity_setpoint", "velocity_feedforward")
-FORCES = ("current", "torque", "voltage")
-PROFILE = "speed of the profile (slope of the set point), no output of a controller: no gain follows from it"
-_JOINT = re.compile(r"joint|robot|(^|[_. ])q(d|dd)?([_. (\[]|$)", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Proposed:
-    """One column of the map. `reason`: evidence in a sentence; `second`: next best signal; `doubt`: why it is not used; "" if it is used.
-
-    `assumed`: what nobody states and no number shows about its unit.
-    """
-
-    name: str
-    axis: str
-    signal: str
-    unit: str
-    sign: int = 1
-    extra: tuple[str, ...] = ()  # further keys of the map
-    remark: str = ""
-    doubt: str = ""
-    reason: str = ""
-    second: str = ""
-    assumed: str = ""
 
 
 @dataclass
@@ -132,190 +95,16 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
             how = "by its name" if re.fullmatch(r"S\d?", axis) else f"({turns:.0f} turns one travel)"
             out.left_out = f"{called} spins {how}: not a feed axis ({names})"
             return out
-    out.columns += _columns(axis, roles, guess, period, timed, bits, out)
+    stated_otherwise = {one.name: one.stated_unit for one in sound if one.stated_unit}
+    columns, out.speed = proposed_columns(axis, roles, guess, period, timed, bits)
+    for column in columns:
+        text = f"the file states [{stated_otherwise.get(column.name)}], which is taken as {column.unit}"
+        out.columns.append(replace(column, assumed=text) if column.name in stated_otherwise else column)
     out.unused |= {c.name: _why_unused(c, roles) for c in roles.unused}
     out.unused |= {copy: f"equal to '{original}' in every sample" for copy, original in roles.same.items()}
     if roles.doubt:
         out.notes.append(f"{axis}: {roles.doubt}")
     return out
-
-
-def _columns(
-    axis: str, roles: Roles, guess: tuple[str, bool], period: float, timed: bool, bits: Mapping[str, int], out: AxisProposal
-) -> list[Proposed]:
-    """Columns of a moving axis with units, signs and doubts."""
-    recorded = {signal: role.column.values for signal, role in roles.roles.items()}
-    base = next((recorded[s] for s in ("motor_position", "position") if s in recorded and moves(recorded[s])), None)
-    if base is None and {"setpoint", "following_error"} <= set(recorded):
-        base = recorded["setpoint"] - recorded["following_error"]
-    base = base if base is not None else recorded.get("setpoint")
-    factors = (
-        {s: relations.slope(recorded[s], base, period).factor for s in SPEEDS if s in recorded and moves(recorded[s])}
-        if base is not None
-        else {}
-    )
-    units = {s: role.column.meaning.unit if role.column.meaning is not None else role.column.unit for s, role in roles.roles.items()}
-    scale = _scale(roles, base, [f for s, f in factors.items() if not units.get(s) and timed], guess, axis)
-    kind = guess[0] if guess[1] else ("rotary" if RECORDED_UNITS[scale.unit][0] == "angle" else "linear")
-    if base is not None and "velocity" in factors and not units.get("velocity"):
-        out.speed = (scale.unit, factors["velocity"] / scale.factor, period)
-    columns = []
-    for signal, role in roles.roles.items():
-        column = Proposed(role.column.name, axis, signal, units.get(signal, ""), reason=role.reason, second=role.second)
-        if role.column.name in bits:
-            column = replace(column, extra=(f"sign_bit = {bits[role.column.name]}",))
-        if signal in POSITIONS:
-            column = _position(column, scale, recorded)
-        elif not moves(role.column.values):
-            column = replace(column, doubt="it never changes")
-        elif signal in SPEEDS:
-            column = _speed(column, role, scale, recorded, base, period, kind)
-        elif signal == "acceleration":
-            column = replace(column, unit=column.unit or f"{scale.unit if scale.unit in ('mm', 'm', 'um', 'deg', 'rad') else 'mm'}/s2")
-        elif signal == "voltage" and relations.supplies(role.column.values):
-            column = replace(column, doubt=f"it stays near {role.column.values.mean():.4g}: a supply, no command")
-        else:
-            column = _force(column, role, base, recorded, period, kind)
-        if (limit := relations.stuck_at(role.column.values)) is not None and role.column.name not in bits and not column.doubt:
-            share = np.count_nonzero(role.column.values == limit) / len(role.column.values)
-            column = replace(column, doubt=f"it stands at {limit:.0f}, the end of its counter, in {share:.0%} of the samples")
-        columns.append(column)
-    return _without_double(columns)
-
-
-def _without_double(columns: list[Proposed]) -> list[Proposed]:
-    """A following error is not needed beside a position; without a sound position a set point alone says nothing."""
-    measured = [c for c in columns if c.signal in ("position", "motor_position")]
-    if any(not c.doubt for c in measured):
-        return [
-            replace(c, doubt=c.doubt or "the position itself is recorded")
-            if c.signal == "following_error" and _has(columns, "setpoint")
-            else c
-            for c in columns
-        ]
-    if measured and not any(c.signal == "following_error" and not c.doubt for c in columns):
-        return [replace(c, doubt=c.doubt or "no usable measured position of this axis") for c in columns]
-    return columns
-
-
-def _has(columns: Sequence[Proposed], signal: str) -> bool:
-    return any(c.signal == signal and not c.doubt for c in columns)
-
-
-def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: tuple[str, bool], axis: str) -> Scale:
-    """Unit of the positions: stated, or of the numbers."""
-    stated = [
-        r.column.meaning.unit for s, r in roles.roles.items() if s in POSITIONS and r.column.meaning is not None and r.column.meaning.unit
-    ]
-    if stated and dimension_recorded(stated[0]) in ("length", "angle"):
-        return Scale("mm" if dimension_recorded(stated[0]) == "length" else "deg", 1.0, "", True)  # they were converted
-    if base is None:
-        return Scale("deg" if guess[0] == "rotary" else "mm", sure=True)
-    joint = any(_JOINT.search(r.column.name) for r in roles.roles.values())
-    measured = next((roles.roles[s].column.values for s in ("position", "motor_position", "setpoint") if s in roles.roles), base)
-    if guess[1]:  # the kind is known by a speed with a unit
-        return Scale("deg" if guess[0] == "rotary" else "mm", 1.0, f"taken as {'deg' if guess[0] == 'rotary' else 'mm'} beside its speed")
-    all_whole = all(relations.whole(r.column.values) for r in roles.roles.values())
-    return position_scale(measured, factors, guess[0] == "rotary", joint, all_whole)
-
-
-def _position(column: Proposed, scale: Scale, recorded: Mapping[str, np.ndarray]) -> Proposed:
-    """Unit and doubt of a position."""
-    doubt = _doubt_of_position(column.signal, recorded)
-    if column.unit:
-        return replace(column, doubt=doubt)
-    extra = (*column.extra, f"scale = {scale.factor:.9g}") if scale.factor != 1.0 else column.extra
-    return replace(column, unit=scale.unit, extra=extra, remark=scale.reason, doubt=doubt, assumed="" if scale.sure else scale.reason)
-
-
-def _speed(
-    column: Proposed, role: Role, scale: Scale, recorded: Mapping[str, np.ndarray], base: np.ndarray | None, period: float, kind: str
-) -> Proposed:
-    """Signal, unit and sign of a speed."""
-    values, s = role.column.values, recorded.get("setpoint")
-    if column.signal == "velocity_setpoint" and s is not None and _is_profile(values, s, base, period):
-        column = replace(
-            column,
-            signal="velocity_feedforward" if "velocity_feedforward" not in recorded else column.signal,
-            remark=PROFILE,
-            reason=PROFILE,
-        )
-        if column.signal == "velocity_setpoint":
-            return replace(column, doubt=PROFILE)
-    if column.signal == "velocity_feedforward" and role.column.meaning is None:
-        column = replace(column, remark=PROFILE)
-    if base is None:
-        return replace(column, unit=column.unit or "rev/min", assumed="" if column.unit else "nothing states its unit: taken as rev/min")
-    x = s if column.signal == "velocity_feedforward" and s is not None else base
-    found = relations.slope(values, x, period)
-    if found.left > 0.5:
-        return replace(column, doubt=f"it is not correlated with the slope of the {'set point' if x is s else 'position'}")
-    sign = 1 if found.factor > 0.0 else -1
-    remark = "; ".join(part for part in (column.remark, "sign reversed: it runs against the motion" if sign < 0 else "") if part)
-    if column.unit:
-        return replace(column, sign=sign, remark=remark)
-    if scale.factor != 1.0 and relations.whole(values) and abs(abs(found.factor) - 1.0) < COUNTED:  # counts and counts per second
-        return replace(column, unit=f"{scale.unit}/s", sign=sign, extra=(*column.extra, f"scale = {scale.factor:.9g}"), remark=remark)
-    unit, travel = speed_unit(scale.unit, found.factor / scale.factor, column.signal, kind)
-    if not travel:
-        return replace(column, unit=unit, sign=sign, remark=remark or f"{unit} by the slope of the position")
-    key = "mm_per_rev" if kind == "linear" else "deg_per_rev"
-    said = (
-        "read as rev/min of a motor: travel per revolution from the slope of the position"
-        if travel != 360.0
-        else "turns of the axis itself"
-    )
-    return replace(column, unit=unit, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark=f"{said}; {remark}".rstrip("; "))
-
-
-def _is_profile(values: np.ndarray, s: np.ndarray, x: np.ndarray | None, period: float) -> bool:
-    """True if a speed set point is only the slope of the set point: the following error adds nothing to it."""
-    if relations.is_slope(values, s, period):
-        return True
-    if x is None or x is s:
-        return False
-    found = relations.law(values, s, x, period)
-    return found.left_without < 0.3 and 2.0 * found.left > found.left_without
-
-
-def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapping[str, np.ndarray], period: float, kind: str) -> Proposed:
-    """Unit and sign of a current, torque or voltage."""
-    unit, assumed = column.unit, ""
-    if role.column.meaning is None and not unit:
-        unit = {"current": "A", "torque": "Nm", "voltage": "V"}[column.signal]
-        assumed = f"nothing states its unit: taken as {unit}"
-        if column.signal == "current" and counts(role.column.values) and np.abs(role.column.values).max() > 200.0:
-            unit, assumed = "mA", f"whole numbers up to {np.abs(role.column.values).max():.0f}: taken as mA"
-    unit = unit or {"torque_setpoint": "Nm", "torque_feedforward": "Nm"}.get(column.signal, "A")
-    if column.signal not in FORCES:
-        return replace(column, unit=unit)
-    if base is None and "velocity" in recorded:
-        base = np.cumsum(recorded["velocity"]) * period
-    if base is None:
-        return replace(column, unit=unit, assumed=assumed)
-    in_si = RECORDED_UNITS[AXIS_UNITS[kind].position[0]][1]
-    found = force_sign(role.column.values, base * in_si, period, kind)
-    return replace(column, unit=unit, sign=found.sign, remark=found.remark or assumed, doubt=found.doubt, assumed=assumed)
-
-
-def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray]) -> str:
-    """Reason to doubt a position that does not follow the set point or the other encoder; "" if there is none."""
-    if signal in ("setpoint", "following_error"):
-        return ""
-    y = values[signal]
-    if not moves(y):
-        return "it never changes"
-    for other in ("motor_position", "setpoint"):
-        if other in values and other != signal and moves(x := values[other]):
-            found = relations.follows(y, x)
-            apart = np.sqrt(found.left) * float(np.std(y)) / float(np.ptp(x))
-            if other == "motor_position" and signal == "position" and apart > APART:
-                return f"it differs from the motor encoder by {apart:.1%} of the travel (RMS): not the same motion"
-            if found.left < CLEAR and abs(found.factor - 1.0) > FOLLOWS and abs(relations.follows_in_part(y, x).factor - 1.0) > FOLLOWS:
-                return f"it moves {found.factor:.3g} times as far as the {other.replace('_', ' ')}: unit, scale or column?"
-            if found.left > UNLIKE:
-                return f"it does not follow the {other.replace('_', ' ')}"
-    return ""
 
 
 def _why_unused(c: Candidate, roles: Roles) -> str:

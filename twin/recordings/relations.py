@@ -94,18 +94,8 @@ def second_slope(a: np.ndarray, x: np.ndarray, period: float) -> Relation:
     return slope(a, np.gradient(x, period), period)
 
 
-def is_slope(v: np.ndarray, s: np.ndarray, period: float, digits: float = 0.0) -> bool:
-    """True if v is a forward, backward or central difference of s in any unit, up to rounding to `digits` (of v)."""
-    forward, backward, inner = np.diff(s)[1:] / period, np.diff(s)[:-1] / period, v[1:-1]
-    for difference in (forward, backward, 0.5 * (forward + backward)):
-        xx = float(difference @ difference)
-        if xx > 0.0 and np.std(inner - float(difference @ inner) / xx * difference) < max(SAME_SLOPE * np.std(inner), digits):
-            return True
-    return False
-
-
-SAME_SLOPE = 2e-3
-"""Relative RMS difference below which a speed is only the slope of a position."""
+EXACT = 1e-5
+"""Share of the variance that a speed leaves of the slope of a set point, up to the rounding of differences, if it is nothing else."""
 
 
 def law(w: np.ndarray, s: np.ndarray, x: np.ndarray, period: float) -> Relation:

@@ -12,11 +12,9 @@ import numpy as np
 
 from twin.recordings.relations import even_step
 from twin.recordings.signals import BLOCK, Column, Recording, Signal
-from twin.recordings.units_found import interval_of_rows, surprise_of
+from twin.recordings.units_found import FASTEST_S, SLOWEST_S, interval_of_rows, surprise_of
 from twin.units import RECORDED_UNITS
 
-SLOWEST_S, FASTEST_S = 0.5, 2e-5
-"""Usual intervals of recordings [s]."""
 OTHER_UNIT = 0.5
 """Surprise of a unit of time that the file's numbers do not suggest."""
 

@@ -5,43 +5,36 @@ The result reads from the recordings block by block, so a run is never held in m
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.recordings.convert import Conversion, conversion_of, kinds_of
+from twin.recordings.convert import Channel, conversion_of, kinds_of
 from twin.recordings.force_sign import force_sign
 from twin.recordings.grid import Piece, Source, block_with_most_travel, on_grid, pieces_of
+from twin.recordings.import_notes import (
+    constant_channels,
+    interval_notes,
+    left_columns,
+    made_notes,
+    offset_notes,
+    radians,
+    skew_notes,
+    stuck_channels,
+)
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap, Map, RunMap
 from twin.recordings.plausible import doubts_of
 from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Event, Recording, Signal
 from twin.recordings.skew import FORCES, Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, timing_of
 from twin.recordings.trace import BY_UNIT, POSITIONS
-from twin.units import AXIS_UNITS
+from twin.recordings.units_found import SLOWEST_S
 
 SHORTEST_S = 0.2
 """Shorter pieces between two gaps are left out."""
-SAME_INTERVAL = 1e-3
-SMALL_OFFSET = 2e-6
-"""Smallest constant difference between two encoders that is reported [m or rad]."""
-
-
-@dataclass(frozen=True)
-class Channel:
-    """A mapped column: its source, conversion and timing."""
-
-    column: ColumnMap
-    source: Source
-    conversion: Conversion
-    file: str
-
-    @property
-    def key(self) -> tuple[str, str]:
-        return self.column.key
 
 
 @dataclass(frozen=True)
@@ -105,7 +98,7 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     # the samples of the set point, or of what replaces it, define the grid
     lead = next(c for s in ("setpoint", "position", "motor_position", "velocity") for c in channels if c.column.signal == s)
     period = mapping.period_s or _rounded_interval(lead.source.timing.interval)
-    notes += [*_interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
+    notes += [*interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
     begin = min(s.begin for c in channels for s in c.source.timing.stretches)
     grid = _Grid(lead.key, period, begin + run.from_s, begin + run.to_s, fill)
     pieces = grid.pieces(channels)
@@ -114,23 +107,30 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
             f"{mapping.path}: run {run.name}: its signals have no {SHORTEST_S:g} s in common; check from_s, to_s, skew_ms and the files"
         )
     known = Understood(run, channels, kinds, pieces, fill, (), (), _started(recordings), begin, made=made)
-    notes += _made_notes(made)
+    notes += made_notes(made)
     longest = max(pieces, key=lambda p: p.count)
     window = known.block(longest, *block_with_most_travel(lead.source, longest, fill))
     notes += _doubts(window, period, kinds, mapping, run)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
     unsigned = _unsigned(window, period, kinds)
-    notes += _constant_channels(window)
-    notes += [f"{item.axis}.{item.signal} pushes against the motion: sign = -1?" for item in skews if item.against]
+    notes += constant_channels(window)
+    against = _against(window, period, kinds)
+    skews = [replace(item, against=True) if (item.axis, item.signal) in against else item for item in skews]
+    notes += [f"{axis}.{signal} pushes against the motion: sign = -1?" for axis, signal in sorted(against)]
+    notes += stuck_channels(channels)
+    notes += radians(channels)
+    if period >= SLOWEST_S and any(not r.source.known or r.source.kind == "column" for r in recordings):
+        notes.append(f"the samples are {period:g} s apart: an index, or ms taken as s? give [time] unit or interval_ms in the map")
+    notes += left_columns(mapping, recordings)
     notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
     correct = _corrected(skews, mapping.skew)
-    notes += _skew_notes(skews, correct)
+    notes += skew_notes(skews, correct)
     if correct:
         channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
         pieces = grid.pieces(channels)
     known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), unsigned=unsigned)
     offsets, centred = _offsets(known), mapping.offsets == "correct"
-    notes += _offset_notes(offsets, kinds, centred)
+    notes += offset_notes(offsets, kinds, centred)
     events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
     labels = _labels(mapping.labels, recordings, pieces)
     return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)
@@ -208,20 +208,6 @@ def _made(channels: Sequence[Channel]) -> dict[tuple[str, str], str]:
     return made
 
 
-def _made_notes(made: Mapping[tuple[str, str], str]) -> list[str]:
-    """What was done without a set point, and what it cannot show."""
-    return [f"{axis}: no set point is recorded; {_MADE[source]}" for (axis, signal), source in made.items() if signal == "setpoint"]
-
-
-_RECORDED_PATH = "the recorded motion is the path: no gain, delay or following error of the position loop can be shown"
-_MADE = {
-    FOLLOWING_ERROR: "position plus following error gives it back",
-    "position": _RECORDED_PATH,
-    "motor_position": _RECORDED_PATH,
-    "velocity": "the speed is summed up to the path: friction and inertia can be shown, nothing of the position loop",
-}
-
-
 def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], mapping: Map, run: RunMap) -> list[str]:
     """Implausible units: notes if the map permits them, else InputError."""
     doubts = doubts_of(window, period, kinds, mapping.machine)
@@ -237,20 +223,6 @@ def _corrected(skews: Sequence[Skew], skew: str) -> dict[tuple[str, str], float]
     return {
         (i.axis, i.signal): i.seconds for i in skews if i.clear and (skew == "correct" or (skew == "encoders" and i.signal in encoders))
     }
-
-
-def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]]) -> list[str]:
-    """Notes on each clear skew, with its interval and whether it was corrected."""
-    notes = []
-    for item in skews:
-        if item.clear:
-            size = f"{abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'}"
-            done = (
-                "corrected" if (item.axis, item.signal) in correct else "left as it is: skew = 'correct' or skew_ms in the map corrects it"
-            )
-            against = f"against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
-            notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
-    return notes
 
 
 def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Sequence[Piece]) -> dict[tuple[Piece, str], float]:
@@ -274,6 +246,16 @@ def _unsigned(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds
     return frozenset(out)
 
 
+def _against(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> set[tuple[str, str]]:
+    """Forces that push against the motion."""
+    out = set()
+    for (axis, signal), values in window.items():
+        position = next((window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window), None)
+        if signal in FORCES and position is not None and force_sign(values, position, period, kinds[axis]).sign < 0:
+            out.add((axis, signal))
+    return out
+
+
 def _label(signal: Signal, piece: Piece) -> float | None:
     """Value of a column in a piece where it is constant, else None."""
     if signal.time is None:
@@ -292,20 +274,6 @@ def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:
             if (axis, "position") in block and (axis, "motor_position") in block:
                 out[piece, axis] = float(np.median(block[axis, "position"] - block[axis, "motor_position"]))
     return out
-
-
-def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str, str], centred: bool) -> list[str]:
-    """Notes on offsets above SMALL_OFFSET, one per axis."""
-    notes = []
-    for axis, kind in kinds.items():
-        own = [value for (_, a), value in offsets.items() if a == axis]
-        unit, factor = AXIS_UNITS[kind].error
-        if own and max(map(abs, own)) > SMALL_OFFSET:
-            shown = ", ".join(f"{value * factor:.4g}" for value in own[:3]) + (", ..." if len(own) > 3 else "")
-            notes.append(
-                f"{axis}.position differs from the motor position by a constant {shown} {unit}; {'removed' if centred else 'left as it is'}"
-            )
-    return notes
 
 
 def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tuple[Recording, Signal] | None:
@@ -350,19 +318,6 @@ def _rounded_interval(interval: float) -> float:
     return interval
 
 
-def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
-    """Notes on signals with another interval."""
-    groups: dict[float, list[str]] = {}
-    for channel in channels:
-        interval = channel.source.timing.interval
-        if abs(interval - period) > SAME_INTERVAL * period:
-            groups.setdefault(round(interval, 9), []).append(".".join(channel.key))
-    return [
-        f"{', '.join(names)}: recorded every {interval * 1e3:.4g} ms, {'interpolated to' if interval > period else 'picked every'} {period * 1e3:.4g} ms"
-        for interval, names in groups.items()
-    ]
-
-
 def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[str]:
     """A note on missing samples; refused if the map asks for that."""
     gaps = {
@@ -375,15 +330,6 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
         raise InputError(f'{mapping.path}: run {run.name}: samples are missing ({shown}); gaps = "split" or "fill" in the map imports it')
     done = "filled by a cubic" if mapping.gaps == "fill" else "the run is split there"
     return [f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in time ({shown}): {done}"]
-
-
-def _constant_channels(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
-    """Notes on channels that never change although the axis moves."""
-    return [
-        f"{axis}.{signal} never changes while the axis moves: is it the right column?"
-        for (axis, signal), values in window.items()
-        if np.ptp(values) == 0.0 and np.ptp(window[axis, "setpoint"]) > 0.0
-    ]
 
 
 def _started(recordings: Sequence[Recording]) -> datetime | None:

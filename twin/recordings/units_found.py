@@ -27,6 +27,8 @@ TOLERANCE = {"velocity": 0.05, "velocity_feedforward": 0.4, "velocity_setpoint":
 _ROUND = [m * 10.0**e for e in range(-5, 0) for m in (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)]
 """Usual intervals of recordings [s]."""
 _TURNS = sorted({float(2**k) for k in range(8, 25)} | {m * 10.0**e for e in range(2, 8) for m in (1.0, 2.0, 2.5, 4.0, 5.0, 8.0)})
+SLOWEST_S, FASTEST_S = 0.5, 2e-5
+"""Usual intervals of recordings [s]."""
 ON_GRID = 0.06
 """RMS distance from a grid, in steps, below which values lie on it; values anywhere have 0.29."""
 
@@ -50,7 +52,7 @@ def position_scale(values: np.ndarray, factors: list[float], rotary: bool, joint
     """Unit of positions (sample,) without one. `factors`: of the speeds against its slope. `joint`: the names speak of a robot. `all_whole`: all
     columns of the axis are whole numbers; positions of three digits alone are no counts."""
     for base, unit in ((2.0 * math.pi, "rad"), (360.0, "deg")):
-        if (turn := _steps_of_a_turn(values, base)) is not None:
+        if (turn := steps_of_a_turn(values, base)) is not None:
             return Scale(unit, 1.0, f"its steps are 1/{turn:.0f} of a turn in {unit}", True)
     for unit, speed in (("rad", "rev/min"), ("rad", "deg/s"), ("deg", "rad/s"), ("deg", "rev/min"), ("mm", "mm/min"), ("mm", "m/min")):
         if any(abs(abs(f) / slope_factor(unit, speed) - 1.0) < 0.01 for f in factors):
@@ -120,7 +122,7 @@ def counts(values: np.ndarray) -> bool:
     return whole(values) and len(np.unique(values)) > 10
 
 
-def _steps_of_a_turn(values: np.ndarray, base: float) -> float | None:
+def steps_of_a_turn(values: np.ndarray, base: float) -> float | None:
     """N if all values lie on the grid base / N and on no decimal grid."""
     levels = np.unique(values)
     gaps = np.diff(levels)

@@ -141,7 +141,8 @@ def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
     following, peak, turns, clear = None, None, 0, False
     friction, transmission, line = None, None, None
     if rows is not None:
-        if "setpoint" in signals and any(np.any(run.trace.get(axis, "setpoint") != _position(run, axis)) for run in own):
+        recorded = not any(run.fact(axis, "setpoint").made_from in ("position", "motor_position", "velocity") for run in own)
+        if recorded and "setpoint" in signals and any(np.any(run.trace.get(axis, "setpoint") != _position(run, axis)) for run in own):
             lags, left["error"] = _lags(own, axis, rows)
             following = max(float(np.abs(r.trace.get(axis, "setpoint") - _position(r, axis)).max()) for r in own)
             peak, turns, clear = _reversal(rows, left["error"])
