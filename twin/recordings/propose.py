@@ -73,7 +73,7 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
     out.notes = [*([time.text] if time is not None and not time.question.startswith(time.text) else []), *_together(out.said)]
     out.questions = [
         *([time.question] if time is not None and time.question else []),
-        *_together(out.asked, "; if not, give the unit in the map"),
+        *_together(out.asked, "; if not, correct it in the map"),
     ]
     for counter in dict.fromkeys(name for r in recordings for name in row_counters(r)):
         if counter in out.unknown:

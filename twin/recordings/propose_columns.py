@@ -162,6 +162,8 @@ def _speed(
         column = replace(column, signal=signal, remark=remark, reason=reason)
         if unnamed and profile is None:
             column = replace(column, assumed=f"within this record it is the slope of the set point: taken as {signal.replace('_', ' ')}")
+    if unnamed and column.signal == "velocity" and role.second in SPEEDS and not {*SPEEDS} & {*recorded} - {"velocity"}:
+        column = replace(column, assumed=f"the only speed without a name: taken as measured, it may be the {role.second.replace('_', ' ')}")
     if base is None:
         turning = not column.unit or dimension_recorded(column.unit) == "turning speed"
         assumed = "" if column.unit else "nothing states its unit: taken as rev/min"
