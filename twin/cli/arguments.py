@@ -42,6 +42,17 @@ def add_machine(parser: argparse.ArgumentParser, default: str = "the Mikron UCP 
     parser.add_argument("--machine", metavar="FILE", help=f"machine file (default: $TWIN_MACHINE, else {default})")
 
 
+def add_effect(parser: argparse.ArgumentParser) -> None:
+    """`--effect NAME:AXIS:PARAMETER=VALUE`, repeatable."""
+    parser.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME:AXIS:PARAMETER=VALUE",
+        help="add an effect, e.g. backlash:X:clearance=15e-6 (SI; repeatable; see 'twin effects')",
+    )
+
+
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """`CAMPAIGN`, a folder of measured runs."""
     parser.add_argument("campaign", metavar="CAMPAIGN", type=shipped_example, help="folder with campaign.toml and traces")

@@ -8,7 +8,7 @@ from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import add_machine, add_open, add_place, machine_of, open_report, positive, seed, setpoints_of_input
+from twin.cli.arguments import add_effect, add_machine, add_open, add_place, machine_of, open_report, positive, seed, setpoints_of_input
 from twin.errors import InputError, SimulationError, one_line
 from twin.files import output_folder, write_json
 from twin.progress import Progress
@@ -24,13 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("input", metavar="INPUT", help="part program, or trace with set points")
     add_machine(parser)
     add_place(parser)
-    parser.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="NAME:AXIS:PARAMETER=VALUE",
-        help="add an effect, e.g. backlash:X:clearance=15e-6 (SI; repeatable; see 'twin effects')",
-    )
+    add_effect(parser)
     parser.add_argument("--beside", action="store_true", help="also simulate without --effect, and compare both")
     parser.add_argument(
         "--feedforward", metavar="F", help="off | velocity | velocity+torque (default: from the program, else the machine file)"

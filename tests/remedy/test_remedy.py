@@ -1,0 +1,141 @@
+"""Remedies: what is worn is compensated, what was changed is set back, what no setting cures is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+import twin
+from twin.cli import main
+from twin.effects import EFFECTS
+from twin.machine.machine import Machine
+from twin.remedy.advice import ADVICE, BACKLASH, PULSE, SET_BACK, TABLE
+from twin.remedy.change import Change
+from twin.remedy.choose import candidates, choose
+from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for
+from twin.remedy.motions import standard_motions
+from twin.remedy.predict import errors_of, with_changes
+from twin.remedy.tune_change import tuned
+
+SCHEMA = Path(__file__).resolve().parents[2] / "twin" / "report" / "schemas" / "remedy.json"
+
+
+def planted(machine: Machine, *effects: str, motor: bool = False) -> Machine:
+    if motor:
+        machine = machine.with_values({"axis.X.encoder": "motor", "axis.Y.encoder": "motor"})
+    return twin.add_effects(machine, *effects)
+
+
+def test_every_effect_has_advice() -> None:
+    assert set(EFFECTS) <= set(ADVICE)
+    for name, advice in ADVICE.items():
+        assert advice.machine or advice.with_scale or advice.refused, name
+        for functions in (advice.with_scale, advice.with_motor_encoder):
+            assert functions or advice.refused or name == "encoder_eccentricity", name
+
+
+def test_play_and_lead_are_left_alone_where_the_scale_is_in_the_loop(mikron: Machine) -> None:
+    """A backlash value or a lead table would move the table by what was never wrong."""
+    effects = ("backlash:X:clearance=12e-6", "lead_error:Y:fraction=6e-5")
+    with_scale, refused = candidates(planted(mikron, *effects))
+    assert {c.function for c in with_scale} == {PULSE}
+    assert [(r.effect, r.axis) for r in refused] == [("lead_error", "Y")]
+    with_motor, _ = candidates(planted(mikron, *effects, motor=True))
+    assert {BACKLASH, TABLE} <= {c.function for c in with_motor}
+
+
+def test_a_pulse_takes_most_of_a_quadrant_peak_and_falls_with_friction(mikron: Machine) -> None:
+    worn = planted(mikron, "coulomb_friction:X:factor=1.4")
+    [circle, *_] = standard_motions(worn)
+    change = tuned(Change("X", PULSE), worn, [circle])
+    before, after = errors_of([worn, change.applied(worn)], circle)
+    assert before is not None
+    assert after is not None
+    assert after.peaks["X"] < 0.4 * before.peaks["X"]
+    assert after.peaks["Y"] == pytest.approx(before.peaks["Y"], rel=1e-6)
+    assert after.rms < 0.75 * before.rms
+
+
+def test_what_was_changed_is_set_back_first(mikron: Machine) -> None:
+    worn = planted(mikron, "loop_delay:X:delay_s=5e-4", "frame_vibration:Z:frequency_hz=30")
+    motions = standard_motions(worn)
+    found = choose(worn, motions[:1], [], 3e-6)
+    assert [(c.axis, c.function) for c in found.changes] == [("X", SET_BACK)]
+    assert found.errors[-1] < 0.2 * found.errors[0]
+    assert [(r.effect, r.axis) for r in found.refused] == [("frame_vibration", "Z")]
+    assert "the motor cannot stop it" in found.refused[0].reason
+
+
+def test_lead_and_wobble_of_a_screw_behind_a_motor_encoder(mikron: Machine) -> None:
+    """At a slow feed, where the position loop follows the table, hardly anything is left; at a fast one the wave of the table is late."""
+    worn = planted(mikron, "lead_error:X:fraction=6e-5", "cyclic_error:X:amplitude=4e-6,phase_rad=1.0", motor=True)
+    change = tuned(Change("X", TABLE), worn, [])
+    slow = standard_motions(worn)[1]
+    before, after = errors_of([worn, change.applied(worn)], slow)
+    assert before is not None
+    assert after is not None
+    assert after.rms < 0.2 * before.rms
+    # the points of the table say the same as the formula that is simulated
+    table = correction_table(change, worn.axis("X"))
+    q = np.linspace(-0.05, 0.05, 1001)
+    v = change.values
+    k = 2.0 * np.pi / v["wavelength"]
+    exact = 1e-6 * v["slope"] * q + v["sine"] * np.sin(k * q) + v["cosine"] * np.cos(k * q)
+    assert np.abs(table.error(q) - exact).max() < 0.02 * np.hypot(v["sine"], v["cosine"])
+
+
+def test_every_change_is_entered_or_refused_on_every_control(mikron: Machine) -> None:
+    worn = planted(
+        mikron,
+        "backlash:X:clearance=12e-6",
+        "lead_error:Y:fraction=6e-5",
+        "position_gain:Y:factor=0.9",
+        "speed_gain:X:factor=0.7",
+        motor=True,
+    )
+    changes, _ = candidates(worn)
+    changes = [
+        tuned(c, worn, []) if c.function == TABLE else Change(c.axis, c.function, c.setting, _SIZES.get(c.function, {})) for c in changes
+    ]
+    for control in CONTROLS:
+        for change in changes:
+            of = entries_of(change, worn, control)
+            assert of.entries or of.table is not None or of.refused or of.by_hand, (control, change.function)
+        files, _ = files_for(changes, worn, control)
+        assert files
+        assert all(text.endswith("\n") for text in files.values())
+    gain = next(c for c in changes if c.setting is not None and c.setting.effect.name == "position_gain")
+    [entry] = entries_of(gain, worn, "sinumerik").entries
+    axis = worn.axis("Y")
+    assert entry.name == "MD32200 POSCTRL_GAIN"
+    assert entry.value == pytest.approx(axis.loops.position_gain_per_s * 60.0 / 1000.0)
+    assert entry.old == pytest.approx(0.9 * entry.value)
+
+
+_SIZES = {PULSE: {"amplitude": 1.5e-3, "decay_time": 0.01}, BACKLASH: {"width": 1.2e-5, "cycles": 1.0}}
+
+
+def test_changes_add_up_on_one_axis(mikron: Machine) -> None:
+    both = with_changes(mikron, [Change("X", PULSE, values=_SIZES[PULSE]), Change("X", BACKLASH, values=_SIZES[BACKLASH])])
+    assert set(both.document["axis"]["X"]["block"]) == {PULSE, BACKLASH}
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    twin.write_machine(planted(mikron, "coulomb_friction:X:factor=1.5", "coulomb_friction:Y:factor=1.5"), tmp_path / "worn.toml")
+    assert main(["remedy", str(tmp_path / "worn.toml"), "--target-um", "0.7", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "target 0.7 um reached" in said
+    document = json.loads((tmp_path / "out" / "remedy.json").read_text())
+    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    assert document["after"] < 0.7 < document["before"]
+    assert {c["axis"] for c in document["changes"]} == {"X", "Y"}
+    assert "MD32520 FRICT_COMP_CONST_MAX" in document["changes"][0]["control"]
+    again = twin.load_machine(tmp_path / "out" / "machine.toml")
+    assert again.document["axis"]["X"]["block"]["friction_pulse"]
+    assert "$MA_FRICT_COMP_CONST_MAX[0,AX1]=" in (tmp_path / "out" / "control" / "machine_data.ini").read_text()
+    assert main(["remedy", str(tmp_path), "--out", str(tmp_path / "no")]) == 2

@@ -1,0 +1,89 @@
+"""`twin remedy DIAGNOSIS|MACHINE`: what to set in the control and do at the machine, what it brings, and the control's own files."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twin.cli.arguments import add_effect, add_open, add_place, machine_of, open_report, positive, setpoints_of_input
+from twin.errors import InputError
+from twin.files import output_folder, write_json, write_whole
+from twin.progress import Progress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument(
+        "source",
+        metavar="DIAGNOSIS|MACHINE",
+        nargs="?",
+        help="folder of a diagnosis, its diagnosis.json, or a machine file with effects (default: the Mikron UCP 710 that ships with twin)",
+    )
+    add_effect(parser)
+    parser.add_argument(
+        "--program", metavar="INPUT", help="part program or trace on which the error is judged (default: a circle of two axes)"
+    )
+    parser.add_argument(
+        "--target-um", type=positive, default=5.0, metavar="T", help="RMS error at the tool point to reach [um] (default 5)"
+    )
+    parser.add_argument(
+        "--control", default="sinumerik", metavar="C", help="sinumerik (default), heidenhain, linuxcnc or isg: whose files to write"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for remedy.json, machine.toml, control/, report.html")
+    add_place(parser)
+    add_open(parser)
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Choose, tune and predict the changes; write the files; print what to set."""
+    from twin.machine.machine import write_machine
+    from twin.remedy.control_data import CONTROLS, entries_of, files_for
+    from twin.remedy.motions import given_motion, standard_motions
+    from twin.remedy.remedy import refusals, remedy, remedy_document, sentence
+    from twin.remedy.report import write_remedy_report
+    from twin.remedy.source import deviations_of, machine_file_of
+
+    if args.control not in CONTROLS:
+        raise InputError(f"--control {args.control}: use one of {', '.join(CONTROLS)}")
+    file, document = machine_file_of(Path(args.source)) if args.source else (None, {})
+    args.machine = file and str(file)
+    machine = machine_of(args)
+    standard = standard_motions(machine)
+    on, elsewhere = standard[0], standard[1:]
+    if args.program:
+        _, trace = setpoints_of_input(Path(args.program), machine, args.place)
+        on, elsewhere = given_motion(Path(args.program).name, trace, machine), standard
+    out = output_folder(args.out)
+    with Progress("looking for a remedy", total=None) as bar:
+        found = remedy(machine, on, elsewhere, args.target_um * 1e-6, deviations_of(document), bar.say)
+    content = remedy_document(found)
+    files, by_hand = files_for(list(found.chosen.changes), machine, args.control)
+    for change, entry in zip(found.chosen.changes, content["changes"]):
+        entry["control"] = {e.name: e.value for e in entries_of(change, machine, args.control).entries}
+    content |= {"control": args.control, "files": sorted(files), "by_hand": by_hand}
+    write_json(content, out / "remedy.json", "remedy")
+    write_machine(found.remedied, out / "machine.toml")
+    for name, text in files.items():
+        write_whole(out / "control" / name, text)
+    write_remedy_report(found, content, out / "report.html")
+    print(
+        f"{on.name}: {content['before']:.2f} um RMS at the tool point now, {content['after']:.2f} um after {len(found.chosen.changes)} changes",
+        end="",
+    )
+    print(
+        f" ({content['low']:.2f} to {content['high']:.2f})" if content["high"] is not None and content["high"] > content["low"] else "",
+        end="",
+    )
+    print(f"; target {args.target_um:g} um {'reached' if found.reached else 'not reached'}")
+    for change, entry in zip(found.chosen.changes, content["changes"]):
+        print(f"  {sentence(found, change)}: {entry['before']:.2f} -> {entry['after']:.2f} um")
+        print("".join(f"    enter {name} = {value:.6g}\n" for name, value in entry["control"].items()), end="")
+    print("".join(f"  by hand: {text}\n" for text in by_hand), end="")
+    print("".join(f"  no setting cures {text}\n" for text in refusals(found.chosen.refused)), end="")
+    print(
+        "".join(f"  at the machine, {one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}\n" for one in content["at_the_machine"]),
+        end="",
+    )
+    print(f"written to {out}: remedy.json, machine.toml, report.html{', control/' if files else ''}")
+    open_report(args, out / "report.html")
+    return 0

@@ -1,0 +1,149 @@
+"""A remedy: from a diagnosis or a corrected machine to changes, their predicted benefit, and what no setting cures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.effects import settings_of
+from twin.machine.machine import Machine
+from twin.remedy.advice import ADVICE, SET_BACK
+from twin.remedy.change import Change
+from twin.remedy.choose import Chosen, Refused, choose
+from twin.remedy.predict import NORMAL_95, Motionful, drawn, errors_of, with_changes
+from twin.remedy.tool_error import ToolError
+from twin.units import AXIS_UNITS
+
+Deviations = Mapping[tuple[str, str, str | None], Mapping[str, float]]
+"""Standard deviations of the sizes of effects, by effect and parameter [SI]."""
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A chosen remedy, judged in MuJoCo on the motion that was asked for.
+
+    alone         error with only this change, by change
+    low, high     2.5 % and 97.5 % of the error after all changes, over machines drawn from the intervals of the diagnosis
+    """
+
+    machine: Machine
+    remedied: Machine
+    motion: str
+    target: float
+    chosen: Chosen
+    before: ToolError
+    after: ToolError
+    alone: tuple[ToolError, ...]
+    low: float
+    high: float
+    drawn_before: tuple[float, float]
+
+    @property
+    def reached(self) -> bool:
+        """True if the error after all changes is within the target."""
+        return self.after.rms <= self.target
+
+
+def remedy(
+    machine: Machine,
+    on: Motionful,
+    elsewhere: Sequence[Motionful],
+    target: float,
+    deviations: Deviations | None = None,
+    say: Callable[[str], None] = lambda _text: None,
+    seed: int = 0,
+) -> Remedy:
+    """The remedy of a machine with effects on a motion; `target` RMS contour error [m]. Tuned on all motions, kept where none gets worse."""
+    chosen = choose(machine, [on], elsewhere, target, say)
+    remedied = with_changes(machine, chosen.changes)
+    say("predicting in MuJoCo")
+    variants = [machine, remedied, *(change.applied(machine) for change in chosen.changes)]
+    found = errors_of(variants, on, engine=True)
+    before, after, alone = found[0], found[1], found[2:]
+    if before is None or after is None:
+        raise ArithmeticError("a machine that ran on the decoupled plant diverges in MuJoCo")
+    low, high, low_before, high_before = after.rms, after.rms, before.rms, before.rms
+    if deviations:
+        say("predicting with the intervals of the diagnosis")
+        others = drawn(machine, deviations, seed)
+        of_before, of_after = (errors_of(many, on) for many in (others, [with_changes(m, chosen.changes) for m in others]))
+        # the decoupled plant differs from MuJoCo by a constant; its scatter is what counts
+        low, high = _spread(after.rms, of_after)
+        low_before, high_before = _spread(before.rms, of_before)
+    return Remedy(
+        machine,
+        remedied,
+        on.name,
+        target,
+        chosen,
+        before,
+        after,
+        tuple(a for a in alone if a is not None),
+        low,
+        high,
+        (low_before, high_before),
+    )
+
+
+def _spread(value: float, errors: Sequence[ToolError | None]) -> tuple[float, float]:
+    found = np.array([e.rms for e in errors if e is not None])
+    if len(found) < 3:
+        return 0.0, math.inf
+    half = NORMAL_95 * float(np.std(found, ddof=1))
+    return max(value - half, 0.0), value + half
+
+
+def remedy_document(found: Remedy) -> dict[str, Any]:
+    """Content of `remedy.json`: um RMS at the tool point on the motion asked for."""
+    return {
+        "motion": found.motion,
+        "unit": "um RMS at the tool point",
+        "target_um": 1e6 * found.target if math.isfinite(found.target) else None,
+        "before": 1e6 * found.before.rms,
+        "after": 1e6 * found.after.rms,
+        "low": 1e6 * found.low,
+        "high": 1e6 * found.high if math.isfinite(found.high) else None,
+        "largest": {"before": 1e6 * float(found.before.contour.max()), "after": 1e6 * float(found.after.contour.max())},
+        "quadrant_peaks": {
+            axis: {"before": to * before, "after": to * found.after.peaks[axis], "unit": unit}
+            for axis, before in found.before.peaks.items()
+            for unit, to in [AXIS_UNITS[found.machine.axis(axis).kind].error]
+            if before > 0.0
+        },
+        "changes": [_change(found, i) for i in range(len(found.chosen.changes))],
+        "refused": [{"effect": r.effect, "axis": r.axis, "reason": r.reason} for r in found.chosen.refused],
+        "at_the_machine": [{"effect": s.effect.name, "axis": s.axis, "do": ADVICE[s.effect.name].machine} for s in settings_of(found.machine) if ADVICE[s.effect.name].machine],
+    }  # fmt: skip
+
+
+def _change(found: Remedy, i: int) -> dict[str, Any]:
+    change = found.chosen.changes[i]
+    advice = ADVICE[change.setting.effect.name] if change.setting else ADVICE["coulomb_friction"]
+    return {
+        "axis": change.axis,
+        "function": change.function,
+        "effect": change.setting.effect.name if change.setting else None,
+        "parameters": change.table(found.machine),
+        "before": 1e6 * found.chosen.errors[i],
+        "after": 1e6 * found.chosen.errors[i + 1],
+        "alone": 1e6 * found.alone[i].rms if i < len(found.alone) else None,
+        "worse": [advice.worse] if advice.worse else [],
+        "grade": advice.grade,
+    }
+
+
+def sentence(found: Remedy, change: Change) -> str:
+    """A change in words: what to set, with numbers and units."""
+    if change.function == SET_BACK and change.setting is not None:
+        return f"{change.axis}: set back what the diagnosis calls {change.setting.effect.name.replace('_', ' ')} to its commissioned value"
+    numbers = ", ".join(f"{key} = {value:.4g}" for key, value in change.table(found.machine).items())
+    return f"{change.axis}: {change.function.replace('_', ' ')} ({numbers})"
+
+
+def refusals(found: Sequence[Refused]) -> list[str]:
+    """The refused effects as sentences."""
+    return [f"{r.axis}: {r.effect.replace('_', ' ')}: {r.reason}" for r in found]

@@ -1,0 +1,94 @@
+"""The numbers of a change, tuned on the corrected machine along the program's own reversals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+import itertools
+
+import numpy as np
+from scipy.optimize import minimize
+
+from twin.effects import settings_of
+from twin.machine.machine import Axis, Machine
+from twin.remedy.advice import BACKLASH, PULSE, TABLE
+from twin.remedy.change import Change
+from twin.remedy.predict import Motionful, errors_of
+
+AMPLITUDES = (0.25, 0.5, 0.75, 1.0)
+"""First amplitudes of a pulse, in units of 2 Mc r / Kp: the step of the speed set point that turns Coulomb friction round."""
+DECAYS = (0.5, 1.0, 2.0)
+"""First decays of a pulse, in integral times of the speed controller: with T = Tn the answer of the torque is a step."""
+BEYOND = 2.0
+"""Factor beyond the first numbers within which the best ones are sought: a pulse that never decays is no pulse."""
+TRIES = 24
+"""Most evaluations after the first ones."""
+CYCLES_IF_ENDLESS = 8.0
+"""Decay in position cycles where the speed controller has no integral time."""
+
+
+def tuned(change: Change, machine: Machine, on: Sequence[Motionful]) -> Change:
+    """The change with the numbers that make the RMS contour error over the motions smallest. `machine` is without it."""
+    axis = machine.axis(change.axis)
+    if change.function == PULSE:
+        return _best(change, machine, on, _pulses(machine, axis))
+    if change.function == BACKLASH:
+        width = next((s.size for s in settings_of(machine) if s.axis == axis.name and s.effect.name == "backlash"), 0.0)
+        return _best(change, machine, on, [{"width": share * width, "cycles": 1.0} for share in (0.7, 1.0, 1.3)], fixed=("cycles",))
+    if change.function == TABLE:
+        return replace(change, values=_correction(machine, axis))
+    return change
+
+
+def _correction(machine: Machine, axis: Axis) -> dict[str, float]:
+    """Slope and wave of the errors of an axis that a table corrects: those of its effects, E = true minus commanded position."""
+    values = {"slope": 0.0, "origin": 0.0, "sine": 0.0, "cosine": 0.0, "wavelength": 2.0 * np.pi * axis.ratio}
+    for setting in settings_of(machine):
+        if setting.axis != axis.name:
+            continue
+        p = setting.parameters
+        if setting.effect.name == "lead_error":
+            values["slope"] = 1e6 * setting.size / (1.0 - setting.size)
+        elif setting.effect.name in ("cyclic_error", "encoder_eccentricity"):
+            # the load leads the motor encoder by a cyclic error; an eccentric disc reads ahead of the load
+            size = setting.size if setting.effect.name == "cyclic_error" else -setting.size
+            values |= {"sine": size * np.cos(p["phase_rad"]), "cosine": size * np.sin(p["phase_rad"])}
+            if setting.effect.name == "encoder_eccentricity":
+                values["wavelength"] = 2.0 * np.pi
+    return {name: float(value) for name, value in values.items()}
+
+
+def _pulses(machine: Machine, axis: Axis) -> list[dict[str, float]]:
+    """First pulses [m/s or rad/s, s], from friction and speed gain of the axis with its effects."""
+    factor = np.prod([s.factor_on("coulomb_friction_nm") for s in settings_of(machine) if s.axis == axis.name] or [1.0])
+    full = 2.0 * axis.coulomb_friction_nm * float(factor) * axis.ratio / axis.loops.speed_gain_nm_s_per_rad
+    decay = axis.loops.speed_integral_time_s if axis.has_speed_integral else CYCLES_IF_ENDLESS * machine.position_cycle
+    return [{"amplitude": a * full, "decay_time": d * decay} for a, d in itertools.product(AMPLITUDES, DECAYS)]
+
+
+def _best(
+    change: Change, machine: Machine, on: Sequence[Motionful], first: Sequence[Mapping[str, float]], fixed: Sequence[str] = ()
+) -> Change:
+    """The best of the first numbers, refined by a simplex over the logarithms of those that are not fixed."""
+    keys = [k for k in first[0] if k not in fixed]
+
+    def losses(many: Sequence[Mapping[str, float]]) -> np.ndarray:
+        machines = [replace(change, values=values).applied(machine) for values in many]
+        squares = np.zeros(len(many))
+        for motion in on:
+            squares += [np.inf if error is None else error.rms**2 for error in errors_of(machines, motion)]
+        return np.sqrt(squares / len(on))
+
+    values = losses(first)
+    low, high = ({k: factor * end(v[k] for v in first) for k in keys} for factor, end in ((1.0 / BEYOND, min), (BEYOND, max)))
+    start = first[int(np.argmin(values))]
+    origin = np.log([max(start[k], 1e-12) for k in keys])
+
+    def at(x: np.ndarray) -> dict[str, float]:
+        return {**start, **{k: float(np.clip(v, low[k], high[k])) for k, v in zip(keys, np.exp(x))}}
+
+    of: Callable[[np.ndarray], float] = lambda x: float(losses([at(x)])[0])  # noqa: E731
+    simplex = np.vstack([origin, *(origin + 0.2 * row for row in np.eye(len(keys)))])
+    found = minimize(of, origin, method="Nelder-Mead", options={"maxfev": TRIES, "initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-10})
+    best = at(found.x) if found.fun < values.min() else dict(start)
+    return replace(change, values=best)
