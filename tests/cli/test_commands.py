@@ -19,6 +19,7 @@ from twin.cli.parser import COMMANDS
 from twin.limits import raised, raised_by
 from twin.progress import Progress, hushed
 from twin.recordings.trace import read_trace
+from twin.replay.reading import read_recording
 
 EXAMPLE = ROOT / "examples" / "x_200mm.csv"
 
@@ -37,7 +38,7 @@ def test_first_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_run_compares_a_machine_with_an_effect_to_the_nominal_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    effect = ["--effect", "backlash:X:clearance=15e-6", "--beside", "--no-recording"]
+    effect = ["--effect", "backlash:X:clearance=15e-6", "--beside"]
     assert main(["run", "examples/x_200mm.csv", *effect, "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "effects: backlash X (clearance 15.0 um); feedforward: velocity+torque" in out
@@ -47,6 +48,8 @@ def test_run_compares_a_machine_with_an_effect_to_the_nominal_one(tmp_path: Path
     (x,) = (e for e in json.loads((tmp_path / "compare.json").read_text())["errors"] if e["axis"] == "X")
     assert x["first"] == pytest.approx(9.7, abs=0.3)
     assert x["second"] == pytest.approx(18.1, abs=0.5)
+    shown = read_recording(tmp_path / "run.rrd")["/summary"]["TextDocument:text"].values[0][0]
+    assert "effects: backlash X (clearance 15.0 um)" in shown
     page = (tmp_path / "report.html").read_text()
     assert "Made by twin" in page
     assert "backlash X (clearance 15.0 um)" in page

@@ -1,17 +1,15 @@
 """An axis without Coulomb friction, on air bearings for example, has no break-away and no slip before it."""
 
-from dataclasses import replace
-from pathlib import Path
-
+import numpy as np
 import pytest
 
-from tests.builders.identify_campaigns import usual_runs
-from twin.diagnose import diagnose
+from tests.builders.diagnosis_state import group_of
+from twin.diagnose import imperfections
 from twin.diagnose.settings import DEFAULT
-from twin.diagnose.tolerance import is_normal
-from twin.effects import EFFECTS, Setting, with_effects
+from twin.diagnose.tolerance import is_normal, nuisances_of
+from twin.diagnose.tuning import tuning_from
+from twin.effects import EFFECTS, Setting
 from twin.machine.machine import Machine
-from twin.recordings.campaign import Campaign
 
 
 @pytest.fixture(scope="module")
@@ -19,12 +17,18 @@ def frictionless(mikron: Machine) -> Machine:
     return mikron.with_axes(["X"]).with_axis("X", coulomb_friction_nm=0.0)
 
 
-def test_a_frictionless_axis_is_diagnosed(frictionless: Machine) -> None:
-    """A backlash makes all channels exceed noise, so that every normal imperfection is tried."""
-    true = with_effects(frictionless, [{"name": "backlash", "axis": "X", "clearance": 8e-6}])
-    runs = [replace(run, started_at=20.0 * k) for k, run in enumerate(usual_runs(true, short=True))]
-    found = diagnose(Campaign(Path("campaign"), "test", tuple(runs)), frictionless)
-    assert (found.verdict, [s.key[:2] for s, _, _ in found.settings]) == ("effect", [("backlash", "X")])
+def test_no_slip_is_tried_without_friction(frictionless: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All channels exceed noise, so that every normal imperfection is tried that the axis can have."""
+    rows = np.full(400, 5.0)
+    group = group_of([rows, rows], "X")
+    tuning = tuning_from(nuisances_of(frictionless, ("X",), group.thresholds), np.eye(group.size)[:, :7], 0.01)
+    for machine, can_slip in ((frictionless, False), (frictionless.with_axis("X", coulomb_friction_nm=1.0), True)):
+        tried: list[str] = []
+        monkeypatch.setattr(
+            imperfections, "_at_shares", lambda current, group, machine, nuisance, *_, to=tried: to.append(nuisance.quantity) or []
+        )
+        imperfections.with_imperfections(tuning, group, machine, group.residual, map)
+        assert ("slip" in tried) is can_slip
 
 
 def test_no_slip_is_normal_without_friction(frictionless: Machine) -> None:

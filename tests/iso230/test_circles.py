@@ -20,7 +20,7 @@ from twin.iso230.circle_of_trace import circles_of_trace
 from twin.iso230.circles import CirclePath, CircleTest, circle_numbers, least_squares_circle, reversal_spikes
 from twin.machine.machine import Machine
 from twin.program import interpolate, read_program
-from twin.recordings.trace import Trace
+from twin.recordings.trace import Trace, write_trace
 
 EXAMPLES = ROOT / "examples" / "iso230"
 R = 0.05
@@ -102,6 +102,17 @@ def test_circles_are_found_in_a_run(turns: float) -> None:
     assert numbers["F_max"] == pytest.approx(2e-6, abs=2e-8)
     assert numbers["F_min"] == pytest.approx(-2e-6, abs=2e-8)
     assert numbers["H"] == pytest.approx(4e-6, rel=2e-2)
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_simulated_circle_is_not_called_measured(simulated: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trace = run(1.0)
+    signals = {**trace.signals, ("X", "load_position"): trace.get("X", "position")} if simulated else trace.signals
+    write_trace(Trace(trace.time, signals, trace.kinds), tmp_path / "circle.parquet")
+    assert main(["iso", "230-4", str(tmp_path / "circle.parquet"), "--no-predict", "--json", str(tmp_path / "c.json")]) == 0
+    out = capsys.readouterr().out
+    assert (" simulated " in out, " measured " in out) == (simulated, not simulated)
+    assert json.loads((tmp_path / "c.json").read_text())["H"] == pytest.approx(4.0, rel=2e-2)  # the numbers stand in one place
 
 
 def test_a_run_without_circle_is_refused() -> None:

@@ -161,15 +161,17 @@ def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str
     for i, (run, by_name) in enumerate(tests):
         if i < len(recorded) and args.diagnosis:
             budgets.append(_budget(Path(args.diagnosis), recorded[i], by_name))
+        words = {"measured": "simulated"} if i < len(recorded) and recorded[i][0].is_simulated else {}
         entry: dict[str, Any] = {"run": run, "plane": by_name["measured"].name, "radius_mm": by_name["measured"].radius * 1e3}
         for name, test in by_name.items():
             numbers = _numbers(test)
             entry |= numbers if name == "measured" else {name: numbers}
-            rows.append([run, test.name, name, *(f"{numbers[k]:.2f}" if k in numbers else "-" for k in _SHOWN)])
+            rows.append([run, test.name, words.get(name, name), *(f"{numbers[k]:.2f}" if k in numbers else "-" for k in _SHOWN)])
         if budgets:
             entry["budget"] = [_budget_row(row) for row in budgets[-1]]
         circles.append(entry)
-        draw_circles(by_name, plot if i == 0 else plot.with_name(f"{plot.stem}_{run}_{by_name['measured'].name}{plot.suffix}"))
+        shown = {words.get(name, name): test for name, test in by_name.items()}
+        draw_circles(shown, plot if i == 0 else plot.with_name(f"{plot.stem}_{run}_{by_name['measured'].name}{plot.suffix}"))
     print("ISO 230-4 [um]; G: about the least-squares centre, F: about the nominal centre")
     print(table(["run", "plane", "", *_SHOWN], rows, left=3))
     for entry in circles:

@@ -88,6 +88,11 @@ class Trace:
         """Sample period [s]."""
         return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
+    @property
+    def is_simulated(self) -> bool:
+        """True if the trace holds the true position of a load, which no sensor shows."""
+        return any(signal == "load_position" for _, signal in self.signals)
+
     def moves(self, axis: str) -> bool:
         """True if the set point of the axis moves by more than 1e-6 m or rad."""
         return axis in self.axes and bool(np.ptp(self.get(axis, "setpoint")) > 1e-6)
