@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+import re
 
 import numpy as np
 import pytest
@@ -105,3 +106,15 @@ def test_a_machine_file_keeps_its_blocks(machine: Machine, tmp_path: Path) -> No
 def test_a_wrong_block_is_refused(machine: Machine, path: str, value: object, said: str) -> None:
     with pytest.raises(InputError, match=said.replace(".", r"\.")):
         machine.with_values({path: value})
+
+
+def test_only_the_room_of_control_knows_structures_by_name() -> None:
+    """Other rooms ask the blocks of an axis (`axis.actuator`); a new structure then touches one file."""
+    package = Path(__file__).resolve().parents[2] / "twin"
+    asks = re.compile(r"has_current_loop|\bstructure\s*[!=]=|structure\s+(not\s+)?in\b|STRUCTURES\[(0|\")")
+    asked = {
+        f.relative_to(package).as_posix()
+        for f in package.rglob("*.py")
+        if asks.search(f.read_text(encoding="utf-8")) and f.parent.name != "control"
+    }
+    assert asked <= {"machine/new.py"}  # checks the name that a user gives

@@ -208,7 +208,17 @@ def test_a_change_does_not_modify_the_original_machine(mikron: Machine) -> None:
 
 def test_every_number_of_an_axis_is_in_the_table(mikron: Machine) -> None:
     """The typed view has exactly the numbers of the table."""
-    typed = {f.name for f in dataclasses.fields(Axis)} - {"name", "kind", "drive", "motor", "loops", "structure", "effort", *WORDS}
+    typed = {f.name for f in dataclasses.fields(Axis)} - {
+        "name",
+        "kind",
+        "drive",
+        "motor",
+        "loops",
+        "structure",
+        "effort",
+        "blocks",
+        *WORDS,
+    }
     typed |= {f"motor.{f.name}" for f in dataclasses.fields(Motor)} | {f"loops.{f.name}" for f in dataclasses.fields(Loops)}
     assert {p.field for p in PARAMETERS} == typed
     assert all(parameter(field).field == field for field in SPREAD.values())

@@ -61,7 +61,7 @@ class ReferenceCascade:
         self.control_Kt = column([axis.commissioned_torque_constant for axis in axes])
         self.i_peak = column([m.peak_current_a for m in motors])
         self.u_bus = column([m.bus_limit_v for m in motors])
-        self.has_loop = np.array([axis.has_current_loop for axis in axes])
+        self.has_loop = np.array([axis.structure == "P/PI/PI" for axis in axes])
         self.n = [p.speed_mean_cycles for p in loops]
         self.Td = column([p.dsc_delay_s for p in loops])
         self.T_w = column([p.speed_filter_time_s for p in loops])

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from tests.builders.other_structures import slides
+from twin.control.linear import Loop
 from twin.effects import with_effects
-from twin.machine.loops import Loop, first_mode, loops_of, margins_of
+from twin.machine.loops import first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import home_inertia_at_motor
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from twin.cli.arguments import machine_of
+from twin.control.structures import STRUCTURES
 from twin.errors import InputError
 from twin.files import all_or_none, write_json
-from twin.machine.keys import STRUCTURES
 from twin.progress import Progress
 
 
@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="imported campaign instead of MODEL; drive and load become lumped parameters",
     )
     new.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; its MJCF is written beside it")
-    new.add_argument("--structure", metavar="S", help=f"control structure of all axes: {', '.join(STRUCTURES)} (default: {STRUCTURES[0]})")
+    new.add_argument(
+        "--structure", metavar="S", help=f"control structure of all axes: {', '.join(STRUCTURES)} (default: {next(iter(STRUCTURES))})"
+    )
     new.add_argument("--sinumerik", metavar="FILE", help="TOML or archive with SINUMERIK machine data to use")
     new.set_defaults(action=_new)
     check = actions.add_parser("check", help="list missing, impossible and unusual values, and the margins of each loop")
@@ -52,7 +54,9 @@ def _new(args: argparse.Namespace) -> int:
         raise InputError("twin machine new: give a MODEL, or --from-recording CAMPAIGN")
     if args.from_recording is not None:
         return _from_recording(args, out)
-    axes, left = new_machine(Path(args.model), out, args.structure or STRUCTURES[0], Path(args.sinumerik) if args.sinumerik else None)
+    axes, left = new_machine(
+        Path(args.model), out, args.structure or next(iter(STRUCTURES)), Path(args.sinumerik) if args.sinumerik else None
+    )
     print(f"written: {out} with {len(axes)} {'axis' if len(axes) == 1 else 'axes'}: {', '.join(axes)}")
     if left:
         print(f"machine data without a key in the machine file, ignored: {', '.join(left)}")

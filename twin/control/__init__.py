@@ -1,9 +1,16 @@
-"""Blocks of an axis' control, one file each: numbers and keys, compiled update, law over recorded signals.
+"""Blocks of an axis' control, one file each: numbers and keys, law, compiled update, linear model, law over recorded signals.
 
-block              what a block is, how a machine file lists it, and BLOCKS
-friction_pulse     pulse on the speed set point at a reversal       set_point_filters  lag and moving average of the set points
-command_law        the law of a control whose command is recorded   evidence           held-out evidence between two laws
-number             bounds and unit of a number                      library            imports all block files
+The structure of an axis (`structure = "P/PI/PI"`) is a list of the first blocks; its machine file lists further ones in `[axis.N.block.NAME]`.
+
+position_controller   P, speed and torque feedforward               friction_pulse     pulse on the speed set point at a reversal
+drive_position_loop   position loop closed in the drive             set_point_filters  lag and moving average of the set points
+speed_controller      P or PI; measured or differentiated speed     structures         lists of blocks: P/PI/PI, P/PI, P/P
+current_controller    PI and winding, or an ideal actuator          linear             sampled linear systems for the margins
+
+block, library        what a listed block is, and all of them       command_law        the law of a control whose command is recorded
+number, parameter     bounds, unit, key, machine datum              evidence           held-out evidence between two laws
+
+Other rooms ask the blocks (`axis.actuator`, `axis.blocks`) and know no structure by name.
 
 How a block is added: write a file here that declares its numbers (name for the law, key on a linear and on a rotary axis with the unit at
 the end, bounds, machine data of controls) and calls `register(Block(...))`, and name the file in `library`. Nothing else is touched: the

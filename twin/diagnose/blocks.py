@@ -18,6 +18,8 @@ import functools
 import numpy as np
 
 from twin.compiled_functions import compiled
+from twin.control.current_controller import current_controller, winding
+from twin.control.speed_controller import speed_controller
 from twin.diagnose.channel import Channel
 from twin.diagnose.force_balance import MOTION, force_beyond_model
 from twin.diagnose.observe import Group
@@ -25,7 +27,7 @@ from twin.diagnose.simulations import simulate_group
 from twin.diagnose.view import RunView
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
-from twin.simulation.cascade import Drives, DriveState, current_controller, drives_at_rest, drives_of, speed_controller, winding
+from twin.simulation.cascade import Drives, DriveState, drives_at_rest, drives_of
 from twin.simulation.drive_setpoints import received_from_nc, speed_set_point
 from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.position_command import command_of

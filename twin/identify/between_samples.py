@@ -77,7 +77,7 @@ def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
         damping=DAMPING_RATIO,
         tick=machine.base_tick,
         cycle_ticks=round(machine.position_cycle / machine.base_tick),
-        held=not axis.has_current_loop,
+        held=not axis.actuator.electrical,
     )
 
 

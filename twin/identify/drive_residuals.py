@@ -67,7 +67,7 @@ class DriveFit:
 
 def has_ideal_actuator(axis: Axis) -> bool:
     """Does the axis have no current loop, so that its values may be lumped?"""
-    return not axis.has_current_loop
+    return not axis.actuator.electrical
 
 
 def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:

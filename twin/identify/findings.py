@@ -62,7 +62,7 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
 
 def _signals_of(axis: Axis) -> dict[str, str]:
     """Signals that an axis of this control structure can have -> what each identifies."""
-    if axis.has_current_loop:
+    if axis.actuator.measured:
         return SIGNALS
     motion = "motor_position" if axis.encoder == "motor" else "position"
     return {motion: "anything", axis.effort: SIGNALS["current"]}

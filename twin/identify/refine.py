@@ -82,7 +82,9 @@ def free_parameters(machine: Machine, runs: Sequence[MeasuredRun], known: Collec
     Control values in `known` (axis, field) stay as they are.
     """
     on = {w for r in runs for w in (r.feedforward or "velocity+torque").split("+")}  # unknown: simulated with the weights of the file
-    moving = [a for a in machine.axes if a.has_current_loop and any(a.name in r.trace.axes and is_moving(r.trace, a).any() for r in runs)]
+    moving = [
+        a for a in machine.axes if a.actuator.electrical and any(a.name in r.trace.axes and is_moving(r.trace, a).any() for r in runs)
+    ]
     batches = []
     for field, step in FIELDS.items():
         if (field == "velocity_feedforward" and "velocity" not in on) or (field == "torque_feedforward" and "torque" not in on):

@@ -1,6 +1,6 @@
 """One axis of a machine file as typed values in SI, and how they are read from its table.
 
-`keys.STRUCTURES` lists the control structures. P/PI/PI is the cascade of a servo drive with `[axis.N.motor]`. In P/PI and P/P an
+`control.structures` lists the control structures. P/PI/PI is the cascade of a servo drive with `[axis.N.motor]`. In P/PI and P/P an
 ideal actuator, `[axis.N.actuator]`, turns the command of the speed controller into torque. A linear axis with
 `drive = "direct"` (linear motor, or unknown screw) has all its numbers at the axis: metre, N and kg in place of motor radian, Nm
 and kg m2, and `ratio` = 1. SINUMERIK machine data may replace plain keys.
@@ -17,6 +17,7 @@ import numpy as np
 
 from twin.control.block import Listed, keys_of, listed, named_blocks
 from twin.control.number import si_from_key
+from twin.control.structures import STRUCTURES, Actuator
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.parameters import PARAMETERS, typed_from_file
@@ -125,7 +126,7 @@ class Axis:
     commissioned_torque_constant: float
     constant_torque_nm: float = 0.0
     commissioned_inertia: float | None = None
-    structure: str = keys.STRUCTURES[0]
+    structure: str = next(iter(STRUCTURES))
     effort: str = "current"
     encoder: str = "scale"
     friction_side: str = "load"
@@ -136,9 +137,9 @@ class Axis:
     mode_damping_ratio: float = 0.0
 
     @property
-    def has_current_loop(self) -> bool:
-        """True for a current controller with a winding behind the speed controller."""
-        return self.structure == keys.STRUCTURES[0]
+    def actuator(self) -> Actuator:
+        """What turns the output of the speed controller into torque."""
+        return STRUCTURES[self.structure].actuator
 
     @property
     def has_speed_integral(self) -> bool:
@@ -192,7 +193,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
     if "sinumerik" in table:
         table = sinumerik.with_plain_keys(table, where)
-    structure = _word(table, "structure", keys.STRUCTURES, where)
+    structure = _word(table, "structure", tuple(STRUCTURES), where)
     words = {key: _word(table, key, allowed, where) for key, allowed in keys.WORDS.items()}
     drive = _word(table, "drive", keys.DRIVES[kind], where)
     direct = drive == "direct"
@@ -202,7 +203,8 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     typed = _typed_numbers(plain, "screw" if kind == "linear" else "gear")
 
     commissioned = plain.get("commissioned", {})
-    if structure == keys.STRUCTURES[0]:
+    ideal = STRUCTURES[structure].actuator.table == "actuator"
+    if not ideal:
         effort, motor = "current", Motor(**typed["motor"])
         constant = commissioned.get("torque_constant_nm_per_a")
     else:
@@ -210,7 +212,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         constant = commissioned.get(keys.EFFORTS[effort].constant)
     constant = motor.torque_constant_nm_per_a if constant is None else float(constant)
     loops = dict(typed["loops"])
-    if structure != keys.STRUCTURES[0]:
+    if ideal:
         # a gain given per unit of the command does not change with the actuator
         given = {k: float(v) for k, v in plain["loops"].items() if k.startswith("speed_gain_")}
         ratio = 1.0 if direct else typed[""]["ratio"]

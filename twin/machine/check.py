@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
+from twin.control.linear import Loop
 from twin.effects.change import held_force, load_inertia
 from twin.machine.commented import ASSUMED, assumed_values
-from twin.machine.loops import Loop, Margins, first_mode, loops_of, margins_of
+from twin.machine.loops import Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import home_inertia_at_motor, load_spec
 from twin.units import AXIS_UNITS
@@ -149,9 +150,9 @@ def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
             "unusual",
             f"full acceleration takes {share * 100:.0f} % of the {effort} limit; above {LARGEST_SHARE * 100:.0f} % the loops have no reserve",
         )
-    if axis.has_current_loop and c.voltage > motor.bus_limit_v:
+    if axis.actuator.electrical and c.voltage > motor.bus_limit_v:
         yield "impossible", f"the highest speed takes {c.voltage:.3g} V, the bus gives {motor.bus_limit_v:g} V"
-    elif axis.has_current_loop and c.voltage > LARGEST_SHARE * motor.bus_limit_v:
+    elif axis.actuator.electrical and c.voltage > LARGEST_SHARE * motor.bus_limit_v:
         yield "unusual", f"the highest speed takes {c.voltage / motor.bus_limit_v * 100:.0f} % of the bus voltage"
     if c.inertia_ratio > MOST_INERTIA_RATIO and math.isfinite(c.inertia_ratio):
         yield (

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from twin.control.number import si_from_key
+from twin.control.structures import STRUCTURES
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.axis import Axis
@@ -89,9 +90,9 @@ def _check_for_programs(document: Mapping[str, Any], where: str) -> None:
 def check_cycles(document: Mapping[str, Any], axes: tuple[Axis, ...], where: str) -> None:
     """A current loop needs a cycle, and every cycle must be a whole multiple of the shortest one."""
     control = document["control"]
-    looped = [axis.name for axis in axes if axis.has_current_loop]
-    if "current_cycle_us" not in control and looped:
-        raise InputError(f"{where}: [control]: 'current_cycle_us' is missing; add it, axis {looped[0]} has a current loop")
+    for axis in axes:
+        if axis.actuator.cycle and axis.actuator.cycle not in control:
+            raise InputError(f"{where}: [control]: '{axis.actuator.cycle}' is missing; add it, axis {axis.name} has a current loop")
     cycles = cycles_of(document)
     shortest = min(cycles[name] for name in ("current_cycle", "speed_cycle", "position_cycle"))
     for name in ("current_cycle", "speed_cycle", "position_cycle"):
@@ -172,7 +173,7 @@ def _is_allowed(document: Mapping[str, Any], path: str) -> bool:
     kind, direct = table.get("kind"), table.get("drive") == "direct"
     if parts[2] == "block":
         return True  # its names and keys are checked with the axis
-    own, below = keys.tables_of_axis(str(kind), direct, table.get("structure", keys.STRUCTURES[0]), table, f"[axis.{parts[1]}]")
+    own, below = keys.tables_of_axis(str(kind), direct, table.get("structure", next(iter(STRUCTURES))), table, f"[axis.{parts[1]}]")
     if len(parts) == 3:
         return parts[2] in own or parts[2] in (*keys.WORDS, "commissioned")
     return parts[3] in below.get(parts[2], {})

@@ -11,11 +11,9 @@ import math
 from typing import Any
 
 from twin.control.number import INFINITE, Key, not_negative, positive
+from twin.control.structures import INTEGRAL, STRUCTURES
 from twin.errors import InputError, nearest
 from twin.machine.parameters import PARAMETERS
-
-STRUCTURES = ("P/PI/PI", "P/PI", "P/P")
-"""Position, speed and current controller of an axis. The first is a servo drive; the others end in an ideal actuator."""
 
 WORDS = {"encoder": ("scale", "motor"), "friction_side": ("load", "motor")}
 """Optional words of an axis; the first one is the default."""
@@ -70,7 +68,7 @@ def _below(table: str, drive: str = "screw") -> dict[str, Key]:
 AXIS = {"linear": _below(""), "rotary": _below("", "gear")}
 MOTOR, LOOPS, COMMISSIONED = (_below(table) for table in ("motor", "loops", "commissioned"))
 
-SPEED_GAIN, DRIVE_FEEDFORWARD = "speed_gain_nm_s_per_rad", "drive_torque_feedforward"
+SPEED_GAIN = "speed_gain_nm_s_per_rad"
 
 DIRECT = {"torque_constant_nm_per_v": "force_constant_n_per_v", "peak_torque_nm": "peak_force_n"} | {
     p.screw.rsplit(".", 1)[-1]: p.direct.rsplit(".", 1)[-1] for p in PARAMETERS if p.direct and p.direct != p.screw
@@ -101,18 +99,17 @@ def tables_of_axis(
 ) -> tuple[dict[str, Key], dict[str, dict[str, Key]]]:
     """Keys of an axis table, and of each table below it, for its kind, drive and structure."""
     own = dict(AXIS[kind])
-    # with a current loop the torque feedforward of the NC and that of the drive cannot be identified separately
-    parts = {"motor": dict(MOTOR), "loops": {k: v for k, v in LOOPS.items() if k != DRIVE_FEEDFORWARD}, "commissioned": dict(COMMISSIONED)}
-    if structure != STRUCTURES[0]:
+    control = STRUCTURES[structure]
+    loops = {k: v for k, v in LOOPS.items() if k not in control.without}
+    parts = {"motor": dict(MOTOR), "loops": loops, "commissioned": dict(COMMISSIONED)}
+    if control.actuator.table == "actuator":
         actuator = table.get("actuator")
         command = actuator.get("command") if isinstance(actuator, dict) else "torque"
         if not isinstance(command, str) or command not in EFFORTS:
             raise InputError(f"{where[:-1]}.actuator]: command = {command!r}; {nearest(str(command), EFFORTS)}")
         effort = EFFORTS[command]
-        loops = {k: replace(v, required=k == "position_gain_per_s") for k, v in LOOPS.items() if not k.startswith(("speed_i", "current_"))}
+        loops = {k: replace(v, required=k in ("position_gain_per_s", INTEGRAL)) for k, v in loops.items()}
         loops |= {k: positive(required=False) for k, _, per_metre in speed_gains(command) if kind == "linear" or not per_metre}
-        if structure == "P/PI":
-            loops["speed_integral_time_s"] = positive()
         constant = [effort.constant] if effort.constant else []
         parts = {
             "actuator": {k: positive() for k in (*constant, effort.peak)},

@@ -1,22 +1,15 @@
 """The loops of an axis as linear sampled systems: open and closed frequency response, margins, bandwidth.
 
-Each controller samples at its own cycle T and holds its output; the motor moves in continuous time between samples. Let
-the plant of a loop be x(k+1) = A x(k) + B u(k), y(k) = C x(k) over one of its cycles (exact: a matrix exponential over the
-fastest cycle, then powers). With its controller included, e -> y is the open loop:
+Each controller samples at its own cycle T and holds its output; the motor moves in continuous time between samples. The plant of a loop is exact
+over one of its cycles (a matrix exponential over the fastest cycle, then powers). With its controller included, e -> y is the open loop:
 
     L(z) = C (z I - A)^-1 B,   closed = L / (1 + L),   z = exp(j w T)
 
     current    u = Kpi e + I                                       winding and free rotor
     speed      i* = (Kp e + I) / Kt                                closed current loop, rotor (and load behind a spring), filtered speed
-    position   w* = Kv e / r                                       closed speed loop, encoder
+    position   w* = Kv e / r                                       closed speed loop, encoder; in the NC or in the drive
 
-With DSC (`dsc_delay_s` = Td; m speed cycles in a position cycle) the drive closes the position loop at every speed cycle. Its law
-w* = w*_NC(T - Td) - Kv (x(T) - x(T - Td)) / r takes x at each speed cycle, while w*_NC holds x for a position cycle. So
-
-L(z) = Kv P(z) (1 - z^-(Td/Ts) (1 - (1 + z^-1 + ... + z^-(m-1)) / m))
-
-This is exact except for aliasing by sampling at the position cycle. Td itself costs no phase in the loop.
-
+The linear models of the blocks stand in `twin.control`.
 Friction is viscous here, the inertia is that of the home pose, and limits are not reached. The spring is that of `transmission_compliance`.
 """
 
@@ -28,53 +21,16 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.linalg import block_diag, expm
 from scipy.optimize import brentq, minimize_scalar
 
+from twin.control.current_controller import winding_model
+from twin.control.drive_position_loop import closed_in_drive
+from twin.control.linear import GRID, Loop, closed, held, padded, sampled, with_controller
+from twin.control.speed_controller import with_reference_model, with_seen_speed
 from twin.effects import load_inertia, settings_of
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import home_inertia_at_motor
-
-GRID = 3000
-LOWEST_HZ = 0.05
-STABLE = 1.0 + 1e-9
-"""Largest radius of the poles of a stable closed loop. A viscous axis at rest without an integral part has a pole on the unit circle."""
-
-
-@dataclass(frozen=True)
-class Loop:
-    """An open loop x+ = a x + b e, y = c x with sample `period` [s]; `name`: current, speed or position."""
-
-    name: str
-    period: float
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-
-    def open_response(self, frequency: np.ndarray) -> np.ndarray:
-        """L at frequencies [Hz] (frequency,), complex."""
-        z = np.exp(2j * np.pi * np.atleast_1d(frequency) * self.period)
-        matrices = z[:, None, None] * np.eye(len(self.a)) - self.a
-        states = np.linalg.solve(matrices, np.broadcast_to(self.b.astype(complex), (len(z), *self.b.shape)))
-        return np.asarray((self.c @ states)[:, 0, 0])
-
-    def closed_response(self, frequency: np.ndarray) -> np.ndarray:
-        """L / (1 + L) at frequencies [Hz]."""
-        response = self.open_response(frequency)
-        return response / (1.0 + response)
-
-    @property
-    def is_stable(self) -> bool:
-        """True if all poles of the closed loop lie inside the unit circle."""
-        return bool(np.abs(np.linalg.eigvals(self.a - self.b @ self.c)).max() < STABLE)
-
-    def grid(self, count: int = GRID) -> np.ndarray:
-        """Frequencies [Hz] up to half the sampling rate: `count` logarithmic ones, and those of the open loop's poles."""
-        even = np.geomspace(min(LOWEST_HZ, 1e-3 / self.period), 0.5 / self.period * (1.0 - 1e-6), count)
-        # a resonance may be narrower than the steps, so its frequency is added
-        own = np.abs(np.angle(np.linalg.eigvals(self.a))) / (2.0 * np.pi * self.period)
-        return np.union1d(even, own[(own > even[0]) & (own < even[-1])])
 
 
 @dataclass(frozen=True)
@@ -132,10 +88,10 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
     a, b, speed, motor, load = _mechanics(machine, axis, total)
     commissioned = axis.commissioned_torque_constant
     loops = []
-    if axis.has_current_loop:
-        a, b, c = _winding(axis, a, b, speed)
-        a, b = _sampled(a, b, machine.current_cycle)
-        current = _with_controller(
+    if axis.actuator.loops:
+        a, b, c = winding_model(axis.motor, a, b, speed)
+        a, b = sampled(a, b, machine.current_cycle)
+        current = with_controller(
             "current",
             machine.current_cycle,
             (a, b, c),
@@ -143,48 +99,29 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
             axis.loops.current_gain_v_per_a * machine.current_cycle / axis.loops.current_integral_time_s,
         )
         loops.append(current)
-        a, b = _closed(current)
-        speed, motor, load = (_padded(row, len(a)) for row in (np.insert(speed, 0, 0.0), np.insert(motor, 0, 0.0), np.insert(load, 0, 0.0)))
-        a, b = _held(a, b, round(machine.speed_cycle / machine.current_cycle))
+        a, b = closed(current)
+        speed, motor, load = (padded(row, len(a)) for row in (np.insert(speed, 0, 0.0), np.insert(motor, 0, 0.0), np.insert(load, 0, 0.0)))
+        a, b = held(a, b, round(machine.speed_cycle / machine.current_cycle))
     else:
-        a, b = _sampled(a, b * axis.motor.torque_constant_nm_per_a, machine.speed_cycle)
-    a, b, seen = _with_seen_speed(axis, machine.speed_cycle, a, b, speed, motor)
-    motor, load = _padded(motor, len(a)), _padded(load, len(a))
+        a, b = sampled(a, b * axis.motor.torque_constant_nm_per_a, machine.speed_cycle)
+    a, b, seen = with_seen_speed(axis.loops.speed_mean_cycles, axis.loops.speed_filter_time_s, machine.speed_cycle, a, b, speed, motor)
+    motor, load = padded(motor, len(a)), padded(load, len(a))
     gain = axis.loops.speed_gain_nm_s_per_rad / commissioned
     integral = gain * machine.speed_cycle / axis.loops.speed_integral_time_s
-    inner = _with_controller("speed", machine.speed_cycle, (a, b, seen[None]), gain, integral)
+    inner = with_controller("speed", machine.speed_cycle, (a, b, seen[None]), gain, integral)
     loops.append(inner)
-    a, b = _closed(inner)
+    a, b = closed(inner)
     if integral > 0.0 and axis.loops.speed_reference_time_s > 0.0:
-        a, b = _with_reference_model(a, b, integral, -math.expm1(-machine.speed_cycle / axis.loops.speed_reference_time_s))
-    position = _padded(motor if axis.encoder == "motor" else load, len(a))
+        a, b = with_reference_model(a, b, integral, -math.expm1(-machine.speed_cycle / axis.loops.speed_reference_time_s))
+    position = padded(motor if axis.encoder == "motor" else load, len(a))
     cycles = round(machine.position_cycle / machine.speed_cycle)
     if axis.loops.dsc_delay_s > 0.0:
-        a, b, row = _closed_in_drive(axis.loops.dsc_delay_s / machine.speed_cycle, cycles, a, b, position)
+        a, b, row = closed_in_drive(axis.loops.dsc_delay_s / machine.speed_cycle, cycles, a, b, position)
         loops.append(Loop("position", machine.speed_cycle, a, b * axis.loops.position_gain_per_s, row[None]))
         return loops
-    a, b = _held(a, b, cycles)
+    a, b = held(a, b, cycles)
     loops.append(Loop("position", machine.position_cycle, a, b * axis.loops.position_gain_per_s, position[None]))
     return loops
-
-
-def _closed_in_drive(
-    delay: float, cycles: int, a: np.ndarray, b: np.ndarray, position: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The plant, extended by past encoder values, and the row that the drive's position loop sees. `delay`, `cycles` in speed cycles."""
-    weights = np.zeros(math.ceil(delay) + cycles + 1)  # of the encoder values, newest first
-    weights[0] = 1.0
-    whole = math.floor(delay)
-    for late, part in ((whole, 1.0 - (delay - whole)), (whole + 1, delay - whole)):
-        if part > 0.0:
-            weights[late] -= part
-            weights[late : late + cycles] += part / cycles
-    size, last = len(a), len(weights) - 1
-    a = block_diag(a, np.zeros((last, last)))
-    a[size, :size] = position
-    for i in range(1, last):
-        a[size + i, size + i - 1] = 1.0
-    return a, np.vstack([b, np.zeros((last, 1))]), np.concatenate([weights[0] * position, weights[1:]])
 
 
 def first_mode(machine: Machine, axis: Axis) -> float | None:
@@ -224,92 +161,6 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float) -> tuple[np.ndarray
     )
     rows = np.eye(4)
     return a, np.array([[1.0 / rotor], [0.0], [0.0], [0.0]]), rows[0], rows[2], rows[3]
-
-
-def _winding(axis: Axis, a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The mechanics with the winding in front, from voltage to current. The current is the first state."""
-    motor = axis.motor
-    n = len(a) + 1
-    wide = np.zeros((n, n))
-    wide[0, 0] = -motor.resistance_ohm / motor.inductance_h
-    wide[0, 1:] = -motor.back_emf_v_s_per_rad / motor.inductance_h * speed
-    wide[1:, 1:] = a
-    wide[1:, :1] = b * motor.torque_constant_nm_per_a
-    voltage = np.zeros((n, 1))
-    voltage[0] = 1.0 / motor.inductance_h
-    return wide, voltage, np.eye(n)[:1]
-
-
-def _sampled(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Discretise with a zero-order hold over a period."""
-    n = len(a)
-    wide = np.zeros((n + 1, n + 1))
-    wide[:n, :n], wide[:n, n:] = a, b
-    step = expm(wide * period)
-    return step[:n, :n], step[:n, n:]
-
-
-def _held(a: np.ndarray, b: np.ndarray, cycles: int) -> tuple[np.ndarray, np.ndarray]:
-    """The plant over several cycles with constant input."""
-    total = b.copy()
-    power = np.eye(len(a))
-    for _ in range(cycles - 1):
-        power = a @ power
-        total = total + power @ b
-    return a @ power, total
-
-
-def _with_controller(name: str, period: float, plant: tuple[np.ndarray, np.ndarray, np.ndarray], gain: float, integral: float) -> Loop:
-    """A plant with a P or PI controller: u = gain e + I, I+ = I + integral e."""
-    a, b, c = plant
-    if integral == 0.0:
-        return Loop(name, period, a, gain * b, c)
-    n = len(a)
-    wide = block_diag(a, 1.0)
-    wide[:n, n:] = b
-    return Loop(name, period, wide, np.vstack([gain * b, [[integral]]]), np.hstack([c, [[0.0]]]))
-
-
-def _closed(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
-    """The closed loop, from set point to state."""
-    return loop.a - loop.b @ loop.c, loop.b
-
-
-def _with_reference_model(a: np.ndarray, b: np.ndarray, integral: float, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """A closed speed loop whose integrator (the last state) sees the set point through a lag w_r += share (w* - w_r)."""
-    into = np.zeros((len(a), 1))
-    into[-1] = integral
-    wide = block_diag(a, 1.0 - share)
-    wide[: len(a), len(a) :] = into * (1.0 - share)
-    return wide, np.vstack([b + into * (share - 1.0), [[share]]])
-
-
-def _with_seen_speed(
-    axis: Axis, period: float, a: np.ndarray, b: np.ndarray, speed: np.ndarray, motor: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The plant and the row of the speed that the controller sees: measured, or differentiated from the motor angle, then filtered."""
-    row = speed
-    n = axis.loops.speed_mean_cycles
-    if n:
-        size = len(a)
-        a = block_diag(a, np.zeros((n, n)))
-        a[size, :size] = motor  # past angles, newest first
-        for i in range(1, n):
-            a[size + i, size + i - 1] = 1.0
-        b = np.vstack([b, np.zeros((n, 1))])
-        row = (_padded(motor, size + n) - np.eye(size + n)[size + n - 1]) / (n * period)
-    if axis.loops.speed_filter_time_s > 0.0:
-        share = -math.expm1(-period / axis.loops.speed_filter_time_s)
-        size = len(a)
-        a = block_diag(a, 1.0 - share)
-        a[size, :size] = share * row
-        b = np.vstack([b, [[0.0]]])
-        row = np.append(share * row, 1.0 - share)
-    return a, b, row
-
-
-def _padded(row: np.ndarray, size: int) -> np.ndarray:
-    return np.append(row, np.zeros(size - len(row)))
 
 
 def _at(loop: Loop, frequency: float) -> complex:

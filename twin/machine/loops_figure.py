@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
+from twin.control.linear import Loop
 from twin.machine.check import AxisCheck
-from twin.machine.loops import Loop, Margins
+from twin.machine.loops import Margins
 from twin.report.figure import AMBER, BLUE, INK, RED, SOFT, new_figure, save_png
 
 _LOWEST_DB, _HIGHEST_DB = -50.0, 50.0

@@ -165,9 +165,7 @@ class Machine:
             scale = ("linear_scale_noise_m", "linear_scale_resolution_m", "motor_encoder_resolution_m", "speed_noise_m_per_s")
         else:
             scale = ("rotary_encoder_noise_deg", "rotary_encoder_resolution_deg", "motor_encoder_resolution_rad", "speed_noise_deg_per_s")
-        current = (
-            value("current_noise_a") if axis.has_current_loop else 0.0
-        )  # without a current loop the command is recorded, not a measurement
+        current = value("current_noise_a") if axis.actuator.measured else 0.0
         motor = "motor_encoder_noise_m" if axis.kind == "linear" else "motor_encoder_noise_rad"
         position, position_resolution, motor_resolution, speed = (value(key) for key in scale)
         return Noise(position, position_resolution, motor_resolution, speed, current, value(motor))

@@ -15,11 +15,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from twin.control.structures import STRUCTURES
 from twin.documents import toml_key, toml_text
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.machine.commented import ASSUMED, commented, number_line
-from twin.machine.keys import STRUCTURES
 from twin.machine.machine import load_machine
 from twin.machine.model_file import check_mjcf, copy_model
 from twin.machine.model_limits import compiled_spec, refuse_singular
@@ -47,7 +47,9 @@ class JointFacts:
     limits: JointLimits
 
 
-def new_machine(model: Path, out: Path, structure: str = STRUCTURES[0], machine_data: Path | None = None) -> tuple[list[str], list[str]]:
+def new_machine(
+    model: Path, out: Path, structure: str = next(iter(STRUCTURES)), machine_data: Path | None = None
+) -> tuple[list[str], list[str]]:
     """Write the machine file, and its MJCF beside it. Returns the axes, and the machine data that the file has no place for.
 
     Raises InputError if the model is not a tree of slides and hinges with masses, or if a file would be overwritten.
@@ -132,7 +134,7 @@ def _positive(value: float) -> float | None:
 
 
 def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cycles: Mapping[str, float]) -> list[str]:
-    current = structure == STRUCTURES[0]
+    actuator = STRUCTURES[structure].actuator
     values = {
         "current_cycle_us": CURRENT_CYCLE_S * 1e6,
         "speed_cycle_us": CURRENT_CYCLE_S * 1e6,
@@ -155,7 +157,7 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
         "[control]                                  # cycles of the controllers",
     ]
     for key, value in values.items():
-        if key == "current_cycle_us" and not current:
+        if key == "current_cycle_us" and key != actuator.cycle:
             continue
         lines.append(number_line(key, value, "" if key in cycles else ASSUMED))
     return lines
@@ -226,7 +228,7 @@ def _motion_lines(f: JointFacts, ratio: float, rotor: float, data: MachineData) 
 def _drive(f: JointFacts, structure: str, peak: float, motor_speed: float, data: MachineData) -> list[str]:
     """The motor, or the ideal actuator of a structure without a current loop. `peak` torque [Nm], highest `motor_speed` [rad/s]."""
     of_peak = "from the model's effort" if f.limits.effort else f"{ASSUMED}: {SPARE_CURRENT:g} times full acceleration"
-    if structure != STRUCTURES[0]:
+    if STRUCTURES[structure].actuator.table == "actuator":
         return [
             f"[axis.{toml_key(f.name)}.actuator]",
             'command = "torque"                         # what the speed controller commands: torque, current or voltage',
@@ -253,9 +255,9 @@ def _loops(f: JointFacts, structure: str, inertia: float, data: MachineData) -> 
         data.line("loops.position_gain_per_s", POSITION_GAIN),
         data.line("loops.speed_gain_nm_s_per_rad", speed_gain, f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz"),
     ]
-    if structure != "P/P":
+    if STRUCTURES[structure].integral:
         lines.append(data.line("loops.speed_integral_time_s", INTEGRAL_S))
-    if structure == STRUCTURES[0]:
+    if STRUCTURES[structure].actuator.loops:
         lines += [
             data.line("loops.current_gain_v_per_a", _round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"),
             data.line("loops.current_integral_time_s", 5e-3 / 0.5, f"{ASSUMED}: L / R"),

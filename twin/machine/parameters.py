@@ -11,60 +11,14 @@ All code that handles a number of an axis by name (file, typed view, variants, t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 
-from twin.control.number import Key, not_negative, positive, si_from_key, unit_of_key
-
-MOST_MEAN_CYCLES = 16
-"""Most speed cycles over which a position may be differentiated."""
+from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
+from twin.control.number import Key, not_negative, positive, si_from_key
+from twin.control.parameter import Datum, Parameter, same_key
 
 MOST_MODE_SHARE = 0.95
 """Largest mass share of a structural mode: the mass that feels the drive without delay must not vanish."""
-
-
-@dataclass(frozen=True)
-class Datum:
-    """One machine datum: number, name, unit on the control, the plain key that it replaces, and the factor from datum to key."""
-
-    number: int
-    name: str
-    unit: str
-    key: str  # below the axis, e.g. loops.position_gain_per_s; travel_m.0 is the first of two numbers
-    factor: float
-
-    @property
-    def label(self) -> str:
-        return f"MD{self.number}"
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number of an axis: `field` of `twin.machine.axis.Axis`, and its key below `[axis.N]` for each drive ('' if it has none).
-
-    `data`: machine data (number, name, unit, factor to the unit of the key) of a linear and of a rotary axis.
-    """
-
-    field: str
-    screw: str
-    gear: str
-    direct: str
-    bounds: Key
-    data: tuple[tuple[int, str, str, float] | None, tuple[int, str, str, float] | None] = (None, None)
-
-    def key(self, drive: str) -> str:
-        """Key below `[axis.N]` for this drive."""
-        return {"screw": self.screw, "gear": self.gear, "direct": self.direct}[drive]
-
-    def unit(self, drive: str) -> str:
-        """Unit for this drive, from the key; '1' for a plain number."""
-        return unit_of_key(self.key(drive).rsplit(".", 1)[-1]) or "1"
-
-
-def _same(key: str, bounds: Key, datum: tuple[int, str, str, float] | None = None, *, field: str = "", direct: str = "") -> Parameter:
-    """A number with the same key for screw and gear; `direct` is the last part of the key of a direct drive if it differs."""
-    *tables, leaf = key.split(".")
-    return Parameter(field or key, key, key, ".".join([*tables, direct or leaf]), bounds, (datum, datum))
 
 
 _SPEED = ((32000, "MAX_AX_VELO", "mm/min", 1e-3), (32000, "MAX_AX_VELO", "rev/min", 1.0))
@@ -87,9 +41,9 @@ PARAMETERS = (
     Parameter("ratio", "screw_lead_m_per_rev", "gear_ratio", "", positive(), _RATIO),
     Parameter("moving_mass_kg", "moving_mass_kg", "", "moving_mass_kg", positive()),
     Parameter("rotor_inertia_kg_m2", "rotor_and_screw_inertia_kg_m2", "rotor_and_gear_inertia_kg_m2", "rotor_mass_kg", positive()),
-    _same("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n"),
-    _same("viscous_friction_nm_s_per_rad", not_negative(), direct="viscous_friction_n_s_per_m"),
-    _same("constant_torque_nm", Key(required=False), direct="constant_force_n"),
+    same_key("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n"),
+    same_key("viscous_friction_nm_s_per_rad", not_negative(), direct="viscous_friction_n_s_per_m"),
+    same_key("constant_torque_nm", Key(required=False), direct="constant_force_n"),
     Parameter(
         "presliding_stiffness",
         "presliding_stiffness_n_per_m",
@@ -98,42 +52,32 @@ PARAMETERS = (
         not_negative(required=False),
     ),
     # a structural mode in the direction of the axis; without a mass share there is none
-    _same("mode_frequency_hz", Key(0.0, 500.0, required=False)),
-    _same("mode_mass_share", Key(0.0, MOST_MODE_SHARE, required=False)),
-    _same("mode_damping_ratio", Key(0.0, 1.0, required=False)),
-    _same("motor.torque_constant_nm_per_a", positive(), (1113, "TORQUE_CURRENT_RATIO", "Nm/A", 1.0), direct="force_constant_n_per_a"),
-    _same("motor.back_emf_v_s_per_rad", not_negative(), direct="back_emf_v_s_per_m"),
-    _same("motor.resistance_ohm", positive()),
-    _same("motor.inductance_h", positive()),
-    _same("motor.peak_current_a", positive(), (1104, "MOTOR_MAX_CURRENT", "A", 1.0)),
-    _same("motor.bus_limit_v", positive()),
+    same_key("mode_frequency_hz", Key(0.0, 500.0, required=False)),
+    same_key("mode_mass_share", Key(0.0, MOST_MODE_SHARE, required=False)),
+    same_key("mode_damping_ratio", Key(0.0, 1.0, required=False)),
+    same_key("motor.torque_constant_nm_per_a", positive(), (1113, "TORQUE_CURRENT_RATIO", "Nm/A", 1.0), direct="force_constant_n_per_a"),
+    same_key("motor.back_emf_v_s_per_rad", not_negative(), direct="back_emf_v_s_per_m"),
+    same_key("motor.resistance_ohm", positive()),
+    same_key("motor.inductance_h", positive()),
+    same_key("motor.peak_current_a", positive(), (1104, "MOTOR_MAX_CURRENT", "A", 1.0)),
+    same_key("motor.bus_limit_v", positive()),
     # ratings of the data sheet: not used in simulation; studies compare the load with them
-    _same("motor.rated_torque_nm", positive(required=False), direct="rated_force_n"),
-    _same("motor.rated_speed_rev_per_min", positive(required=False), field="motor.rated_speed", direct="rated_speed_m_per_min"),
-    _same("motor.max_speed_rev_per_min", positive(required=False), field="motor.max_speed", direct="max_speed_m_per_min"),
-    _same("motor.thermal_time_constant_s", positive(required=False)),
-    _same("loops.position_gain_per_s", positive(), (32200, "POSCTRL_GAIN", "1000/min", 1000.0 / 60.0)),
-    _same("loops.speed_gain_nm_s_per_rad", positive(), (1407, "SPEEDCTRL_GAIN_1", "Nms/rad", 1.0), direct="speed_gain_n_s_per_m"),
-    _same("loops.speed_integral_time_s", positive(), (1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", 1e-3)),
-    _same("loops.current_gain_v_per_a", positive(), (1120, "CURRCTRL_GAIN", "V/A", 1.0)),
-    _same("loops.current_integral_time_s", positive(), (1121, "CURRCTRL_INTEGRATOR_TIME", "us", 1e-6)),
-    _same("loops.velocity_feedforward", Key(-2.0, 2.0), (32610, "VELO_FFW_WEIGHT", "1", 1.0)),
-    _same("loops.torque_feedforward", Key(-5.0, 5.0)),
-    _same("loops.position_delay_s", Key(0.0, 1.0), (32810, "EQUIV_SPEEDCTRL_TIME", "s", 1.0)),
-    _same("loops.feedforward_delay_s", Key(0.0, 1.0)),
-    _same("loops.dsc_delay_s", Key(0.0, 1.0, required=False), (32644, "STIFFNESS_DELAY_TIME", "s", 1.0)),
-    _same("loops.speed_mean_cycles", Key(0.0, MOST_MEAN_CYCLES, required=False)),
-    _same("loops.speed_filter_time_s", Key(0.0, 1.0, required=False)),
-    _same("loops.speed_reference_time_s", Key(0.0, 1.0, required=False)),
-    _same("loops.drive_torque_feedforward", Key(0.0, 5.0, required=False)),
+    same_key("motor.rated_torque_nm", positive(required=False), direct="rated_force_n"),
+    same_key("motor.rated_speed_rev_per_min", positive(required=False), field="motor.rated_speed", direct="rated_speed_m_per_min"),
+    same_key("motor.max_speed_rev_per_min", positive(required=False), field="motor.max_speed", direct="max_speed_m_per_min"),
+    same_key("motor.thermal_time_constant_s", positive(required=False)),
+    *position_controller.PARAMETERS,
+    *speed_controller.PARAMETERS,
+    *current_controller.PARAMETERS,
+    *drive_position_loop.PARAMETERS,
     # values with which the control was commissioned; they do not change with motor and load
-    _same(
+    same_key(
         "commissioned.torque_constant_nm_per_a",
         positive(required=False),
         field="commissioned_torque_constant",
         direct="force_constant_n_per_a",
     ),
-    _same(
+    same_key(
         "commissioned.inertia_kg_m2",
         positive(required=False),
         (32650, "AX_INERTIA", "kgm2", 1.0),

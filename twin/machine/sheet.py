@@ -14,7 +14,6 @@ from twin.units import AXIS_UNITS, deg_from_rad
 
 def sheet(machine: Machine) -> str:
     """All axes side by side, one number per row."""
-    kinds = {axis.structure for axis in machine.axes}
     rows: list[list[str]] = []
 
     def row(name: str, unit: str, values: list[str]) -> None:
@@ -25,7 +24,7 @@ def sheet(machine: Machine) -> str:
         return [value(axis) for axis in machine.axes]
 
     row("kind", "", each(lambda a: a.kind + (", direct" if a.drive == "direct" else "")))
-    row("structure", "", each(lambda a: a.structure if a.has_current_loop else f"{a.structure} on a {a.effort}"))
+    row("structure", "", each(lambda a: a.structure if a.actuator.loops else f"{a.structure} on a {a.effort}"))
     row("travel", "mm, deg", each(_travel))
     row("highest speed", "m/min, deg/s", each(lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else deg_from_rad(1.0)))))
     row("acceleration", "m/s2, rad/s2", each(lambda a: _g(a.max_acceleration)))
@@ -41,8 +40,8 @@ def sheet(machine: Machine) -> str:
     row("position gain", "1/s", each(lambda a: _g(a.loops.position_gain_per_s)))
     row("speed gain", "Nm s/rad (N s/m)", each(lambda a: _g(a.loops.speed_gain_nm_s_per_rad)))
     row("speed integral time", "ms", each(lambda a: _g(a.loops.speed_integral_time_s * 1e3)))
-    row("current gain", "V/A", each(lambda a: _g(a.loops.current_gain_v_per_a) if a.has_current_loop else "-"))
-    row("current integral time", "ms", each(lambda a: _g(a.loops.current_integral_time_s * 1e3) if a.has_current_loop else "-"))
+    row("current gain", "V/A", each(lambda a: _g(a.loops.current_gain_v_per_a) if a.actuator.loops else "-"))
+    row("current integral time", "ms", each(lambda a: _g(a.loops.current_integral_time_s * 1e3) if a.actuator.loops else "-"))
     row("feedforward", "speed, torque", each(lambda a: f"{_g(a.loops.velocity_feedforward)}, {_g(a.loops.torque_feedforward)}"))
     row("position delay", "ms", each(lambda a: _g(a.loops.position_delay_s * 1e3)))
     row("loop closed in", "", each(lambda a: f"drive, {_g(a.loops.dsc_delay_s * 1e3)} ms late" if a.loops.dsc_delay_s else "NC"))
@@ -64,7 +63,7 @@ def sheet(machine: Machine) -> str:
     row("structural mode", "Hz", each(lambda a: _g(a.mode_frequency_hz) if a.mode_mass_share else "-"))
     row("further blocks", "", each(lambda a: "; ".join(listed.text(a.kind) for listed in a.blocks) or "-"))
     cycles = {"position": machine.position_cycle, "speed": machine.speed_cycle}
-    if "P/PI/PI" in kinds:
+    if any(a.actuator.cycle for a in machine.axes):
         cycles["current"] = machine.current_cycle
     lines = [
         f"{machine.name}: {len(machine.axes)} axes, model {machine.model_path.name}, gravity {machine.gravity:g} m/s2",
@@ -84,7 +83,7 @@ def sinumerik_sheet(machine: Machine) -> str:
     ]
     for axis in machine.axes:
         lines += ["", f"[{axis.name}]"]
-        if not axis.has_current_loop:
+        if not axis.actuator.loops:
             lines.append(f"# {axis.structure} on a {axis.effort}: not a drive of a SINUMERIK")
             continue
         plain = machine.document["axis"][axis.name]
@@ -118,7 +117,7 @@ def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
             f"{c.inertia_ratio:.2f}" if math.isfinite(c.inertia_ratio) else "-",
             f"{c.holding:.3g} {c.axis.effort_unit}",
             f"{c.accelerating:.3g} of {c.axis.motor.peak_current_a:g} {c.axis.effort_unit}",
-            f"{c.voltage:.3g} of {c.axis.motor.bus_limit_v:g} V" if c.axis.has_current_loop else "-",
+            f"{c.voltage:.3g} of {c.axis.motor.bus_limit_v:g} V" if c.axis.actuator.electrical else "-",
             f"{c.first_mode_hz:.0f} Hz" if c.first_mode_hz else "unknown",
         ]
         for c in checks

@@ -20,9 +20,10 @@ from pathlib import Path
 import re
 from typing import Any
 
+from twin.control.parameter import Datum
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
-from twin.machine.parameters import Datum, machine_data_of
+from twin.machine.parameters import machine_data_of
 from twin.tables import is_number
 
 DATA = {kind: machine_data_of(kind) for kind in ("linear", "rotary")}

@@ -13,8 +13,8 @@ def has(axis: Axis, parameter: str) -> bool:
     """True if the axis has this parameter."""
     return {
         "torque_constant": axis.effort != "torque",
-        "resistance": axis.has_current_loop,
-        "inductance": axis.has_current_loop,
+        "resistance": "resistance_ohm" in axis.actuator.electrical,
+        "inductance": "inductance_h" in axis.actuator.electrical,
         "rotor_inertia": axis.rotor_inertia_kg_m2 > 0.0,
         "moving_mass": axis.moving_mass_kg is not None,
     }.get(parameter, True)

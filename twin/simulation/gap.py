@@ -213,7 +213,7 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     A command has no sensor, but the gains amplify an encoder step: K (1 / (n Ts) + Kv) step.
     """
     noise = machine.noise(axis)
-    if signal == axis.effort and not axis.has_current_loop:
+    if signal == axis.effort and not axis.actuator.measured:
         commissioned = axis.commissioned_torque_constant
         gain = axis.loops.speed_gain_nm_s_per_rad / (commissioned * axis.ratio)
         n = axis.loops.speed_mean_cycles

@@ -19,16 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.simulation.cascade import (
-    Drives,
-    DriveState,
-    current_controller,
-    drive_position_loop,
-    position_controller,
-    speed_controller,
-    speed_seen,
-    winding,
-)
+from twin.control.current_controller import current_controller, winding
+from twin.control.drive_position_loop import drive_position_loop
+from twin.control.position_controller import position_controller
+from twin.control.speed_controller import speed_controller, speed_seen
+from twin.simulation.cascade import Drives, DriveState
 from twin.simulation.drive_load import count_tick, count_work
 from twin.simulation.engine_calls import call_address_2, call_address_4
 from twin.simulation.loop_record import record_control, record_forces

@@ -134,7 +134,7 @@ def retuned(machine: Machine, like: Machine) -> Machine:
     for axis, model, factor in zip(machine.axes, like.axes, grown.tolist()):
         where = f"axis.{axis.name}.loops"
         values[f"{where}.speed_gain_nm_s_per_rad"] = axis.loops.speed_gain_nm_s_per_rad * factor
-        if axis.has_current_loop:
+        if axis.actuator.electrical:
             winding = axis.motor.inductance_h / model.motor.inductance_h
             lag = winding * model.motor.resistance_ohm / axis.motor.resistance_ohm
             values[f"{where}.current_gain_v_per_a"] = axis.loops.current_gain_v_per_a * winding

@@ -24,12 +24,13 @@ import math
 import numpy as np
 from scipy.signal import lfilter
 
+from twin.control.linear import Loop
 from twin.effects import load_inertia
 from twin.errors import TwinError
 from twin.geometry.kinematics import kinematics_of
 from twin.geometry.tool_path import ToolPath, contour_error, search_window, tool_path_of
 from twin.machine.holding import holding_effort
-from twin.machine.loops import Loop, Margins, first_mode, loops_of, margins_of
+from twin.machine.loops import Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.drive_load import DriveLoad
@@ -79,7 +80,7 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
         if axis.motor.rated_torque_nm and axis.motor.thermal_time_constant_s:
             add(f"winding_heat_used_{axis.name}", winding_heat(axis, run))
         add(f"time_at_{axis.effort}_limit_{axis.name}_share", run.current_limited_s[axis.name] / setpoints.duration)
-        if axis.has_current_loop:
+        if axis.actuator.electrical:
             add(f"time_at_voltage_limit_{axis.name}_share", run.voltage_limited_s[axis.name] / setpoints.duration)
         # settled: the last sample outside the band is not the last one
         last = int(np.flatnonzero(np.abs(np.diff(setpoint)) > 1e-12)[-1]) + 1
@@ -89,7 +90,7 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
         elif outside[-1] < len(error) - last - 1:
             add(f"settling_time_{axis.name}_ms", (int(outside[-1]) + 1) * run.trace.period * 1e3)
     add("mechanical_energy_j", sum(run.load[axis.name].work for axis in machine.axes))
-    if all(axis.has_current_loop and axis.motor.back_emf_v_s_per_rad > 0.0 for axis in machine.axes):
+    if all(axis.actuator.electrical and axis.motor.back_emf_v_s_per_rad > 0.0 for axis in machine.axes):
         add("electrical_energy_j", sum(run.load[axis.name].electrical * axis.motor.phases for axis in machine.axes))
 
 
@@ -108,7 +109,7 @@ def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
     add(f"speed_limit_used_{name}", load.speed_max / axis.max_velocity)
     add(f"mechanical_energy_{name}_j", load.work)
     add(f"braking_energy_{name}_j", load.braking)
-    if axis.has_current_loop:
+    if axis.actuator.electrical:
         add(f"copper_loss_{name}_w", motor.phases * motor.resistance_ohm * load.effort_rms**2)
         if motor.back_emf_v_s_per_rad > 0.0:
             add(f"electrical_energy_{name}_j", motor.phases * load.electrical)
@@ -116,7 +117,7 @@ def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
         add(f"torque_rms_used_{name}", motor.torque_constant_nm_per_a * load.effort_rms / motor.rated_torque_nm)
     if motor.max_speed:
         add(f"motor_speed_used_{name}", load.speed_max / axis.ratio / motor.max_speed)
-    if axis.has_current_loop:
+    if axis.actuator.electrical:
         # largest ratio of torque to the motor's curve over the speed bins; the curve is taken at the lower end of each bin
         reached = load.torque > 0.0
         at = np.concatenate([[0.0], load.speed[:-1]])[reached]

@@ -1,0 +1,87 @@
+"""Sampled linear systems, of which the margins of the loops are made: x(k+1) = a x(k) + b u(k), y(k) = c x(k)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag, expm
+
+GRID = 3000
+LOWEST_HZ = 0.05
+STABLE = 1.0 + 1e-9
+"""Largest radius of the poles of a stable closed loop. A viscous axis at rest without an integral part has a pole on the unit circle."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """An open loop x+ = a x + b e, y = c x with sample `period` [s]; `name`: current, speed or position."""
+
+    name: str
+    period: float
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+    def open_response(self, frequency: np.ndarray) -> np.ndarray:
+        """L at frequencies [Hz] (frequency,), complex."""
+        z = np.exp(2j * np.pi * np.atleast_1d(frequency) * self.period)
+        matrices = z[:, None, None] * np.eye(len(self.a)) - self.a
+        states = np.linalg.solve(matrices, np.broadcast_to(self.b.astype(complex), (len(z), *self.b.shape)))
+        return np.asarray((self.c @ states)[:, 0, 0])
+
+    def closed_response(self, frequency: np.ndarray) -> np.ndarray:
+        """L / (1 + L) at frequencies [Hz]."""
+        response = self.open_response(frequency)
+        return response / (1.0 + response)
+
+    @property
+    def is_stable(self) -> bool:
+        """True if all poles of the closed loop lie inside the unit circle."""
+        return bool(np.abs(np.linalg.eigvals(self.a - self.b @ self.c)).max() < STABLE)
+
+    def grid(self, count: int = GRID) -> np.ndarray:
+        """Frequencies [Hz] up to half the sampling rate: `count` logarithmic ones, and those of the open loop's poles."""
+        even = np.geomspace(min(LOWEST_HZ, 1e-3 / self.period), 0.5 / self.period * (1.0 - 1e-6), count)
+        # a resonance may be narrower than the steps, so its frequency is added
+        own = np.abs(np.angle(np.linalg.eigvals(self.a))) / (2.0 * np.pi * self.period)
+        return np.union1d(even, own[(own > even[0]) & (own < even[-1])])
+
+
+def sampled(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Discretise with a zero-order hold over a period."""
+    n = len(a)
+    wide = np.zeros((n + 1, n + 1))
+    wide[:n, :n], wide[:n, n:] = a, b
+    step = expm(wide * period)
+    return step[:n, :n], step[:n, n:]
+
+
+def held(a: np.ndarray, b: np.ndarray, cycles: int) -> tuple[np.ndarray, np.ndarray]:
+    """The plant over several cycles with constant input."""
+    total = b.copy()
+    power = np.eye(len(a))
+    for _ in range(cycles - 1):
+        power = a @ power
+        total = total + power @ b
+    return a @ power, total
+
+
+def with_controller(name: str, period: float, plant: tuple[np.ndarray, np.ndarray, np.ndarray], gain: float, integral: float) -> Loop:
+    """A plant with a P or PI controller: u = gain e + I, I+ = I + integral e."""
+    a, b, c = plant
+    if integral == 0.0:
+        return Loop(name, period, a, gain * b, c)
+    n = len(a)
+    wide = block_diag(a, 1.0)
+    wide[:n, n:] = b
+    return Loop(name, period, wide, np.vstack([gain * b, [[integral]]]), np.hstack([c, [[0.0]]]))
+
+
+def closed(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
+    """The closed loop, from set point to state."""
+    return loop.a - loop.b @ loop.c, loop.b
+
+
+def padded(row: np.ndarray, size: int) -> np.ndarray:
+    return np.append(row, np.zeros(size - len(row)))

@@ -1,0 +1,33 @@
+"""P position controller of the NC with speed and torque feedforward.
+
+    every position cycle:  w* = (Kv (s(t - d_pos) - x) + a_v ds/dt(t - d_ff)) / r
+                           T_ff = a_t J_ff d2s/dt2(t - d_ff) / r
+
+With a P speed controller behind it, this is a PD controller of the position with speed feedforward: T = Kp (Kv (s - x) + a_v ds/dt - v) / r.
+Open loop for the margins: Kv over the closed speed loop, which position it sees.
+"""
+
+from __future__ import annotations
+
+from twin.compiled_functions import compiled
+from twin.control.number import Key, positive
+from twin.control.parameter import same_key
+
+PARAMETERS = (
+    same_key("loops.position_gain_per_s", positive(), (32200, "POSCTRL_GAIN", "1000/min", 1000.0 / 60.0)),
+    same_key("loops.velocity_feedforward", Key(-2.0, 2.0), (32610, "VELO_FFW_WEIGHT", "1", 1.0)),
+    same_key("loops.torque_feedforward", Key(-5.0, 5.0)),
+    same_key("loops.position_delay_s", Key(0.0, 1.0), (32810, "EQUIV_SPEEDCTRL_TIME", "s", 1.0)),
+    same_key("loops.feedforward_delay_s", Key(0.0, 1.0)),
+)
+
+
+@compiled(inline=True)
+def position_controller(a, drives, state, setpoint, velocity_feedforward, torque_feedforward, position):  # type: ignore[no-untyped-def]
+    """w* of axis `a` from the delayed set point, the feedforward (axis units/s; Nm) and the measured position."""
+    speed = (drives.position_gain[a] * (setpoint - position) + velocity_feedforward) / drives.ratio[a]
+    state.commanded_speed[a] = speed
+    state.commanded_torque[a] = torque_feedforward
+    if not drives.dsc[a]:
+        state.speed_setpoint[a] = speed
+        state.torque_feedforward[a] = torque_feedforward

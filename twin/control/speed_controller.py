@@ -1,0 +1,105 @@
+"""P or PI speed controller, the speed that it sees, and the torque feedforward of a drive.
+
+    every speed cycle:  e = w* - w;  T* = Kp e + I + T_ff;  i* = clip(T* / Kt, +-i_peak);  I += Kp Ts/Tn e unless clipped
+                        with a reference model of time Tr:  I += Kp Ts/Tn (w_r - w),  w_r += (1 - exp(-Ts/Tr)) (w* - w_r)
+
+"Unless clipped" is the anti-windup: the integrator holds while the command is limited. P: 1/Tn = 0. Kt is the commissioned torque constant. The speed
+w is measured, or differentiated from the motor encoder, (q(k) - q(k-n)) / (n Ts), and may pass a first-order filter.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from twin.compiled_functions import compiled
+from twin.control.linear import padded
+from twin.control.number import Key, positive
+from twin.control.parameter import same_key
+
+MOST_MEAN_CYCLES = 16
+"""Most speed cycles over which a position may be differentiated."""
+
+DRIVE_FEEDFORWARD = "drive_torque_feedforward"
+
+PARAMETERS = (
+    same_key("loops.speed_gain_nm_s_per_rad", positive(), (1407, "SPEEDCTRL_GAIN_1", "Nms/rad", 1.0), direct="speed_gain_n_s_per_m"),
+    same_key("loops.speed_integral_time_s", positive(), (1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", 1e-3)),
+    same_key("loops.speed_mean_cycles", Key(0.0, MOST_MEAN_CYCLES, required=False)),
+    same_key("loops.speed_filter_time_s", Key(0.0, 1.0, required=False)),
+    same_key("loops.speed_reference_time_s", Key(0.0, 1.0, required=False)),
+    same_key("loops.drive_torque_feedforward", Key(0.0, 5.0, required=False)),
+)
+
+
+@compiled(inline=True)
+def speed_seen(a, drives, state, speed, position):  # type: ignore[no-untyped-def]
+    """Input of the speed controller of axis `a` [axis units/s]: the measured `speed` or the differentiated `position`, filtered."""
+    n = drives.mean_cycles[a]
+    if n > 0:
+        seen = state.seen_positions[a]
+        if math.isnan(seen[0]):  # first cycle: the axis was at rest here
+            seen[:] = position
+        for i in range(n, 0, -1):
+            seen[i] = seen[i - 1]
+        seen[0] = position
+        speed = (seen[0] - seen[n]) * drives.differentiation_rate[a]
+    if drives.speed_lag[a] < 1.0:
+        speed = state.seen_speed[a] + drives.speed_lag[a] * (speed - state.seen_speed[a])
+    state.seen_speed[a] = speed
+    return speed
+
+
+@compiled(inline=True)
+def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
+    """i* of axis `a` from the motor speed [rad/s]; True at the current limit."""
+    error = state.speed_setpoint[a] - motor_speed
+    integrated = error
+    if drives.reference_lag[a] < 1.0:
+        state.reference_speed[a] += drives.reference_lag[a] * (state.speed_setpoint[a] - state.reference_speed[a])
+        integrated = state.reference_speed[a] - motor_speed
+    wanted = (drives.speed_gain[a] * error + state.speed_integral[a] + state.torque_feedforward[a]) * (
+        1.0 / drives.control_torque_constant[a]
+    )
+    limit = drives.peak_current[a]
+    if wanted > limit or wanted < -limit:
+        state.current_setpoint[a] = math.copysign(limit, wanted)
+        return True
+    state.current_setpoint[a] = wanted
+    state.speed_integral[a] += drives.speed_integral_gain[a] * integrated
+    return False
+
+
+def with_seen_speed(
+    mean_cycles: int, filter_time: float, period: float, a: np.ndarray, b: np.ndarray, speed: np.ndarray, motor: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The plant and the row of the speed that the controller sees: measured, or differentiated from the motor angle, then filtered."""
+    row = speed
+    n = mean_cycles
+    if n:
+        size = len(a)
+        a = block_diag(a, np.zeros((n, n)))
+        a[size, :size] = motor  # past angles, newest first
+        for i in range(1, n):
+            a[size + i, size + i - 1] = 1.0
+        b = np.vstack([b, np.zeros((n, 1))])
+        row = (padded(motor, size + n) - np.eye(size + n)[size + n - 1]) / (n * period)
+    if filter_time > 0.0:
+        share = -math.expm1(-period / filter_time)
+        size = len(a)
+        a = block_diag(a, 1.0 - share)
+        a[size, :size] = share * row
+        b = np.vstack([b, [[0.0]]])
+        row = np.append(share * row, 1.0 - share)
+    return a, b, row
+
+
+def with_reference_model(a: np.ndarray, b: np.ndarray, integral: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """A closed speed loop whose integrator (the last state) sees the set point through a lag w_r += share (w* - w_r)."""
+    into = np.zeros((len(a), 1))
+    into[-1] = integral
+    wide = block_diag(a, 1.0 - share)
+    wide[: len(a), len(a) :] = into * (1.0 - share)
+    return wide, np.vstack([b + into * (share - 1.0), [[share]]])
