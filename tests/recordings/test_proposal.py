@@ -95,6 +95,12 @@ def test_axes_without_names_are_told_apart(simulated: Trace) -> None:
     assert {names[n][1:]: role.partition(".")[2] for n, role in roles(found).items()} == {s: s for s in signals}
 
 
+def test_of_two_equally_smooth_columns_the_later_one_is_the_position() -> None:
+    m = move(TIME)
+    found = propose([recording({"f1": m["ist"], "f2": m["soll"], "f3": m["speed"]}, 2e-3)])
+    assert roles(found) == {"f1": "X.position", "f2": "X.setpoint", "f3": "X.velocity"}
+
+
 def test_the_speed_of_the_profile_is_no_output_of_a_controller() -> None:
     m = move(TIME)
     profile = np.gradient(m["soll"], 2e-3)
@@ -181,6 +187,33 @@ def test_without_a_set_point_there_is_still_an_answer(tmp_path: Path) -> None:
     travelled = speed.trace.get("X", "motor_position") * 1e3
     assert np.abs(travelled - (m["ist"] - m["ist"][0])).max() < 1e-3 * np.ptp(m["ist"])
     assert not force_sign(speed.trace.get("X", "current"), speed.trace.get("X", "motor_position"), 2e-3, "linear").doubt
+
+
+def test_a_map_of_the_user_is_checked_against_the_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    m = move(TIME)
+    step = 2.0 * np.pi / 10000.0
+    place = np.round(np.rint(m["ist"] / step) * step, 6)
+    file = write_csv(tmp_path / "run.csv", {"t": TIME, "s": m["soll"], "x": place, "i": -m["strom"], "extra": m["speed"]})
+    rows = [("s", "setpoint", "mm"), ("x", "position", "mm"), ("i", "current", "A")]
+    (tmp_path / "map.toml").write_text(
+        "\n".join(f'[[column]]\nname = "{n}"\naxis = "X"\nsignal = "{s}"\nunit = "{u}"' for n, s, u in rows), encoding="utf-8"
+    )
+    run = imported(tmp_path, file, "--map", str(tmp_path / "map.toml"))
+    said = capsys.readouterr().out
+    assert run.fact("X", "current").against
+    for words in ("X.current pushes against the motion", "its steps are 1/10000 of a turn in rad", "not in the map: extra"):
+        assert words in said
+
+
+def test_a_speed_that_is_a_difference_of_positions_is_not_shifted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    m = move(TIME)
+    speed = np.zeros(len(TIME))
+    speed[4:] = (m["ist"][4:] - m["ist"][:-4]) / 8e-3
+    table = {"t": TIME, "Lagesollwert X": m["soll"], "Lageistwert X": m["ist"], "Drehzahlistwert X": speed}
+    run = imported(tmp_path, write_csv(tmp_path / "run.csv", table))
+    assert "a difference of positions over 4 samples" in capsys.readouterr().out
+    assert run.fact("X", "velocity").taken_back == 0.0
+    assert np.allclose(run.trace.get("X", "velocity") * 1e3, speed)
 
 
 def test_without_out_it_prints_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -187,7 +187,9 @@ def _tuned(
 def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
     """One line that states how well the machine reproduces an axis."""
     unit, factor = ("um", 1e6) if one.kind == "linear" else ("arcsec", 180.0 / math.pi * 3600.0)
-    text = f"axis {one.name}: position to {followed.gap * factor:.3g} {unit} RMS, {followed.gap / max(followed.following, 1e-12):.2%} of the following error"
+    # without a recorded set point there is no following error
+    share = f", {followed.gap / followed.following:.2%} of the following error" if followed.following > 1e-12 else ""
+    text = f"axis {one.name}: position to {followed.gap * factor:.3g} {unit} RMS{share}"
     m: Mechanics | None = one.mechanics
     return text + (
         f"; {m.effort} to {followed.effort_gap / followed.effort_range:.1%} of its range" if m and followed.effort_range > 0.0 else ""

@@ -37,7 +37,7 @@ _MADE = {
 }
 
 
-def skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]]) -> list[str]:
+def skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], period: float) -> list[str]:
     """Notes on each clear skew, with its interval and whether it was corrected."""
     notes = []
     for item in skews:
@@ -46,6 +46,8 @@ def skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]]) -> l
             done = (
                 "corrected" if (item.axis, item.signal) in correct else "left as it is: skew = 'correct' or skew_ms in the map corrects it"
             )
+            if samples := item.differenced(period):
+                done += f" (a difference of positions over {samples} samples is late by this)"
             against = f"against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
             notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
     return notes

@@ -28,6 +28,8 @@ LATE_S = {"motor_position": 1e-4, "velocity": 1e-4}
 """Smallest skew that is reported [s]; an elastic drive train causes smaller ones."""
 LATE_CURRENT_S = 1.5e-3
 """The same for current, torque and voltage: friction at reversals and masses moved by other axes cause up to 0.8 ms on healthy machines."""
+LEAST_ROWS = 200
+"""Fewest samples from which a skew is estimated: fewer have too few strokes for an interval."""
 PER_BAND = 6.0
 """Samples kept per period of the band limit."""
 
@@ -47,6 +49,16 @@ class Skew:
     def clear(self) -> bool:
         """True if the skew exceeds what noise, an elastic drive train and a current loop cause."""
         return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), 4.0 * self.deviation)
+
+    def differenced(self, period: float) -> int:
+        """Samples over which a speed is a difference of positions, if its lateness is half of that many samples; else 0."""
+        samples = 2.0 * self.seconds / period
+        whole = round(samples)
+        return whole if self.signal == "velocity" and 0 < whole <= MOST_DIFFERENCE and abs(samples - whole) < HALF_OFF else 0
+
+
+MOST_DIFFERENCE, HALF_OFF = 16, 0.05
+"""Most samples of such a difference, and how far the lateness may be off [samples]."""
 
 
 def skews_of(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> list[Skew]:
@@ -89,7 +101,7 @@ def _of_channel(values: np.ndarray, reference: np.ndarray, signal: str, period: 
     """Skew of one channel relative to a position: (seconds, deviation, True if it pushes against the motion)."""
     band = min(BAND_HZ, 0.1 / period)
     every = max(1, int(1.0 / (PER_BAND * band * period)))
-    if len(values) < 40 * every:
+    if len(values) < max(40 * every, LEAST_ROWS):
         return None
     place = _smooth(reference, period, band)
     speed = np.gradient(place, period)

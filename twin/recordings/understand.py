@@ -123,8 +123,8 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         notes.append(f"the samples are {period:g} s apart: an index, or ms taken as s? give [time] unit or interval_ms in the map")
     notes += left_columns(mapping, recordings)
     notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
-    correct = _corrected(skews, mapping.skew)
-    notes += skew_notes(skews, correct)
+    correct = _corrected(skews, mapping.skew, period)
+    notes += skew_notes(skews, correct, period)
     if correct:
         channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
         pieces = grid.pieces(channels)
@@ -217,9 +217,10 @@ def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: 
     return [d.text for d in doubts]
 
 
-def _corrected(skews: Sequence[Skew], skew: str) -> dict[tuple[str, str], float]:
-    """Skew [s] of the channels that the map asks to correct."""
+def _corrected(skews: Sequence[Skew], skew: str, period: float) -> dict[tuple[str, str], float]:
+    """Skew [s] of the channels that the map asks to correct. A speed that is late as a difference of positions is what the control uses."""
     encoders = (*POSITIONS, "velocity")
+    skews = [item for item in skews if skew == "correct" or not item.differenced(period)]
     return {
         (i.axis, i.signal): i.seconds for i in skews if i.clear and (skew == "correct" or (skew == "encoders" and i.signal in encoders))
     }
