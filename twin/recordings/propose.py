@@ -147,7 +147,7 @@ def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[
     out.unknown |= own.unused
     out.said += [(axis, "", text) for text in (*own.notes, *_without_setpoint(signals))]
     used = [c for c in own.columns if not c.doubt]
-    out.said += [(axis, c.signal.replace("_", " "), c.remark) for c in used if c.remark and not c.assumed]
+    out.said += [(axis, c.signal.replace("_", " "), c.remark) for c in used if c.remark and c.remark != c.assumed]
     out.asked += [(axis, c.signal.replace("_", " "), c.assumed) for c in used if c.assumed]
 
 
