@@ -125,3 +125,21 @@ def test_a_part_that_fits_nowhere_is_understood(tmp_path: Path, mikron: Machine)
     file.write_text("G1 X-2000 F1000\nX2000\n", encoding="utf-8")
     found = check.check_program(file, mikron, place=True)
     assert (found.understood, found.fits, found.moves) == (True, False, 2)
+
+
+def test_words_that_would_open_programs_are_counted(tmp_path, mikron, capsys) -> None:
+    """Each refused program with all of its unread words; one that also lacks a subprogram is opened by no word."""
+    from twin.cli.check import SHOWN
+
+    bodies = {"a": "POCKET1(1)", "b": "POCKET1(1)\nX3\nG33 Z1 K1", "c": "G33 Z1 K1", "d": "POCKET1(1)\nGONE", "e": "X2", "f": "POCKET1(2)"}
+    for name, body in bodies.items():
+        (tmp_path / f"{name}.mpf").write_text(f"G1 X1 F100\n{body}\nX5\n")
+    (tmp_path / "g.h").write_text("BEGIN PGM A MM\nL X+1 F100\nFL PR+3\nL X+2\nEND PGM A MM\n")
+    found = check.check_programs(check.programs_in(tmp_path), mikron, plan=False)
+    unread = {one.path.stem: set(one.unread) for one in found}
+    assert unread == {"a": {"POCKET1"}, "b": {"POCKET1", "G33"}, "c": {"G33"}, "d": set(), "e": set(), "f": {"POCKET1"}, "g": {"FL"}}
+    assert check.opening_words(found) == [("POCKET1", 2, 3), ("G33", 1, 2), ("FL", 1, 1)]
+    assert check.document(found, mikron)["words"][0] == {"word": "POCKET1", "opens": 2, "stops": 3}
+    assert main(["check", str(tmp_path), "--read-only"]) == 0
+    assert "POCKET1 (2 / 3), G33 (1 / 2), FL (1 / 1)" in capsys.readouterr().out
+    assert SHOWN >= 3

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def carry_out(args: argparse.Namespace) -> int:
     """Check every program; print a line for each, then the most frequent reasons."""
-    from twin.program.check import check_programs, document, programs_in, reasons
+    from twin.program.check import check_programs, document, opening_words, programs_in, reasons
     from twin.simulation.summary import table
 
     machine = machine_of(args)
@@ -45,6 +45,11 @@ def carry_out(args: argparse.Namespace) -> int:
     )
     for reason, times, first in reasons(found)[:SHOWN]:
         print(f"  {times} x {reason[:120]}" + (f"\n      first in {first[:140]}" if len(found) > 1 else ""))
+    if words := opening_words(found):
+        print(
+            "\nwords that would open programs (alone opens / stops): "
+            + ", ".join(f"{w} ({opens} / {stops})" for w, opens, stops in words[:SHOWN])
+        )
     if args.json:
         write_json(document(found, machine), Path(args.json), "programs")
     return 0

@@ -16,12 +16,18 @@ from twin.machine.machine import Machine
 from twin.program.collect import MovesNothing
 from twin.program.interpolator import set_point_blocks
 from twin.program.place import OutsideTravel, placed
-from twin.program.read import PROGRAM_ENDINGS, is_program, read_program
+from twin.program.read import PROGRAM_ENDINGS, is_program, read_program, understand_source
+from twin.program.source import Source
 from twin.simulation.setpoint_limits import LimitWatch
 from twin.simulation.setpoints import setpoints_of
 from twin.units import AXIS_UNITS
 
 NO_MOVE = "the program moves no axis"
+MOST_WORDS = 8
+"""Words that are looked for in one refused program."""
+_UNREAD = re.compile(
+    r": (?:word |statement )?'?([A-Z$#][^':=(]{0,30}?)'?(?:=\S+)?(?: between .*)? is not (?:known|supported|simulated)\b(?! and there is no subprogram)"
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,7 @@ class Checked:
     limits: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     reason: str = ""
+    unread: tuple[str, ...] = ()  # words without which it would be understood; empty where data are missing or more is wrong
 
     @property
     def verdict(self) -> str:
@@ -79,7 +86,7 @@ def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bo
     except MovesNothing as nothing:
         return Checked(path, True, True, duration_s=0.0, notes=(*nothing.notes, NO_MOVE), reason=NO_MOVE)
     except InputError as error:
-        return Checked(path, False, False, reason=str(error).removeprefix(where))
+        return Checked(path, False, False, reason=str(error).removeprefix(where), unread=unread_words(path, machine, str(error)))
     if not plan:
         return Checked(path, True, True, moves=len(program), notes=program.notes)
     watch = LimitWatch(machine, machine.position_cycle)
@@ -95,6 +102,34 @@ def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bo
         return Checked(path, True, False, moves=len(program), reason=str(error).removeprefix(where), notes=program.notes)
     reach = {axis.name: (float(a), float(b)) for axis, a, b in zip(machine.axes, low, high) if b > a}
     return Checked(path, True, True, len(program), end, reach, tuple(watch.warnings()), program.notes)
+
+
+def unread_words(path: Path, machine: Machine, reason: str) -> tuple[str, ...]:
+    """All words that keep a program from being understood: the line of each is left out until the rest is read.
+
+    Empty where the program then still lacks something else, such as a subprogram.
+    """
+    words: dict[str, None] = {}
+    source: Source | None = None
+    while (word := _UNREAD.search(reason)) and (line := re.match(re.escape(str(path)) + r": line (\d+)", reason)):
+        source = source or Source(path)
+        words[word[1]] = None
+        if len(words) > MOST_WORDS or not source.lines[int(line[1]) - 1]:
+            return ()
+        source.lines[int(line[1]) - 1] = ""
+        try:
+            understand_source(source.copy(), machine)
+            return tuple(words)
+        except InputError as error:
+            reason = str(error)
+    return ()
+
+
+def opening_words(checked: Sequence[Checked]) -> list[tuple[str, int, int]]:
+    """Words that no reader knows: how many programs each alone would open, and how many it stops; the best first."""
+    opens = Counter(one.unread[0] for one in checked if len(one.unread) == 1)
+    stops = Counter(word for one in checked for word in one.unread)
+    return sorted(((word, opens[word], n) for word, n in stops.items()), key=lambda w: (-w[1], -w[2], w[0]))
 
 
 def check_programs(
@@ -149,5 +184,6 @@ def document(checked: Sequence[Checked], machine: Machine) -> dict[str, Any]:
         "machine": machine.name,
         "programs": programs,
         "verdicts": dict(verdicts),
+        "words": [{"word": word, "opens": opens, "stops": stops} for word, opens, stops in opening_words(checked)],
         "reasons": [{"reason": r, "count": n, "first": f} for r, n, f in reasons(checked)],
     }

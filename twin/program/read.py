@@ -131,10 +131,11 @@ def dialect(source: Source) -> str:
 def understand(path: str | Path, machine: Machine) -> Collector:
     """The moves of a G-code program, not yet checked against the machine."""
     path = Path(path)
-    return _understand(Source(path), machine)
+    return understand_source(Source(path), machine)
 
 
-def _understand(source: Source, machine: Machine) -> Collector:
+def understand_source(source: Source, machine: Machine) -> Collector:
+    """The moves of a program whose lines are read already."""
     path, language = source.path, dialect(source)
     if language == "apt":
         from twin.program.apt import AptReader

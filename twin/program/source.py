@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
@@ -29,6 +30,12 @@ class Source:
                 self._read(file)
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+
+    def copy(self) -> Source:
+        """The same lines once more; a reader may change its own."""
+        other = copy(self)
+        other.lines = list(self.lines)
+        return other
 
     def _read(self, file: BinaryIO) -> None:
         lines, number = self.lines, 0
