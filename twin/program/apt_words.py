@@ -24,7 +24,7 @@ WITHOUT_EFFECT = frozenset({
 
 NOT_SIMULATED = {
     **dict.fromkeys(
-        (
+        [
             "GOFWD",
             "GOBACK",
             "GOLFT",
@@ -40,7 +40,7 @@ NOT_SIMULATED = {
             "PCKET",
             "SCON",
             "THRUST",
-        ),
+        ],
         "let the CAM system output points (GOTO) instead",
     ),
     **dict.fromkeys(

@@ -200,9 +200,7 @@ class Iso:
             w["D"] = w.pop("H")
         self.modes.feed_and_tool(codes, g, m_codes, w)
         if self.state.linuxcnc:
-            for alike in _ALIKE:
-                if len(both := [n for n, _ in g if n in alike]) > 1:
-                    raise WordError(f"G{both[0]:g} and G{both[1]:g} are in one block; keep one", 1)
+            self.state.one_of_each([n for n, _ in g], _ALIKE)
         motion = next((n for n, _ in reversed(g) if n in _ALIKE[0]), None)
         plane_before = self.state.plane
         modal = False
@@ -229,10 +227,9 @@ class Iso:
             self.control.stop(0.0)
         if pause is not None:
             self.control.stop(pause)
-        if w:
-            name, item = next(iter(w.items()))
-            raise WordError(f"{name} has no use in this block; remove it, or add the G or M code that it belongs to", item.column)
-        self.modes.m_after(m_codes)
+        self.state.all_used(w)
+        if 2 in m_codes or 30 in m_codes:
+            self.flow.ended = True
 
     def _change_and_move(self, g: list[tuple[float, int]], m: list[tuple[float, int]], w: dict[str, Item]) -> None:
         """G100 T of a Brother: a tool change, then rapid, Z last."""

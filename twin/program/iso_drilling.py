@@ -8,7 +8,7 @@ from typing import Any
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.control import Control
-from twin.program.cycles import FEED, RAPID, Drilling
+from twin.program.cycles import ASIDE, BACK, DWELL, FEED, RAPID, Drilling
 from twin.program.expressions import WordError
 from twin.program.state import INDEX, LINEAR, OTHER, ROTARY, Item
 
@@ -108,7 +108,7 @@ class IsoDrilling:
             self.state.note("G73, G83: the tool backs off by 0.254 mm, a parameter on the control")
         _, angles = self.control.target(turned, False)
         if start_height < safe and number != 87:
-            self._height(across, safe)
+            self.control.height(safe)
         for _ in range(repeats):
             point = self.state.here()
             for name, value in named.items():
@@ -116,36 +116,13 @@ class IsoDrilling:
                 point[i] = value * self.state.unit if absolute[name] else point[i] + value * self.state.unit
             self.control.go(mv.RAPID, point, angles)
             if number == 87:
-                self._bore_back(across, safe, depth, initial, aside, pause)
+                wait = [(DWELL, pause, 1.0)] if pause else []
+                inward = [(ASIDE, start_height, 1.0), (RAPID, safe, 1.0), (BACK, safe, 1.0), (FEED, depth, 1.0), *wait]
+                self.control.steps([*inward, (ASIDE, depth, 1.0), (RAPID, initial, 1.0), (BACK, initial, 1.0)], aside)
                 continue
             if abs(self.state.here()[across] / self.state.unit - safe) > 1e-12:
-                self._height(across, safe)
+                self.control.height(safe)
             self.control.drill(cycle)
-
-    def _bore_back(self, across: int, low: float, high: float, initial: float, aside: tuple[float, float], pause: float) -> None:
-        """G87 at one hole: aside and down to R, back to the axis of the hole, upwards at feed to Z, aside and out."""
-        self._aside(aside, 1.0)
-        self._height(across, low)
-        self._aside(aside, -1.0)
-        point = self.state.here()
-        point[across] = high * self.state.unit
-        self.control.go(mv.LINE, point, [math.nan, math.nan])
-        if pause:
-            self.control.dwell(pause)
-        self._aside(aside, 1.0)
-        self._height(across, initial)
-        self._aside(aside, -1.0)
-
-    def _aside(self, step: tuple[float, float], sense: float) -> None:
-        point = self.state.here()
-        for i, way in zip(arcs.PLANES[self.state.plane][:2], step):
-            point[i] += sense * way * self.state.unit
-        self.control.go(mv.RAPID, point, [math.nan, math.nan])
-
-    def _height(self, across: int, value: float) -> None:
-        point = self.state.here()
-        point[across] = value * self.state.unit
-        self.control.go(mv.RAPID, point, [math.nan, math.nan])
 
     def no_feed(self) -> None:
         raise WordError("the feed is 0; give F a number above 0", 1)

@@ -10,7 +10,7 @@ from twin.program.expressions import WordError
 from twin.program.iso_frames import IsoFrames
 from twin.program.iso_motion import IsoMotion
 from twin.program.state import INCH, LINEAR, Item
-from twin.program.tables import ISO_G, ISO_M, NOTE, REFUSED, UNKNOWN_M, WORDS_OF_M
+from twin.program.tables import ACTS, ISO_G, ISO_M, NOTE, REFUSED, WORDS_OF_M
 
 _NOT_IN_LINUXCNC: dict[float, str] = {
     76: "threading is not simulated",
@@ -42,18 +42,15 @@ class IsoModes:
         entry = ISO_G.get(number)
         if number in (_NOT_IN_LINUXCNC if self.state.linuxcnc else _ONLY_IN_LINUXCNC):
             entry = (REFUSED, (_NOT_IN_LINUXCNC if self.state.linuxcnc else _ONLY_IN_LINUXCNC)[number])
-        if entry is None:
-            raise WordError(f"G{number:g} is not known; remove it or replace it by moves (docs/programs.md lists what is read)", column)
-        if entry[0] == REFUSED:
-            raise WordError(f"G{number:g} is not supported: {entry[1]}", column)
+        self.state.check_code("G", number, None if entry is None else (ACTS, "") if entry[0] == NOTE else entry, column)
         return number, column
 
     def known_m(self, number: float, column: int) -> int:
         if number != int(number) or not 0 <= number <= 99999:
             raise WordError(f"M{number:g} is not an M code", column)
-        entry = ISO_M.get(int(number))
-        if entry is not None and entry[0] == REFUSED:
-            raise WordError(f"M{number:g} is not supported: {entry[1]}", column)
+        self.state.check_code(
+            "M", number, ISO_M.get(int(number), (ACTS, "")) if ISO_M.get(int(number), (ACTS,))[0] == REFUSED else (ACTS, ""), column
+        )
         return int(number)
 
     def feed_and_tool(self, codes: set[float], g: list, m: list[int], w: dict[str, Item]) -> None:
@@ -177,22 +174,14 @@ class IsoModes:
         return False
 
     def m_before(self, m: list[int], w: dict[str, Item]) -> float | None:
-        pause = None
+        """M codes before the move: notes and modes; the pause of one that stops behind it."""
+        keeping = (70, 71, 72, 73) if self.state.linuxcnc else ()
+        pause = self.state.note_m(m, ISO_M, {2, 30, *keeping})
         for number in m:
-            entry = ISO_M.get(number)
-            if number in (0, 1, 6, 60):
-                self.state.note(f"M{number}: the program continues after an exact stop")
-                pause = 0.0
-            elif number in (2, 30):
-                continue
-            elif number in (70, 71, 72, 73) and self.state.linuxcnc:
+            if number in keeping:
                 self._modes(number)
-            else:
-                self.state.note(f"M{number}: {entry[1] if entry else UNKNOWN_M}")
-                for name in WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else ():
-                    w.pop(name, None)
-            if number in (48, 49, 50, 51, 52, 53):
-                w.pop("P", None)
+            for name in WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else "P" if 48 <= number <= 53 else ():
+                w.pop(name, None)
         return pause
 
     def _modes(self, number: int) -> None:
@@ -208,7 +197,3 @@ class IsoModes:
             if id(frame) not in self.stored_modes:
                 raise WordError("M72 finds no modes that M70 has kept in this program or subprogram; add M70", 1)
             self.stored_modes[id(frame)]()
-
-    def m_after(self, m: list[int]) -> None:
-        if 2 in m or 30 in m:
-            self.flow.ended = True

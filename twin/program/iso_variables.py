@@ -87,9 +87,8 @@ class IsoVariables:
                 return self.names[key]
             if (value := self._predefined(key)) is not None:
                 return value
-            given = self.state.machine.document.get("variables", {})
-            if isinstance(given, dict) and isinstance(value := given.get(f"#<{key.lower()}>"), int | float):
-                return float(value)
+            if isinstance(given := self.state.given(f"#<{key.lower()}>"), float):
+                return given
             raise WordError(
                 f"parameter #<{key.lower()}> has no value; set it before, or give '#<{key.lower()}>' in the table [variables] of the machine file",
                 column,
@@ -104,9 +103,8 @@ class IsoVariables:
             return self.numbers[key]
         if self.state.linuxcnc and key > 5602:
             raise WordError(f"parameter #{key} is out of range, 5602 is the last", column)
-        given = self.state.machine.document.get("variables", {})
-        if isinstance(given, dict) and isinstance(value := given.get(f"#{key}"), int | float):
-            return float(value)
+        if isinstance(given := self.state.given(f"#{key}"), float):
+            return given
         if not self.state.linuxcnc and key >= 1000:
             raise WordError(
                 f"system variable #{key} has no value here; set it in the program, or give '#{key}' in the table [variables] of the machine file",

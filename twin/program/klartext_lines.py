@@ -140,9 +140,8 @@ class KlartextValues:
             if name in store:
                 return float(store[name])
         state = self.state
-        given = state.machine.document.get("variables", {})
-        if isinstance(given, dict) and isinstance(given.get(name), int | float):
-            return float(given[name])
+        if isinstance(given := state.given(name), float):
+            return given
         if name == "Q108":
             return state.tools.radius(state.tools.name, column) / state.unit
         own = {"Q109": {19: 0.0, 18: 1.0, 17: 2.0}[state.plane], "Q113": float(state.unit != 1e-3)}

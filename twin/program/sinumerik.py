@@ -23,7 +23,7 @@ from twin.program.sinumerik_motion import Block, SinumerikMotion
 from twin.program.sinumerik_variables import SinumerikVariables
 from twin.program.source import Unit
 from twin.program.state import INDEX, OTHER, Item, State
-from twin.program.tables import ACTS, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_NAMES
+from twin.program.tables import ACTS, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
 from twin.program.words import NUMBER, Word, split_words
 
 _PLAIN = (
@@ -184,18 +184,8 @@ class Sinumerik:
         """Execute the words of a block in the order of the control."""
         numbers, extra, names, calls = block.numbers, block.extra, block.names, block.calls
         for number, word in block.g:
-            entry = SINUMERIK_G.get(number)
-            if entry is None:
-                raise WordError(
-                    f"G{number:g} is not known; remove it or replace it by moves (docs/programs.md lists what is read)", word.column
-                )
-            if entry[0] == REFUSED:
-                raise WordError(f"G{number:g} is not supported: {entry[1]}", word.column)
-            if entry[0] == NOTE:
-                self.state.note(f"G{number:g}: {entry[1]}")
-        for alike in _ALIKE:
-            if len(numbers & alike) > 1:
-                raise WordError("G" + " and G".join(f"{n:g}" for n in sorted(numbers & alike)) + " are in one block; keep one", 1)
+            self.state.check_code("G", number, SINUMERIK_G.get(number), word.column)
+        self.state.one_of_each(sorted(numbers), _ALIKE)
         if numbers & {25, 26}:
             block.coordinates.clear()
             extra.pop("S", None)
@@ -224,7 +214,7 @@ class Sinumerik:
                 self.state.motion = 2
             elif word.name not in _SWITCH_WORDS and word.name != "SUPA":
                 self.modes.name(word, calls, cycle)
-        pause = self.modes.m_codes(block.m)
+        pause = self.state.note_m(block.m, SINUMERIK_M, (2, 17, 30))
         if frame_word is not None or shift is not None:
             self.frames.frame_words(frame_word, shift, block.coordinates, extra)
         elif numbers & {74, 75}:
@@ -246,9 +236,7 @@ class Sinumerik:
             self.corners.release()
             self.control.stop(pause)
         times = int(extra.pop("P").value) if "P" in extra and calls else 1
-        if extra:
-            name, item = next(iter(extra.items()))
-            raise WordError(f"{name} has no use in this block; remove it, or add what it belongs to", item.column)
+        self.state.all_used(extra)
         if len(calls) > 1:
             raise WordError(f"'{calls[1].name}' is a second call in the block; write it in the next one", calls[1].column)
         for word in calls:

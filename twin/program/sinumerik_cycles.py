@@ -172,7 +172,8 @@ class SinumerikCycles:
                 if mode != 94:
                     self.state.set_feed_mode(94)
                 self.state.feed = feed * (self.state.unit / self.state.out.modes.feed_unit)
-            self.height(safe)
+            if abs(self.state.here()[arcs.PLANES[self.state.plane][2]] - safe * self.state.unit) >= 1e-12:
+                self.control.height(safe)
             self.control.drill(cycle)
             if feed is not None:
                 self.state.set_feed_mode(mode)
@@ -239,15 +240,6 @@ class SinumerikCycles:
             safe, depth, rtp, dwell=time(8), dwell_last=time(15), dwell_out=time(9), levels=tuple(levels), break_chip=not removal, back=back,
             first_scale=share if 0.0 < share <= 1.0 else 1.0,
         )  # fmt: skip
-
-    def height(self, value: float) -> None:
-        """Rapid to a height along the normal of the plane."""
-        across = arcs.PLANES[self.state.plane][2]
-        point = self.state.here()
-        if abs(point[across] - value * self.state.unit) < 1e-12:
-            return
-        point[across] = value * self.state.unit
-        self.control.go(mv.RAPID, point, [math.nan, math.nan])
 
     def holes(self, name: str, a: list, word: Word) -> None:
         """The cycle of MCALL at each place of a pattern."""

@@ -10,7 +10,7 @@ from twin.program.sinumerik_calls import SinumerikCalls
 from twin.program.sinumerik_cycles import SinumerikCycles
 from twin.program.source import plain_name
 from twin.program.state import INCH, ROTARY, Item
-from twin.program.tables import NOTE, REFUSED, SINUMERIK_M, SINUMERIK_NAMES, UNKNOWN_M
+from twin.program.tables import NOTE, REFUSED, SINUMERIK_NAMES
 from twin.program.words import Word, split_arguments
 from twin.units import rad_from_deg
 
@@ -108,17 +108,6 @@ class SinumerikModes:
             return
         radius = self.state.tools.radius(self.state.tools.name, word.column)
         self.control.compensate(1 if number == 41 else -1, radius, along_next=True, corners_meet=self.moves.corners_meet)
-
-    def m_codes(self, numbers: list[int]) -> float | None:
-        pause = None
-        for number in numbers:
-            entry = SINUMERIK_M.get(number)
-            if number in (0, 1, 6):
-                self.state.note(f"M{number}: the program continues after an exact stop")
-                pause = 0.0
-            elif number not in (2, 17, 30):
-                self.state.note(f"M{number}: {entry[1] if entry else UNKNOWN_M}")
-        return pause
 
     def name(self, word: Word, calls: list[Word], cycle: Word | None) -> None:
         """Words without a number: transformation, feedforward, acceleration, messages, cycles."""

@@ -116,11 +116,9 @@ class SinumerikVariables:
                 return store[("default",)]
         if (value := self._system(name, index)) is not None:
             return value
-        given = self.state.machine.document.get("variables", {})
         key = name + (f"[{','.join(str(i) if isinstance(i, str) else f'{i:g}' for i in index)}]" if index else "")
-        for k in (key, key.lower()):
-            if isinstance(given, dict) and k in given:
-                return given[k] if isinstance(given[k], str) else float(given[k])
+        if (value := self.state.given(key, key.lower())) is not None:
+            return value
         if name in AXIS_NAMES and not index:
             return name
         if name in self.unset:
@@ -192,8 +190,7 @@ class SinumerikVariables:
             return
         store = self.store_of(name)
         if store is None:
-            given = self.state.machine.document.get("variables", {})
-            if name[0] not in "_$" and not (isinstance(given, dict) and {name, name.lower()} & given.keys()):
+            if name[0] not in "_$" and self.state.given(name, name.lower()) is None:
                 hint = nearest(name, SINUMERIK_NAMES)
                 hint = f"; {hint}" if hint.startswith("did you") else ""
                 raise WordError(

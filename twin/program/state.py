@@ -6,7 +6,7 @@ scales). Lengths are in m and rad; a front end converts the programmed values.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 import math
 from pathlib import Path
@@ -21,6 +21,7 @@ from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Col
 from twin.program.compensation import Compensation
 from twin.program.expressions import WordError
 from twin.program.machine_file import first_feed
+from twin.program.tables import NOTE, REFUSED, STOPS, UNKNOWN_M
 from twin.program.tools import Tools
 from twin.units import rad_from_deg
 
@@ -261,6 +262,49 @@ class State:
             self.set_frames()
 
         return restore
+
+    # ------------------------------------------------------------------ words of the tables
+
+    def check_code(self, letter: str, number: float, entry: tuple[str, str] | None, column: int) -> None:
+        """Refuse a G or M code that its table does not know or refuses, and note one without effect."""
+        if entry is None:
+            text = "is not known; remove it or replace it by moves (docs/programs.md lists what is read)"
+            raise WordError(f"{letter}{number:g} {text}", column)
+        if entry[0] == REFUSED:
+            raise WordError(f"{letter}{number:g} is not supported: {entry[1]}", column)
+        if entry[0] == NOTE:
+            self.note(f"{letter}{number:g}: {entry[1]}")
+
+    def note_m(self, numbers: Sequence[int], table: Mapping[int, tuple[str, str]], ends: Container[int]) -> float | None:
+        """Note the M codes of a block; the pause [s] of one that stops, None without one."""
+        pause = None
+        for number in numbers:
+            entry = table.get(number, (NOTE, UNKNOWN_M))
+            if entry == STOPS or number == 6:
+                self.note(f"M{number}: the program continues after an exact stop")
+                pause = 0.0
+            elif number not in ends:
+                self.note(f"M{number}: {entry[1]}")
+        return pause
+
+    @staticmethod
+    def one_of_each(codes: Collection[float], groups: Iterable[Set[float]]) -> None:
+        """A block takes one code of a modal group."""
+        for group in groups:
+            if len(both := [n for n in codes if n in group]) > 1:
+                raise WordError("G" + " and G".join(f"{n:g}" for n in both) + " are in one block; keep one", 1)
+
+    @staticmethod
+    def all_used(words: Mapping[str, Item]) -> None:
+        """Refuse a word that no step of the block has used."""
+        for name, item in words.items():
+            raise WordError(f"{name} has no use in this block; remove it, or add what it belongs to", item.column)
+
+    def given(self, *names: str) -> float | str | None:
+        """The value of a variable from the table [variables] of the machine file, by its first name there."""
+        table = self.machine.document.get("variables", {})
+        value = next((table[n] for n in names if n in table), None) if isinstance(table, dict) else None
+        return value if value is None or isinstance(value, str) else float(value)
 
     def note(self, text: str) -> None:
         """Record once that a word was understood and what it means here."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 ACTS, NOTE, REFUSED = "acts", "note", "refused"
 NOTHING = "understood, no effect on the motion"
+STOPS = (ACTS, "exact stop, then on")
 
 ISO_G: dict[float, tuple[str, str]] = {
     0: (ACTS, "rapid"), 1: (ACTS, "line at feed"), 2: (ACTS, "arc clockwise; I J K from its start, or R; P turns"),
@@ -67,8 +68,8 @@ WORDS_OF_M = ("P", "Q", "R", "E", "L", "D", "K")
 """Words that an M code of ISO programs may carry."""
 
 ISO_M: dict[int, tuple[str, str]] = {
-    0: (ACTS, "exact stop, then on"), 1: (ACTS, "exact stop, then on"), 2: (ACTS, "end"), 30: (ACTS, "end"), 6: (ACTS, "tool change"),
-    60: (ACTS, "exact stop, then on"), 98: (ACTS, "call of O with P, L times"), 198: (ACTS, "as M98, from another memory"), 99: (ACTS, "end of a subprogram; P the block to go on at"),
+    0: STOPS, 1: STOPS, 2: (ACTS, "end"), 30: (ACTS, "end"), 6: (ACTS, "tool change"),
+    60: STOPS, 98: (ACTS, "call of O with P, L times"), 198: (ACTS, "as M98, from another memory"), 99: (ACTS, "end of a subprogram; P the block to go on at"),
     **dict.fromkeys((3, 4, 5, 19, 29), (NOTE, "spindle, " + NOTHING)), **dict.fromkeys((7, 8, 9), (NOTE, "coolant, " + NOTHING)),
     **dict.fromkeys((48, 49, 50, 51, 52, 53), (NOTE, "override, " + NOTHING)),
     **dict.fromkeys((62, 63, 64, 65, 67, 68), (NOTE, "inputs and outputs, " + NOTHING)),
@@ -110,7 +111,7 @@ SINUMERIK_G: dict[float, tuple[str, str]] = {
 """G codes of SINUMERIK programs."""
 
 SINUMERIK_M: dict[int, tuple[str, str]] = {
-    0: (ACTS, "exact stop, then on"), 1: (ACTS, "exact stop, then on"), 2: (ACTS, "end"), 30: (ACTS, "end"), 17: (ACTS, "end of a subprogram"),
+    0: STOPS, 1: STOPS, 2: (ACTS, "end"), 30: (ACTS, "end"), 17: (ACTS, "end of a subprogram"),
     6: (ACTS, "tool change"), **dict.fromkeys((3, 4, 5, 19, 40, 41, 42, 43, 44, 45, 70), (NOTE, "spindle, " + NOTHING)),
     **dict.fromkeys((7, 8, 9), (NOTE, "coolant, " + NOTHING)),
 }  # fmt: skip
@@ -215,7 +216,7 @@ KLARTEXT: dict[str, tuple[str, str]] = {
     "CYCL CALL": (ACTS, "carries out the cycle; with POS at a place"), "CYCL DEF 13": (NOTE, "turns the spindle, " + NOTHING),
     **_named(ACTS, "subprogram or repeated part; program beside this one", "LBL, CALL LBL, CALL PGM"),
     "FN": (ACTS, "0 to 13: values and jumps; 15 and 16 print and are noted; others are refused"), **_named(ACTS, "parameter = formula", "Q, QL, QR"),
-    "STOP": (ACTS, "exact stop, then on"), **_named(ACTS, "begin and end, unit MM or INCH", "BEGIN PGM, END PGM"),
+    "STOP": STOPS, **_named(ACTS, "begin and end, unit MM or INCH", "BEGIN PGM, END PGM"),
     "BLK FORM": (NOTE, "the blank, without effect on the motion"), "M": (ACTS, "M codes alone in a block"),
     **_named(REFUSED, "free contours; let the CAM system output L, C or CR", "FL, FLT, FC, FCT, FPOL, FSELECT"),
     **_named(REFUSED, "use PLANE SPATIAL", "PLANE PROJECTED, PLANE EULER, PLANE VECTOR, PLANE POINTS, PLANE RELATIV, PLANE AXIAL"),
@@ -227,7 +228,7 @@ KLARTEXT: dict[str, tuple[str, str]] = {
 """Words at the start of a HEIDENHAIN Klartext block; any other is refused by name, and so is any other cycle."""
 
 KLARTEXT_M: dict[int, tuple[str, str]] = {
-    **dict.fromkeys((0, 1, 6), (ACTS, "exact stop, then on")), **dict.fromkeys((2, 30), (ACTS, "end")), 89: (ACTS, "the cycle behind each move, until M99"), 99: (ACTS, "the cycle here"),
+    **dict.fromkeys((0, 1, 6), STOPS), **dict.fromkeys((2, 30), (ACTS, "end")), 89: (ACTS, "the cycle behind each move, until M99"), 99: (ACTS, "the cycle here"),
     91: (ACTS, "machine coordinates in this block"), 92: (REFUSED, "the place is set by the builder of the machine; write it with M91"),
     126: (ACTS, "rotary axes go the shorter way"), 127: (ACTS, "end of M126"), 128: (ACTS, "five-axis transformation on: X Y Z are the tool tip in the part frame"), 129: (ACTS, "end of M128"),
     136: (ACTS, "F in mm a turn"), 137: (ACTS, "F per minute"), 140: (ACTS, "retracts along the tool axis by MB, or to the end of its travel"),
