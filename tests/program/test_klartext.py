@@ -269,6 +269,87 @@ def test_what_is_not_read_is_refused_by_name(moves, block: str) -> None:
     assert "line 4" in str(error.value) or "line 5" in str(error.value) or "line 6" in str(error.value) or "line 7" in str(error.value)
 
 
+BESIDE = [
+    "L X+5", "L X+5 F300", "L X+5 FMAX", "L X+5 R0 M3", "LP PR+5 PA+10", "C X+3 Y+1 DR+", "CP IPA+9 DR+", "CR X+3 Y+1 R+5 DR+", "CT X+5 Y+9", "CTP PR+3 PA+3", "CC X+2 Y+1", "L M91 X+3", "M8", "STOP",
+    "TOOL CALL 1 Z S500", "TOOL DEF 1 L+3", "CYCL CALL", "CYCL CALL POS X+3 Y+3", "DEP LT LEN3", "CYCL DEF 7.0\nCYCL DEF 7.1 X+4", "CYCL DEF 8.0\nCYCL DEF 8.1 X",
+    "CYCL DEF 10.0\nCYCL DEF 10.1 ROT+9", "CYCL DEF 11.0\nCYCL DEF 11.1 SCL 2", "CYCL DEF 19.0\nCYCL DEF 19.1 A+9", "CYCL DEF 26.0\nCYCL DEF 26.1 X2", "CYCL DEF 9.0\nCYCL DEF 9.1 2", "CYCL DEF 32.0\nCYCL DEF 32.1 T0.3",
+    "PLANE SPATIAL SPA+20 SPB+0 SPC+0 STAY", "PLANE RESET STAY", "FUNCTION TCPM F TCP AXIS POS PATHCTRL AXIS", "TRANS DATUM AXIS X+9", "Q1 = 3", "FN 1: Q1=+1+2", "CALL LBL 9", "CYCL DEF 200 Q200=3",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("block", BESIDE)
+def test_no_word_beside_a_block_is_ignored(write, equipped, block: str) -> None:
+    """Each word added at the end of a block: the meaning is another one, or a note or an error names it."""
+    head = (
+        "BEGIN PGM A MM\nTOOL DEF 1 L+100 R+2\nTOOL CALL 1 Z S900\n"
+        + DRILL.format(200, "").replace("Q200=2", "Q200=2.5")
+        + "CC X+2 Y+1\nL X-9 Y+1 Z+50 F100\nL X+1\n"
+    )
+    tail = "L X+50 Y+20 R0\nL X+60 Z+51 C+3\nCC IX+1 Y+5\nLP PR+3 PA+5\nL X+Q1 M99\nM30\nLBL 9\nL IX+1\nLBL 0\nEND PGM A MM\n"
+
+    def meaning(text: str) -> tuple[str, set[str]] | None:
+        try:
+            out = understand(write(f"{head}{text}\n{tail}", "a.h"), equipped)
+        except InputError:
+            return None
+        return str(
+            (
+                out.kinds,
+                out.targets,
+                out.feeds,
+                out.pauses,
+                out.stops,
+                [str(out.all_modes[k]) for k in out.mode_of],
+                list(out.arcs.values()),
+            )
+        ), set(out.notes)
+
+    head = head.replace("CC X+2", "Q1 = 7\nCC X+2", 1)
+    without = meaning(block)
+    assert without is not None, block
+    silent = []
+    for word in (
+        "X+7",
+        "IY+2",
+        "Z+3",
+        "C+9",
+        "PR+4",
+        "IPA+5",
+        "R+4",
+        "RL",
+        "RR",
+        "DR+",
+        "DR-",
+        "F77",
+        "FMAX",
+        "F AUTO",
+        "M5",
+        "M128",
+        "M136",
+        "M89",
+        "LEN4",
+        "CCA9",
+        "K+3",
+        "Q5",
+        "SPA+5",
+        "TX+1",
+        "NX+1",
+        "17",
+        "MB 4",
+        "SCL 3",
+        "T0.2",
+        "*",
+        "XYZ",
+    ):
+        now = meaning(f"{block} {word}")
+        if word not in block and now is not None and now[0] == without[0] and now[1] <= without[1]:
+            silent.append(word)
+    later = (
+        {"F77", "FMAX", "F AUTO", "MB 4"} if "PLANE" in block or "19.1" in block else {"R+4"} if "DEF 1" in block else set()
+    )  # how it turns; a radius for RL
+    assert set(silent) <= later
+
+
 def test_klartext_in_a_folder_is_seen(tmp_path: Path, mikron) -> None:
     (tmp_path / "part.h").write_text("0 BEGIN PGM A MM\n1 L X+10 F500\n2 L X+20\n3 END PGM A MM\n")
     (tmp_path / "header.h").write_text("#include <stdio.h>\nint main(void);\n")

@@ -29,7 +29,7 @@ from twin.program.tables import KLARTEXT, REFUSED
 from twin.program.words import NUMBER
 from twin.units import rad_from_deg
 
-_TOOL = re.compile(rf"\s*(?:(?P<axis>[XYZ])(?![-+\d.])|(?P<name>DL|DR2|DR|S|F|L|R)\s*(?P<value>{VALUE})|(?P<unit>F\s*MAX|F\s*AUTO))", re.A)
+_TOOL = re.compile(rf"\s*(?:(?P<axis>[XYZ])(?![-+\w.])|(?P<name>DL|DR2|DR|S|F|L|R)\s*(?P<value>{VALUE}))", re.A)
 _PLANE_OF = {"Z": 17, "Y": 18, "X": 19}
 
 
@@ -148,6 +148,8 @@ class Klartext:
             if not word:
                 raise WordError(f"'{text[at:].strip()[:20]}' is not read in TOOL CALL; write its axis, S, F, DL, DR", column + at)
             at = word.end()
+            if axis if word["axis"] else word["name"] in values:
+                raise WordError(f"{word[0].strip()[:2]} occurs twice in TOOL CALL; keep one", column + word.start())
             axis = word["axis"] or axis
             if word["name"]:
                 values[word["name"]] = self.values.number_of(word["value"], column + word.start())
@@ -240,7 +242,7 @@ class Klartext:
             self.frames.preset = state.frame_table(f"PRESET{self.values.number_of(found[1], column):g}")
             self.frames.set_frames()
         elif number == 9:
-            found = re.search(rf"({VALUE})\s*$", " ".join(parts))
+            found = re.fullmatch(rf"[A-Z. ]*({VALUE})", " ".join(parts))
             if found is None:
                 raise WordError("cycle 9 needs its time, e.g. CYCL DEF 9.1 DWELL 0.5", column)
             self.control.dwell(self.values.number_of(found[1], column))
@@ -264,10 +266,11 @@ class Klartext:
         at_place = text.split()[:1] == ["POS"]
         block = self.moves.scan(text.replace("POS", "   ", 1) if at_place else text, column)
         self.moves.modes(block.m, block)
-        if block.side or block.sense or block.arg or (block.words and not at_place):
+        if block.side or block.sense or block.arg or (block.rapid and not at_place) or (block.words and not at_place):
             raise WordError("CYCL CALL takes a place behind POS only", column)
         if at_place:
             element, angles = self.moves.element("L", block, block.words, self.moves.start(), False, column)
+            self.state.all_used(block.words)
             if element is not None:
                 self.moves.emit(mv.RAPID if block.rapid else mv.LINE, element, angles)
         self.moves.cycle_here()

@@ -32,6 +32,7 @@ class KlartextFrames:
         state.set_frames = self.set_frames
         self.preset, self.shift, self.inner_shift = np.zeros(5), np.zeros(5), np.zeros(5)
         self.mirror: set[str] = set()
+        self.angles: dict[str, float] = {}  # of the tilt
         self.angle, self.scale, self.scale_centre = 0.0, np.ones(3), np.zeros(3)
 
     def set_frames(self) -> None:
@@ -106,7 +107,8 @@ class KlartextFrames:
         elif number == 19:
             if re.sub(rf"(?:F|ABST|DIST)\s*{VALUE}|[A-C]\s*{VALUE}", "", text).strip():
                 raise WordError("cycle 19 takes A B C, F and ABST; correct it", column)
-            self.tilt({m[2]: self.value(m[3]) for m in _AXIS.finditer(text)}, column)
+            given = {m[2]: self.value(m[3]) for m in _AXIS.finditer(text)}
+            self.tilt({**self.angles, **given} if given else {}, column)  # an angle that is left out keeps its value
         else:
             return False
         self.set_frames()
@@ -121,7 +123,7 @@ class KlartextFrames:
         """A plane by its spatial angles A, B, C: turns about the fixed axes X, Y, Z, in this order; none or zeros end it."""
         state = self.state
         state.unswivel()
-        self.inner_shift = np.zeros(5)
+        self.inner_shift, self.angles = np.zeros(5), angles
         chosen = np.zeros(2)
         if any(angles.values()):
             if self.mirror or self.angle or np.any(self.scale != 1.0):
@@ -141,7 +143,7 @@ class KlartextFrames:
         """PLANE SPATIAL SPA SPB SPC and how it turns, or PLANE RESET; `text` follows the first word."""
         how = _SPATIAL.sub("", text)
         match = re.fullmatch(
-            rf"\s*(STAY|TURN|MOVE)?(?:\s*(?:DIST|MB)\s*{VALUE})?(?:\s*F\s*(?:MAX|AUTO|{VALUE}))?\s*(?:SEQ([-+]))?\s*(?:COORD ROT|TABLE ROT)?\s*",
+            rf"\s*(STAY|TURN|MOVE)?(?:\s*(?:DIST|MB)\s*(?:MAX|{VALUE}))?(?:\s*F\s*(?:MAX|AUTO|{VALUE}))?\s*(?:SEQ([-+]))?\s*(?:COORD ROT|TABLE ROT)?\s*",
             how,
         )
         if match is None:

@@ -96,7 +96,7 @@ class KlartextLines:
             return Statement("call_label", f"LBL {match[1]}", column=column)
         if match := _JUMP.match(body):
             return Statement("goto", column=column, rest=(match[1], "", f"LBL {match[2]}"))
-        if match := re.match(r"CALL PGM\s+(.+)\Z", body):
+        if match := re.match(r"CALL PGM\s*(.+)\Z", body):
             return Statement("call_program", match[1].strip(' "'), column=column)
         return Statement("end") if body.startswith("END PGM") else None
 

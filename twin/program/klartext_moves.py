@@ -116,6 +116,8 @@ class KlartextMoves:
         block = self.scan(parts[0], column)
         self.modes(block.m, block)
         words = {} if 118 in block.m and head == "M" else block.words
+        if head == "M" and (block.side is not None or block.rapid or block.sense):
+            raise WordError("R0, RL, RR, FMAX and DR belong to a path word, e.g. L; write it", column)
         start, vector = self.start(), None
         suppress = 91 in block.m
         if head == "LN":
@@ -267,6 +269,8 @@ class KlartextMoves:
         needed = {"LT": {"LEN"}, "LN": {"LEN"}, "CT": {"R", "CCA"}, "LCT": {"R"}}[kind]
         if words.keys() != needed or (places.keys() and kind != "LCT" and places.keys() != {LINEAR[across]}):
             raise WordError(f"{head} needs {' and '.join(sorted(needed))}, no more; correct the block", column)
+        if block.side or block.sense or block.rapid:
+            raise WordError(f"{head} is read with a feed and without RL, RR, DR; correct it", column)
         if t is None or (comp is None and kind != "LT"):
             raise WordError(f"{head} needs a contour element with RL or RR before it", column)
         point, none = self.control.target(places, False, at)[0], [math.nan, math.nan]
@@ -281,7 +285,7 @@ class KlartextMoves:
         self.compensate(0, column)
         last = point if kind == "LCT" else np.where(np.arange(3) == across, point, self.state.here())
         if np.any(last != self.state.here()) and (kind == "LCT" or point[across] != at[across]):
-            self.emit(mv.RAPID if block.rapid else mv.LINE, Element(last, None), none)
+            self.emit(mv.LINE, Element(last, None), none)
         self.afterwards(block.m, column)
 
     def settle(self) -> None:
