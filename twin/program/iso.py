@@ -147,8 +147,9 @@ class Iso:
 
     def fast(self, text: str, line: int) -> bool:
         """Execute a plain block of coordinates; False if it must be read word by word."""
+        state = self.state
         if (
-            not self.state.plain
+            not state.plain
             or self.drilling.cycle is not None
             or self.moves.polar
             or self.moves.modal_macro is not None
@@ -159,24 +160,25 @@ class Iso:
         if not match:
             return False
         number, g, x, y, z, a, c, f = match.groups()
-        motion = self.state.motion if g is None else int(g)
+        motion = state.motion if g is None else int(g)
         if motion not in (0, 1):
             return False
-        out = self.state.out
+        out = state.out
         if f is not None:
-            self.state.feed = float(f)
-        self.state.motion = motion
+            state.feed = float(f)
+        state.motion = motion
         if x is None and y is None and z is None and a is None and c is None:
             return True
-        self.state.line, self.state.block = line, int(number) if number else -1
+        state.line, state.block = line, int(number) if number else -1
         position = out.position
-        tilt, turn = self.state.plain_place(x, y, z, a, c)
-        self.control.feed_given(mv.LINE if motion else mv.RAPID)
-        if motion and not self.state.feed:
+        tilt, turn = state.plain_place(x, y, z, a, c)
+        if motion and math.isnan(state.feed):
+            self.control.feed_given(mv.LINE)
+        if motion and not state.feed:
             self.drilling.no_feed()
         out.add(
             mv.LINE if motion else mv.RAPID, (position[0], position[1], position[2], tilt, turn), None,
-            self.state.feed if motion else math.inf, line, self.state.block,
+            state.feed if motion else math.inf, line, state.block,
         )  # fmt: skip
         return True
 

@@ -87,7 +87,7 @@ _BOTH = (
     (re.compile(r"^%\d", re.M), re.compile(r"\bG7[79]\s*[HN]|\bER-?\d|\bG0*[01]\s+G52\s*[XYZ]"), "a NUM program"),
     (re.compile(r"^\s*M1(?:04|09|40)\s+S\d", re.M), re.compile(r"^\s*G[01]\b[^\n;]*\bE-?[\d.]", re.M), "a program of a 3-D printer"),
     (
-        re.compile(r"\b[XYZ][-+\d.]+[^\n;(]*\bM9[12]\b", re.M),
+        re.compile(r"\b[XYZ][-+\d.]+[ \t]+(?:F[\d.]+[ \t]+)?M9[12]\b", re.M),
         re.compile(r"^\s*(?:N\d+\s*)?I[+-][\d.]+\s*J[+-][\d.]+\s*\*?\s*$|\bM13\b|\bG98\s*L\d|\bD0?0\s*Q\d", re.M),
         DIN_ISO,
     ),

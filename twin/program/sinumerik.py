@@ -78,41 +78,43 @@ class Sinumerik:
 
     def fast(self, text: str, line: int) -> bool:
         """Execute a plain block of coordinates; False if it must be read word by word."""
+        state = self.state
         if (
-            not self.state.plain
+            not state.plain
             or self.cycles.modal is not None
             or self.corners.held is not None
             or self.corners.every_corner
-            or self.state.override != 1.0
+            or state.override != 1.0
         ):
             return False
         match = self.plain_block.match(text)
         if not match:
             return False
         number, g, x, y, z, a, c, i, j, k, f = match.groups()
-        motion = self.state.motion if g is None else int(g)
+        motion = state.motion if g is None else int(g)
         if motion not in (0, 1):
             return False
-        out = self.state.out
+        out = state.out
         if i is not None and not out.modes.traori:
             return False
         if f is not None:
-            self.state.feed = float(f)
-        self.state.motion = motion
+            state.feed = float(f)
+        state.motion = motion
         if x is None and y is None and z is None and a is None and c is None and i is None:
             return True
-        self.state.line, self.state.block = line, int(number) if number else -1
+        state.line, state.block = line, int(number) if number else -1
         position = out.position
-        tilt, turn = self.state.plain_place(x, y, z, a, c)
+        tilt, turn = state.plain_place(x, y, z, a, c)
         axis = None
         if i is not None:
             axis = (float(i), float(j), float(k))
             position[3] = position[4] = math.nan
-        self.control.feed_given(mv.LINE if motion else mv.RAPID)
+        if motion and math.isnan(state.feed):
+            self.control.feed_given(mv.LINE)
         self.corners.tangent = None
         out.add(
             mv.LINE if motion else mv.RAPID, (position[0], position[1], position[2], tilt, turn), axis,
-            self.state.feed if motion else math.inf, line, self.state.block,
+            state.feed if motion else math.inf, line, state.block,
         )  # fmt: skip
         return True
 
