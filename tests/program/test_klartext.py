@@ -169,7 +169,7 @@ def test_tilted_planes_and_tool_centre_control_are_those_of_sinumerik(write, mik
         return np.vstack([program.start, program.moves.target])[-2:]
 
     tail, other = "L X+10 Y+20 Z+190 F500\nL X+12\nEND PGM A MM\n", "G1 F500 X10 Y20 Z190\nX12\n"
-    plane = target(f"BEGIN PGM A MM\nPLANE SPATIAL SPA+20 SPB+0 SPC+30 TURN FMAX SEQ-\n{tail}", "a.h")
+    plane = target(f"BEGIN PGM A MM\nPLANE SPATIAL SPA+20 SPB+0 SPC+30 TURN FMAX\n{tail}", "a.h")
     assert np.allclose(plane, target(f"CYCLE800(0,,0,27,0,0,0,30,0,20,0,0,0)\n{other}", "a.mpf"), atol=1e-9)
     assert np.allclose(plane, target(f"BEGIN PGM A MM\nCYCL DEF 19.0 PLANE\nCYCL DEF 19.1 A+20 B+0 C+30\n{tail}", "a.h"), atol=1e-12)
     reset = target(f"BEGIN PGM A MM\nPLANE SPATIAL SPA+20 SPB+0 SPC+0 STAY\nPLANE RESET STAY\n{tail}", "a.h")
@@ -185,6 +185,21 @@ def test_tilted_planes_and_tool_centre_control_are_those_of_sinumerik(write, mik
 def test_parameters_of_the_tilt_are_the_rotary_angles(moves) -> None:
     found = moves("PLANE SPATIAL SPA+20 SPB+0 SPC+0 STAY\nL A+Q120 C+Q122 FMAX\nL X+0 Y+0 Z+190 F500")
     assert abs(found[0][4]) == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_seq_chooses_the_solution_by_the_sign_of_the_tilting_axis(write, mikron, sign: int) -> None:
+    """Both solutions hold the tool at right angles to the plane; after SEQ the tilting axis has its sign."""
+    for c in (0, 40, 170):
+        text = f"BEGIN PGM A MM\nL X+0 F500\nPLANE SPATIAL SPA+0 SPB+20 SPC+{c} TURN FMAX SEQ{'+' if sign > 0 else '-'} TABLE ROT\nL X+10 Y+20 Z+190\nL X+12\nEND PGM A MM\n"
+        program = read_program(write(text, "a.h"), mikron)
+        tilt = np.degrees(program.moves.target[-2:, 3])
+        assert tilt * sign == pytest.approx([20, 20])
+        axes = program.kinematics.forward(np.concatenate([np.zeros((1, 3)), program.moves.target[-1:, 3:]], axis=1))[1][0]
+        turn = math.radians(c)
+        assert axes == pytest.approx(
+            [math.sin(math.radians(20)) * math.cos(turn), math.sin(math.radians(20)) * math.sin(turn), math.cos(math.radians(20))], abs=1e-9
+        )
 
 
 def test_rotary_axes_the_shorter_way(moves) -> None:
@@ -351,7 +366,7 @@ def test_no_word_beside_a_block_is_ignored(write, equipped, block: str) -> None:
 
 
 def test_klartext_in_a_folder_is_seen(tmp_path: Path, mikron) -> None:
-    (tmp_path / "part.h").write_text("0 BEGIN PGM A MM\n1 L X+10 F500\n2 L X+20\n3 END PGM A MM\n")
+    (tmp_path / "part.h").write_text("0 BEGIN PGM A MM\n" + "QL1 = 1\n" * 9 + "1 L X+10 F500\n2 L X+20\n3 END PGM A MM\n")
     (tmp_path / "header.h").write_text("#include <stdio.h>\nint main(void);\n")
     assert [p.name for p in check.programs_in(tmp_path)] == ["part.h"]
     assert check.check_program(tmp_path / "part.h", mikron).verdict == "ok"

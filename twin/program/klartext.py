@@ -44,7 +44,7 @@ class Klartext:
         self.values = KlartextValues(state, self.flow)
         self.frames = KlartextFrames(state, self.values)
         self.cycles = KlartextCycles(self.control, self.values)
-        self.moves = KlartextMoves(self.corners, self.flow, self.values, self.cycles)
+        self.moves = KlartextMoves(self.corners, self.flow, self.values, self.frames, self.cycles)
         self.folder = Folder(path)
         state.out.set_modes(replace(state.out.modes, workpiece_orientation=False, feed_of_all=True))
         state.out.mixed_feed = "F beside X Y Z with A B C: it counts all axes, a degree as a unit of length; M128 counts the tool tip"

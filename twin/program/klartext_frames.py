@@ -33,6 +33,7 @@ class KlartextFrames:
         self.preset, self.shift, self.inner_shift = np.zeros(5), np.zeros(5), np.zeros(5)
         self.mirror: set[str] = set()
         self.angles: dict[str, float] = {}  # of the tilt
+        self.turn_to: list[float] | None = None  # A and C that the next move goes to (SEQ)
         self.angle, self.scale, self.scale_centre = 0.0, np.ones(3), np.zeros(3)
 
     def set_frames(self) -> None:
@@ -124,20 +125,32 @@ class KlartextFrames:
         state = self.state
         state.unswivel()
         self.inner_shift, self.angles = np.zeros(5), angles
-        chosen = np.zeros(2)
+        chosen, self.turn_to = np.zeros(2), None
         if any(angles.values()):
             if self.mirror or self.angle or np.any(self.scale != 1.0):
                 raise WordError("a tilted plane while mirror, rotation or scale is in force is not simulated; reset them before", column)
             matrix = rotation(2, angles.get("C", 0.0)) @ rotation(1, angles.get("B", 0.0)) @ rotation(0, angles.get("A", 0.0))
             state.swivel(matrix, np.zeros(3))
             axis = matrix[:, arcs.PLANES[state.plane][2]]
-            chosen = choose_angles(state.out.kinematics, axis, np.array(state.out.settle())).angles[-1]
-            if sequence and math.copysign(1.0, float(chosen[0])) * float(abs(chosen[0]) > 1e-9) == (-1.0 if sequence == "+" else 1.0):
-                raise WordError(f"SEQ{sequence} asks for the other solution of the rotary axes, which is not simulated; remove it", column)
+            now = np.array(state.out.settle())
+            chosen = choose_angles(state.out.kinematics, axis, now).angles[-1]
+            if sequence:
+                chosen = self._solution(axis, now, 1.0 if sequence == "+" else -1.0, chosen, column)
+                self.turn_to = list(map(float, chosen))
             state.note("PLANE SPATIAL, cycle 19: A and C turn with the next move to the nearest solution, the tool tip keeps its place")
         for slot, angle in zip(ROTARY, chosen):
             letter = next((own for own, place in state.slot_of.items() if place == slot), slot)
             self.values.q[{"A": "Q120", "B": "Q121", "C": "Q122"}.get(letter, "Q120")] = math.degrees(float(angle))
+
+    def _solution(self, axis: np.ndarray, now: np.ndarray, sign: float, chosen: np.ndarray, column: int) -> np.ndarray:
+        """The solution (2,) of the rotary axes whose tilting axis has a sign (SEQ); the turning axis goes the shorter way."""
+        pairs, _ = self.state.out.kinematics.angles(axis)
+        for tilt, turn in pairs[:, 0]:
+            if tilt * sign > 1e-9 and not math.isnan(turn):
+                return np.array([tilt, now[1] + (turn - now[1] + math.pi) % (2.0 * math.pi) - math.pi])
+        if abs(chosen[0]) > 1e-9:
+            raise WordError("SEQ asks for a solution that the rotary axes of this machine do not have; remove it", column)
+        return chosen
 
     def plane(self, text: str, column: int) -> None:
         """PLANE SPATIAL SPA SPB SPC and how it turns, or PLANE RESET; `text` follows the first word."""

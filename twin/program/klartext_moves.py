@@ -16,6 +16,7 @@ from twin.program.expressions import WordError
 from twin.program.flow import Flow
 from twin.program.klartext_contour import Contour, Element
 from twin.program.klartext_cycles import KlartextCycles
+from twin.program.klartext_frames import KlartextFrames
 from twin.program.klartext_lines import VALUE, KlartextValues, all_parts
 from twin.program.state import LINEAR, ROTARY, Item
 from twin.program.tables import KLARTEXT_M, NOTE, REFUSED, UNKNOWN_M
@@ -43,9 +44,9 @@ class Block:
 class KlartextMoves:
     """Moves."""
 
-    def __init__(self, corners: Corners, flow: Flow, values: KlartextValues, cycles: KlartextCycles) -> None:
+    def __init__(self, corners: Corners, flow: Flow, values: KlartextValues, frames: KlartextFrames, cycles: KlartextCycles) -> None:
         self.corners, self.control, self.state, self.out = corners, corners.control, corners.state, corners.state.out
-        self.flow, self.values, self.cycles = flow, values, cycles
+        self.flow, self.values, self.frames, self.cycles = flow, values, frames, cycles
         self.contour = Contour(self.state)
         self.tool_feed, self.extra_radius = math.nan, 0.0  # F and DR of TOOL CALL
         self.shorter_way = self.was_rapid = False  # M126; the last move
@@ -186,6 +187,8 @@ class KlartextMoves:
         self, kind: int, element: Element, angles: list[float], vector: Any = None, suppress: bool = False, corner: Any = None
     ) -> None:
         state = self.state
+        if self.frames.turn_to is not None and vector is None and all(map(math.isnan, angles)):
+            angles, self.frames.turn_to = self.frames.turn_to, None
         move = Move(kind, element.point, angles, vector, element.arc, None, suppress, state.feed, state.line, state.block)
         self.corners.queue(move, corner)
         self.before, self.was_rapid = None, kind == mv.RAPID

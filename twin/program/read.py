@@ -57,6 +57,8 @@ def is_program(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         head = file.read(4000)
+    if b"BEGIN PGM" in head.upper():
+        return True
     lines = [line for line in head.decode("latin-1").splitlines()[:40] if line.strip()]
     return b"\0" not in head and 2 * sum(bool(_BLOCK.match(line)) for line in lines) > len(lines)
 
