@@ -29,3 +29,14 @@ def test_a_controller_answers_its_error_and_a_profile_does_not(mikron: Machine, 
     assert any(PROFILE in note for note in notes_of(read, machine))
     assert any(f.text == PROFILE for f in missing_signals(machine, read.runs))
     assert not any(PROFILE in note for note in notes_of(campaign([run]), machine))
+
+
+@pytest.mark.parametrize("encoder", ["scale", "motor"])
+def test_a_controller_slower_than_the_record_answers_its_error(mikron: Machine, encoder: str) -> None:
+    """Its output is recorded twice, and the second time it answers nothing."""
+    machine = mikron.with_axes(["X"]).with_values(
+        {"control.position_cycle_us": 4000, "measurement.sample_period_us": 2000, "axis.X.encoder": encoder}
+        | {"axis.X.loops.position_gain_per_s": 30.0, "axis.X.loops.position_delay_s": 0.004}
+        | {f"measurement.{key}_m": 5e-7 for key in ("linear_scale_resolution", "motor_encoder_resolution", "linear_scale_noise")}
+    )
+    assert answers_position([recorded(machine, "quick", SHORT_QUICK, "velocity+torque", 3).trace], "X") is True

@@ -54,6 +54,7 @@ def _rows(trace: Trace, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     step = np.diff(setpoint, prepend=setpoint[0])
     at = np.arange(BEHIND + 1, len(y) - AHEAD)
     at = at[np.convolve(step != 0.0, np.ones(BEHIND + AHEAD), "same")[at] > 0]
+    at = at[y[at] != y[at - 1]]  # a record faster than the controller repeats its output
     at = at[:: max(1, len(at) // MOST_ROWS)]
     profile = np.column_stack([*(step[at + j] for j in range(AHEAD, -BEHIND - 1, -1)), np.ones(len(at))])
     # only one encoder closes the loop; with both in each run the law finds which
