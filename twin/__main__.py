@@ -10,11 +10,13 @@ import warnings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from twin.stopping import ended, received, say, stoppable
+from twin.system import return_memory
 
 
 def run() -> int:
     """The command of the command line; its exit code."""
     stoppable()
+    return_memory()
     import logging  # after the signal handlers
 
     if not sys.warnoptions:  # warnings of libraries are for those who write Python; worker processes inherit the variable

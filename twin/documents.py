@@ -11,12 +11,13 @@ from collections.abc import Iterator, Mapping
 import contextlib
 import json
 import math
+import os
 from pathlib import Path
 import re
 import tomllib
 from typing import Any
 
-from twin.errors import InputError
+from twin.errors import TRACEBACK, InputError
 
 LARGEST_TOML_BYTES = 20_000_000
 LARGEST_JSON_BYTES = 1_000_000_000
@@ -88,7 +89,8 @@ def reading(path: Path, kind: str, remedy: str = "export it again") -> Iterator[
     """Context in which a library reads `path`: any error of the library becomes an InputError, whatever its class.
 
     Raises:
-        InputError: `path` is not a readable `kind`, with `remedy`. The library's own words mean nothing to the user and are left out.
+        InputError: `path` is not a readable `kind`, with `remedy`. The library's own words mean nothing to the user and are left out;
+            with `TWIN_TRACEBACK` its error is raised as it is.
     """
     try:
         yield
@@ -99,6 +101,8 @@ def reading(path: Path, kind: str, remedy: str = "export it again") -> Iterator[
     except MemoryError:
         raise InputError(f"{path}: not a readable {kind} (reading it fills the memory); {remedy}") from None
     except Exception:
+        if os.environ.get(TRACEBACK):
+            raise
         raise InputError(f"{path}: not a readable {kind}; it is damaged, cut off or of another kind: {remedy}") from None
 
 

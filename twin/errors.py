@@ -14,6 +14,7 @@ TRACEBACK = "TWIN_TRACEBACK"
 LONGEST = 300
 """Characters of a message after the file name."""
 LONGEST_WORD = 80
+LONGEST_PATH = 240
 MOST_LISTED = 24
 """Number of known words that a message lists."""
 
@@ -49,13 +50,19 @@ def one_line(message: object) -> str:
 
     The middle of a message longer than `LONGEST` is cut out, since the start says what was given and the end what to do.
     """
-    words = [word if len(word) <= LONGEST_WORD or "/" in word else f"{word[: LONGEST_WORD // 2]}..." for word in str(message).split()]
-    text = " ".join(words)
-    where, _, said = text.partition(": ")  # a path is not shortened
+    text = " ".join(map(_short, str(message).split()))
+    where, _, said = text.partition(": ")  # a path is only shortened if no system could open it
     if len(said) > LONGEST:
         said = f"{said[: LONGEST * 6 // 10].rstrip()} ... {said[-LONGEST * 3 // 10 :].lstrip()}"
         return f"{where}: {said}"
     return text if said or len(text) <= LONGEST else f"{text[: LONGEST * 6 // 10].rstrip()} ... {text[-LONGEST * 3 // 10 :].lstrip()}"
+
+
+def _short(word: str) -> str:
+    """A word of a message; a path keeps its end, which names the file."""
+    if "/" in word or "\\" in word:
+        return word if len(word) <= LONGEST_PATH else f"{word[: LONGEST_PATH // 2]}...{word[-LONGEST_PATH // 3 :]}"
+    return word if len(word) <= LONGEST_WORD else f"{word[: LONGEST_WORD // 2]}..."
 
 
 def defect(error: Exception) -> str:

@@ -8,12 +8,16 @@ import math
 import os
 
 from twin.errors import InputError
+from twin.system import memory_bytes
 
 RAISED_BY = "TWIN_LIMITS"
 """Environment variable with the factor on all limits. `--limits FACTOR` of every command sets it; workers inherit it."""
 
 MOST_SETPOINTS = 10_000_000
 """Set points of one motion held in memory: 2.8 hours at 1 kHz, 1 GB."""
+
+MEMORY_SHARE = 0.125
+"""Share of the computer's memory that the content of one file may take once it is read: it is copied a few times on its way."""
 
 
 def raised_by() -> float:
@@ -50,3 +54,19 @@ def refuse_above(estimate: float, limit: float, what: str, where: str, remedy: s
         factor = estimate / limit * raised_by()
         more = f"; or raise all limits with --limits {math.ceil(factor * 1.01):g}" if math.isfinite(factor) and factor < 1e6 else ""
         raise InputError(f"{where}: about {estimate:.3g} {what}, the limit is {limit:.3g}: {remedy}{more}")
+
+
+def most_bytes() -> float:
+    """Memory that the content of one file may take [bytes]."""
+    return MEMORY_SHARE * memory_bytes() * raised_by()
+
+
+def refuse_bytes(estimate: float, where: str, remedy: str) -> None:
+    """Raise InputError if the content of a file takes more memory than `most_bytes`; the message has both numbers."""
+    if not estimate <= most_bytes():
+        factor = estimate / most_bytes() * raised_by()
+        more = f"; or raise all limits with --limits {math.ceil(factor * 1.01):g}" if factor < 1e6 else ""
+        raise InputError(
+            f"{where}: takes about {estimate / 1e9:.3g} GB of memory once read, the limit is {most_bytes() / 1e9:.3g} GB "
+            f"({MEMORY_SHARE:.3g} of this computer's memory): {remedy}{more}"
+        )

@@ -1,13 +1,38 @@
-"""Progress bars on a terminal; nothing is printed elsewhere."""
+"""What reaches a terminal: text without control characters, and progress bars, which are printed nowhere else."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 import contextlib
+import re
 import threading
 from typing import Any
 
 from tqdm import tqdm
+
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
+"""Characters that steer a terminal or turn its writing around; tab and end of line are none."""
+
+
+def plain(text: str) -> str:
+    """The text with control characters written as escapes (\\x1b): names in files of others may contain them."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+class Plain:
+    """A stream that writes `plain` text, and progress bars as they are."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> Any:
+        """Write a text."""
+        begin = len(text) if re.fullmatch(r"(\n|\x1b\[A)*", text) else int(text.startswith("\r"))
+        return self.stream.write(text[:begin] + plain(text[begin:]))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
 
 FIRST_S, EACH_S = 1.0, 0.5
 """Time [s] until a bar appears, and between its updates. A bar is drawn while the work reports nothing too, so that the clock in it runs."""
@@ -63,7 +88,7 @@ class Progress(_Bar):
     def say(self, text: str) -> None:
         """Show a text instead of the bar, for work of unknown length."""
         self.bar.bar_format = ENDLESS
-        self.bar.set_description_str(text)
+        self.bar.set_description_str(plain(text))
 
     def __enter__(self) -> Progress:
         return self
@@ -76,7 +101,7 @@ class Steps(_Bar):
         super().__init__(text, total, NAMED)
 
     def __call__(self, name: str) -> None:
-        self.bar.set_description_str(name)
+        self.bar.set_description_str(plain(name))
         if self.bar.n < self.bar.total - 1:  # type: ignore[operator]
             self.bar.update(1)
 

@@ -121,6 +121,23 @@ def memory_bytes() -> float:
     return min(found)
 
 
+def return_memory() -> None:
+    """Have freed arrays returned to the system at once, where the C library keeps them otherwise.
+
+    The GNU library raises its limit for blocks of their own to 32 MB once such a block was freed. Arrays of a few MB of several threads then lie
+    between others, and a diagnosis held twice the memory that it used.
+    """
+    import ctypes
+
+    with contextlib.suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _OWN_BLOCK_BYTES)
+
+
+_MMAP_THRESHOLD = -3
+"""M_MMAP_THRESHOLD of malloc.h."""
+_OWN_BLOCK_BYTES = 1 << 18
+
+
 def cores() -> int:
     """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):

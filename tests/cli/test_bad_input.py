@@ -1,6 +1,8 @@
 """Every bad input has its own line on standard error and exit code 2; nothing is a traceback."""
 
 from collections.abc import Callable
+import contextlib
+import json
 import os
 from pathlib import Path
 import shutil
@@ -9,8 +11,12 @@ import numpy as np
 import pytest
 
 from tests.builders.refused import refused
+from tests.builders.small_machine import MJCF, TOML
 from twin.cli import main
-from twin.machine.machine import default_machine_path, load_machine
+from twin.errors import InputError
+from twin.machine.machine import Machine, default_machine_path, load_machine
+from twin.program import read_program
+from twin.simulation.plant_spec import build_plant
 
 HEAD = "time [s],X.setpoint [mm]\n"
 
@@ -266,3 +272,72 @@ def test_diverging_run_keeps_its_trace(tmp_path: Path, capsys: pytest.CaptureFix
     assert "diverges: axis X at " in line
     kept = read_trace(tmp_path / "out" / "trace.parquet")
     assert 1 < len(kept.time) < 1000
+
+
+STEERING = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202ereversed"
+"""Clears a terminal, names its window, colours it, and turns the writing around."""
+
+
+def test_names_cannot_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Names of columns, runs and machines, in results, notes and errors."""
+    (tmp_path / "small.xml").write_text(MJCF)
+    (tmp_path / "small.toml").write_text(TOML.replace('name = "small"', f"name = {json.dumps('small ' + STEERING)}"))
+    (tmp_path / f"run{STEERING}.csv").write_text(
+        f"time [s],Pos{STEERING} [mm],Soll [mm]\n" + "".join(f"{i / 1000},{i % 7},{i}\n" for i in range(99))
+    )
+    (tmp_path / f"program{STEERING}.mpf").write_text(f"G1 X1 F1000 ;{STEERING}\nQQ{STEERING}=1\nM30\n")
+    recording, program = str(tmp_path / f"run{STEERING}.csv"), str(tmp_path / f"program{STEERING}.mpf")
+    commands = (
+        ("import", recording), ("machine", "show", str(tmp_path / "small.toml")), ("check", program), ("run", recording), ("gap", f"none{STEERING}"),
+        ("effects", f"none{STEERING}"), (f"none{STEERING}",), ("check", f"--json{STEERING}=x", program),
+    )  # fmt: skip
+    for command in commands:
+        with contextlib.suppress(SystemExit):
+            main(list(command))
+        out, err = capsys.readouterr()
+        assert out or err
+        assert not set(out + err) & set("\x1b\x9b\x07\u202e"), command
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("check", "{}.mpf"),
+        ("run", "{}.csv"),
+        ("gap", "{}"),
+        ("study", "{}.toml"),
+        ("machine", "show", "{}.toml"),
+        ("import", "{}.csv"),
+        ("diagnose", "{}"),
+    ],
+)
+def test_a_path_that_no_system_opens_is_one_short_line(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    for path in ("y" * 300, "y" * 3000, "y/" * 3000, "/".join(["y" * 100] * 60)):
+        line = refused(capsys, *(word.format(path) for word in words))
+        assert len(line) < 600
+        assert "defect" not in line
+
+
+@pytest.mark.parametrize("word", ["M", "G", "H", "T", "D", "L", "F", "S", "X", "N", "P", "R1=", "X=", "AC=", "G4 F", "G2 X1 Y1 I"])
+@pytest.mark.parametrize("ending", [".mpf", ".ngc", ".nc"])
+def test_a_number_of_any_length_in_a_program_is_read_or_refused(word: str, ending: str, tmp_path: Path, mikron: Machine) -> None:
+    for digits in ("9" * 400, "0" * 400, "9" * 30, "1." + "3" * 400):
+        (tmp_path / f"p{ending}").write_text(f"G1 X1 F1000\n{word}{digits}\nM30\n")
+        with contextlib.suppress(InputError):
+            read_program(tmp_path / f"p{ending}", mikron)
+
+
+@pytest.mark.parametrize(
+    "motor",
+    [
+        '<motor name="U"/>',
+        "<motor/>",
+        '<position name="U" kp="1"/>',
+        '<motor name="U" joint="B"/>',
+        '<motor name="B"/><motor name="U" joint="U"/>',
+    ],
+)
+def test_an_actuator_without_a_joint_is_left_out(motor: str, tmp_path: Path) -> None:
+    (tmp_path / "small.xml").write_text(MJCF.replace("</mujoco>", f"<actuator>{motor}</actuator></mujoco>"))
+    (tmp_path / "small.toml").write_text(TOML)
+    build_plant(load_machine(tmp_path / "small.toml"))

@@ -21,7 +21,7 @@ import twin
 from twin.errors import TwinError, nearest, one_line
 from twin.files import hold_folders, release_folders
 from twin.limits import raised
-from twin.progress import hushed
+from twin.progress import Plain, hushed
 from twin.stopping import say
 
 DESCRIPTION = """Digital twin of a machine tool's feed drives on MuJoCo.
@@ -82,7 +82,12 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line. Exit code: 0 done, 1 failed verdict, 2 bad input or usage (one line on standard error)."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    # names in files of others may steer a terminal
+    with contextlib.redirect_stdout(Plain(sys.stdout)), contextlib.redirect_stderr(Plain(sys.stderr)):
+        return _main(list(sys.argv[1:] if arguments is None else arguments))
+
+
+def _main(arguments: list[str]) -> int:
     if (unread := next((a for a in arguments if not _is_text(a)), None)) is not None:
         print(f"twin: {_NO_TEXT.format(one_line(ascii(unread)))}", file=sys.stderr)
         return 2
@@ -92,9 +97,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    args = build_parser(_command_in(arguments)).parse_args(arguments)
     hold_folders()
     try:
+        args = build_parser(_command_in(arguments)).parse_args(arguments)
         with _effects_of(args):
             return _carried_out(args)
     except TwinError as error:
@@ -108,7 +113,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return 0
     except OSError as error:  # no permission, disk full
-        print(f"twin: {error.filename or 'a file'}: {error.strerror or error}; choose another place or free space there", file=sys.stderr)
+        what = f"{error.filename or 'a file'}: {error.strerror or error}; choose another place or free space there"
+        print(f"twin: {one_line(what)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt as stop:
         say(getattr(stop, "number", signal.SIGINT))

@@ -61,7 +61,7 @@ class Group:
     seed: int
     thresholds: Thresholds = DEFAULT
     answers: dict[Hashable, np.ndarray | TwinError] = field(init=False, default_factory=dict, repr=False, compare=False)
-    """Remembered responses (row,), not weighted."""
+    """Remembered responses (row,), not weighted, in single precision."""
 
     def __post_init__(self) -> None:
         placed, at = [], 0
@@ -124,9 +124,15 @@ class Group:
         keys = keys or [None] * len(variations)
         known = [None if key is None else self.answers.get(key) for key in keys]
         new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken, mapper))
-        answers = [next(new) if answer is None else answer for answer in known]
-        self.answers.update({key: answer for key, answer in zip(keys, answers) if key is not None})
-        return [rows if isinstance(rows, TwinError) else rows * self.weights for rows in answers]
+        out: list[np.ndarray | TwinError] = []
+        for key, answer in zip(keys, known):
+            rows = next(new) if answer is None else answer
+            if key is not None and answer is None:
+                self.answers[key] = rows if isinstance(rows, TwinError) else rows.astype(np.float32)
+            if answer is None and isinstance(rows, np.ndarray):
+                rows *= self.weights  # in place: a response is as long as all channels
+            out.append(rows * self.weights if answer is not None and isinstance(rows, np.ndarray) else rows)
+        return out
 
     def _simulated(self, variations: Sequence[Variation], shaken: bool, mapper: Mapper) -> list[np.ndarray | TwinError]:
         """Response (row,) to each variation, not weighted."""
@@ -306,13 +312,13 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
             nominal.append({})
             shaken.append({})
             continue
-        nominal.append(channels_of(simulate_group(view, present).trace, view, present))
+        nominal.append(_kept(channels_of(simulate_group(view, present).trace, view, present)))
         drawn = all_or_raise(
             simulate_groups([SimulationRequest(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)])
         )
         seen = [channels_of(run.trace, view, present) for run in drawn]
         clean = [channels_of(run.without_noise, view, present) for run in drawn]
-        shaken.append(clean[0])
+        shaken.append(_kept(clean[0]))
         measured = channels_of(view.trace, view, present)
         for key, values in measured.items():
             expected = np.mean([c[key] for c in clean], axis=0)
@@ -333,6 +339,11 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
                 )
             )
     return Group(axes, views, channels, nominal, shaken, seed, thresholds)
+
+
+def _kept(values: dict[tuple[str, str], np.ndarray]) -> dict[tuple[str, str], np.ndarray]:
+    """The values without the record of the whole simulation, of which they may be columns."""
+    return {key: np.array(own) for key, own in values.items()}
 
 
 def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:

@@ -26,6 +26,9 @@ SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_sc
 CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
 """Block -> channel that isolates the block from the loop. All other blocks are only visible in closed loop."""
 
+AT_ONCE = 32
+"""Responses in double precision at a time, before they are kept in single precision."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -102,10 +105,13 @@ class GroupState:
         """Response (row,) to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once."""
         keys = [repr(setting.table()) for setting in settings]
         missing = {key: setting for key, setting in zip(keys, settings) if key not in self.response_cache}
-        for key, column in zip(missing, simulated_responses(self.group, [[setting] for setting in missing.values()], mapper)):
-            self.response_cache[key] = (
-                column if isinstance(column, TwinError) else CachedResponse(column.astype(np.float32), self.group.weights)
-            )
+        names = list(missing)
+        for first in range(0, len(names), AT_ONCE):
+            some = names[first : first + AT_ONCE]
+            for key, column in zip(some, simulated_responses(self.group, [[missing[key]] for key in some], mapper)):
+                self.response_cache[key] = (
+                    column if isinstance(column, TwinError) else CachedResponse(column.astype(np.float32), self.group.weights)
+                )
         return [self._as_weighted(key) for key in keys]
 
     def _as_weighted(self, key: str) -> np.ndarray | TwinError:

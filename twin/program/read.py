@@ -159,6 +159,9 @@ def understand_source(source: Source, machine: Machine) -> Collector:
         where = front.flow.frames[-1].unit.path if front.flow.frames else path
         column = error.column if isinstance(error, WordError) else None
         raise InputError(f"{place_of(where, front.state.line, front.state.block, column)}: {error}") from None
+    except ArithmeticError:
+        place = place_of(path, front.state.line, front.state.block)
+        raise InputError(f"{place}: a number of this block is out of range; correct it") from None
     except RecursionError:
         raise InputError(
             f"{place_of(path, front.state.line, front.state.block)}: calls or brackets are nested too deeply; take some apart"

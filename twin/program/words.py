@@ -7,6 +7,7 @@ A block is split into words: an address with a number (`X10.5`, `G641`), an assi
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 import re
 
 from twin.program.expressions import WordError
@@ -49,7 +50,9 @@ def split_words(line: str) -> list[Word]:
             if match[1] == "L" and line[end : end + 1] == "(":
                 close = closing(line, end)
                 text, text_column, end = line[end + 1 : close], end + 2, close + 1
-            words.append(Word(match[1], column, value=float(match[2]), text=text, text_column=text_column))
+            if not math.isfinite(value := float(match[2])):
+                raise WordError("the number is too large", column)
+            words.append(Word(match[1], column, value=value, text=text, text_column=text_column))
         elif match := _NAME.match(line, at):
             end, text, text_column = match.end(), None, 0
             behind = _BLANK.match(line, end).end()  # type: ignore[union-attr]

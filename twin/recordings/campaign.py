@@ -31,13 +31,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+import os
 from pathlib import Path
 
 from twin.documents import named_file, read_toml, reading
 from twin.errors import InputError
+from twin.limits import refuse_above, refuse_bytes
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.ballbar import Ballbar, ballbar_of
+from twin.recordings.parquet_file import read_parquet, text_bytes
 from twin.recordings.profile_speed import SIGNAL, answers_position
+from twin.recordings.table_file import table_bytes
 from twin.recordings.trace import Trace, read_trace
 from twin.tables import is_number, known_keys, listed, positive
 
@@ -46,6 +50,8 @@ _CHANNEL_NUMBERS = ("latency_s", "latency_deviation_s", "taken_back_s", "offset_
 _CHANNEL_FLAGS = ("offset_taken_out", "against", "unsigned")
 EVENTS = "events.parquet"
 MADE_FROM = ("following_error", "position", "motor_position", "velocity")
+MOST_RUNS = 20_000
+"""Runs of one campaign."""
 
 
 @dataclass(frozen=True)
@@ -137,12 +143,18 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
     tables = document.get("run", [])
     if not isinstance(tables, list) or not tables:
         raise InputError(f'{file}: no [[run]]; list at least one, e.g. [[run]] file = "circle.parquet"')
-    events = _read_events(path / EVENTS)
-    runs = _without_profiles([_read_run(path, table, f"{file}: run {i + 1}", machine, events) for i, table in enumerate(tables)])
-    names = [run.name for run in runs]
-    if len(set(names)) < len(names):
-        raise InputError(f"{file}: two runs are named {next(n for n in names if names.count(n) > 1)}; rename one of the files")
-    return Campaign(path, str(document.get("machine", "")), runs)
+    refuse_above(len(tables), MOST_RUNS, "runs", str(file), "split the campaign")
+    files = [_file_of(path, table, f"{file}: run {i + 1}") for i, table in enumerate(tables)]
+    named, taken = set[str](), 0.0
+    for one in files:
+        if one.stem in named:
+            raise InputError(f"{file}: two runs are named {one.stem}; rename one of the files")
+        named.add(one.stem)
+        taken += table_bytes(one)
+        refuse_bytes(taken, str(file), "split the campaign, or record at a lower rate")
+    events = _read_events(path)
+    runs = [_read_run(one, table, f"{file}: run {i + 1}", machine, events) for i, (one, table) in enumerate(zip(files, tables))]
+    return Campaign(path, str(document.get("machine", "")), _without_profiles(runs))
 
 
 def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
@@ -158,14 +170,16 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     return tuple(out)
 
 
-def _read_events(path: Path) -> dict[str, list[BlockEvent]]:
-    """Events by run; empty if the file does not exist."""
-    import pyarrow.parquet
-
-    if not path.is_file():
+def _read_events(folder: Path) -> dict[str, list[BlockEvent]]:
+    """Events by run; empty if the campaign has none."""
+    if not os.path.lexists(folder / EVENTS):
         return {}
-    with reading(path, "table of events with time, channel, block, text, run", "remove it or import again"):
-        rows = pyarrow.parquet.ParquetFile(path).read().to_pylist()
+    path = named_file(EVENTS, folder, str(folder))
+    kind, remedy = "table of events with time, channel, block, text, run", "remove it or import again"
+    table = read_parquet(path, kind, remedy)
+    with reading(path, kind, remedy):
+        refuse_bytes(text_bytes(table) + 500.0 * table.num_rows, str(path), "remove it or import the recording in parts")
+        rows = table.to_pylist()
         named = [(str(r["run"]), BlockEvent(float(r["time"]), int(r["channel"]), str(r["block"]), str(r["text"]))) for r in rows]
     out: dict[str, list[BlockEvent]] = {}
     for run, event in sorted(named, key=lambda one: one[1].time):
@@ -208,13 +222,17 @@ def _labels(table: object, where: str) -> dict[str, float]:
     return {name: float(value) for name, value in table.items()}
 
 
-def _read_run(folder: Path, table: dict, where: str, machine: Machine | None, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
+def _file_of(folder: Path, table: object, where: str) -> Path:
+    """The trace that [[run]] names."""
     if not isinstance(table, dict):
         raise InputError(f'{where}: {table!r} is not a run; write each as [[run]] with file = "circle.parquet"')
     known_keys(table, _RUN_KEYS, where)
     if not isinstance(table.get("file"), str):
         raise InputError(f"{where}: 'file' is missing; name the trace of this run")
-    file = named_file(table["file"], folder, f"{where}: file")
+    return named_file(table["file"], folder, f"{where}: file")
+
+
+def _read_run(file: Path, table: dict, where: str, machine: Machine | None, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
     feedforward = table.get("feedforward")
     if feedforward is not None and feedforward not in FEEDFORWARD:
         raise InputError(f"{where}: feedforward '{feedforward}'; use one of {', '.join(FEEDFORWARD)}")

@@ -9,10 +9,8 @@ import numpy as np
 
 from twin.documents import reading
 from twin.errors import InputError
-from twin.limits import refuse_above
-
-MOST_VALUES = 250_000_000
-"""Most numbers in one file: 2 GB in memory."""
+from twin.limits import refuse_bytes
+from twin.recordings.parquet_file import parquet_bytes, read_parquet
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
@@ -21,9 +19,12 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
 
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
-    with reading(path, "Parquet file" if path.suffix == ".parquet" else "CSV file", "write it again"):
-        table = _parquet(path) if path.suffix == ".parquet" else _csv(path)
-        names = table.column_names
+    if path.suffix == ".parquet":
+        table = read_parquet(path)
+    else:
+        with reading(path, "CSV file", "write it again"):
+            table = _csv(path)
+    names = table.column_names
     if table.num_rows == 0:
         raise InputError(f"{path}: the trace is empty; record at least two samples")
     if len(set(names)) != len(names):
@@ -33,20 +34,32 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
     for name in names:
         column = table.column(name)
         if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
-            row, cell = next(((i, c) for i, c in enumerate(column.to_pylist(), start=1) if not _is_number(c)), (1, column[0].as_py()))
+            cells = (cell.as_py() for cell in column)
+            row, cell = next(((i, c) for i, c in enumerate(cells, start=1) if not _is_number(c)), (1, column[0].as_py()))
             raise InputError(f"{path}: column '{name}': row {row} holds {str(cell)[:40]!r}, which is not a number; correct or remove it")
         columns[name] = column.cast(pa.float64(), safe=False).to_numpy()  # missing cells become NaN
     return columns
 
 
-def _parquet(path: Path) -> Any:
-    """The table of a Parquet file, after a check of the size in its header."""
-    import pyarrow.parquet
+def table_bytes(path: Path) -> float:
+    """Estimate of the memory that `read_table` takes for a file, from its metadata or its size [bytes]."""
+    if path.suffix == ".parquet":
+        return parquet_bytes(path)
+    try:
+        return float(path.stat().st_size)
+    except OSError:  # its reader reports it
+        return 0.0
 
-    file = pyarrow.parquet.ParquetFile(path)
-    about = file.metadata
-    refuse_above(about.num_rows * about.num_columns, MOST_VALUES, "values", str(path), "cut the recording into runs")
-    return file.read()
+
+def refuse_large_text(path: Path) -> None:
+    """Refuse a text, also a compressed one, whose cells would take too much memory as numbers."""
+    import pyarrow as pa
+
+    size = cells = 0
+    with pa.input_stream(str(path), compression="detect") as stream:
+        while block := stream.read(1 << 22):
+            size, cells = size + len(block), cells + block.count(b",") + block.count(b"\n")
+            refuse_bytes(max(size, 8 * cells), str(path), "cut the recording into runs")
 
 
 def _csv(path: Path) -> Any:
@@ -54,7 +67,7 @@ def _csv(path: Path) -> Any:
     import pyarrow as pa
     import pyarrow.csv
 
-    refuse_above(path.stat().st_size / 8.0, MOST_VALUES, "values", str(path), "cut the recording into runs")
+    refuse_large_text(path)
     bad: list[Any] = []
 
     def invalid(row: Any) -> str:

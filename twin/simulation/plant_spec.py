@@ -60,7 +60,10 @@ def _parsed(path: Path, _state: bytes) -> mujoco.MjSpec:
     quiet_engine()
     compiles(path, check_safe(path))
     try:
-        return mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        for actuator in [a for a in spec.actuators if not a.target]:  # the engine keeps its name, but loses it in a copy
+            spec.delete(actuator)
+        return spec
     except (ValueError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo cannot read this model: {' '.join(str(error).split())}; correct it there") from None
 

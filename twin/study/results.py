@@ -16,6 +16,7 @@ import pyarrow.parquet
 
 from twin.documents import reading
 from twin.errors import InputError, nearest
+from twin.recordings.parquet_file import read_parquet
 from twin.study.constraints import broken_by
 from twin.study.design import problem_of
 from twin.study.factors import Factor
@@ -239,7 +240,7 @@ def surrogate_from(folder: str | Path, response: str) -> Callable[[Mapping[str, 
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the --out folder of a finished `twin study`")
     with reading(path, "table of a study", "run the study again with --resume"):
-        table = pyarrow.parquet.ParquetFile(path).read()
+        table = read_parquet(path)
         names = table.schema.metadata[b"factors"].decode().split("\n")
     if response not in table.column_names:
         raise InputError(f"{path}: no response '{response}'; {nearest(response, table.column_names[len(names) + 1 : -1])}")

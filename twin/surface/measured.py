@@ -16,6 +16,7 @@ import numpy as np
 from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.limits import refuse_above
+from twin.recordings.table_file import refuse_large_text
 from twin.surface.sur_file import read_sur
 
 MOST_BYTES = 500_000_000
@@ -143,6 +144,7 @@ def _npz(path: Path) -> HeightMap:
 def _csv(path: Path) -> HeightMap:
     import pyarrow.csv
 
+    refuse_large_text(path)
     table = pyarrow.csv.read_csv(path)
     needed = ("u [mm]", "v [mm]", "deviation [um]")
     for name in needed:

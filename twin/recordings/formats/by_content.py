@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
+from twin.documents import reading
 from twin.errors import InputError
 from twin.recordings.signals import ReadOptions, Recording, check_readable
 
@@ -19,6 +20,8 @@ _BEGINS: tuple[tuple[bytes, str], ...] = (
     (b"{", "sinumerik_edge"),
 )
 _BINARY = {".tdms": "tdms", ".mf4": "mdf", ".mdf": "mdf", ".mat": "matlab", ".parquet": "parquet"}
+_NAMES = {"tdms": "TDMS file", "mdf": "MDF file", "parquet": "Parquet file", "matlab": "MATLAB file", "sinumerik": "SINUMERIK trace",
+          "sinumerik_edge": "SINUMERIK Edge recording", "delimited": "text of numbers"}  # fmt: skip
 FORMATS = "text of any layout (.csv .txt .log .dat ...), SINUMERIK trace (.xml) and Edge (.json), .tdms .mf4 .mat .parquet"
 
 
@@ -33,7 +36,8 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     reader = _reader(path)
     if options.dialect.get("columns") and reader != "delimited":
         raise InputError(f"{path}: its format names its columns; --columns is for text without a heading")
-    recording = importlib.import_module(f"twin.recordings.formats.{reader}").read(path, options)
+    with reading(path, _NAMES[reader]):  # the one boundary: whatever a reader or its library raises becomes one line
+        recording = importlib.import_module(f"twin.recordings.formats.{reader}").read(path, options)
     if not recording.signals:
         raise InputError(f"{path}: holds no signal; export the recording again")
     return recording

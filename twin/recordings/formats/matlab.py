@@ -9,19 +9,21 @@ import numpy as np
 
 from twin.documents import reading
 from twin.errors import InputError
-from twin.limits import refuse_above
+from twin.limits import most_bytes, refuse_bytes
 from twin.recordings.signals import ReadOptions, Recording, starts_with
 from twin.recordings.time_column import share_time
 from twin.system import tried
 
-MOST_VALUES = 100_000_000
-"""Most numbers in one file: 800 MB in memory."""
-TRIAL_BYTES = 4_000_000_000
+LOADED_BYTES = 2_000_000_000
+"""Address space of the process that tries a file, before it reads it [bytes]."""
 _TRIAL = """
 import sys
 from scipy.io import loadmat, whosmat
 import math
-print(sum(math.prod(shape) for _, shape, _ in whosmat(sys.argv[1])))
+size = 8 * sum(math.prod(shape) for _, shape, _ in whosmat(sys.argv[1]))
+print(size)
+if size > float(sys.argv[2]):
+    sys.exit(0)  # the calling process refuses it
 try:
     loadmat(sys.argv[1])
 except MemoryError:
@@ -57,11 +59,11 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
     from scipy.io import loadmat
 
     # a damaged file can crash the library, so it is first read in a process of its own
-    trial = tried(_TRIAL, str(path), most_bytes=TRIAL_BYTES, seconds=60)
+    trial = tried(_TRIAL, str(path), str(most_bytes()), most_bytes=LOADED_BYTES + 2 * most_bytes(), seconds=60)
     if trial is None:
         raise InputError(f"{path}: a damaged MATLAB file (reading it does not end); save it again")
     if (said := trial.stdout.strip()).isdigit():
-        refuse_above(int(said), MOST_VALUES, "values", str(path), "save fewer signals, or in parts")
+        refuse_bytes(int(said), str(path), "save fewer signals, or in parts")
     if trial.returncode == 3:
         raise InputError(f"{path}: a damaged MATLAB file (reading it fills the memory); save it again")
     if trial.returncode not in (0, 1):
@@ -74,7 +76,11 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 
 def _collect(name: str, value: Any, columns: dict[str, np.ndarray]) -> None:
-    """Numbers of a variable, and of the fields of a struct."""
+    """Numbers of a variable, and of the fields of a struct. A sparse matrix is no signal."""
+    from scipy.sparse import issparse
+
+    if issparse(value):
+        return
     value = np.asarray(value)
     if value.dtype.names:
         if value.size == 1:
@@ -101,7 +107,7 @@ def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
             if item.external or item.is_virtual:
                 raise InputError(f"{path}: '{name}' is in another file, which is not opened; save it as one file")
             values[0] += item.size
-            refuse_above(values[0], MOST_VALUES, "values", f"{path}", "save fewer signals, or in parts")
+            refuse_bytes(8.0 * values[0], str(path), "save fewer signals, or in parts")
             if "MATLAB_class" in item.attrs and item.attrs["MATLAB_class"] in (b"char", b"cell"):
                 return
             columns[name.replace("/", ".")] = np.asarray(item).T

@@ -13,6 +13,7 @@ import numpy as np
 
 from twin.documents import reason_of
 from twin.errors import InputError
+from twin.limits import refuse_bytes
 from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit, starts_with
 
 
@@ -33,7 +34,11 @@ def read(path: Path, options: ReadOptions) -> Recording:
         try:
             with MDF(path) as file:
                 started = file.header.start_time
+                sizes = [(float(g.channel_group.cycles_nr), g.channel_group.samples_byte_nr + 8.0 * len(g.channels)) for g in file.groups]
+                refuse_bytes(sum(rows * width for rows, width in sizes), str(path), "export the recording in parts")
                 _collect(file, signals)
+        except InputError:
+            raise
         except Exception as error:  # the package raises many classes for damaged files
             problem = reason_of(error)
         if problem:

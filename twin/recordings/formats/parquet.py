@@ -6,32 +6,23 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.documents import reading
 from twin.errors import InputError
-from twin.limits import refuse_above
+from twin.recordings.parquet_file import read_parquet
 from twin.recordings.signals import ReadOptions, Recording, split_heading, starts_with
-from twin.recordings.table_file import MOST_VALUES
 from twin.recordings.time_column import share_time
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """All columns of numbers, on the map's time column or interval."""
     import pyarrow as pa
-    import pyarrow.parquet
 
     if not starts_with(path, b"PAR1"):
         raise InputError(f"{path}: not a Parquet file; give it the ending of its true format")
-    with reading(path, "Parquet file"):
-        file = pyarrow.parquet.ParquetFile(path)
-        size = file.metadata.num_rows * file.metadata.num_columns
-        refuse_above(size, MOST_VALUES, "values", str(path), "export the recording in parts")
-        table = file.read()
-        names = table.column_names
+    table = read_parquet(path, remedy="export it again")
+    names = table.column_names
     columns: dict[str, tuple[np.ndarray, str]] = {}
     plain_names = [split_heading(name)[0] for name in names]
     for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{path}: column '{name}' occurs twice; remove one")
         column = table.column(name)
         if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
             plain, unit = split_heading(name)

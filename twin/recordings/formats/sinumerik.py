@@ -26,7 +26,7 @@ import numpy as np
 
 from twin.documents import reason_of
 from twin.errors import InputError
-from twin.limits import refuse_above
+from twin.limits import refuse_above, refuse_bytes
 from twin.recordings.grid import MOST_ROWS
 from twin.recordings.signals import ReadOptions, Recording, Signal, date_of, starts_with
 
@@ -95,7 +95,11 @@ def read(path: Path, options: ReadOptions) -> Recording:
         notes.append(f"{frames} data frames: the first is read")
     signals = {}
     clocks: dict[tuple[float, float, int], np.ndarray] = {}
+    taken = 0.0
     for one in samples.values():
+        if len(one.times) > 1:  # held values are repeated
+            taken += 8.0 * abs(one.times[-1] - one.times[0]) / one.interval
+            refuse_bytes(taken, str(path), "export a shorter recording")
         signal, note = _signal(one, clocks, path)
         if signal.name in signals:
             raise InputError(f"{path}: signal '{signal.name}' occurs twice; remove one from the trace's settings")

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.documents import reading
 from twin.errors import InputError
+from twin.limits import refuse_bytes
 from twin.recordings.signals import ReadOptions, Recording, Signal, TimeSource, known_unit, starts_with
 from twin.recordings.time_column import share_time
 
@@ -28,6 +29,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
         if file.file_status.incomplete_final_segment:
             raise InputError(f"{path}: the TDMS file is cut off in its last segment; export it again")
         channels = [c for group in file.groups() for c in group.channels()]
+        refuse_bytes(sum(8.0 * len(c) for c in channels), str(path), "export the recording in parts")
         raw = [(c, f"{c.group_name}/{c.name}", np.asarray(c[:])) for c in channels if np.issubdtype(c.dtype, np.number)]
     signals: dict[str, Signal] = {}
     started: datetime | None = None
