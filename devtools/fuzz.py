@@ -14,7 +14,7 @@ from pathlib import Path
 import random
 import time
 
-from devtools import fuzz_claims, fuzz_files, fuzz_folders, fuzz_programs, fuzz_recordings
+from devtools import fuzz_claims, fuzz_files, fuzz_folders, fuzz_packed, fuzz_programs, fuzz_recordings
 from devtools.fuzz_loop import SECONDS, Case, fuzz
 
 RARELY = ("chain", "claims", "study", "study_folder", "study_cells", "exam", "diagnose", "plan", "height")
@@ -27,6 +27,7 @@ def kinds(data: Path) -> dict[str, Case]:
         **fuzz_files.all_kinds(),
         **fuzz_folders.all_kinds(),
         "program": program,
+        "packed": fuzz_packed.packed,
         "recording": lambda seed, folder: fuzz_recordings.recording(seed, folder, fuzz_recordings.real(data))[1],
         "chain": lambda seed, folder: fuzz_recordings.chain(seed, folder, fuzz_recordings.real(data), no_refine=True)[1],
         "claims": lambda seed, folder: fuzz_claims.on_real(seed, folder, data),

@@ -36,6 +36,9 @@ BYTES = 2_000_000_000
 LONGEST_LINE = 420
 """Characters of a message: 300, and a path."""
 
+STEERING = {chr(n) for n in (*range(9), *range(11, 32), *range(127, 160), *range(0x202A, 0x202F))}
+"""Characters that steer a terminal; none may be printed."""
+
 Case = Callable[[int, Path], str]
 
 
@@ -95,6 +98,8 @@ def called(arguments: tuple[object, ...], allowed: tuple[str, ...] = ("finding: 
         return code, f"prints nan: {said[0][:200]}"
     if code == 0 and lines:
         return code, f"done, and on standard error: {lines[0][:300]}"
+    if steering := set(out.getvalue() + error.getvalue()) & STEERING:
+        return code, f"prints {sorted(steering)!r}"
     if "Traceback" in error.getvalue():
         return code, error.getvalue()[-1500:]
     return code, ""

@@ -336,6 +336,33 @@ def test_a_signal_ends_a_command_within_three_seconds(script: str, number: int) 
     assert seconds < ENDS_IN_S
 
 
+SWALLOWED = """
+    from twin.__main__ import run
+    import twin.cli.effects, time, weakref
+    class Held: pass
+    def carry_out(args):
+        held = Held()
+        def swallows(_):
+            print("ready", flush=True)
+            time.sleep(20)
+        kept = weakref.ref(held, swallows)  # an exception in a callback is printed and forgotten
+        del held
+    twin.cli.effects.carry_out = carry_out
+    import sys
+    sys.unraisablehook = lambda _: None
+    sys.argv = ["twin", "effects"]
+    sys.exit(run())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_a_callback_swallows_stops_the_command_all_the_same(number: int) -> None:
+    code, error, seconds = ended(SWALLOWED, number, 0.2)
+    assert code == 128 + number
+    assert error.startswith("twin: stopped by")
+    assert seconds < ENDS_IN_S
+
+
 def test_a_signal_in_the_first_moment_is_one_line(tmp_path: Path) -> None:
     for after in (0.15, 0.4):
         process = subprocess.Popen([sys.executable, "-m", "twin", "run", str(tmp_path / "none.csv")], stderr=subprocess.PIPE, text=True)

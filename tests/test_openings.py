@@ -112,7 +112,6 @@ OWNERS = {"copy": ("shutil",), "copytree": ("shutil",), "copyfile": ("shutil",),
           "rename": ("os", "path", "shutil"), "remove": ("os",), "save": ("np", "image.crop((0, bar, image.width, image.height))")}  # fmt: skip
 
 WRITES = {
-    "cli/import_recordings.py": {"TemporaryDirectory": 1},  # scratch files
     "diagnose/first/raw.py": {"unlink": 1},  # an output of an earlier call
     "cli/replay.py": {"TemporaryDirectory": 1, "mkdtemp": 1, "rename": 1},  # a recording that the viewer reads after the command
     "diagnose/output.py": {"unlink": 1},  # an output of an earlier call
@@ -120,7 +119,7 @@ WRITES = {
     "files.py": {"mkdir": 3, "unlink": 2, "TemporaryDirectory": 1, "TemporaryFile": 1},  # this is the one way
     "machine/from_recording.py": {"TemporaryDirectory": 1},  # scratch files
     "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 4},  # its own scratch files
-    "recordings/imported.py": {"TemporaryDirectory": 1},  # scratch files
+    "recordings/imported.py": {"TemporaryDirectory": 1, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/proposed.py": {"TemporaryDirectory": 1},  # scratch files
     "recordings/write.py": {"write_table": 1, "unlink": 1},  # a piece of a file that `beside` opened; an output of an earlier call
     "regress/golden.py": {"unlink": 1},  # an output of an earlier call

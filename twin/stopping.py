@@ -89,6 +89,8 @@ def until_ctrl_c() -> Iterator[None]:
     except KeyboardInterrupt as stop:
         if isinstance(stop, Stopped) and stop.number != signal.SIGINT:
             raise
+        global _received
+        _received = None
 
 
 _left_behind = False
@@ -101,7 +103,13 @@ def leave_behind() -> None:
 
 
 def ended(code: int) -> int:
-    """Return the exit code of a finished command, or end the process here if `leave_behind` was called."""
+    """Return the exit code of a finished command, or end the process here if `leave_behind` was called.
+
+    A library may have swallowed the exception of a signal, for example in a callback: the command was stopped all the same.
+    """
+    if _received is not None and code != _received.code:
+        say(_received.number)
+        code = _received.code
     if _left_behind:
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):

@@ -199,3 +199,15 @@ def test_an_encoding_of_any_name_is_one_line(encoding: str, tmp_path: Path, caps
     code = main(["import", str(tmp_path / "a.csv"), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out"), "--no-picture"])
     said = capsys.readouterr().err
     assert code == 0 or (code == 2 and said.count("\n") == 1 and said.startswith("twin: ") and "defect" not in said), said
+
+
+def test_an_import_removes_what_a_killed_one_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text(
+        "time [s],X.setpoint [mm],X.position [mm]\n" + "".join(f"{i / 1000},{np.sin(i / 50)},{np.sin(i / 50 - 0.1)}\n" for i in range(400))
+    )
+    left = tmp_path / "out" / ".import_killed" / "0"
+    left.mkdir(parents=True)
+    (left / "column0").write_bytes(b"x" * 1000)
+    assert main(["import", str(tmp_path / "a.csv"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    capsys.readouterr()
+    assert not [p.name for p in (tmp_path / "out").iterdir() if p.name.startswith(".")]

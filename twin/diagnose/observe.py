@@ -169,7 +169,7 @@ class Group:
                     seen = law_error(simulation.trace, view, view.machine.axis(a), added.get(a))
                     assert seen is not None
                     values_of[a, "controller"] = seen
-            return values_of
+            return _kept(values_of)
 
         nominal = self.shaken if shaken else self.nominal
         for request, (v, run, _), values in zip(requests, of_request, simulate_groups(requests, mapper, channels)):

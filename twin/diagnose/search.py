@@ -56,7 +56,7 @@ def search(
         retuned = no_effect(group, tuning)
         rigid = GroupState(group, group, tuning, retuned, retuned, inflation(group, retuned))
         state = min(state, _search_rounds(rigid, context), key=_cost)
-    return state
+    return replace(state, response_cache={})  # only the search asks for responses again
 
 
 def _cost(state: GroupState) -> float:

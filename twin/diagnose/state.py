@@ -26,7 +26,7 @@ SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_sc
 CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
 """Block -> channel that isolates the block from the loop. All other blocks are only visible in closed loop."""
 
-AT_ONCE = 32
+AT_ONCE = 16
 """Responses in double precision at a time, before they are kept in single precision."""
 
 

@@ -85,7 +85,8 @@ class Tuning:
         further = np.concatenate([self.further, np.full(columns.shape[1], prior)])
         normal = np.block([[self.normal, cross], [cross.T, own]])
         jacobian = stacked_columns(self.jacobian, columns)
-        return Tuning(self.nuisances, jacobian, self.spread, normal, _inverse(normal), self.base, self.prior_weight, further, self)
+        narrower = replace(self, jacobian=jacobian[:, : self.jacobian.shape[1]])  # its columns are held once
+        return Tuning(self.nuisances, jacobian, self.spread, normal, _inverse(normal), self.base, self.prior_weight, further, narrower)
 
     def holding(self, columns: Sequence[int]) -> Tuning:
         """The tuning with some of its further columns, counted from the first of them, held at zero; it shares the jacobian."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+import shutil
 import tempfile
 
 from twin.errors import InputError
@@ -22,6 +23,8 @@ from twin.recordings.write import write_campaign, write_run
 
 MOST_PICTURES = 6
 """Most pictures per recording; one with many strokes becomes many traces."""
+SCRATCH = ".import_"
+"""Begin of the names of folders with data that do not fit into memory."""
 
 
 def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: bool = True, say: Callable[[str], None] | None = None) -> int:
@@ -32,11 +35,13 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
     if (out / "campaign.toml").exists() and not (out / "import.json").exists():
         raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
     output_folder(out)
+    for left in out.glob(f"{SCRATCH}*"):  # of an import that was killed: this one has the lock of the folder
+        shutil.rmtree(left, ignore_errors=True)
     done, begun = [], _beginnings()
     with Progress("importing", total=len(runs)) as bar:
         for run, paths in runs:
             # data that do not fit into memory are stored beside the result; /tmp may itself be in memory
-            with tempfile.TemporaryDirectory(prefix=".import_", dir=out) as scratch:
+            with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=out) as scratch:
                 recordings = _read(mapping, paths, Path(scratch))
                 known = understand(mapping, run, recordings)
                 traces = write_run(known, begun(run, known.started), out, names)

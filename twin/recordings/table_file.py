@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+import re
 from typing import Any
 
 import numpy as np
@@ -68,25 +69,16 @@ def _csv(path: Path) -> Any:
     import pyarrow.csv
 
     refuse_large_text(path)
-    bad: list[Any] = []
-
-    def invalid(row: Any) -> str:
-        bad.append(row)
-        return "error"
-
-    parse = pyarrow.csv.ParseOptions(invalid_row_handler=invalid)
     try:
-        table = pyarrow.csv.read_csv(path, parse_options=parse, read_options=pyarrow.csv.ReadOptions(use_threads=False))
+        table = pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(use_threads=False))
         _ = table.column_names  # decodes the headings
     except UnicodeDecodeError:
         table = pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
-    except pa.ArrowInvalid:
-        if not bad:
+    except pa.ArrowInvalid as error:
+        if not (found := re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+): (.*)", str(error), re.S)):
             raise
-        row = bad[0]
-        raise InputError(
-            f"{path}: line {row.number} has {row.actual_columns} of {row.expected_columns} cells: '{row.text[:60].strip()}'; correct or remove it"
-        ) from None
+        line, expected, given, row = found.groups()
+        raise InputError(f"{path}: line {line} has {given} of {expected} cells: '{row[:60].strip()}'; correct or remove it") from None
     return table
 
 
