@@ -1,5 +1,5 @@
 """All thresholds of the search for effects in one frozen object, each with value, unit, meaning and provenance. Those of unlisted laws are
-constants of the modules in `twin.diagnose.law`.
+constants of the modules in `twin.diagnose.law`, those of levels of a gap are in `twin.diagnose.judgement`.
 
     replace(DEFAULT, evidence=20.0)     the same diagnosis with one threshold changed
     listed(DEFAULT)                     all thresholds with unit, meaning and provenance
