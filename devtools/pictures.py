@@ -1,16 +1,24 @@
-"""Draws pictures of the documentation.
+"""Draws pictures of the documentation. `python -m devtools.pages --pictures` makes all of them, by the list RECIPES.
 
 python devtools/pictures.py exam DIR       docs/results.md, from the folder that `twin exam --out DIR` wrote
 python devtools/pictures.py program        docs/programs.md: feed over the path, error budget
 python devtools/pictures.py regress        docs/regression.md: a failed case
+python devtools/pictures.py law            docs/laws.md: a friction that no effect describes, measured; a minute
 python devtools/pictures.py surface        docs/surface.md: the paper's three parts; about two minutes
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+import fnmatch
 import json
+import os
 from pathlib import Path
+import shlex
+import shutil
+import subprocess
 import sys
 import tempfile
 
@@ -20,6 +28,105 @@ sys.path.insert(0, str(ROOT))
 from twin.machine.machine import load_machine  # noqa: E402
 
 PICTURES = ROOT / "docs" / "pictures"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Commands that make pictures of the pages, run in a folder that has the checkout's examples, models and devtools.
+
+    `made` are names below docs/pictures, as patterns; `copies` are the files that the commands leave in that folder, by the picture that
+    each becomes (others write their pictures themselves); `needs` says what a computer has to have beside the checkout.
+    """
+
+    made: tuple[str, ...]
+    commands: tuple[str, ...]
+    copies: dict[str, str] = field(default_factory=dict)
+    needs: str = ""
+
+
+def copied(commands: Sequence[str], needs: str = "", **files: str) -> Recipe:
+    """A recipe of one picture for each keyword; `__` in it is the slash of a folder."""
+    copies = {f"{name.replace('__', '/')}.png": file for name, file in files.items()}
+    return Recipe(tuple(copies), tuple(commands), copies, needs)
+
+
+TRACES = "twin import examples/traces/x_*.csv examples/traces/x_*.xml --map examples/traces/map.toml --out out/traces"
+CHROMIUM, VULKAN, DATA = "a Chromium", "a Vulkan driver", "data that are not part of the repository"
+WORN_CIRCLE = (
+    "python examples/iso230/worn_machine.py out/worn",
+    "twin diagnose out/worn --out out/worn_diagnosis",
+    "twin iso 230-4 out/worn --diagnosis out/worn_diagnosis --json out/worn.json",
+)
+CIRCLE = ("twin run examples/iso230/circle_xy.mpf --out out/circle", "twin iso 230-4 out/circle --json out/circle.json")
+LOAD_FRICTION = "twin effects load_friction --effects examples/own_effect/load_friction.py --picture out/load_friction.png"
+RECIPES = (
+    copied(["twin demo --out out/demo"], x_200mm="out/demo/x_200mm.png"),
+    copied(["twin machine check --out out/check"], loops="out/check/loops_X.png"),
+    copied([LOAD_FRICTION], own_effect="out/load_friction.png"),
+    copied(["twin iso 230-2 examples/iso230/positions.csv --json out/positions.json"], iso230__positioning="out/positions.png"),
+    copied([TRACES], **{"import": "out/traces/x_feedforward_off.png"}),
+    copied(CIRCLE, iso230__circle="out/circle.png"),
+    copied(WORN_CIRCLE, iso230__worn="out/worn.png"),
+    Recipe(("budget_*.png", "feed_*.png"), ("python -m devtools.pictures program",)),
+    Recipe(("regress_failed.png",), ("python -m devtools.pictures regress",)),
+    Recipe(("law.png",), ("python -m devtools.pictures law",)),
+    Recipe(("surface/part*.png",), ("python -m devtools.pictures surface",)),
+    copied(["python examples/mark_depth_study.py --out out/mark_depth.png"], surface__mark_depth_study="out/mark_depth.png"),
+    Recipe(("machine.png",), ("python devtools/picture_machine.py",)),
+    Recipe(("effects/*.png",), ("python devtools/picture_effects.py",)),
+    Recipe(("identify_*.png",), ("python devtools/picture_identify.py",)),
+    Recipe(("diagnosis_*.png",), ("python devtools/picture_diagnosis.py",)),
+    Recipe(("gallery/*.png",), ("python -m devtools.picture_gallery",), needs=CHROMIUM),
+    copied(["python examples/half_inertia/run.py --out out/half"], study__half_inertia="out/half/half_inertia.png"),
+    Recipe(("study/*.png",), ("python -m devtools.picture_study",), needs=VULKAN),
+    copied(["python examples/replay_run.py --one --screenshot out/replay.png --at 5.5"], VULKAN, replay="out/replay.png"),
+    copied(["python examples/replay_urdf.py --screenshot out/urdf.png --size 1280x720 --at 6.2"], VULKAN, replay_urdf="out/urdf.png"),
+    copied(
+        [
+            "twin cut examples/parts/part1_tangent_planes.mpf --part examples/parts/part1_tangent_planes.toml --out out/part1",
+            "twin replay out/part1 --screenshot out/cut.png",
+        ],
+        VULKAN,
+        surface__cut_viewer="out/cut.png",
+    ),
+    Recipe(("paper/assumptions.png",), ("python -m devtools.paper_assumptions",)),
+    Recipe(("paper/*.png",), ("python -m devtools.paper",), needs="the paper's recordings"),
+    Recipe(("emps_*.png",), ("python examples/emps/run.py DATA_EMPS.mat --out out/emps",), needs=DATA),
+    Recipe(("import_sinumerik_edge.png",), ("python examples/real/sinumerik/run.py recording.json --out out/edge",), needs=DATA),
+    Recipe(("exam_*.svg",), ("python -m devtools.pictures exam DIR",), needs="the folder of an examination"),
+)
+"""Every picture of the pages is made by the first recipe that names it."""
+
+
+def recipe_of(picture: str) -> Recipe | None:
+    """The recipe of a picture, by its name below docs/pictures."""
+    return next((r for r in RECIPES if any(fnmatch.fnmatch(picture, pattern) for pattern in r.made)), None)
+
+
+def make_all(only: Sequence[str] | None = None) -> int:
+    """Run every recipe, or those of the named pictures, and report which ran; exit code 1 if one failed."""
+    wanted = [r for r in RECIPES if not only or any(name in made for name in only for made in r.made)]
+    failed = 0
+    for recipe in wanted:
+        with tempfile.TemporaryDirectory() as folder:
+            for name in ("examples", "models", "devtools", "docs"):
+                (Path(folder) / name).symlink_to(ROOT / name)
+            (Path(folder) / "out").mkdir()
+            ok = all(_command(line, Path(folder)) for line in recipe.commands)
+            for name, file in recipe.copies.items() if ok else ():
+                shutil.copyfile(Path(folder) / file, PICTURES / name)
+        print(f"{'made' if ok else 'NOT made'}: {', '.join(recipe.made)}{'' if ok or not recipe.needs else f' (needs {recipe.needs})'}")
+        failed += not (ok or recipe.needs)
+    return 1 if failed else 0
+
+
+def _command(line: str, folder: Path) -> bool:
+    words = [file for word in shlex.split(line) for file in (map(str, sorted(folder.glob(word))) if "*" in word else [word])]
+    words = words[1:] if words[0] == "python" else ["-m", *words]
+    done = subprocess.run([sys.executable, *words], cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    if done.returncode:
+        print(f"{line}: {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}")
+    return done.returncode == 0
 
 
 def exam(folder: Path) -> None:
@@ -64,6 +171,21 @@ def regress() -> None:
     print(verdict.text)
 
 
+def law() -> None:
+    """The drag that examples/unlisted_law hides in a machine of the second plant, as the diagnosis measures it."""
+    from twin.diagnose import diagnose
+    from twin.diagnose.law.figures import laws_figure
+    from twin.recordings.campaign import read_campaign
+    from twin.report import save_png
+
+    machine = load_machine()
+    with tempfile.TemporaryDirectory() as folder:
+        _command(f"python examples/unlisted_law/run.py --record-only --out {folder}", ROOT)
+        found = diagnose(read_campaign(Path(folder) / "campaign", machine), machine)
+    print(*(f"{law['sentence']}" for law in found.document()["laws"]), sep="\n")
+    save_png(laws_figure(found.laws, machine), PICTURES / "law.png", 90)
+
+
 def surface() -> None:
     """The paper's three parts as cut by the twin, with feedforward off and level by level."""
     from twin.surface.levels import LEVELS, levels_of_program
@@ -85,13 +207,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True, dest="what")
     commands.add_parser("exam").add_argument("folder", type=Path, metavar="DIR")
-    for name in ("program", "regress", "surface"):
+    makers = {"law": law, "program": program, "regress": regress, "surface": surface}
+    for name in makers:
         commands.add_parser(name)
     args = parser.parse_args()
     if args.what == "exam":
         exam(args.folder)
     else:
-        {"program": program, "regress": regress, "surface": surface}[args.what]()
+        makers[args.what]()
 
 
 if __name__ == "__main__":

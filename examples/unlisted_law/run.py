@@ -25,7 +25,9 @@ SEED, EFFECT, AXIS = 7101, "windage", "Y"
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/unlisted_law"), metavar="DIR", help="folder for campaign and diagnosis")
-    out = parser.parse_args().out
+    parser.add_argument("--record-only", action="store_true", help="record the campaign and stop")
+    args = parser.parse_args()
+    out = args.out
     campaign = out / "campaign"
     sheet = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
     case = draw_case(SEED, "outside", sheet, effect=EFFECT, axis=AXIS, run_set="short")
@@ -33,6 +35,8 @@ def main() -> None:
     for file in campaign.glob("*.parquet"):
         table = pq.read_table(file)
         pq.write_table(table.select([c for c in table.column_names if c.startswith(("time", f"{AXIS}."))]), file)
+    if args.record_only:
+        return
     if code := twin(["diagnose", str(campaign), "--out", str(out / "diagnosis")]):
         sys.exit(code)
     document = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
