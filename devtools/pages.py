@@ -73,7 +73,7 @@ def claims(page: str) -> list[Claim]:
                 if lines:
                     found.append((start, Claim(command, bool(block[1]), tuple(lines))))
                 command, lines = re.split(r" {2,}| # ", text)[0], []
-            elif text != "..." and set(text) - set("- "):
+            elif text.strip() != "..." and set(text) - set("- "):
                 lines.append((start, block.start(2) + line.end(1)))
         found.append((block.end(), Claim(command, bool(block[1]), tuple(lines))))
     for note in NUMBERS.finditer(page):

@@ -75,6 +75,7 @@ RECIPES = (
     Recipe(("machine.png",), ("python devtools/picture_machine.py",)),
     Recipe(("effects/*.png",), ("python devtools/picture_effects.py",)),
     Recipe(("identify_*.png",), ("python devtools/picture_identify.py",)),
+    Recipe(("remedy.png",), ("python -m devtools.picture_remedy",)),
     Recipe(("diagnosis_*.png",), ("python devtools/picture_diagnosis.py",)),
     Recipe(("gallery/*.png",), ("python -m devtools.picture_gallery",), needs=CHROMIUM),
     copied(["python examples/half_inertia/run.py --out out/half"], study__half_inertia="out/half/half_inertia.png"),

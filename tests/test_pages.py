@@ -22,7 +22,7 @@ X  after reversals  {9.7} um  {18.1} um
     program    moves     time
     ---------  -----  -------
     one.mpf       77  257.3 s
-    ...
+      ...
     three.mpf   1012   85.6 s
 
 End.
