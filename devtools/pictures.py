@@ -64,7 +64,7 @@ RECIPES = (
     copied(["twin machine check --out out/check"], loops="out/check/loops_X.png"),
     copied([LOAD_FRICTION], own_effect="out/load_friction.png"),
     copied(["twin iso 230-2 examples/iso230/positions.csv --json out/positions.json"], iso230__positioning="out/positions.png"),
-    copied([TRACES], **{"import": "out/traces/x_feedforward_off.png"}),
+    copied([TRACES], **{"import": "out/traces/x_velocity_feedforward.png"}),
     copied(CIRCLE, iso230__circle="out/circle.png"),
     copied(WORN_CIRCLE, iso230__worn="out/worn.png"),
     Recipe(("budget_*.png", "feed_*.png"), ("python -m devtools.pictures program",)),
