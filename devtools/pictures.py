@@ -57,7 +57,7 @@ WORN_CIRCLE = (
     "twin diagnose out/worn --out out/worn_diagnosis",
     "twin iso 230-4 out/worn --diagnosis out/worn_diagnosis --json out/worn.json",
 )
-CIRCLE = ("twin run examples/iso230/circle_xy.mpf --out out/circle", "twin iso 230-4 out/circle --json out/circle.json")
+CIRCLE = ("python -m devtools.picture_gallery --only none --out out", "twin iso 230-4 out/worn_machine --json out/circle.json")
 LOAD_FRICTION = "twin effects load_friction --effects examples/own_effect/load_friction.py --picture out/load_friction.png"
 RECIPES = (
     copied(["twin demo --out out/demo"], x_200mm="out/demo/x_200mm.png"),
