@@ -93,6 +93,11 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     return NewMachine(tuple(lumps), followed)
 
 
+def reproductions_of(machine: Machine, folder: Path, lumps: Sequence[AxisLumps]) -> dict[str, Reproduction]:
+    """How a machine reproduces the runs of a campaign with the most travel, by axis."""
+    return _reproductions(machine, _runs_with_most_travel(read_campaign(folder).runs, [one.name for one in lumps]), lumps)
+
+
 LEAST_SAMPLES = 40
 """Fewest samples of a run that is used."""
 
