@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twin.cli.arguments import add_machine, add_open, add_place, machine_of, open_report, seed, setpoints_of_input
+from twin.cli.import_recordings import add_reading_arguments, reading_of
 from twin.errors import InputError, TwinError
 from twin.files import output_folder, shipped_example
 from twin.progress import Progress
@@ -34,10 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_machine(parser, "the Mikron UCP 710 that ships with twin; for raw recordings a machine made from them")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
     parser.add_argument("--map", metavar="MAP", help="map (.toml) of raw recordings (default: DIR/campaign/map.toml, else a proposed one)")
+    add_reading_arguments(parser)
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="less than half the time: fewer candidates, no search on axes at noise level",
+        help="less than half the time: fewer candidates, no search on axes at noise level (always for raw recordings)",
     )
     parser.add_argument("--program", metavar="INPUT", help="also compute the gap budget for this part program or trace")
     add_place(parser)
@@ -94,14 +96,15 @@ def _raw(args: argparse.Namespace, inputs: list[Path]) -> int:
     from twin.diagnose.first.card import card_of, card_text, write_card
     from twin.diagnose.first.next_program import next_run, write_next
     from twin.diagnose.first.page import write_card_page
-    from twin.diagnose.first.raw import campaign_of, files_of, machine_of_campaign
+    from twin.diagnose.first.raw import MACHINE, campaign_of, files_of, machine_of_campaign
     from twin.diagnose.wording import verdict_sentence
     from twin.machine import load_machine
     from twin.recordings.campaign import read_campaign
 
+    args.quick = True  # a first answer; the campaign in the folder can be diagnosed at length
     files = files_of(inputs)
     out = output_folder(args.out)
-    folder = campaign_of(files, Path(args.map) if args.map else None, out, print)
+    folder = campaign_of(files, Path(args.map) if args.map else None, out, print, *reading_of(args))
     verdict: list[str] = []
     machine = machine_of(args) if args.machine else None
     lumps: Sequence[AxisLumps] = ()
@@ -126,6 +129,8 @@ def _raw(args: argparse.Namespace, inputs: list[Path]) -> int:
             verdict.append(write_next(run, machine, out))
             print(verdict[-1])
     write_card_page(card, f"First answer: {', '.join(f.name for f in files[:3])}", verdict, out)
+    if machine is not None:
+        print(f"at length: twin diagnose {folder} --machine {args.machine or out / MACHINE} --out {out / 'at_length'}")
     print(f"written to {out}: card.json, card.html, card.png, campaign/{'' if args.machine else ', machine_from_recording.toml'}")
     open_report(args, out / "card.html")
     return 0

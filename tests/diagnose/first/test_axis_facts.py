@@ -54,10 +54,15 @@ def test_one_speed_gives_the_sum_of_frictions_only() -> None:
     assert f.at_speed.value == pytest.approx(1.5 + 4.0 * 0.05, rel=0.02)
 
 
-def test_one_direction_gives_no_friction_of_its_own() -> None:
+def test_one_direction_gives_friction_and_weight_as_one_number() -> None:
     one = facts(Planted(both_ways=False), 1)
     assert one.strokes[1] == 0
-    assert one.friction is None or one.friction.coulomb is None
+    assert one.friction is not None
+    assert one.friction.coulomb is None
+    assert one.friction.constant is None
+    # Coulomb friction and constant force are one number
+    at = one.friction.speed
+    assert one.friction.at_speed.value == pytest.approx(1.5 + 0.3 + 4.0 * at, rel=0.02)
 
 
 def test_a_force_of_the_opposite_sign_is_turned_and_said() -> None:

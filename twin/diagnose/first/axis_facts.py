@@ -28,9 +28,10 @@ MOVING = 0.02
 """Share of the highest speed of the recording above which an axis moves."""
 REVERSAL_S = 0.1
 """Time after a reversal in which its error peak is sought [s]."""
-LEAST_SAMPLES = 40
+LEAST_SAMPLES = 16
+"""Fewest samples of a run, and fewest samples in motion: twice the numbers of the largest regression and some more."""
 ONE_SPEED = 1.5
-"""Steady speeds within this factor are one speed: Coulomb and viscous friction are then one number."""
+"""Speeds within this factor are one speed: Coulomb and viscous friction are then one number."""
 EFFORTS = ("current", "torque", "voltage")
 
 
@@ -96,7 +97,7 @@ class AxisFacts:
     duration: float
     travel: tuple[float, float]
     speeds: tuple[float, float]
-    """Lowest and highest speed of the steady stretches [m/s, rad/s]; both 0 for an axis at rest."""
+    """Tenth and ninetieth percentile of the speed in motion [m/s, rad/s]; both 0 for an axis at rest."""
     strokes: tuple[int, int]
     """Number of strokes in positive and negative direction."""
     noise: float
@@ -116,12 +117,12 @@ class AxisFacts:
 
     @property
     def one_speed(self) -> bool:
-        """True if the axis moves at a single steady speed."""
+        """True if the axis moves at a single speed for most of the time."""
         return self.speeds[1] <= ONE_SPEED * self.speeds[0]
 
     @property
     def speed(self) -> float:
-        """Highest steady speed [m/s, rad/s]."""
+        """Speed that the axis reaches for a tenth of its time in motion [m/s, rad/s]."""
         return self.speeds[1]
 
 
@@ -263,7 +264,9 @@ def _friction(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes
     """Friction, inertia and constant part of an effort; None if the motion explains none of it."""
     sign = np.sign(rows.speed)
     u = _at(runs, rows, [low_passed(run.trace.get(axis, effort), run.trace.period, BAND_HZ) for run in runs])
-    columns = [sign, rows.speed, rows.acceleration, np.ones_like(sign)]
+    # in one direction Coulomb friction and a constant force are one column
+    both_ways = bool((sign > 0).any() and (sign < 0).any())
+    columns = [sign, rows.speed, rows.acceleration, np.ones_like(sign) if both_ways else np.zeros_like(sign)]
     columns += [np.cos(rows.position) - 1.0, np.sin(rows.position)] if kind == "rotary" and np.ptp(rows.position) > 0.5 else []
     fit = regress(np.column_stack(columns), u, rows.stroke)
     more = [0.0] * (len(columns) - 4)
@@ -272,16 +275,17 @@ def _friction(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes
     inertia = _value(fit, [0.0, 0.0, 1.0, 0.0, *more])
     if total is None or inertia is None or not total.known:
         return None
-    turned = -1.0 if total.value < 0.0 else 1.0
+    # in one direction a weight may outweigh friction: the sign is then not judged
+    turned = -1.0 if total.value < 0.0 and both_ways else 1.0
     coulomb, viscous = _value(fit, [turned, 0.0, 0.0, 0.0, *more]), _value(fit, [0.0, turned, 0.0, 0.0, *more])
     low, high = _speeds(rows)
     split = coulomb is not None and viscous is not None and coulomb.value > coulomb.half and viscous.value > -viscous.half
-    split = split and high > ONE_SPEED * low
+    split = split and both_ways and high > ONE_SPEED * low
     peak = max(float(np.abs(run.trace.get(axis, effort)).max()) for run in runs)
     return (
         Friction(
             effort, at, Value(turned * total.value, total.half), coulomb if split else None, viscous if split else None,
-            Value(turned * inertia.value, inertia.half), _value(fit, [0.0, 0.0, 0.0, turned, *more]), turned < 0.0, peak,
+            Value(turned * inertia.value, inertia.half), _value(fit, [0.0, 0.0, 0.0, turned, *more]) if both_ways else None, turned < 0.0, peak,
             1.0 - float(np.var(fit.residual) / max(float(np.var(u)), 1e-300)),
         ),
         turned * fit.residual,
@@ -299,11 +303,11 @@ def _transmission(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> Tran
 
 
 def _speeds(rows: Strokes | None) -> tuple[float, float]:
-    """Lowest and highest speed of the strokes' steady stretches [m/s, rad/s]."""
-    if rows is None or not rows.steady.any():
-        return 0.0, 0.0 if rows is None else float(np.abs(rows.speed).max())
-    own = [float(np.median(np.abs(rows.speed[rows.steady & (rows.stroke == s)]))) for s in np.unique(rows.stroke[rows.steady])]
-    return min(own), max(own)
+    """Speed below which an axis moves for a tenth of its time in motion, and above which for a tenth [m/s, rad/s]; 0 for an axis at rest."""
+    if rows is None:
+        return 0.0, 0.0
+    low, high = np.percentile(np.abs(rows.speed), (10.0, 90.0))
+    return float(low), float(high)
 
 
 def _directions(rows: Strokes | None) -> tuple[int, int]:

@@ -38,7 +38,9 @@ def card_of(runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps] = ()) -> Car
     axes = dict.fromkeys(axis for run in runs for axis in run.trace.axes)
     facts = tuple(found for axis in axes if (found := facts_of(runs, axis)) is not None)
     gains = {one.name: f"{number(one.law.gain)} 1/s" for one in lumps if one.law.measured}
-    return Card(tuple(run.name for run in runs), facts, gains, tuple(oddities(facts)), tuple(can_show(facts)), tuple(cannot_show(facts)))
+    return Card(
+        tuple(run.name for run in runs), facts, gains, tuple(oddities(facts)), tuple(can_show(facts)), tuple(cannot_show(facts, gains))
+    )
 
 
 def rows_of(card: Card) -> list[list[str]]:
@@ -79,7 +81,8 @@ def _friction(one: AxisFacts) -> str:
     size = shown_effort(f.effort)
     if f.coulomb is None or f.viscous is None:
         speed = AXIS_UNITS[one.kind].speed
-        return f"{size.interval(f.at_speed.value, f.at_speed.half)} at {number(f.speed * speed[1])} {speed[0]}"
+        with_weight = "" if min(one.strokes) else ", weight included"
+        return f"{size.interval(f.at_speed.value, f.at_speed.half)} at {number(f.speed * speed[1])} {speed[0]}{with_weight}"
     per, factor = AXIS_UNITS[one.kind].speed
     return f"{size.interval(f.coulomb.value, f.coulomb.half)} + {number(f.viscous.value / factor)} {size.unit} per {per}"
 

@@ -7,7 +7,7 @@ OUT/machine_from_recording.toml      the machine; newer than the campaign, it is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from twin.errors import InputError
@@ -16,6 +16,7 @@ from twin.machine.from_recording import NewMachine, machine_from_recording
 from twin.recordings.imported import import_campaign
 from twin.recordings.mapping import read_map
 from twin.recordings.proposed import proposal_of
+from twin.recordings.signals import Clock
 
 MACHINE = "machine_from_recording.toml"
 
@@ -35,12 +36,25 @@ def files_of(inputs: Sequence[Path]) -> list[Path]:
     return files
 
 
-def campaign_of(files: Sequence[Path], given: Path | None, out: Path, say: Callable[[str], None]) -> Path:
-    """Import the files to OUT/campaign with the given map, the map that stands there, or a proposed one; returns the folder."""
+def campaign_of(
+    files: Sequence[Path],
+    given: Path | None,
+    out: Path,
+    say: Callable[[str], None],
+    clock: Clock | None = None,
+    dialect: Mapping[str, object] | None = None,
+) -> Path:
+    """Import the files to OUT/campaign with the given map, the map that stands there, or a proposed one; returns the folder.
+
+    A partial map is completed. `clock` and `dialect` say what a file without times or headings leaves open.
+    """
     folder = out / "campaign"
-    map_file = given or folder / "map.toml"
-    if not map_file.exists():
-        found = proposal_of(files)
+    map_file = folder / "map.toml"
+    partial = read_map(str(given)) if given is not None else None
+    if partial is not None and not partial.partial and given is not None:
+        map_file = given
+    elif not map_file.exists():
+        found = proposal_of(files, clock, dialect, partial)
         say(found.table)
         write_whole(map_file, found.map)
         if found.lacking:

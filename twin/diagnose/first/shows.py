@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from twin.diagnose.first.axis_facts import EFFORTS, AxisFacts
 from twin.diagnose.first.people import shown_speed
@@ -27,9 +27,11 @@ def can_show(facts: Sequence[AxisFacts]) -> list[str]:
     return out
 
 
-def cannot_show(facts: Sequence[AxisFacts]) -> list[str]:
-    """What the recording cannot show, each with what would: a signal, a period or a move."""
+def cannot_show(facts: Sequence[AxisFacts], with_gain: Collection[str] = ()) -> list[str]:
+    """What the recording cannot show, each with what would: a signal, a period or a move. `with_gain`: axes whose gain was found."""
     out: list[str] = []
+    if not facts:
+        return ["nothing: no axis has a position in runs that are long enough; record longer"]
 
     def say(own: Sequence[AxisFacts], sentence: str) -> None:
         if own:
@@ -44,10 +46,10 @@ def cannot_show(facts: Sequence[AxisFacts]) -> list[str]:
     )
     say(
         [f for f in moving if f.lags and f.period > GAIN_S],
-        f"one sample each {moving[0].period * 1e3:g} ms: no gains or delays of the loops; record faster",
+        f"one sample each {facts[0].period * 1e3:g} ms: no gains or delays of the loops; record faster",
     )
     say(
-        [f for f in moving if f.lags and f.period <= GAIN_S and "velocity_setpoint" not in f.signals],
+        [f for f in moving if f.lags and f.period <= GAIN_S and "velocity_setpoint" not in f.signals and f.name not in with_gain],
         "no speed set point of the position controller: gain and delay are one number, the lag; record it",
     )
     say([f for f in moving if not any(s in f.signals for s in EFFORTS)], "no current or torque: no friction, no inertia; record one")
