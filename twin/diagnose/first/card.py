@@ -20,6 +20,10 @@ from twin.units import AXIS_UNITS
 HEADING = ("axis", "moves", "lag", "gain", "friction", "after reversals", "motor - scale", "vibration", "noise")
 
 
+SMALLEST_NOISE = 1e-7
+"""Smaller noise, as a share of the travel, is rounding of the computer."""
+
+
 @dataclass(frozen=True)
 class Card:
     """First answer: facts of each axis, remarks, limits, and the sentences on diagnosis and next measurement."""
@@ -61,12 +65,18 @@ def _row(one: AxisFacts, gain: str) -> list[str]:
     if one.vibration is not None:
         size = error if one.vibration.signal == "position" else shown_effort(one.vibration.signal)
         line = f"{one.vibration.frequency:.3g} Hz, {size.text(one.vibration.amplitude)}"
-    step = f", step {error.text(one.step)}" if one.step > one.noise else ""
     t = one.transmission
     encoders = "-" if t is None else f"{number(t.low * error.factor)} to {error.text(t.high)}"
     if t is not None and t.lost is not None and t.lost.known:
         encoders += f", {error.interval(abs(t.lost.value), t.lost.half)} between directions"
-    return [one.name, moves, lags, gain, _friction(one), reversal, encoders, line, error.text(one.noise) + step]
+    return [one.name, moves, lags, gain, _friction(one), reversal, encoders, line, _noise(one)]
+
+
+def _noise(one: AxisFacts) -> str:
+    """Noise of single samples and the step of a record with few digits; '-' where equal neighbours show neither."""
+    error = shown_error(one.kind)
+    shown = [error.text(one.noise)] if one.noise > SMALLEST_NOISE * (one.travel[1] - one.travel[0]) else []
+    return ", ".join([*shown, *([f"step {error.text(one.step)}"] if one.step > one.noise else [])]) or "-"
 
 
 def _ms(lag: Value) -> str:
