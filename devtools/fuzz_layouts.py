@@ -104,6 +104,8 @@ def make(rng: np.random.Generator) -> Case:
         choice["time"] = "clock"
     if delimiter == " " and choice["units"] != "row":
         choice["units"] = "none"
+    if delimiter == "|" and choice["names"] == "Edge":
+        delimiter = ";"  # its names hold bars
     choice |= {"delimiter": repr(delimiter), "decimal": decimal}
 
     # signals: always a set point and a position; the unit of one signal is that of all axes
