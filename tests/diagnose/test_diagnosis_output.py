@@ -255,7 +255,7 @@ def test_a_quick_look_with_a_remaining_gap_is_not_decided() -> None:
     document = {"verdict": "unknown", "decided": False, "effects": [], "where": [], "gap": {"after": 31.0}}
     assert (
         verdict_sentence(document)
-        == "Not decided: the quick look found no effect, but the gap is 31 times the noise; diagnose without --quick."
+        == "Not decided: the quick look found no effect, but the gap is 31.0 times the noise; diagnose without --quick."
     )
 
 
