@@ -14,6 +14,7 @@ from twin.machine.lumps import lumps_of
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
+from twin.simulation.lanes import with_commissioned_inertia
 
 SPEED, COULOMB, VISCOUS, MASS = 0.0168, 2.4, 60.0, 1.5
 SUM = COULOMB + VISCOUS * SPEED
@@ -73,6 +74,6 @@ def test_several_speeds_separate_them() -> None:
 def test_encoders_that_agree_are_not_late(made: Machine, late_s: float) -> None:
     # at one speed a play of the opposite sign looks like lateness; a real one shows at several speeds
     run = replace(strokes(late_s, (0.01, 0.02, 0.05, 0.1) if late_s else (SPEED,)), feedforward="off")
-    said = " ".join(str(f) for f in prepare_recording(made, campaign([run])).findings)
+    said = " ".join(str(f) for f in prepare_recording(with_commissioned_inertia(made), campaign([run])).findings)
     assert ("motor_position was recorded" in said) == (late_s > 0.0)
     assert "current was recorded" not in said

@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tests.conftest import swings
+from twin.control.current_controller import current_controller, winding
 from twin.machine.machine import Machine
 from twin.simulation import cascade
 from twin.simulation.plant_spec import build_plant
@@ -48,7 +49,7 @@ def test_winding_is_the_matrix_exponential(mikron: Machine) -> None:
             i, u, w = random.uniform(-20, 20), random.uniform(-300, 300), random.uniform(-300, 300)
             state = cascade.drives_at_rest(drives, np.zeros(5))
             state.current[a], state.voltage[a] = i, u
-            mean = cascade.winding(a, drives, state, w)
+            mean = winding(a, drives, state, w)
             # state (i, integral of i, 1): linear, so its exponential over the tick is exact
             drive = (u - m.back_emf_v_s_per_rad * w) / m.inductance_h
             rate = np.array([[-m.resistance_ohm / m.inductance_h, 0, drive], [1, 0, 0], [0, 0, 0]])
@@ -64,8 +65,8 @@ def test_current_loop_against_an_integrator(mikron: Machine) -> None:
     state = cascade.drives_at_rest(drives, np.zeros(5))
     current, integral = 0.0, 0.0
     for _ in range(40):
-        cascade.current_controller(0, drives, state, 10.0, state.current[0])
-        cascade.winding(0, drives, state, 0.0)
+        current_controller(0, drives, state, 10.0, state.current[0])
+        winding(0, drives, state, 0.0)
         u = np.clip(p.current_gain_v_per_a * (10.0 - current) + integral, -m.bus_limit_v, m.bus_limit_v)
         integral += p.current_gain_v_per_a * h / p.current_integral_time_s * (10.0 - current)
         solution = solve_ivp(lambda _t, i, u=u: (u - m.resistance_ohm * i) / m.inductance_h, (0, h), [current], rtol=1e-10, atol=1e-12)

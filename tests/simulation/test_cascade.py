@@ -5,6 +5,9 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from twin.control.current_controller import current_controller, winding
+from twin.control.position_controller import position_controller
+from twin.control.speed_controller import speed_controller
 from twin.machine.machine import Machine
 from twin.simulation import cascade
 
@@ -26,7 +29,7 @@ def test_current_limit_and_anti_windup(drives: cascade.Drives, speed: float, a: 
     state = at_rest(drives)
     state.speed_setpoint[a] = speed
     unlimited = drives.speed_gain[a] * speed / drives.control_torque_constant[a]
-    limited = cascade.speed_controller(a, drives, state, 0.0)
+    limited = speed_controller(a, drives, state, 0.0)
     assert limited == (abs(unlimited) > drives.peak_current[a])
     assert abs(state.current_setpoint[a]) <= drives.peak_current[a]
     # the integrator changes only below the limit
@@ -37,7 +40,7 @@ def test_current_limit_and_anti_windup(drives: cascade.Drives, speed: float, a: 
 @given(st.floats(-100, 100), st.integers(0, 4))
 def test_voltage_limit_and_anti_windup(drives: cascade.Drives, current: float, a: int) -> None:
     state = at_rest(drives)
-    limited = cascade.current_controller(a, drives, state, current, 0.0)
+    limited = current_controller(a, drives, state, current, 0.0)
     assert limited == (abs(drives.current_gain[a] * current) > drives.bus_limit[a])
     assert abs(state.voltage[a]) <= drives.bus_limit[a]
     assert state.current_integral[a] == (0.0 if limited else drives.current_integral_gain[a] * current)
@@ -47,16 +50,16 @@ def test_an_integrator_recovers_from_the_limit(drives: cascade.Drives) -> None:
     state = at_rest(drives)
     state.speed_setpoint[0] = 100.0
     for _ in range(1000):
-        cascade.speed_controller(0, drives, state, 0.0)
+        speed_controller(0, drives, state, 0.0)
     state.speed_setpoint[0] = 0.0
-    cascade.speed_controller(0, drives, state, 0.0)
+    speed_controller(0, drives, state, 0.0)
     assert abs(state.current_setpoint[0]) <= drives.peak_current[0]
     assert state.speed_integral[0] == 0.0
 
 
 def test_position_controller_is_the_law(drives: cascade.Drives) -> None:
     state = at_rest(drives)
-    cascade.position_controller(0, drives, state, 0.010, 0.2, 1.5, 0.009)
+    position_controller(0, drives, state, 0.010, 0.2, 1.5, 0.009)
     assert state.speed_setpoint[0] == pytest.approx((50.0 * 0.001 + 0.2) / drives.ratio[0])
     assert state.torque_feedforward[0] == 1.5
 
@@ -66,9 +69,9 @@ def test_a_drive_at_rest_stays_at_rest(drives: cascade.Drives) -> None:
     state = cascade.drives_at_rest(drives, held)
     for _ in range(100):
         for a in range(5):
-            cascade.speed_controller(a, drives, state, 0.0)
-            cascade.current_controller(a, drives, state, state.current_setpoint[a], state.current[a])
-            torque = drives.torque_constant[a] * cascade.winding(a, drives, state, 0.0)
+            speed_controller(a, drives, state, 0.0)
+            current_controller(a, drives, state, state.current_setpoint[a], state.current[a])
+            torque = drives.torque_constant[a] * winding(a, drives, state, 0.0)
             assert torque == pytest.approx(held[a], abs=1e-12)
 
 
