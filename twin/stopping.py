@@ -83,13 +83,14 @@ def _end(read: socket.socket, _: socket.socket) -> None:
 
 @contextlib.contextmanager
 def until_ctrl_c() -> Iterator[None]:
-    """Context of a server, which Ctrl-C ends without an error. SIGTERM stops the command as usual."""
+    """Context of a server, which Ctrl-C ends without an error, also where the server itself takes it. SIGTERM stops the command as usual."""
+    global _received
     try:
         yield
     except KeyboardInterrupt as stop:
         if isinstance(stop, Stopped) and stop.number != signal.SIGINT:
             raise
-        global _received
+    if _received is not None and _received.number == signal.SIGINT:
         _received = None
 
 

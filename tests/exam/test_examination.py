@@ -338,7 +338,8 @@ def threads(scheduler: str | None, workers: int | None) -> Iterator[ThreadPoolEx
 def sat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[str]]]:
     """A short examination: its folder and its arguments."""
     out = tmp_path_factory.mktemp("exam")
-    arguments = ["exam", "--seed", "11", "--cases", str(CASES), "--short", "--quick", "--richness", "off", "--out", str(out)]
+    # the cases of this seed are visible in three short runs; others draw, for example, a filter that the scale does not show
+    arguments = ["exam", "--seed", "13", "--cases", str(CASES), "--short", "--quick", "--richness", "off", "--out", str(out)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("twin.exam.questions.STRATA", tuple(replace(s, share=1.0 / CASES) for s in STRATA if s.name in KINDS))
         patch.setattr("twin.exam.session.processes", threads)
@@ -428,7 +429,7 @@ def test_a_killed_diagnosis_is_not_an_answer(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_truth_cannot_be_opened_before_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["exam", "--seed", "3", "--cases", "1", "--workers", "1", "--open", "--out", str(tmp_path)]) == 2
+    assert main(["exam", "--seed", "13", "--cases", "1", "--workers", "1", "--open", "--out", str(tmp_path)]) == 2
     assert "no case has been diagnosed yet" in capsys.readouterr().err
     assert not (tmp_path / "truths.json").exists()
 

@@ -261,7 +261,7 @@ def test_a_current_without_its_sign_is_named_and_not_fitted(machine: Machine, ru
     ("signal", "factor", "words"),
     [
         ("velocity", 60.0, "recorded per minute, taken as per second?"),
-        ("position", 1e3, "mm taken as m?"),
+        ("position", 1e3, "mm taken as m"),
         ("motor_position", -1.0, "it runs the other way"),
         ("current", 1e3, "check the unit of the column"),
     ],

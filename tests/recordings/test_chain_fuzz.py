@@ -18,7 +18,6 @@ def test_mutilated_recordings_of_a_known_axis(tmp_path: Path) -> None:
     assert {"nothing", "gap"} <= reached  # some are refused, some are identified
 
 
-@pytest.mark.xfail(reason="in a piece of one smooth move gain and feedforward cannot be separated, which the interval does not show")
 def test_a_piece_of_a_smooth_move_claims_no_gain(tmp_path: Path) -> None:
     assert chain(110, tmp_path, [], no_refine=True)[1] == ""
 

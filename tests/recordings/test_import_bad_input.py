@@ -93,7 +93,7 @@ def test_two_files_that_make_one_name(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 SWAPPED: dict[str, tuple[Callable[[dict[str, Array]], dict[str, Array]], tuple[str, ...]]] = {
-    "position in m": (lambda c: {**c, "ist": c["ist"] / 1e3}, ("X.position moves 0.001 times", "m taken as mm?", 'units = "report"')),
+    "position in m": (lambda c: {**c, "ist": c["ist"] / 1e3}, ("X.position moves 0.001 times", "m taken as mm", 'units = "report"')),
     "set point in um": (lambda c: {**c, "soll": c["soll"] * 1e3}, ("X.position moves 0.001 times",)),
     "speed in m/min": (lambda c: {**c, "speed": c["speed"] * 0.06}, ("X.velocity is 0.06 times", "recorded in m/min, taken as mm/s?")),
     "speed per minute": (lambda c: {**c, "speed": c["speed"] * 60.0}, ("X.velocity is 60 times", "per minute, taken as per second?")),

@@ -26,12 +26,11 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(f"{folder}: no such folder; give a folder with results, such as the --out folder of a command")
     if not 0 <= args.port < 65536:
         raise InputError(f"--port {args.port}: give a number from 1 to 65535")
-    with Desk(folder, args.port) as desk:
+    with Desk(folder, args.port) as desk, until_ctrl_c():
         print(f"{folder} on {desk.address} until Ctrl-C", flush=True)
         if args.open:
             import webbrowser
 
             webbrowser.open(desk.address)
-        with until_ctrl_c():
-            desk.serve_forever()
+        desk.serve_forever()
     return 0

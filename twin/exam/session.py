@@ -131,7 +131,7 @@ def is_answered(folder: str) -> bool:
     return any((Path(folder) / "answer" / name).exists() for name in (DIAGNOSIS, FAILED))
 
 
-def sit(question: Question, case: Case, folder: str, machine_file: str, quick: bool, noise_keys: str) -> float:
+def sit(question: Question, case: Case, folder: str, machine_file: str, quick: bool, noise_keys: str = "given") -> float:
     """Write a case's campaign and have it diagnosed by another process, whose machine file has these `noise_keys`; returns the duration of the
     diagnosis [s].
     """
