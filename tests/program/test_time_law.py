@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -84,6 +84,7 @@ decades = st.floats(-6.0, 0.0)
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(decades, decades, st.floats(-2.0, 0.0), st.floats(0.0, 6.0), st.booleans())
+@example(0.0, -2.7557314351390663e-07, 0.0, 1.0, False)  # a break of the spline 0.3 um before the change of feed: 0.7 % slower
 def test_two_feeds_take_the_time_of_the_closed_form(first: float, second: float, fast: float, ratio: float, slow_first: bool) -> None:
     """Ways from 1 um to 1 m, speeds up to 1e6 apart: not slower than the closed form by 0.5 %, and within all limits."""
     limits = interpolator.limits_of(MACHINE)

@@ -19,6 +19,8 @@ BEND = 0.1  # change of direction [rad] within an interval
 FINEST = 65.0  # nodes at least over a run-up
 SHORTEST = 1e-4  # of a piece of the spline: an interval at least
 CLOSE = 1e-6  # of a piece of the spline: a change of feed nearer to its end counts as there
+NEAR = 0.1  # of a piece of the spline: on a straight, a break nearer to a change of feed moves onto it
+STRAIGHT = 1e-12  # m or rad, bend of a piece that counts as straight
 AT_EASE = 0.5  # share of its limits below which an axis does not make the path slower
 
 
@@ -38,18 +40,36 @@ class Feeds(NamedTuple):
 
 
 def split_at_feeds(s: Spline, e: elements.Elements, feeds: Feeds) -> Spline:
-    """The same path with a break of the spline wherever the feed changes, so that no piece has two feeds."""
+    """The same path with a break of the spline wherever the feed changes, so that no piece has two feeds.
+
+    A break on a straight is no property of the path. If it lies close to a change of feed it moves there: many nodes around a piece of a micrometre
+    would weigh more in the optimisation than the ways beside it, and would leave a dip of the speed.
+    """
     changes = 1 + np.flatnonzero((feeds.speed[1:] != feeds.speed[:-1]) | (feeds.rotary[1:] != feeds.rotary[:-1]))
     at = e.u[changes]
     piece = np.clip(np.searchsorted(s.t, at, side="right") - 1, 0, len(s.t) - 2)
-    inside = np.minimum(at - s.t[piece], s.t[piece + 1] - at) > CLOSE * (s.t[piece + 1] - s.t[piece])
-    at, piece = at[inside], piece[inside]
+    share = (at - s.t[piece]) / (s.t[piece + 1] - s.t[piece])
+    near = np.where(share < NEAR, piece, np.where(share > 1.0 - NEAR, piece + 1, 0))
+    alone = (near > 0) & (near < len(s.t) - 1) & (np.bincount(near, minlength=1)[near] == 1)
+    inside = np.minimum(share, 1.0 - share) > CLOSE
+    at, piece, near, moves = at[inside], piece[inside], near[inside], alone[inside]
     if not len(at):
         return s
+    h = np.diff(s.t)[:, None]
+    straight = np.all(np.abs(s.c[:, 2]) * h**2 + np.abs(s.c[:, 3]) * h**3 < STRAIGHT, axis=1)
+    moves[moves] = straight[near[moves] - 1] & straight[near[moves]]
+    t, c = s.t.copy(), s.c.copy()
+    t[near[moves]], c[near[moves]] = at[moves], _from(s, near[moves], at[moves])
+    s = Spline(t, c)
+    at, piece = at[~moves], piece[~moves]
+    return Spline(np.insert(s.t, piece + 1, at), np.insert(s.c, piece + 1, _from(s, piece, at), axis=0))
+
+
+def _from(s: Spline, piece: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Coefficients of these pieces counted from the parameters `at` instead of their breaks."""
     x = (at - s.t[piece])[:, None]
     c0, c1, c2, c3 = (s.c[piece, k] for k in range(4))
-    moved = np.stack([c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + 3.0 * x * c3), c2 + 3.0 * x * c3, c3], axis=1)
-    return s._replace(t=np.insert(s.t, piece + 1, at), c=np.insert(s.c, piece + 1, moved, axis=0))
+    return np.stack([c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + 3.0 * x * c3), c2 + 3.0 * x * c3, c3], axis=1)
 
 
 @compiled(allocates=True)
