@@ -261,12 +261,7 @@ def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
     """Write part programs (Siemens), set points (Parquet), recordings/campaign.toml for the later recordings, and plan.json."""
     files = []
     for run in plan.runs:
-        signals = {(a.name, "setpoint"): run.setpoints.position[:, i] for i, a in enumerate(machine.axes)}
-        trace = Trace(np.arange(len(run.setpoints.position)) * run.setpoints.period, signals, machine.kinds)
-        write_trace(trace, out / f"{run.name}.parquet")
-        files.append(out / f"{run.name}.parquet")
-        write_whole(out / f"{run.name}.mpf", siemens_program(run, machine))
-        files.append(out / f"{run.name}.mpf")
+        files += write_planned(run, machine, out)
     # `twin identify` reads this folder once the recordings are in it
     lines = [f'machine = "{machine.path.stem if machine.path else machine.name}"']
     lines += [f'\n[[run]]\nfile = "{run.name}.parquet"\nfeedforward = "{run.feedforward}"' for run in plan.runs]
@@ -282,6 +277,16 @@ def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
     }
     write_json(document, out / "plan.json", "plan")
     return [*files, out / "plan.json"]
+
+
+def write_planned(run: PlannedRun, machine: Machine, out: Path) -> list[Path]:
+    """Write the set points (Parquet) and the part program (Siemens) of a run; returns both files."""
+    signals = {(a.name, "setpoint"): run.setpoints.position[:, i] for i, a in enumerate(machine.axes)}
+    trace = Trace(np.arange(len(run.setpoints.position)) * run.setpoints.period, signals, machine.kinds)
+    files = [out / f"{run.name}.parquet", out / f"{run.name}.mpf"]
+    write_trace(trace, files[0])
+    write_whole(files[1], siemens_program(run, machine))
+    return files
 
 
 def siemens_program(run: PlannedRun, machine: Machine) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
 
-from twin.effects import settings_of, with_effects
+from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.machine.machine import Machine
 from twin.remedy.advice import ADVICE, BACKLASH, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
@@ -121,9 +121,6 @@ def _harm(change: Change, base: Machine, elsewhere: Sequence[Motionful]) -> str:
 
 def with_friction(machine: Machine, axis: str, factor: float) -> Machine:
     """The machine with the friction of an axis multiplied, its effects included."""
-    from twin.effects.effect import EFFECTS
-    from twin.effects.setting import Setting
-
     if factor == 1.0:
         return machine
     settings = list(settings_of(machine))

@@ -19,7 +19,7 @@ from twin.machine.parameters import key_of, parameter
 from twin.remedy.advice import BACKLASH, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
-from twin.remedy.files.table import ErrorTable
+from twin.remedy.files.table import PER_SI, ErrorTable
 
 CONTROLS = ("sinumerik", "heidenhain", "linuxcnc", "isg")
 POINTS_A_WAVE = 16
@@ -61,7 +61,7 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
 
 def _length(axis: Axis) -> tuple[str, float]:
     """Unit and factor from SI of a length on the control: mm or degrees."""
-    return ("mm", 1e3) if axis.kind == "linear" else ("deg", 180.0 / math.pi)
+    return ("mm" if axis.kind == "linear" else "deg"), PER_SI[axis.kind]
 
 
 def _pulse(values: dict[str, float], axis: Axis, control: str) -> ForControl:

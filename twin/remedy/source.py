@@ -8,9 +8,8 @@ from typing import Any
 
 from twin.documents import read_json_table
 from twin.errors import InputError
+from twin.remedy.predict import NORMAL_95
 from twin.remedy.remedy import Deviations
-
-NORMAL_95 = 1.96
 
 
 def machine_file_of(source: Path) -> tuple[Path, Mapping[str, Any]]:

@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from twin.diagnose.first.card import Card
-from twin.files import write_whole
-from twin.identify.plan import PlannedRun, constant_speeds, siemens_program
+from twin.identify.plan import PlannedRun, constant_speeds, write_planned
 from twin.machine.machine import Machine
-from twin.recordings.trace import Trace, write_trace
 
 NAME = "next_program"
 
@@ -29,9 +25,7 @@ def next_run(card: Card, machine: Machine) -> PlannedRun | None:
 
 def write_next(run: PlannedRun, machine: Machine, out: Path) -> str:
     """Write the moves as a Siemens program and as set points; returns the sentence on what they are for."""
-    write_whole(out / f"{NAME}.mpf", siemens_program(run, machine))
-    signals = {(a.name, "setpoint"): run.setpoints.position[:, i] for i, a in enumerate(machine.axes)}
-    write_trace(Trace(np.arange(len(run.setpoints.position)) * run.setpoints.period, signals, machine.kinds), out / f"{NAME}.parquet")
+    write_planned(run, machine, out)
     axes = ", ".join(dict.fromkeys(name for targets, _ in run.blocks for name in targets))
     return (
         f"next measurement: constant speeds of {axes} in both directions, {run.duration:.0f} s, inside the recorded travel and speed: "

@@ -15,9 +15,8 @@ import re
 import numpy as np
 
 from twin.errors import InputError
-from twin.remedy.files.table import ErrorTable
+from twin.remedy.files.table import PER_SI, ErrorTable
 
-_PER_SI = {"linear": 1e3, "rotary": 180.0 / math.pi}
 LARGEST_SLOPE = 1.0 / 64.0
 """Largest difference of neighbours over their distance in an old table."""
 
@@ -87,7 +86,7 @@ def filled(saved: str, table: ErrorTable, kind: str) -> str:
     head = next((i for i, line in enumerate(lines) if "AXISPOS" in line), None)
     if head is None or table.axis not in lines[head].split():
         raise InputError(f"correction file: no heading with AXISPOS and {table.axis}; save one on the control and give it")
-    per_si = _PER_SI[kind]
+    per_si = PER_SI[kind]
     spans = [(m[0], m.start()) for m in re.finditer(r"\S+", lines[head])]
     columns = {name: (start, end) for (name, start), end in zip(spans, [*(s for _, s in spans[1:]), None])}
     begin, end = columns["AXISPOS"]

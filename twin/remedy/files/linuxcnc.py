@@ -11,13 +11,12 @@ first line that is not three numbers, so a file has no comments and no blank lin
 from __future__ import annotations
 
 from dataclasses import dataclass
-import math
 import re
 
 import numpy as np
 
 from twin.errors import InputError
-from twin.remedy.files.table import ErrorTable
+from twin.remedy.files.table import PER_SI, ErrorTable
 
 MOST_POINTS = 256
 LONGEST_LINE = 254
@@ -25,8 +24,6 @@ LONGEST_LINE = 254
 RAMP_SHARE = 0.5
 """Share of the joint's limits that the ramp uses."""
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_PER_SI = {"linear": 1e3, "rotary": 180.0 / math.pi}
-"""Machine units (mm, degrees) per SI."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ def compensation_file(table: ErrorTable, kind: str) -> str:
         raise InputError(f"axis {table.axis}: LinuxCNC has no compensation from axis {table.input_axis}; leave it out")
     if len(table.positions) > MOST_POINTS:
         raise InputError(f"axis {table.axis}: {len(table.positions)} points, LinuxCNC takes {MOST_POINTS}; use a wider spacing")
-    per_si = _PER_SI[kind]
+    per_si = PER_SI[kind]
     return "".join(
         f"{p * per_si:.6f} {-f * per_si:.6f} {-b * per_si:.6f}\n" for p, f, b in zip(table.positions, table.forward, table.backward)
     )
@@ -100,7 +97,7 @@ def table_of(text: str, axis: str, kind: str, file_type: int = 0) -> ErrorTable:
     trims = load(text, file_type)
     if trims.dropped:
         raise InputError(f"compensation file of axis {axis}: {trims.dropped[0]}; repair the file")
-    per_si = _PER_SI[kind]
+    per_si = PER_SI[kind]
     return ErrorTable(axis, trims.nominal / per_si, -trims.forward / per_si, -trims.reverse / per_si)
 
 

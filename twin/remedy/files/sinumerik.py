@@ -12,16 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-import math
 import re
 
 import numpy as np
 
 from twin.errors import InputError
-from twin.remedy.files.table import ErrorTable
+from twin.remedy.files.table import PER_SI, ErrorTable
 
-_PER_SI = {"linear": 1e3, "rotary": 180.0 / math.pi}
-"""mm or degrees per SI."""
 DIRECTION = {"both": 0, "positive": 1, "negative": -1}
 _EEC = re.compile(r"\$AA_ENC_COMP(?:_(STEP|MIN|MAX|IS_MODULO))?\[\s*(\d+)\s*,\s*(?:(\d+)\s*,\s*)?(\w+)\s*\]\s*=\s*([^\s;]+)")
 _CEC = re.compile(r"\$AN_CEC(?:_([A-Z_]+))?\[\s*(\d+)\s*(?:,\s*(\d+)\s*)?\]\s*=\s*\(?\s*([^\s;)]+)\s*\)?")
@@ -74,7 +71,7 @@ def eec_file(table: ErrorTable, kind: str, encoder: int = 0, decimals: int = 6) 
     if table.by_direction:
         raise InputError(f"axis {table.axis}: one EEC table serves both directions; use two CEC tables for errors by direction")
     step = _equidistant(table)
-    e, axis, per_si = encoder, table.axis, _PER_SI[kind]
+    e, axis, per_si = encoder, table.axis, PER_SI[kind]
     lines = [f"%_N_{axis}_EEC_INI", "CHANDATA(1)"]
     lines += [f"$AA_ENC_COMP[{e},{n},{axis}]={_number(value * per_si, decimals)}" for n, value in enumerate(table.forward)]
     lines += [
@@ -101,7 +98,7 @@ def eec_table(text: str, kind: str) -> ErrorTable:
     if len(axes) != 1 or not {"STEP", "MIN", "MAX"} <= head.keys():
         raise InputError("EEC archive: give $AA_ENC_COMP_STEP, _MIN and _MAX of one axis")
     count = round((head["MAX"] - head["MIN"]) / head["STEP"]) + 1
-    per_si = _PER_SI[kind]
+    per_si = PER_SI[kind]
     positions = (head["MIN"] + head["STEP"] * np.arange(count)) / per_si
     errors = np.array([values.get(n, 0.0) for n in range(count)]) / per_si
     return ErrorTable(axes.pop(), positions, errors, errors, modulo=bool(head.get("IS_MODULO")))
@@ -113,7 +110,7 @@ def cec_file(table: ErrorTable, kind: str, channel_axes: Mapping[str, str], firs
     The values are those of an EEC table (value = E); the file asks to test the sign.
     """
     step = _equidistant(table)
-    per_in = per_out = _PER_SI[kind]
+    per_in = per_out = PER_SI[kind]
     ways = [("positive", table.forward), ("negative", table.backward)] if table.by_direction else [("both", table.forward)]
     lines = ["%_N_NC_CEC_INI", "CHANDATA(1)", "; sign not found in any manual: test it with one constant table before use"]
     for t, (way, values) in enumerate(ways, first):
@@ -140,7 +137,7 @@ def cec_tables(text: str, kind: str) -> list[tuple[int, ErrorTable]]:
             tables.setdefault(int(t), {})[name] = value
         elif n:
             values.setdefault(int(t), {})[int(n)] = float(value)
-    out, per_si = [], _PER_SI[kind]
+    out, per_si = [], PER_SI[kind]
     for t, head in sorted(tables.items()):
         if missing := {"INPUT_AXIS", "OUTPUT_AXIS", "STEP", "MIN"} - head.keys():
             raise InputError(f"CEC archive: table {t} lacks {', '.join(f'$AN_CEC_{m}' for m in sorted(missing))}")
