@@ -30,14 +30,20 @@ def speed_set_point(machine: Machine, position: np.ndarray) -> tuple[np.ndarray,
     return trace.get("X", "velocity_setpoint"), trace.get("X", "position")
 
 
-def stated_pulses(setpoint: np.ndarray, output: np.ndarray, amplitude: float, decay: float) -> np.ndarray:
-    """The law in plain words: a pulse whenever command and set point go one way that is not the last one; it decays by a factor a cycle."""
+def stated_pulses(
+    setpoint: np.ndarray, output: np.ndarray, amplitude: float, decay: float, low: float = 0.0, knees: tuple[float, ...] = ()
+) -> np.ndarray:
+    """The law in plain words: a pulse whenever command and set point go one way that is not the last one; it decays by a factor a cycle.
+
+    With knees a1, a2, a3 its amplitude rises up to a1 and falls to `low` between a2 and a3, by the change of the step of the set point."""
     out, direction, pulse = np.zeros(len(setpoint)), 0, 0.0
+    change = np.abs(np.diff(setpoint, 2, prepend=[setpoint[0]] * 2))
+    size = np.interp(change, [0.0, *knees], [0.0, amplitude, amplitude, low]) if knees else np.full(len(setpoint), amplitude)
     for k in range(1, len(setpoint)):
         pulse *= decay
         way = int(np.sign(round(setpoint[k] - setpoint[k - 1], 11)))
         if way and way == np.sign(output[k]) and way != direction:
-            direction, pulse = way, amplitude * way
+            direction, pulse = way, size[k] * way
         out[k] = pulse
     return out
 
@@ -49,6 +55,11 @@ def test_a_pulse_follows_its_law_and_decays_with_its_time() -> None:
     found = pulses({"amplitude": 2e-3, "decay_time": 0.015}, setpoint, output, 2e-3)
     assert found == pytest.approx(stated_pulses(setpoint, output, 2e-3, math.exp(-2.0 / 15.0)), abs=1e-15)
     assert np.count_nonzero(np.abs(found) == 2e-3) > 3
+    knees = {f"acceleration_{i}": a for i, a in ((1, 0.1), (2, 0.3), (3, 0.9))}
+    found = pulses({"amplitude": 2e-3, "decay_time": 0.015, "amplitude_low": 5e-4, **knees}, setpoint, output, 2e-3)
+    stated = stated_pulses(setpoint, output, 2e-3, math.exp(-2.0 / 15.0), 5e-4, tuple(4e-6 * a for a in knees.values()))
+    assert found == pytest.approx(stated, abs=1e-15)
+    assert len(np.unique(np.round(np.abs(found), 9))) > 20
 
 
 @pytest.mark.parametrize("closed_in_drive", [False, True])

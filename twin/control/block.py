@@ -93,13 +93,16 @@ class Listed:
 
     @property
     def values(self) -> dict[str, float]:
-        """The numbers by name, SI."""
-        return {number.name: size for number, size in zip(self.block.numbers, self.sizes)}
+        """The numbers by name, SI, without those that were left out of the file."""
+        return {number.name: size for number, size in self._given()}
+
+    def _given(self) -> list[tuple[Number, float]]:
+        return [(n, size) for n, size in zip(self.block.numbers, self.sizes) if size != 0.0 or n.bounds.required]
 
     def text(self, kind: str) -> str:
         """The block in one line, in the units of the file: 'friction_pulse 0.015 m/min, 0.015 s'."""
         shown = []
-        for number, size in zip(self.block.numbers, self.sizes):
+        for number, size in self._given():
             key = number.key(kind)
             shown.append(f"{size / si_from_key(key):.4g} {unit_of_key(key)}".strip())
         return f"{self.block.name} {', '.join(shown)}"
@@ -133,5 +136,5 @@ def named_blocks(tables: Any, where: str) -> list[Block]:
 
 
 def listed(block: Block, table: Mapping[str, Any], kind: str) -> Listed:
-    """A block with the numbers of its checked table."""
-    return Listed(block, tuple(float(table[n.key(kind)]) * si_from_key(n.key(kind)) for n in block.numbers))
+    """A block with the numbers of its checked table; one that may be left out is then 0."""
+    return Listed(block, tuple(float(table.get(n.key(kind), 0.0)) * si_from_key(n.key(kind)) for n in block.numbers))

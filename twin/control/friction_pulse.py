@@ -1,12 +1,14 @@
-"""Friction compensation: a pulse on the speed set point when an axis reverses (SINUMERIK MD32500, conventional, characteristic off).
+"""Friction compensation: a pulse on the speed set point when an axis reverses (SINUMERIK MD32500, conventional).
 
-    every Tp:   v = (s(k) - s(k-1)) / Tp                     s: set point of the position controller, u: its speed set point
+    every Tp:   v = (s(k) - s(k-1)) / Tp,   a = |v(k) - v(k-1)| / Tp      s: set point of the position controller, u: its speed set point
                 p = p exp(-Tp / T)
-                if v != 0 and sign(u) = sign(v) and sign(v) != d:   d = sign(v);  p = A d
+                if v != 0 and sign(u) = sign(v) and sign(v) != d:   d = sign(v);  p = A(a) d
                 w* = u + p                                    d = 0 at the start of a run
+    A(a) = A a / a1 below a1,  A from a1 to a2,  a straight line from A to A_low between a2 and a3,  A_low above a3
 
-A new pulse replaces the old one. A start in the direction of the last motion makes none. Measured in a recording of an 840D sl:
-A = 7 to 15 mm/min, T = 15 to 20 ms, five of five pulses at their exact cycle.
+A number of the characteristic that is 0 is off; with all off the pulse has its full amplitude A. A new pulse replaces the old one. A start in
+the direction of the last motion makes none. Measured in a recording of an 840D sl: A = 7 to 15 mm/min, T = 15 to 20 ms, five of five pulses
+at their exact cycle, characteristic off. Source of A(a): SINUMERIK Extended Functions K3 (MD32510 to MD32570).
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import numpy as np
 
 from twin.compiled_functions import compiled
 from twin.control.block import Block, Cycles, Number, Values, register
-from twin.control.number import positive
+from twin.control.number import not_negative, positive
 from twin.simulation.loop_terms import SPEED, X_SETPOINT, X_SPEED_SETPOINT, arrays, term
 
 STILL = 1e-11
@@ -25,45 +27,64 @@ STILL = 1e-11
 
 
 @compiled(inline=True)
-def next_pulse(pulse, direction, step, output, amplitude, decay):  # type: ignore[no-untyped-def]
-    """(pulse, direction) of this position cycle, from the step of the set point and the speed set point without the pulse."""
-    pulse *= decay
+def amplitude_at(p, acceleration):  # type: ignore[no-untyped-def]
+    """A(a); p[2:6]: A_low, a1, a2, a3, the accelerations as changes of the step of the set point in a cycle."""
+    if acceleration < p[3]:
+        return p[0] * acceleration / p[3]
+    if p[5] <= 0.0 or acceleration <= p[4]:
+        return p[0]
+    return p[0] + (p[2] - p[0]) * min((acceleration - p[4]) / (p[5] - p[4]), 1.0) if p[5] > p[4] else p[2]
+
+
+@compiled(inline=True)
+def next_pulse(p, pulse, direction, step, before, output):  # type: ignore[no-untyped-def]
+    """(pulse, direction) of this position cycle, from the last two steps of the set point and the speed set point without the pulse."""
+    pulse *= p[1]
     if abs(step) > STILL and step * output > 0.0 and step * direction <= 0.0:
         direction = math.copysign(1.0, step)
-        pulse = amplitude * direction
+        pulse = amplitude_at(p, abs(step - before)) * direction
     return pulse, direction
 
 
 @term
 def pulse_at_reversal(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """w* += pulse; parameters: amplitude, decay in a cycle; state: set point, pulse, direction, 1 after the first cycle."""
+    """w* += pulse; parameters: `_constants`; state: set point, pulse, direction, last step, 1 after the first cycle."""
     p, s, x = arrays(parameters, state, signals)
-    if s[3] == 0.0:
+    if s[4] == 0.0:
         s[0] = x[axis, X_SETPOINT]
-        s[3] = 1.0
+        s[4] = 1.0
     step = x[axis, X_SETPOINT] - s[0]
     s[0] = x[axis, X_SETPOINT]
-    s[1], s[2] = next_pulse(s[1], s[2], step, x[axis, X_SPEED_SETPOINT], p[0], p[1])
+    s[1], s[2] = next_pulse(p, s[1], s[2], step, s[3], x[axis, X_SPEED_SETPOINT])
+    s[3] = step
     x[axis, X_SPEED_SETPOINT] += s[1]
 
 
 @compiled(allocates=True)
-def _pulses(setpoint, output, amplitude, decay):  # type: ignore[no-untyped-def]
+def _pulses(p, setpoint, output):  # type: ignore[no-untyped-def]
     out = np.zeros(len(setpoint))
-    pulse, direction = 0.0, 0.0
+    pulse, direction, before = 0.0, 0.0, 0.0
     for k in range(1, len(setpoint)):
-        pulse, direction = next_pulse(pulse, direction, setpoint[k] - setpoint[k - 1], output[k], amplitude, decay)
+        step = setpoint[k] - setpoint[k - 1]
+        pulse, direction = next_pulse(p, pulse, direction, step, before, output[k])
+        before = step
         out[k] = pulse
     return out
 
 
 def pulses(values: Values, setpoint: np.ndarray, output: np.ndarray, cycle: float) -> np.ndarray:
     """The pulses (sample,) [m/s, rad/s] from the recorded set point and the speed set point without them, one sample a position cycle."""
-    return _pulses(setpoint, output, values["amplitude"], math.exp(-cycle / values["decay_time"]))
+    return _pulses(np.array(_over_cycle(values, cycle)), setpoint, output)
+
+
+def _over_cycle(values: Values, cycle: float) -> list[float]:
+    """A, decay in a cycle, A_low, a1, a2, a3 as changes of a step."""
+    characteristic = [values.get(name, 0.0) * cycle**2 for name in ("acceleration_1", "acceleration_2", "acceleration_3")]
+    return [values["amplitude"], math.exp(-cycle / values["decay_time"]), values.get("amplitude_low", 0.0), *characteristic]
 
 
 def _constants(values: Values, cycles: Cycles) -> list[float]:
-    return [values["amplitude"], math.exp(-cycles.position_cycle / values["decay_time"])]
+    return _over_cycle(values, cycles.position_cycle)
 
 
 FRICTION_PULSE = register(
@@ -76,6 +97,17 @@ FRICTION_PULSE = register(
                 {"sinumerik": ("MD32520 FRICT_COMP_CONST_MAX", "mm/min, rev/min", 1e-3)},
             ),
             Number("decay_time", "decay_time_s", "decay_time_s", positive(), {"sinumerik": ("MD32540 FRICT_COMP_TIME", "s", 1.0)}),
+            Number(
+                "amplitude_low", "amplitude_low_m_per_min", "amplitude_low_rev_per_min", not_negative(required=False),
+                {"sinumerik": ("MD32530 FRICT_COMP_CONST_MIN", "mm/min, rev/min", 1e-3)},
+            ),
+            *(
+                Number(
+                    f"acceleration_{i}", f"acceleration_{i}_m_per_s2", f"acceleration_{i}_rev_per_s2", not_negative(required=False),
+                    {"sinumerik": (f"MD325{40 + 10 * i} FRICT_COMP_ACCEL{i}", "m/s2, rev/s2", 1.0)},
+                )
+                for i in (1, 2, 3)
+            ),
         ),
         SPEED,
         pulse_at_reversal,

@@ -33,28 +33,20 @@ class Change:
         if self.function == SET_BACK and self.setting is not None:
             setting = self.setting
             if setting.effect.name == "inertia":
-                return _with_commissioned_inertia(machine, setting)
+                return machine.with_values({f"axis.{self.axis}.commissioned.{key}": v for key, v in self.table(machine).items()})
             return with_effects(machine, [s for s in settings_of(machine) if s.key != setting.key])
-        kind = machine.axis(self.axis).kind
-        block = {
-            number.key(kind): self.values[number.name] / si_from_key(number.key(kind))
-            for number in BLOCKS[self.function].numbers
-            if number.name in self.values
-        }
         others = machine.document["axis"][self.axis].get("block", {})
-        return machine.with_values({f"axis.{self.axis}.block": {**others, self.function: block}})
+        return machine.with_values({f"axis.{self.axis}.block": {**others, self.function: self.table(machine)}})
 
     def table(self, machine: Machine) -> dict[str, Any]:
-        """The numbers in the units of the machine file, by key."""
-        kind = machine.axis(self.axis).kind
-        if self.function == SET_BACK:
+        """The numbers in the units of the machine file, by key. Setting back the feedforward of torque gives the inertia that it then knows."""
+        axis = machine.axis(self.axis)
+        if self.function != SET_BACK:
+            keys = {n.name: n.key(axis.kind) for n in BLOCKS[self.function].numbers}
+            return {key: self.values[name] / si_from_key(key) for name, key in keys.items() if name in self.values}
+        if self.setting is None or self.setting.effect.name != "inertia":
             return {}
-        return {n.key(kind): self.values[n.name] / si_from_key(n.key(kind)) for n in BLOCKS[self.function].numbers if n.name in self.values}
-
-
-def _with_commissioned_inertia(machine: Machine, setting: Setting) -> Machine:
-    """The machine whose torque feedforward knows the added inertia."""
-    axis = machine.axis(setting.axis)
-    total = total_inertia(with_effects(machine, []), axis) * axis.ratio**2
-    now = axis.commissioned_inertia if axis.commissioned_inertia is not None else total
-    return machine.with_values({f"axis.{axis.name}.commissioned.inertia_kg_m2": now + setting.size * axis.ratio**2})
+        now = axis.commissioned_inertia
+        if now is None:
+            now = total_inertia(with_effects(machine, []), axis) * axis.ratio**2
+        return {"inertia_kg_m2": now + self.setting.size * axis.ratio**2}

@@ -22,8 +22,8 @@ from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
 from twin.remedy.files.table import PER_SI, ErrorTable
 
 CONTROLS = ("sinumerik", "heidenhain", "linuxcnc", "isg")
-POINTS_A_WAVE = 16
-"""Points of a correction table in one wave: linear interpolation between them leaves 2 % of the wave."""
+POINTS_A_WAVE, POINTS_A_TURN = 16, 72
+"""Points of a correction table in one wave: linear interpolation between them leaves 2 % of the wave; and in the one wave of a turning table."""
 
 
 class Entry(NamedTuple):
@@ -52,7 +52,7 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
         raise InputError(f"--control {control}: use one of {', '.join(CONTROLS)}")
     axis = machine.axis(change.axis)
     if change.function == SET_BACK:
-        return _set_back(change, axis, control)
+        return _set_back(change, machine, control)
     if change.function == TABLE:
         return ForControl(table=correction_table(change, axis))
     of: Callable[[dict[str, float], Axis, str], ForControl] = {PULSE: _pulse, BACKLASH: _backlash}[change.function]
@@ -101,8 +101,8 @@ def _backlash(values: dict[str, float], axis: Axis, control: str) -> ForControl:
     return ForControl((Entry(name, width, 0.0, unit, "A"),))
 
 
-def _set_back(change: Change, axis: Axis, control: str) -> ForControl:
-    setting = change.setting
+def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
+    setting, axis = change.setting, machine.axis(change.axis)
     assert setting is not None
     names = _SET_BACK.get(setting.effect.name, {})
     if control not in names:
@@ -111,7 +111,8 @@ def _set_back(change: Change, axis: Axis, control: str) -> ForControl:
         )
     name, field, unit, factor = names[control]
     if setting.effect.name == "inertia":
-        return ForControl(by_hand=f"{name}: add {setting.size * axis.ratio**2:.4g} kg m2 at the motor", refused="")
+        new = change.table(machine)["inertia_kg_m2"]
+        return ForControl((Entry(name, new, new - setting.size * axis.ratio**2, unit, "C"),))
     if field:
         new = _field(axis, field) * factor
         old = (_field(axis, field) + setting.size) * factor if setting.effect.name == "loop_delay" else new * setting.factor_on(field)
@@ -159,7 +160,7 @@ def correction_table(change: Change, axis: Axis) -> ErrorTable:
     wave = math.hypot(v["sine"], v["cosine"]) > 0.0
     turn = axis.kind == "rotary" and wave and math.isclose(v["wavelength"], 2.0 * math.pi)
     low, high = (0.0, 2.0 * math.pi) if turn or not all(map(math.isfinite, axis.travel)) else axis.travel
-    count = max(2, math.ceil((high - low) / v["wavelength"] * POINTS_A_WAVE) + 1) if wave else 2
+    count = POINTS_A_TURN + 1 if turn else max(2, math.ceil((high - low) / v["wavelength"] * POINTS_A_WAVE) + 1) if wave else 2
     q = np.linspace(low, high, count)
     k = 2.0 * math.pi / v["wavelength"]
     error = 1e-6 * v["slope"] * (q - v["origin"]) + v["sine"] * np.sin(k * q) + v["cosine"] * np.cos(k * q)

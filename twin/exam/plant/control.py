@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .compensation import Compensation, compensated_position, friction_pulse
 from .compiled import compiled
 from .parameters import Settings
 
@@ -91,15 +92,25 @@ CONTROL_STATES = 13
 
 
 @compiled(inline=True)
-def position_cycle(c: Control, state: np.ndarray, k: int, s_position: float, s_feedforward: float, scale: float) -> None:
-    """Update speed set point and torque feedforward of axis k."""
+def position_cycle(
+    c: Control,
+    on: Compensation,
+    state: np.ndarray,
+    own: np.ndarray,
+    k: int,
+    s_position: float,
+    s_feedforward: float,
+    scale: float,
+) -> None:
+    """Update speed set point and torque feedforward of axis k; `own` is the state of its compensations."""
     state[k, LAG_S] += (s_position - state[k, LAG_S]) * c.set_point_share[k]
-    error = state[k, LAG_S] - scale
+    error = state[k, LAG_S] - compensated_position(on, own, k, state[k, LAG_S], scale)
     band = c.dead_band[k]
     if band > 0.0:
         error = math.copysign(max(abs(error) - band, 0.0), error)
     s1, s2 = state[k, S_F1], state[k, S_F2]
-    speed = (c.kv[k] * error + c.velocity_gain[k] * (s_feedforward - s1)) / c.ratio[k]
+    speed = c.kv[k] * error + c.velocity_gain[k] * (s_feedforward - s1)
+    speed = (speed + friction_pulse(on, own, k, speed)) / c.ratio[k]
     state[k, W_SENT] = speed
     state[k, T_SENT] = c.torque_gain[k] * (s_feedforward - 2.0 * s1 + s2)
     if c.transport[k] == 0.0:

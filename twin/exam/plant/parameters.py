@@ -189,6 +189,7 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     together = np.divide(mass_nominal + at_zero, share, out=np.zeros(len(AXES)), where=share > 0)
     s.bed_mass, s.mount_stiffness, s.mount_damping = (1.0 - share) * together, w**2 * together, 2.0 * zeta * w * together
     s.clamped = []
+    s.pulses, s.plays, s.tables = {}, {}, {}  # compensations by number of the axis, see compensation.py
     s.machine, s.factors = machine, factors
 
     # Neutral values of everything that effects change

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from .compensation import Compensation, compensation_at_rest, compensation_of
 from .compiled import compiled
 from .control import W_SENT, Control, control_at_rest, control_of, current_cycle, drive_cycle, position_cycle
 from .measurement import Sensors, sensors_of
@@ -130,6 +131,7 @@ class Noise(NamedTuple):
 @compiled(allocates=True)
 def _simulate(
     c: Control,
+    on: Compensation,
     m: np.ndarray,
     pair: np.ndarray,
     coupling: np.ndarray,
@@ -139,6 +141,7 @@ def _simulate(
     warming: np.ndarray,
     set_points: np.ndarray,
     state: np.ndarray,
+    own: np.ndarray,
     y: np.ndarray,
     out: np.ndarray,
 ) -> int:
@@ -185,7 +188,7 @@ def _simulate(
             # control
             closing = shown if sensors.on_motor[k] else x
             if cycle:
-                position_cycle(c, state, k, set_points[0, n // cycle_ticks, k], set_points[1, n // cycle_ticks, k], closing)
+                position_cycle(c, on, state, own, k, set_points[0, n // cycle_ticks, k], set_points[1, n // cycle_ticks, k], closing)
             if in_drive:
                 drive_cycle(c, state, k, n, closing, past)
             voltage[k] = current_cycle(c, state, k, w, current)
@@ -221,7 +224,7 @@ def run(
 
     The run starts `started_at_s` after the first one of its campaign (thermal drift, warming). Equal seeds give equal traces.
     `set_point_period_s` is the period of the set points; None: the sample period."""
-    c, (m, pair), sensors = control_of(s), mechanics_of(s), sensors_of(s)
+    c, on, (m, pair), sensors = control_of(s), compensation_of(s), mechanics_of(s), sensors_of(s)
     grid, s_points, commands = _commands(s, np.ascontiguousarray(set_points, dtype=float), set_point_period_s)
     # rest: the encoder in the loop shows the first set point, the drive trains are loaded, the integrators hold the load
     q0 = s_points[0] - np.where(sensors.on_motor, 0.0, sensors.drift * started_at_s)
@@ -240,7 +243,8 @@ def run(
     clock = Clock(started_at_s, s.tick, s.cycle_ticks, s.sample_ticks, substeps)
     warming = np.array([s.warming, np.where(s.warming_time > 0, s.warming_time, 1.0)])
     out = np.zeros((7, len(grid), 5))
-    status = _simulate(c, m, pair, s.coupling, sensors, drawn, clock, warming, commands, state, y, out)
+    own = compensation_at_rest(on, commands[0, 0], s_points[0])
+    status = _simulate(c, on, m, pair, s.coupling, sensors, drawn, clock, warming, commands, state, own, y, out)
     if status:
         raise PlantError(f"axis {AXES[status - 1]} is unstable (speed above 1000 m/s or rad/s, or not a number): choose a smaller effect")
     return Trace(grid, s_points, *out)
