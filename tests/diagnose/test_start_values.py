@@ -85,3 +85,16 @@ def test_wavelengths_are_read_from_motions_of_any_length(reach):
     found = read.of(EFFECTS["position_dependent_friction"].parameter("wavelength"))
     assert found
     assert all(value > 0.0 for value in found)
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 6.0])
+def test_a_wave_that_repeats_once_a_turn_is_among_the_starts_beside_spikes_at_the_reversals(order):
+    """Stronger spikes at places of their own have a broad spectrum without a line at a whole number."""
+    machine = load_machine()
+    turn = 2.0 * np.pi * machine.axis("X").ratio
+    position = 0.05 * np.sin(np.linspace(0.0, 8.0 * np.pi, 40_000)) * np.linspace(0.4, 1.0, 40_000)
+    spikes = sum(np.exp(-(((position - place) / (0.05 * turn)) ** 2)) for place in (-0.049, -0.0311, 0.0177, 0.0412))
+    current = 0.1 * np.sin(2.0 * np.pi * order * position / turn) + 2.0 * spikes
+    read = StartValues(record_of(position, current), machine, machine.axis("X"), current)
+    found = read.of(EFFECTS["torque_ripple"].parameter("periods_per_rev"))
+    assert any(value == pytest.approx(order, rel=0.02) for value in found)

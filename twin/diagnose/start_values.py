@@ -16,6 +16,9 @@ from twin.machine.machine import Axis, Machine
 PEAKS = 2
 """Spectral lines tried for an effect that is periodic in position or time."""
 
+SAME_LINE = 0.02
+"""Spectral lines closer than this share of their value are one start."""
+
 LARGEST_ORDER_HZ = 60.0
 """Frequency above which the current does not follow a disturbance."""
 
@@ -60,7 +63,8 @@ class StartValues:
         """Starting values of a parameter with a scan: the strongest spectral lines, or levels of a limit."""
         match parameter.scan:
             case AlongTurn(low=low, high=high):
-                return _strongest(*self._along_turn(low, high, 2.0 * math.pi * self.axis.ratio))
+                waves, power = self._along_turn(low, high, 2.0 * math.pi * self.axis.ratio)
+                return _with_whole_number(_strongest(waves, power), waves, power)
             case AlongTravel():
                 shortest, longest = parameter.usual_range(self.machine, self.axis)
                 return _strongest(*self._along_travel(shortest / 3.0, LONGEST_WAVE * longest))
@@ -210,6 +214,18 @@ def swing_filter(frequency_hz: float, damping_ratio: float, period: float) -> tu
     return np.array([0.0, 1.0 - c - q * s, r * r - c + q * s]) / w**2, np.array([1.0, -2.0 * c, r * r])
 
 
+def _with_whole_number(chosen: list[float], waves: np.ndarray, power: np.ndarray) -> list[float]:
+    """The chosen waves per turn, and the strongest whole number of them.
+
+    Eccentricity, poles and slots repeat a whole number of times a turn. A residual with spikes at the reversals hides such a line among others.
+    """
+    whole = np.arange(math.ceil(waves[0]), math.floor(waves[-1]) + 1.0)
+    if len(whole) == 0 or len(waves) < 3:
+        return chosen
+    best = float(whole[np.argmax(np.interp(whole, waves, power))])
+    return chosen if any(abs(math.log(best / c)) <= SAME_LINE for c in chosen) else [*chosen, best]
+
+
 def _strongest(values: np.ndarray, power: np.ndarray) -> list[float]:
     """Values at the strongest local maxima of the power, at most PEAKS, strongest first."""
     if len(power) < 3 or not np.any(power > 0):
@@ -218,7 +234,7 @@ def _strongest(values: np.ndarray, power: np.ndarray) -> list[float]:
     inner = inner[np.argsort(-power[inner])][: 4 * PEAKS]
     chosen: list[float] = []
     for i in inner:
-        if all(abs(math.log(values[i] / c)) > 0.02 for c in chosen):
+        if all(abs(math.log(values[i] / c)) > SAME_LINE for c in chosen):
             chosen.append(float(values[i]))
         if len(chosen) == PEAKS:
             break
