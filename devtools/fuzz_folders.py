@@ -229,8 +229,7 @@ def exam_folder() -> dict[str, bytes]:
         out = Path(scratch)
         called((*EXAM, out))  # sealed, not answered yet
         case = out / "cases" / "0000"
-        baselines = {"largest": {"verdict": "effect", "effect": "backlash", "axis": "X"}}
-        write_answer(case / "answer", load_machine(), baselines, json.loads(said))
+        write_answer(case / "answer", load_machine(), json.loads(said))
         laid({"seconds.txt": b"12.5\n"}, case / "answer")
         laid(runs, case / "exam runs")
         code, fault = called((*EXAM, out))

@@ -242,7 +242,7 @@ def _height_npz() -> bytes:
 
 
 def _height_sur() -> bytes:
-    from twin.surface.sur_file import write_sur
+    from examples.measured_surface.sur_writer import write_sur
 
     u, v, z = _heights()
     with tempfile.TemporaryDirectory() as folder:

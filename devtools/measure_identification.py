@@ -27,11 +27,11 @@ import tomllib
 import numpy as np
 
 from devtools.identification_score import HEADING, Judged, judge, summary
+from examples.emps.single_axis import NAMES, fit_single_axis, read_emps, refine_single_axis, residual_shapes, resimulate
 from twin.effects.truth import true_machine
 from twin.exam.draw import SHIPPED_MACHINE, Case, draw_case, truth_of, truth_toml, write_campaign
 from twin.identify.campaign_fit import identify_campaign
 from twin.identify.result import Identification
-from twin.identify.single_axis import NAMES, fit_single_axis, read_emps, refine_single_axis, residual_shapes, resimulate
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.simulation.summary import table

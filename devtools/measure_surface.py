@@ -17,12 +17,12 @@ import time
 
 import numpy as np
 
+from examples.parts.paper_parts import PARTS, TangentPlanes, VerticalCorner
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.summary import table
 from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.levels import levels_of_program
 from twin.surface.machining import machine_part, report_of
-from twin.surface.paper_parts import PARTS, TangentPlanes, VerticalCorner
 from twin.surface.part import read_part
 from twin.surface.removal import cut
 from twin.surface.steps import Steps, steps_between

@@ -18,6 +18,7 @@ import tomllib
 
 import numpy as np
 
+from examples.parts.paper_parts import PARTS
 from twin.cli.demo import DISTANCE, JERK, SPEED, draw, finding_of, paper_test, run_test
 from twin.exam.draw import AXES, SIGNALS, columns_of, draw_case
 from twin.exam.draw import simulate as record
@@ -31,7 +32,6 @@ from twin.simulation.setpoints import Setpoints
 from twin.simulation.summary import table
 from twin.surface.levels import levels_of_program
 from twin.surface.machining import machine_part, report_of
-from twin.surface.paper_parts import PARTS
 from twin.surface.part import Part, read_part
 from twin.surface.picture import draw_cut
 from twin.surface.shapes import PLANES, Profile

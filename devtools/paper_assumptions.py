@@ -17,11 +17,11 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
+from examples.parts.paper_parts import TangentPlanes, VerticalCorner
 from twin.machine.machine import Machine, load_machine
 from twin.report.figure import AMBER, GREEN, RED, SOFT, new_figure, save_png
 from twin.surface.levels import FOLLOWED, PROGRAMMED, levels_of_program
 from twin.surface.machining import machine_part, report_of
-from twin.surface.paper_parts import TangentPlanes, VerticalCorner
 from twin.surface.part import read_part
 
 ROOT = Path(__file__).resolve().parent.parent

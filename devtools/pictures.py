@@ -131,12 +131,11 @@ def _command(line: str, folder: Path) -> bool:
 
 
 def exam(folder: Path) -> None:
-    """The score of an examination against its targets, and beside three simpler methods."""
+    """The score of an examination against its targets."""
     from twin.exam.report import sections_of
 
-    score, beside, *_ = sections_of(json.loads((folder / "exam.json").read_text(encoding="utf-8")))
-    for name, section in (("exam_score", score), ("exam_methods", beside)):
-        (PICTURES / f"{name}.svg").write_text(section.figures[0].svg, encoding="utf-8")
+    score, *_ = sections_of(json.loads((folder / "exam.json").read_text(encoding="utf-8")))
+    (PICTURES / "exam_score.svg").write_text(score.figures[0].svg, encoding="utf-8")
 
 
 def program() -> None:
@@ -189,9 +188,9 @@ def law() -> None:
 
 def surface() -> None:
     """The paper's three parts as cut by the twin, with feedforward off and level by level."""
+    from examples.parts.paper_parts import PARTS
     from twin.surface.levels import LEVELS, levels_of_program
     from twin.surface.machining import machine_part
-    from twin.surface.paper_parts import PARTS
     from twin.surface.part import read_part
     from twin.surface.picture import draw_cut, draw_levels
 

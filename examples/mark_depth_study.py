@@ -13,11 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 import tempfile
 
+from parts.paper_parts import TangentPlanes
+
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.summary import table
 from twin.surface.levels import levels_of_program
 from twin.surface.machining import machine_part, report_of
-from twin.surface.paper_parts import TangentPlanes
 from twin.surface.part import read_part
 
 LINEAR = ("X", "Y", "Z")

@@ -18,12 +18,12 @@ import sys
 from typing import Any
 
 import numpy as np
+from single_axis import Record, fit_single_axis, read_emps
 
 from twin.cli.parser import show_and_run
 from twin.diagnose.tolerance import with_added
 from twin.effects import check_setting
 from twin.errors import TwinError
-from twin.identify.single_axis import Record, fit_single_axis, read_emps
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.report import new_figure, save_png

@@ -13,6 +13,7 @@ from pathlib import Path
 import tomllib
 
 import numpy as np
+from sur_writer import write_sur
 
 from twin.cli import main as twin_command
 from twin.exam.draw import SHIPPED_MACHINE, Case, simulate
@@ -24,7 +25,6 @@ from twin.recordings.trace import Trace
 from twin.surface.levels import levels_of_trace
 from twin.surface.machining import machine_part
 from twin.surface.part import read_part
-from twin.surface.sur_file import write_sur
 
 HERE = Path(__file__).resolve().parent
 PROGRAM, PART = HERE / "dip.mpf", HERE / "dip.toml"

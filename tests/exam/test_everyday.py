@@ -299,7 +299,7 @@ def test_an_everyday_machine_is_drawn_recorded_answered_and_marked(tmp_path: Pat
 
 def marked(answer: dict) -> dict:
     return {
-        "case": "1", "stratum": "everyday", "true": [list(what) for what in TRUE], "outside": [], "baselines": {},
+        "case": "1", "stratum": "everyday", "true": [list(what) for what in TRUE], "outside": [],
         "gap": {"before": 9.0, "after": 1.2, "floor": 1.0, "size": 9.0}, **mark_answer(TRUTH, answer),
     }  # fmt: skip
 

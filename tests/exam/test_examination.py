@@ -56,7 +56,7 @@ def test_the_plant_imports_nothing_of_the_twin() -> None:
 
 def test_the_candidate_cannot_see_the_truth() -> None:
     """The examined process imports neither the drawing nor the marking."""
-    for module in ("candidate", "baselines", "answer"):
+    for module in ("candidate", "answer"):
         text = (PACKAGE / f"{module}.py").read_text(encoding="utf-8")
         assert not re.search(r"(from|import) (twin\.exam)?\.(draw|mark|session|questions|score)\b", text), module
         assert "truth" not in text
@@ -215,7 +215,6 @@ def marked(stratum: str, there: dict, said: dict, size: float = 5.0) -> dict:
         "stratum": stratum,
         "true": [[e["name"], e["axis"]] for e in there["effect"]],
         "outside": [[e["name"], e["axis"], e["block"]] for e in there["outside"]],
-        "baselines": {},
         "gap": {"before": 9.0, "after": 1.2, "floor": 1.0, "size": size},
         **mark_answer(there, said),
     }
@@ -366,12 +365,6 @@ def test_a_short_examination_is_passed(sat: tuple[Path, list[str]]) -> None:
     assert document["score"]["failed"] == 0
     assert sum(m["first"] for m in marks) >= 0.75 * CASES
     assert all(m["exact"] for m in marks if m["stratum"] == "healthy")
-    # no simpler method does as well
-    for baseline in ("re-tuning", "nearest signature", "sparse regression"):
-        assert sum(m["baselines"][baseline]["first"] for m in marks) < sum(m["first"] for m in marks)
-    # but they name some effects
-    assert sum(m["baselines"]["nearest signature"]["first"] for m in marks) > 0
-    assert sum(m["baselines"]["sparse regression"]["first"] for m in marks) > 0
     # the plant is not the twin: with the same parameters they are close but not equal
     same = document["score"]["same_parameters"]
     assert 0.5 < same["level"] < 2.0
@@ -474,9 +467,9 @@ def test_a_target_that_chance_may_miss_is_not_called_missed() -> None:
 
 def test_an_answer_that_was_changed_is_refused_and_a_mark_made_again(tmp_path: Path) -> None:
     machine = load_machine(default_machine_path())
-    write_answer(tmp_path / "answer", machine, {}, answer("none"))
-    assert read_answer(tmp_path / "answer")[0]["verdict"] == "none"
-    for name in ("diagnosis.json", "baselines.json", "machine.toml"):
+    write_answer(tmp_path / "answer", machine, answer("none"))
+    assert read_answer(tmp_path / "answer")["verdict"] == "none"
+    for name in ("diagnosis.json", "machine.toml"):
         file = tmp_path / "answer" / name
         kept = file.read_text(encoding="utf-8")
         file.write_text(kept + "\n", encoding="utf-8")

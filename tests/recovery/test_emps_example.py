@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from examples.emps.single_axis import fit_single_axis
 from tests.builders.script import script
 from tests.conftest import ROOT, SHARED
 from twin.diagnose.tolerance import with_added
 from twin.effects import check_setting
-from twin.identify.single_axis import fit_single_axis
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.gap import SignalGap
 from twin.simulation.run import simulate

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from examples.emps.single_axis import Record, fit_single_axis, read_emps, refine_single_axis, residual_shapes, resimulate
 from tests.conftest import SHARED
 from twin.errors import InputError
-from twin.identify.single_axis import Record, fit_single_axis, read_emps, refine_single_axis, residual_shapes, resimulate
 
 PUBLISHED = {"mass": 95.11, "viscous": 203.5, "coulomb": 20.39}
 LIMITS = {"mass": 0.005, "viscous": 0.02, "coulomb": 0.01}

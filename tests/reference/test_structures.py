@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from examples.emps.single_axis import Record, resimulate
 from tests.builders.other_structures import machine_text, slides, write_slides
 from tests.conftest import swings
 from tests.reference.cascade_reference import CHANNELS, simulate_reference
 from twin.geometry.scurve import moves_in_turn
-from twin.identify.single_axis import Record, resimulate
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace

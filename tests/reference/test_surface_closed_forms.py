@@ -1,4 +1,4 @@
-"""The cut surface against closed forms, each to 0.1 um: scallops, grooves, a flat end, tilted and turning tools, dexel volumes."""
+"""The cut surface against closed forms, each to 0.1 um: scallops, grooves, a flat end, tilted and turning tools."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from twin.surface.dexels import box_dexels, cut_dexels
 from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.metrology import scallop_height, section
 from twin.surface.removal import cut
@@ -177,16 +176,3 @@ def test_ray_density_resolves_a_scallop_with_second_order() -> None:
         after, _ = cut(rays, straight(tool, z=-depth), tool)
         missed.append(after.height.min() + depth)
     np.testing.assert_allclose(np.array(missed[:-1]) / missed[1:], 4.0, rtol=0.02)
-
-
-def test_dexel_volume_of_a_ball_and_a_hole() -> None:
-    block = box_dexels(np.array([-8e-3, -8e-3, -3e-3]), np.array([8e-3, 8e-3, 3e-3]), 1e-4)
-    tool = flat_end(2 * R, cutting_length=0.03)
-    drilled, _ = cut_dexels(block, steps_between(np.array([[0, 0, 5e-3], [0, 0, -5e-3]]), np.tile([0, 0, 1.0], (2, 1)), tool.reach), tool)
-    assert block.volume - drilled.volume == pytest.approx(math.pi * R**2 * 6e-3, rel=2e-3)
-    # a ball in the middle of a block: each ray splits in two
-    thick = box_dexels(np.array([-8e-3, -8e-3, -8e-3]), np.array([8e-3, 8e-3, 8e-3]), 1e-4, direction=0)
-    ball = revolution([(0.0, 0.0), (R, R, R), (0.0, 2 * R, R)], name="whole ball")
-    hollow, _ = cut_dexels(thick, steps_between(np.array([[0, 0, -R], [0, 0, -R]]), np.tile([0, 0, 1.0], (2, 1)), ball.reach), ball)
-    assert thick.volume - hollow.volume == pytest.approx(4.0 / 3.0 * math.pi * R**3, rel=2e-3)
-    assert hollow.count.max() == 2

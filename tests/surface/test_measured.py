@@ -9,9 +9,9 @@ import zipfile
 import numpy as np
 import pytest
 
+from examples.measured_surface.sur_writer import write_sur
 from twin.errors import InputError
 from twin.surface.measured import HeightMap, compare, read_height_map
-from twin.surface.sur_file import write_sur
 
 
 def surface(u: np.ndarray, v: np.ndarray) -> np.ndarray:

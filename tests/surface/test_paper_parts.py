@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
+from examples.parts.paper_parts import PARTS, Dome
 from tests.conftest import ROOT
 from twin.cli import cut
 from twin.machine.machine import Machine, load_machine
 from twin.program import read_program
-from twin.surface.paper_parts import PARTS, Dome
 
 SHIPPED = ROOT / "examples" / "parts"
 

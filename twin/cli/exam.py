@@ -155,12 +155,8 @@ def summary(document: dict) -> str:
         value = f"{t['right']} of {t['of']} ({t['value']:.0%})" if "right" in t else f"{value_text(t)} (of {t['of']})"
         rows.append([t["what"], value, target_text(t["target"]), target_word(t)])
     lines = [table(["", "measured", "target", ""], rows, left=1)]
-    strata = [
-        [name, str(r["cases"]), *(str(r[k]) for k in ("first", "exact", "place")), *(str(v) for v in r["baselines"].values())]
-        for name, r in s["strata"].items()
-    ]
-    names = next((list(r["baselines"]) for r in s["strata"].values() if r["baselines"]), [])
-    lines.append(table(["stratum", "cases", "first", "exact", "axis and block", *names], strata, left=1))
+    strata = [[name, str(r["cases"]), *(str(r[k]) for k in ("first", "exact", "place"))] for name, r in s["strata"].items()]
+    lines.append(table(["stratum", "cases", "first", "exact", "axis and block"], strata, left=1))
     lines.append(f"{counted(document)}; macro F1 {s['macro_f1']:.2f}; {s['failed']} could not be diagnosed")
     gap, same = s["gap"], s["same_parameters"]
     if gap["before"] is not None:

@@ -13,20 +13,19 @@ from twin.errors import InputError
 from twin.files import stamped, write_whole
 from twin.machine.machine import Machine, write_machine
 
-MACHINE, BASELINES, DIAGNOSIS, SEAL, FAILED = "machine.toml", "baselines.json", "diagnosis.json", "answer.sha256", "failed.txt"
+MACHINE, DIAGNOSIS, SEAL, FAILED = "machine.toml", "diagnosis.json", "answer.sha256", "failed.txt"
 
 
-def write_answer(folder: Path, corrected: Machine, baselines: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> None:
-    """Write corrected machine, baselines, seal and, last, the diagnosis: a case counts as answered when the diagnosis exists."""
+def write_answer(folder: Path, corrected: Machine, diagnosis: Mapping[str, Any]) -> None:
+    """Write corrected machine, seal and, last, the diagnosis: a case counts as answered when the diagnosis exists."""
     write_machine(corrected, folder / MACHINE)
-    write_whole(folder / BASELINES, json.dumps(baselines, indent=1) + "\n")
     text = json.dumps(stamped(diagnosis, "diagnosis"), indent=1) + "\n"
     write_whole(folder / SEAL, _digest(folder, text.encode()) + "\n")
     write_whole(folder / DIAGNOSIS, text)
 
 
-def read_answer(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(diagnosis, baselines) of a sealed answer.
+def read_answer(folder: Path) -> dict[str, Any]:
+    """The diagnosis of a sealed answer.
 
     Raises:
         InputError: a file differs from the sealed one.
@@ -37,9 +36,8 @@ def read_answer(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         same = False
     if not same:
         raise InputError(f"{folder}: this answer is not what was sealed; remove the folder to have the case diagnosed again")
-    return read_json_table(folder / DIAGNOSIS), read_json_table(folder / BASELINES)
+    return read_json_table(folder / DIAGNOSIS)
 
 
 def _digest(folder: Path, diagnosis: bytes) -> str:
-    files = ((folder / name).read_bytes() for name in (MACHINE, BASELINES))
-    return hashlib.sha256(b"\0".join([*files, diagnosis])).hexdigest()
+    return hashlib.sha256(b"\0".join([(folder / MACHINE).read_bytes(), diagnosis])).hexdigest()

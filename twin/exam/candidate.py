@@ -2,7 +2,7 @@
 
     python -m twin.exam.candidate CAMPAIGN MACHINE OUT [--quick]
 
-Writes diagnosis.json and machine.toml as `twin diagnose` does, and baselines.json with the answers of the simpler methods.
+Writes diagnosis.json and machine.toml as `twin diagnose` does.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from twin.recordings.campaign import read_campaign
 from twin.stopping import end_with_parent
 
 from .answer import write_answer
-from .baselines import baselines_of
 
 
 def main() -> int:
@@ -35,7 +34,7 @@ def main() -> int:
     except TwinError as error:
         print(f"twin.exam.candidate: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
-    write_answer(given.out, diagnosis.corrected, baselines_of(diagnosis.found, machine), diagnosis.document())
+    write_answer(given.out, diagnosis.corrected, diagnosis.document())
     return 0
 
 

@@ -41,7 +41,6 @@ NOT_DIAGNOSED: dict[str, Any] = {
     **dict.fromkeys(("first", "first_or_ambiguous", "exact", "place", "law"), False),
     "probabilities": [],
     "parameters": [],
-    "baselines": {},
     "shape": 0.0,
     "budget": None,
 }
@@ -68,10 +67,9 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
         nothing = mark_budget(truth, {"effects": []}) if "budget" in truth else None
         result |= {**NOT_DIAGNOSED, "budget": nothing, "failed": failure.read_text(encoding="utf-8", errors="replace").strip()}
     else:
-        answer, baselines = read_answer(place / "answer")
+        answer = read_answer(place / "answer")
         result |= mark_answer(truth, answer)
         result["shape"] = min((shape_agreement(e, answer, load_machine(machine_file)) for e in truth["outside"]), default=None)
-        result["baselines"] = {name: marked_baseline(truth, said) for name, said in baselines.items()}
     result["gap"] = _exam_gap(case, truth, place, machine_file)
     write_whole(kept, json.dumps({**result, "sha256": digest_of(result)}, indent=1) + "\n")
     return result
@@ -160,14 +158,6 @@ def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dic
 
 def _apart(a: float, b: float, periodic: bool) -> float:
     return (a - b + math.pi) % (2.0 * math.pi) - math.pi if periodic else a - b
-
-
-def marked_baseline(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str, Any]:
-    """Answer of a simpler method, with its mark."""
-    true = {(e["name"], e["axis"]) for e in truth["effect"]}
-    named = (said["effect"], said["axis"])
-    first = named in true if true else said["verdict"] in (("unknown", "law") if truth["outside"] else ("none",))
-    return {**said, "first": bool(first), "exact": bool(first and len(true) <= 1)}
 
 
 def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: str) -> dict[str, Any]:

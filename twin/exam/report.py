@@ -38,13 +38,7 @@ def sections_of(document: Document) -> list[Section]:
     same = s["same_parameters"]
     sections = [
         Section("Score against the targets", figures=[_targets(s["targets"])], tables=[_target_table(s["targets"])]),
-        Section(
-            "Against simpler methods",
-            ["First-named right by kind of case. Re-tuning knows no effects; nearest signature compares directions without "
-             "re-tuning; sparse regression uses forces only."],
-            figures=[_baselines(s["strata"])],
-        ),
-    ]  # fmt: skip
+    ]
     if s["confusion"]:
         sections.append(Section("Confusion matrix", figures=[_confusion(s["confusion"])]))
     if singles(marks):
@@ -124,25 +118,6 @@ def _targets(targets: Sequence[Document]) -> Figure:
     ax.set_xlim(0, 1.02)
     ax.set_xlabel("share of cases")
     return Figure(figure_svg(figure), "Dot: measured. Band: 95 % interval of a share (Wilson). Black stroke: target.")
-
-
-def _baselines(strata: Document) -> Figure:
-    names = list(strata)
-    methods = next((list(r["baselines"]) for r in strata.values() if r["baselines"]), [])
-    figure, panels = new_figure(1, 1, height=2.9)
-    ax = panels[0, 0]
-    width = 0.8 / (len(methods) + 1)
-    for k, (label, colour) in enumerate(zip(["diagnosis", *methods], [BLUE, SOFT, AMBER, "#b9a6d3"])):
-        values = [(r["first"] if k == 0 else r["baselines"].get(label, 0)) / max(r["cases"], 1) for r in strata.values()]
-        ax.bar(np.arange(len(names)) + (k - len(methods) / 2) * width, values, width, color=colour, label=label)
-    ax.set_xticks(range(len(names)), [f"{n}\n({r['cases']})" for n, r in strata.items()])
-    ax.set_ylim(0, 1.05)
-    ax.set_ylabel("first-named right")
-    ax.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return Figure(
-        figure_svg(figure),
-        "Share first-named right, with the number of cases in brackets. For healthy machines and faults outside the library the verdict counts.",
-    )
 
 
 def _confusion(table: Document) -> Figure:

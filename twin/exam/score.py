@@ -124,7 +124,6 @@ def score(marks: Sequence[Mark], laws_searched: bool = True) -> dict[str, Any]:
             name: {
                 "cases": len(rows),
                 **{k: sum(m[k] for m in rows) for k in ("first", "first_or_ambiguous", "exact", "place")},
-                "baselines": {b: sum(m["baselines"][b]["first"] for m in rows if m["baselines"]) for b in _baselines(rows)},
             }
             for name, rows in of.items()
         },
@@ -193,10 +192,6 @@ def _none_named(marks: Sequence[Mark]) -> dict[str, Any] | None:
 
 def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> dict[str, Any] | None:
     return {"value": float(of(values)), "of": len(values)} if values else None
-
-
-def _baselines(marks: Sequence[Mark]) -> list[str]:
-    return next((list(m["baselines"]) for m in marks if m["baselines"]), [])
 
 
 def _share(successes: int, trials: int) -> dict[str, Any]:

@@ -14,5 +14,5 @@ The direct route, block by block:
     drive_position_loop position loop in the NC or in the drive            noise              measuring noise from standstill
     held_out            training and held-out motion, gap on the latter    delivered          commanded against delivered effort
 The second route: refine (drives with a current loop), drive_fit (lumped drives, every sample).
-choice: which values the machine file gets. single_axis: an axis with another control (EMPS benchmark).
+choice: which values the machine file gets.
 """

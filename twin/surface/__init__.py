@@ -1,4 +1,4 @@
 """The cut surface: material removal along the followed tool path.
 
-tool path (twin.geometry.tool_path) -> steps -> removal along rays or dexels -> metrology -> pictures, files
+tool path (twin.geometry.tool_path) -> steps -> removal along rays -> metrology -> pictures, files
 """

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.errors import InputError
-from twin.files import beside
 
 SIGNATURE = b"DIGITAL SURF"
 HEAD_BYTES = 512
@@ -67,37 +66,6 @@ def read_sur(path: Path) -> SurMap:
     if head["special_points"]:
         height[numbers == head["least"] - 2] = np.nan
     return SurMap(head["dx"] * factor["x"], head["dy"] * factor["y"], height)
-
-
-def write_sur(path: Path, dx: float, dy: float, height: np.ndarray) -> None:
-    """Write heights (row, column) [m] with increments dx, dy [m] as 32-bit integers of 0.1 nm; NaN: not measured."""
-    step = 1e-10
-    known = np.isfinite(height)
-    numbers = np.round(np.where(known, height, 0.0) / step).astype(np.int64)
-    least = int(numbers[known].min())
-    numbers[~known] = least - 2
-    head = bytearray(HEAD_BYTES)
-    head[:12] = SIGNATURE
-    values = {
-        "objects": 1,
-        "special_points": int(not known.all()),
-        "bits": 32,
-        "least": least,
-        "columns": height.shape[1],
-        "rows": height.shape[0],
-        "dx": dx * 1e3,
-        "dy": dy * 1e3,
-        "dz": step * 1e6,
-    }
-    for name, value in values.items():
-        struct.pack_into(PLACES[name][0], head, PLACES[name][1], value)
-    struct.pack_into("<hhii", head, 16, 1, 2, 0, 0)  # version, kind: a surface
-    struct.pack_into("<i", head, 104, int(numbers.max()))
-    struct.pack_into("<i", head, 116, height.size)
-    for axis, unit in (("x", b"mm"), ("y", b"mm"), ("z", b"um")):
-        head[UNITS_AT[axis] : UNITS_AT[axis] + 16] = unit.ljust(16)
-    with beside(path) as partial:
-        partial.write_bytes(bytes(head) + numbers.astype("<i4").tobytes())
 
 
 def _metres(field: bytes, axis: str, path: Path) -> float:
