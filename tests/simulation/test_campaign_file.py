@@ -22,8 +22,17 @@ def short_move(mikron: Machine) -> Trace:
 def test_runs_come_back_as_they_were_written(mikron: Machine, tmp_path: Path) -> None:
     run = simulate(mikron, short_move(mikron), noise_seed=1)
     facts = {
-        ("X", "position"): ChannelFact(3e-3, 2e-5, 3e-3, 1.2e-4, offset_taken_out=True, sign=-1),
-        ("X", "current"): ChannelFact(against=True),
+        ("X", "position"): ChannelFact(
+            axis="X",
+            signal="position",
+            latency=3e-3,
+            latency_deviation=2e-5,
+            taken_back=3e-3,
+            offset_m=1.2e-4,
+            offset_taken_out=True,
+            sign=-1,
+        ),
+        ("X", "current"): ChannelFact(axis="X", signal="current", against=True),
     }
     measured = MeasuredRun("third", run.trace, "off", 12.5, facts, {"load": 20.0})
     folder = write_campaign({"first": run, "second": run.trace, "third": measured}, tmp_path / "out", feedforward="velocity")

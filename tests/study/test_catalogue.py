@@ -146,7 +146,7 @@ def test_shares_of_the_ratings(folder: Path) -> None:
     [
         ('installed = "M80"', 'installed = "M90"', "'M90' is not in motors.toml"),
         ('axis = "X"\ninstalled = "40x10"', 'axis = "A"\ninstalled = "40x10"', "axis A has no screw"),
-        ('axis = "X"\ninstalled = "40x10"', 'axis = 0\ninstalled = "40x10"', "no axis 0; known are"),
+        ('axis = "X"\ninstalled = "40x10"', 'axis = 0\ninstalled = "40x10"', "axis = 0; write it in quotes"),
         ('"40x10", "40x20"', '"40x10", "50x10"', "no screw '50x10'"),
         ('"40x10", "40x20"', '"40x10", ""', "no screw ''"),
         ('"40x10", "40x20"', '"40x10"', "has one screw only"),

@@ -249,10 +249,10 @@ WRONG: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
         ("slope needs a factor and excludes exponent",),
     ),
     "fixed path": (lambda t: '[fixed]\n"axis.X.moving_mas_kg" = 1.0\n' + t, ("[fixed]", "did you mean 'axis.X.moving_mass_kg'")),
-    "fixed value": (lambda t: '[fixed]\n"axis.X.moving_mass_kg" = "a"\n' + t, ("[fixed]", "list of numbers")),
+    "fixed value": (lambda t: '[fixed]\n"axis.X.moving_mass_kg" = "a"\n' + t, ("[fixed]", "moving_mass_kg = 'a'; give a number")),
     "impossible fixed value": (lambda t: '[fixed]\n"axis.X.moving_mass_kg" = -1.0\n' + t, ("moving_mass_kg = -1", "impossible")),
-    "no design": (lambda t: t.replace(GRID, ""), ("[design]", "kind = None")),
-    "unknown design": (lambda t: t.replace('"grid"', '"gird"'), ("kind = 'gird'", "grid, latin_hypercube")),
+    "no design": (lambda t: t.replace(GRID, ""), ("'design' is missing", "write [design]")),
+    "unknown design": (lambda t: t.replace('"grid"', '"gird"'), ("kind = 'gird'", "did you mean 'grid'")),
     "levels of another design": (lambda t: t.replace('"grid"', '"sobol"'), ("unknown key 'levels'", "count")),
     "one level": (lambda t: t.replace("levels = 3", "levels = 1"), ("levels = 1", "2 or more")),
     "empty design": (lambda t: t.replace('"grid"\nlevels = 3', '"latin_hypercube"\ncount = 0'), ("the design has no variant",)),
@@ -292,5 +292,5 @@ def test_effects_of_one_name_on_one_axis_are_all_kept(mikron: Machine) -> None:
 
 @pytest.mark.parametrize("key", ["tied", "constraint"])
 def test_a_number_in_place_of_tables_is_refused(tmp_path: Path, key: str) -> None:
-    with pytest.raises(InputError, match=rf"'{key}' must be a list of tables; write \[\[{key}\]\]"):
+    with pytest.raises(InputError, match=rf"{key} = 5; write \[\[{key}\]\]"):
         read_study(write_spec(tmp_path, f"{key} = 5\n" + FACTOR + GRID))

@@ -8,7 +8,7 @@ from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign
-from twin.recordings.profile_speed import PROFILE, SIGNAL
+from twin.recordings.profile_speed import PROFILE
 from twin.simulation.drive_setpoints import closed_on
 from twin.simulation.gap import COMPARED
 from twin.simulation.setpoints import check_travel, setpoints_of
@@ -78,7 +78,7 @@ def notes_of(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFA
             if not _recorded(machine.axis(a), signal, campaign):
                 lacking.setdefault(machine.axis(a).recorded_as(signal), []).append(a)
         notes += [f"no {name.replace('_', ' ')} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
-    if profiles := [a for a in axes if any(run.fact(a, SIGNAL).profile for run in campaign.runs)]:
+    if profiles := [a for a in axes if any(a in run.profiles for run in campaign.runs)]:
         notes.append(f"axis {', '.join(profiles)}: {PROFILE}")
     still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]
     if still:

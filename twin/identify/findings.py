@@ -21,7 +21,7 @@ from twin.recordings.excitation import one_speed
 from twin.recordings.force_sign import recorded_sign
 from twin.recordings.least_squares import regress
 from twin.recordings.plausible import contradictions
-from twin.recordings.profile_speed import PROFILE, SIGNAL
+from twin.recordings.profile_speed import PROFILE
 
 SIGNALS = {
     "position": "position gain and delays",
@@ -52,7 +52,7 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
         if not recorded:
             out.append(Finding("", axis.name, "no run contains this axis; the machine file's values are kept. Record it"))
             continue
-        if any(r.fact(axis.name, SIGNAL).profile for r in recorded):
+        if any(axis.name in r.profiles for r in recorded):
             out.append(Finding("", axis.name, PROFILE))
         for signal, cost in _signals_of(axis).items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):

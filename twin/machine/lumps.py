@@ -26,7 +26,7 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.excitation import one_speed
 from twin.recordings.force_sign import low_passed, recorded_sign
 from twin.recordings.least_squares import solved
-from twin.recordings.profile_speed import PROFILE, SIGNAL
+from twin.recordings.profile_speed import PROFILE
 
 BAND_HZ = 40.0
 LONGEST_DELAY_CYCLES = 8
@@ -172,7 +172,7 @@ def lumps_of(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     if not parts:
         raise InputError(f"axis {axis}: it moves in no run of {LEAST_SAMPLES} samples or more; record a longer move")
     notes: list[str] = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
-    notes += [PROFILE] if any(run.fact(axis, SIGNAL).profile for run in runs) else []
+    notes += [PROFILE] if any(axis in run.profiles for run in runs) else []
     feedforward_flag = next((run.feedforward for run in runs if run.feedforward), None)
     mechanics = _mechanics(parts, kind, effort, notes) if effort else None
     if any(run.fact(axis, "setpoint").made_from in ("position", "motor_position", "velocity") for run in runs):

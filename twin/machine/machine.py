@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 import functools
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from twin.control.number import si_from_key
 from twin.documents import named_file, read_toml
@@ -24,7 +24,8 @@ from twin.machine.model_file import check_mjcf, copy_model, state_of_model
 from twin.machine.parameters import file_from_typed, key_of
 
 DEFAULT_MACHINE = "mikron_ucp710.toml"
-FEEDFORWARD = ("off", "velocity", "velocity+torque")
+Feedforward = Literal["off", "velocity", "velocity+torque"]
+FEEDFORWARD: tuple[str, ...] = get_args(Feedforward)
 
 
 @dataclass(frozen=True)

@@ -30,44 +30,50 @@ Program block events are in `events.parquet` beside the traces: time [s] in the 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import dataclasses
+from dataclasses import dataclass, replace
 import os
 from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import field
 
 from twin.documents import named_file, read_toml, reading
 from twin.errors import InputError
 from twin.limits import refuse_above, refuse_bytes
-from twin.machine.machine import FEEDFORWARD, Machine
+from twin.machine.machine import Feedforward, Machine
 from twin.recordings.ballbar import Ballbar, ballbar_of
 from twin.recordings.parquet_file import read_parquet, text_bytes
 from twin.recordings.profile_speed import SIGNAL, answers_position
 from twin.recordings.table_file import table_bytes
 from twin.recordings.trace import Trace, read_trace
-from twin.tables import is_number, known_keys, listed, positive
+from twin.tables import Number, Positive, Table, asks, typed
 
-_RUN_KEYS = ("file", "feedforward", "started_at_s", "channel", "labels", "ballbar")
-_CHANNEL_NUMBERS = ("latency_s", "latency_deviation_s", "taken_back_s", "offset_m", "offset_rad")
-_CHANNEL_FLAGS = ("offset_taken_out", "against", "unsigned")
 EVENTS = "events.parquet"
-MADE_FROM = ("following_error", "position", "motor_position", "velocity")
 MOST_RUNS = 20_000
 """Runs of one campaign."""
 
 
-@dataclass(frozen=True)
-class ChannelFact:
+class ChannelFact(Table, frozen=True, omit_defaults=True):
     """Findings of the import about one channel of a run; see the head of this module."""
 
-    latency: float = 0.0
-    latency_deviation: float = 0.0
-    taken_back: float = 0.0
-    offset: float = 0.0
+    axis: Annotated[str, asks("name the axis in quotes")]
+    signal: Annotated[str, asks("name the signal in quotes")]
+    latency: Number = field(default=0.0, name="latency_s")
+    latency_deviation: Number = field(default=0.0, name="latency_deviation_s")
+    taken_back: Number = field(default=0.0, name="taken_back_s")
+    offset_m: Number = 0.0
+    offset_rad: Number = 0.0
     offset_taken_out: bool = False
-    sign: int = 1
+    sign: Literal[1, -1] = 1
     against: bool = False
     unsigned: bool = False
-    profile: bool = False  # a speed set point that does not answer the position; it is not in the trace
-    made_from: str = ""
+    made_from: Literal["", "following_error", "position", "motor_position", "velocity"] = ""
+
+    @property
+    def offset(self) -> float:
+        """Constant difference to the motor encoder [m or rad]."""
+        return self.offset_m or self.offset_rad
 
     @property
     def latency_left(self) -> float:
@@ -78,6 +84,27 @@ class ChannelFact:
     def offset_left(self) -> float:
         """Offset [m or rad] that remains in the trace."""
         return 0.0 if self.offset_taken_out else self.offset
+
+
+class _Ballbar(Table, frozen=True):
+    axes: Annotated[tuple[str, str], asks("name two axes of the trace")]
+    noise_m: Positive
+
+
+class _Run(Table, frozen=True):
+    file: Annotated[str, asks("name the trace of this run")]
+    feedforward: Feedforward | None = None
+    started_at_s: Annotated[Number, asks("give a number of seconds")] = 0.0
+    channel: tuple[ChannelFact, ...] = ()
+    labels: Annotated[dict[str, Number], asks("give a table of numbers: [run.labels] and load = 20.0 below it")] = field(
+        default_factory=dict
+    )
+    ballbar: _Ballbar | None = None
+
+
+class _Document(Table, frozen=True):
+    run: Annotated[tuple[_Run, ...], asks('list at least one, e.g. [[run]] file = "circle.parquet"', min_length=1)]
+    machine: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,21 +126,23 @@ class MeasuredRun:
     events     program blocks in order of time
     own_zeros  axes whose encoders have no common zero, such as those with an offset taken out; comparisons remove the mean of their difference
     ballbar    the instrument that measured the positions instead of scales
+    profiles   axes whose recorded speed set point does not answer the position; it is not in the trace
     """
 
     name: str
     trace: Trace
     feedforward: str | None
     started_at: float
-    facts: Mapping[tuple[str, str], ChannelFact] = field(default_factory=dict)
-    labels: Mapping[str, float] = field(default_factory=dict)
+    facts: Mapping[tuple[str, str], ChannelFact] = dataclasses.field(default_factory=dict)
+    labels: Mapping[str, float] = dataclasses.field(default_factory=dict)
     events: tuple[BlockEvent, ...] = ()
     own_zeros: frozenset[str] = frozenset()
     ballbar: Ballbar | None = None
+    profiles: frozenset[str] = frozenset()
 
     def fact(self, axis: str, signal: str) -> ChannelFact:
         """Findings about a channel; defaults if there are none."""
-        return self.facts.get((axis, signal), ChannelFact())
+        return self.facts.get((axis, signal), ChannelFact(axis=axis, signal=signal))
 
     def block_at(self, time: float) -> BlockEvent | None:
         """The program block that was active at a time [s] of the trace; None if none is recorded."""
@@ -138,13 +167,9 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
     file = path / "campaign.toml"
     if not file.is_file():
         raise InputError(f'{file}: no such file; list the runs there, e.g. [[run]] file = "circle.parquet"')
-    document = read_toml(file)
-    known_keys(document, ("machine", "run"), str(file))
-    tables = document.get("run", [])
-    if not isinstance(tables, list) or not tables:
-        raise InputError(f'{file}: no [[run]]; list at least one, e.g. [[run]] file = "circle.parquet"')
-    refuse_above(len(tables), MOST_RUNS, "runs", str(file), "split the campaign")
-    files = [_file_of(path, table, f"{file}: run {i + 1}") for i, table in enumerate(tables)]
+    document = typed(read_toml(file), _Document, str(file))
+    refuse_above(len(document.run), MOST_RUNS, "runs", str(file), "split the campaign")
+    files = [named_file(run.file, path, f"{file}: run {i + 1}: file") for i, run in enumerate(document.run)]
     named, taken = set[str](), 0.0
     for one in files:
         if one.stem in named:
@@ -153,8 +178,8 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
         taken += table_bytes(one)
         refuse_bytes(taken, str(file), "split the campaign, or record at a lower rate")
     events = _read_events(path)
-    runs = [_read_run(one, table, f"{file}: run {i + 1}", machine, events) for i, (one, table) in enumerate(zip(files, tables))]
-    return Campaign(path, str(document.get("machine", "")), _without_profiles(runs))
+    runs = [_read_run(one, run, f"{file}: run {i + 1}", machine, events) for i, (one, run) in enumerate(zip(files, document.run))]
+    return Campaign(path, document.machine, _without_profiles(runs))
 
 
 def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
@@ -165,8 +190,7 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     for run in runs:
         here = [key for key in gone if run.trace.has(*key)]
         kept = {key: values for key, values in run.trace.signals.items() if key not in here}
-        facts = {key: replace(run.fact(*key), profile=True) for key in here}
-        out.append(replace(run, trace=replace(run.trace, signals=kept), facts={**run.facts, **facts}) if here else run)
+        out.append(replace(run, trace=replace(run.trace, signals=kept), profiles=frozenset(axis for axis, _ in here)) if here else run)
     return tuple(out)
 
 
@@ -187,75 +211,27 @@ def _read_events(folder: Path) -> dict[str, list[BlockEvent]]:
     return out
 
 
-def _facts(tables: object, where: str) -> dict[tuple[str, str], ChannelFact]:
-    """[[run.channel]]."""
-    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-        raise InputError(f"{where}: channel is a list of tables; write [[run.channel]]")
-    out = {}
-    for table in tables:
-        known_keys(table, ("axis", "signal", "sign", "made_from", *_CHANNEL_NUMBERS, *_CHANNEL_FLAGS), f"{where}: channel")
-        for key in ("axis", "signal"):
-            if not isinstance(table.get(key), str):
-                raise InputError(f"{where}: channel: '{key}' is missing; name the {key} in quotes")
-        for key in _CHANNEL_NUMBERS:
-            if not is_number(table.get(key, 0.0)):
-                raise InputError(f"{where}: channel: {key} = {table[key]!r}: expected a number")
-        for key in _CHANNEL_FLAGS:
-            if not isinstance(table.get(key, False), bool):
-                raise InputError(f"{where}: channel: {key} = {table[key]!r}; use true or false")
-        if table.get("made_from", "") not in ("", *MADE_FROM):
-            raise InputError(f"{where}: channel: made_from = {table['made_from']!r}; use one of {', '.join(MADE_FROM)}")
-        if table.get("sign", 1) not in (1, -1):
-            raise InputError(f"{where}: channel: sign = {table['sign']!r}; use 1 or -1")
-        latency, deviation, back, metres, radians = (float(table.get(key, 0.0)) for key in _CHANNEL_NUMBERS)
-        flags = {key: table.get(key, False) for key in _CHANNEL_FLAGS}
-        out[table["axis"], table["signal"]] = ChannelFact(
-            latency, deviation, back, metres or radians, sign=table.get("sign", 1), made_from=table.get("made_from", ""), **flags
-        )
-    return out
-
-
-def _labels(table: object, where: str) -> dict[str, float]:
-    """[run.labels]."""
-    if not isinstance(table, dict) or not all(is_number(value) for value in table.values()):
-        raise InputError(f"{where}: labels is a table of numbers; write [run.labels] and load = 20.0 below it")
-    return {name: float(value) for name, value in table.items()}
-
-
-def _file_of(folder: Path, table: object, where: str) -> Path:
-    """The trace that [[run]] names."""
-    if not isinstance(table, dict):
-        raise InputError(f'{where}: {table!r} is not a run; write each as [[run]] with file = "circle.parquet"')
-    known_keys(table, _RUN_KEYS, where)
-    if not isinstance(table.get("file"), str):
-        raise InputError(f"{where}: 'file' is missing; name the trace of this run")
-    return named_file(table["file"], folder, f"{where}: file")
-
-
-def _read_run(file: Path, table: dict, where: str, machine: Machine | None, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
-    feedforward = table.get("feedforward")
-    if feedforward is not None and feedforward not in FEEDFORWARD:
-        raise InputError(f"{where}: feedforward '{feedforward}'; use one of {', '.join(FEEDFORWARD)}")
-    started_at = table.get("started_at_s", 0.0)
-    if not is_number(started_at):
-        raise InputError(f"{where}: started_at_s = {started_at!r}: expected a number of seconds")
+def _read_run(file: Path, run: _Run, where: str, machine: Machine | None, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
     trace = read_trace(file, axes=machine.kinds if machine else None, need=("setpoint",))
-    name = Path(table["file"]).stem
-    facts, labels = _facts(table.get("channel", []), where), _labels(table.get("labels", {}), where)
-    ballbar = _ballbar(table["ballbar"], trace, f"{where}: ballbar") if "ballbar" in table else None
-    centred = frozenset(axis for (axis, signal), fact in facts.items() if signal == "position" and fact.offset_taken_out)
-    return MeasuredRun(name, trace, feedforward, float(started_at), facts, labels, tuple(events.get(name, ())), centred, ballbar)
+    name = Path(run.file).stem
+    return MeasuredRun(
+        name,
+        trace,
+        run.feedforward,
+        run.started_at_s,
+        facts={(fact.axis, fact.signal): fact for fact in run.channel},
+        labels=run.labels,
+        events=tuple(events.get(name, ())),
+        own_zeros=frozenset(fact.axis for fact in run.channel if fact.signal == "position" and fact.offset_taken_out),
+        ballbar=_ballbar(run.ballbar, trace, f"{where}: [ballbar]") if run.ballbar else None,
+    )
 
 
-def _ballbar(table: object, trace: Trace, where: str) -> Ballbar:
+def _ballbar(table: _Ballbar, trace: Trace, where: str) -> Ballbar:
     """[run.ballbar]."""
-    if not isinstance(table, dict):
-        raise InputError(f'{where}: {table!r} is not a table; write [run.ballbar] and axes = ["X", "Y"] below it')
-    known_keys(table, ("axes", "noise_m"), where)
-    axes = listed(table, "axes", where)
-    if len(axes) != 2 or axes[0] == axes[1] or any(axis not in trace.axes for axis in axes):
-        raise InputError(f"{where}: axes = {axes!r}; name two axes of the trace ({', '.join(trace.axes)})")
-    ballbar = ballbar_of(trace, axes, positive(table, "noise_m", where))
+    if table.axes[0] == table.axes[1] or any(axis not in trace.axes for axis in table.axes):
+        raise InputError(f"{where}: axes = {list(table.axes)}; name two axes of the trace ({', '.join(trace.axes)})")
+    ballbar = ballbar_of(trace, table.axes, table.noise_m)
     if not ballbar.measured.any():
-        raise InputError(f"{where}: the set points of {' and '.join(axes)} form no circle with 90 degrees of overlap at each end")
+        raise InputError(f"{where}: the set points of {' and '.join(table.axes)} form no circle with 90 degrees of overlap at each end")
     return ballbar

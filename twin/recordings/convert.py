@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from twin.errors import InputError
+from twin.machine.machine import Machine
 from twin.recordings.grid import Source
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
 from twin.recordings.signals import Signal
@@ -25,7 +26,7 @@ _MOTION = {"length": "position", "angle": "position", "speed": "velocity", "angu
 
 @dataclass(frozen=True)
 class Conversion:
-    """value [SI] = factor * recorded + offset, after the sign bit of whole numbers. `unit`: assumed unit of the number. `kind` of the axis, if the unit implies one."""
+    """value [SI] = factor * recorded + offset, after the sign bit of whole numbers. `unit`: assumed unit of the number. `kind` of the axis, if it is known."""
 
     factor: float
     offset: float
@@ -54,13 +55,14 @@ class Channel:
         return self.column.key
 
 
-def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
+def conversion_of(column: ColumnMap, signal: Signal, machine: Machine | None, where: str) -> Conversion:
     """Conversion of a recorded column to the mapped signal. Raises InputError if unit and signal do not match."""
+    per_turn, own_kind = column.drive(machine)
     where = f"{where}: column '{column.name}'"
     unit = column.unit or signal.unit
     if not unit:
         raise InputError(f'{where}: the file gives no unit; give it in the map, e.g. unit = "{_example(column.signal)}"')
-    if column.unit and signal.unit and column.unit != signal.unit and not column.scaled:
+    if column.unit and signal.unit and column.unit != signal.unit and column.scale is None:
         remedy = (
             "give scale = 1.0 to overrule the file"
             if dimension_recorded(column.unit) == dimension_recorded(signal.unit)
@@ -80,33 +82,33 @@ def conversion_of(column: ColumnMap, signal: Signal, where: str) -> Conversion:
     wanted = _wanted(column.signal)
     kind = _KIND.get(quantity)
     if quantity in ("turns", "turning speed"):
-        if column.per_turn is None:
+        if per_turn is None:
             raise InputError(
                 f"{where}: [{unit}] is a unit of the motor; give mm_per_rev or deg_per_rev in the map (a direct drive has none)"
             )
-        factor *= column.per_turn / (2.0 * math.pi)
-        quantity, kind = ("position" if quantity == "turns" else "velocity"), column.kind
+        factor *= per_turn / (2.0 * math.pi)
+        quantity, kind = ("position" if quantity == "turns" else "velocity"), own_kind
     elif quantity in _KIND:
         quantity = _MOTION.get(quantity, "acceleration")
     if quantity == "force" and wanted == "torque":
-        if column.per_turn is None and column.kind is None:
+        if per_turn is None and own_kind is None:
             raise InputError(f"{where}: converting a force to motor torque needs the travel per revolution; give mm_per_rev in the map")
-        factor *= column.per_turn / (2.0 * math.pi) if column.per_turn else 1.0  # a direct drive uses N in place of Nm
+        factor *= per_turn / (2.0 * math.pi) if per_turn else 1.0  # a direct drive uses N in place of Nm
         quantity = "torque"
     if quantity != wanted:
         raise InputError(
             f"{where}: [{unit}] is not a unit of a {column.signal}; use [{_example(column.signal)}] or the like, with scale if needed"
         )
-    if kind and column.kind and kind != column.kind:
-        raise InputError(f"{where}: axis {column.axis} is {column.kind}, but [{unit}] is a unit of a {kind} axis; correct unit or axis")
-    return Conversion(column.factor * factor, column.offset * factor, unit, kind, column.sign_bit)
+    if kind and own_kind and kind != own_kind:
+        raise InputError(f"{where}: axis {column.axis} is {own_kind}, but [{unit}] is a unit of a {kind} axis; correct unit or axis")
+    return Conversion(column.factor * factor, column.offset * factor, unit, kind or own_kind, column.sign_bit)
 
 
 def kinds_of(columns: Sequence[ColumnMap], conversions: Sequence[Conversion], where: str) -> dict[str, str]:
     """Linear or rotary by axis, from the units of its positions and speeds."""
     kinds: dict[str, str] = {}
     for column, conversion in zip(columns, conversions):
-        kind = conversion.kind or column.kind
+        kind = conversion.kind
         if kind and kinds.setdefault(column.axis, kind) != kind:
             raise InputError(
                 f"{where}: column '{column.name}': [{conversion.unit}] makes axis {column.axis} {kind}, another column makes it {kinds[column.axis]}; correct one unit"

@@ -70,7 +70,7 @@ def radians(channels: Sequence[Channel]) -> list[str]:
     """Notes on positions that were mapped as lengths, but have the steps of an encoder in radians."""
     notes = []
     for channel in channels:
-        if channel.key[1] in POSITIONS and channel.conversion.kind == "linear" and not channel.column.scaled:
+        if channel.key[1] in POSITIONS and channel.conversion.kind == "linear" and channel.column.scale is None:
             turn = steps_of_a_turn(np.asarray(channel.source.signal.values[0:BLOCK], float), 2.0 * np.pi)
             if turn is not None:
                 notes.append(
@@ -81,7 +81,7 @@ def radians(channels: Sequence[Channel]) -> list[str]:
 
 def left_columns(mapping: Map, recordings: Sequence[Recording]) -> list[str]:
     """A note on the columns of the files that the map leaves out."""
-    used = {*(c.name for c in mapping.columns), *mapping.labels}
+    used = {*(c.name for c in mapping.columns), *mapping.settings.labels}
     left = [name for r in recordings for name in r.signals if name not in used and name.rpartition("/")[2] not in used]
     shown = ", ".join(left[:6]) + (f" and {len(left) - 6} more" if len(left) > 6 else "")
     return [f"not in the map: {shown}"] if left else []

@@ -64,7 +64,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
 
 
 def _read(mapping: Map, paths: Sequence[Path], scratch: Path) -> list[Recording]:
-    wanted = frozenset([*(c.name for c in mapping.columns), *mapping.labels])
+    wanted = frozenset([*(c.name for c in mapping.columns), *mapping.settings.labels])
     return [read_recording(path, ReadOptions(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
 
 

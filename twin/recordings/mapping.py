@@ -49,66 +49,97 @@ to_s = 20.0
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from pathlib import Path
 import re
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from msgspec import field
+from msgspec.structs import replace
 
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
-from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path, load_machine
+from twin.machine.machine import Feedforward, Machine, default_machine_path, load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
 from twin.recordings.trace import BY_UNIT, SIGNALS, UNIT_SIGNALS
-from twin.tables import is_number, known_keys
+from twin.tables import Number, Positive, Table, Text, asks, typed
 from twin.units import RECORDED_UNITS
 
 FOLLOWING_ERROR = "following_error"
 MAPPED = (*(s for s in SIGNALS if s not in UNIT_SIGNALS), FOLLOWING_ERROR, *BY_UNIT)
-_TOP = ("machine", "feedforward", "period_ms", "gaps", "skew", "offsets", "labels", "units", "time", "csv", "column", "run")
-_TIME = ("column", "unit", "interval_ms")
-_COLUMN = ("name", "axis", "signal", "unit", "scale", "sign", "offset", "skew_ms", "mm_per_rev", "deg_per_rev", "sign_bit", "optional")
-_RUN = ("file", "files", "name", "feedforward", "started_at_s", "from_s", "to_s")
-_CHOICES = {
-    "gaps": ("split", "fill", "refuse"),
-    "skew": ("report", "correct", "encoders"),
-    "offsets": ("report", "correct"),
-    "units": ("refuse", "report"),
-}
 
 
-@dataclass(frozen=True)
-class ColumnMap:
-    """One column: value [unit] = factor * recorded + offset. `scaled`: the map gives the factor."""
+class _Time(Table, frozen=True):
+    column: Text | None = None
+    unit: Text | None = None
+    interval_ms: Positive | None = None
 
-    name: str
-    axis: str
-    signal: str
-    unit: str
-    factor: float
-    offset: float
-    scaled: bool
-    skew_s: float
-    per_turn: float | None  # m or rad per motor revolution
-    kind: str | None
-    optional: bool
-    sign_bit: int | None = None
+
+class ColumnMap(Table, frozen=True):
+    """One column: value [unit] = sign * scale * recorded + offset."""
+
+    name: Text
+    axis: Annotated[str, asks("give a name without spaces, dots and brackets, like X", pattern=r"^[^\s.\[\]]+$")]
+    signal: Literal[MAPPED]  # type: ignore[valid-type]
+    unit: Text | None = None
+    scale: Number | None = None
+    sign: Literal[1, -1] = 1
+    offset: Number = 0.0
+    skew_ms: Number = 0.0
+    mm_per_rev: Positive | None = None
+    deg_per_rev: Positive | None = None
+    sign_bit: Annotated[int, asks("give the number of the bit, 15 for a word of 16 bits", gt=0, lt=64)] | None = None
+    optional: bool = False
 
     @property
     def key(self) -> tuple[str, str]:
         return self.axis, self.signal
 
+    @property
+    def factor(self) -> float:
+        """Sign and scale."""
+        return self.sign * (1.0 if self.scale is None else self.scale)
 
-@dataclass(frozen=True)
-class RunMap:
+    def drive(self, machine: Machine | None) -> tuple[float | None, str | None]:
+        """Travel of a motor turn [m or rad] and kind of its axis, from the column or the machine; None if unknown."""
+        if self.mm_per_rev:
+            return self.mm_per_rev * 1e-3, "linear"
+        if self.deg_per_rev:
+            return math.radians(self.deg_per_rev), "rotary"
+        if machine is None:
+            return None, None
+        axis = machine.axis(self.axis)
+        return None if axis.drive == "direct" else axis.ratio * 2.0 * math.pi, axis.kind  # a direct drive has no revolutions
+
+
+class RunMap(Table, frozen=True):
     """One run: its files by name, and its settings."""
 
-    name: str
-    files: tuple[str, ...]
-    feedforward: str | None
-    started_at_s: float | None
-    from_s: float
-    to_s: float
+    file: str | None = None
+    files: tuple[str, ...] = ()
+    name: Text = ""
+    feedforward: Feedforward | None = None
+    started_at_s: Number | None = None
+    from_s: Number = -math.inf
+    to_s: Number = math.inf
+
+
+class Settings(Table, frozen=True):
+    """The whole map as it stands in the file."""
+
+    machine: Text = ""
+    feedforward: Feedforward | None = None
+    period_ms: Positive | None = None
+    gaps: Literal["split", "fill", "refuse"] = "split"
+    skew: Literal["report", "correct", "encoders"] = "report"
+    offsets: Literal["report", "correct"] = "report"
+    labels: Annotated[tuple[Text, ...], asks('give the names of columns, like ["load"]')] = ()
+    units: Literal["refuse", "report"] = "refuse"
+    time: _Time = _Time()
+    csv: dict[str, Any] = field(default_factory=dict)  # its keys are checked with the file
+    column: tuple[ColumnMap, ...] = ()
+    run: tuple[RunMap, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -118,17 +149,16 @@ class Map:
     path: Path
     machine: Machine | None
     machine_name: str
-    feedforward: str | None
-    period_s: float | None
-    gaps: str
-    skew: str
-    offsets: str
-    labels: tuple[str, ...]
-    units: str
-    clock: Clock
-    dialect: Mapping[str, Any]
+    settings: Settings
     columns: tuple[ColumnMap, ...]
     runs: tuple[RunMap, ...]
+    clock: Clock
+    dialect: Mapping[str, Any]
+
+    @property
+    def period_s(self) -> float | None:
+        """Period of the traces; None: that of the set points."""
+        return None if self.settings.period_ms is None else self.settings.period_ms * 1e-3
 
     @property
     def partial(self) -> bool:
@@ -148,34 +178,22 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: no such map; 'twin import FILES --out CAMPAIGN' without --map writes one to start from")
-    document = read_toml(path)
-    where = str(path)
-    known_keys(document, _TOP, where)
-    for key, choices in _CHOICES.items():
-        if document.get(key) == "say":  # the word of older maps
-            document[key] = "report"
-        if document.get(key, choices[0]) not in choices:
-            raise InputError(f"{where}: {key} = {document[key]!r}; use one of {', '.join(choices)}")
-    time = _table(document, "time", where)
-    known_keys(time, _TIME, f"{where}: [time]")
-    if "column" in time and "interval_ms" in time:
+    raw, where = read_toml(path), str(path)
+    # older maps have the word "say"
+    settings = typed({key: "report" if value == "say" else value for key, value in raw.items()}, Settings, where)
+    time = settings.time
+    if time.column and time.interval_ms:
         raise InputError(f"{where}: [time] gives a column and an interval_ms; give one of them")
-    interval = _number(time, "interval_ms", None, f"{where}: [time]", above_zero=True)
-    period = _number(document, "period_ms", None, where, above_zero=True)
-    machine, name = _machine(document, path, machine_path)
-    columns = tuple(_column(table, f"{where}: column {i + 1}", machine) for i, table in enumerate(_tables(document, "column", where)))
+    machine, name = _machine(settings.machine, path, machine_path)
+    columns = tuple(_column(column, f"{where}: column {i + 1} ('{column.name}')", machine) for i, column in enumerate(settings.column))
     keys = [c.key for c in columns]
     if twice := next((c.key for c in columns if keys.count(c.key) > 1 and not c.optional), None):
         raise InputError(
             f"{where}: two columns are {'.'.join(twice)}; leave one out, or give both optional = true if files name it differently"
         )
-    return Map(
-        path, machine, name, _feedforward(document, where), None if period is None else period * 1e-3,
-        document.get("gaps", "split"), document.get("skew", "report"), document.get("offsets", "report"), _labels(document, where), document.get("units", "refuse"),
-        Clock(_text(time, "column", f"{where}: [time]"), _text(time, "unit", f"{where}: [time]"), None if interval is None else interval * 1e-3),
-        _table(document, "csv", where), columns,
-        tuple(_run(table, f"{where}: run {i + 1}") for i, table in enumerate(_tables(document, "run", where))),
-    )  # fmt: skip
+    runs = tuple(_run(run, f"{where}: run {i + 1}") for i, run in enumerate(settings.run))
+    clock = Clock(time.column, time.unit, None if time.interval_ms is None else time.interval_ms * 1e-3)
+    return Map(path, machine, name, settings, columns, runs, clock, settings.csv)
 
 
 def runs_of(mapping: Map, files: Sequence[Path]) -> list[tuple[RunMap, tuple[Path, ...]]]:
@@ -185,13 +203,13 @@ def runs_of(mapping: Map, files: Sequence[Path]) -> list[tuple[RunMap, tuple[Pat
         if file.name in by_name:
             raise InputError(f"{file}: two files are named {file.name}; rename one")
         by_name[file.name] = file
-    runs = mapping.runs or [RunMap(run_name(f.stem), (f.name,), None, None, -math.inf, math.inf) for f in files]
+    runs = mapping.runs or [RunMap(name=run_name(f.stem), files=(f.name,)) for f in files]
     out = []
     for i, run in enumerate(runs):
         for name in run.files:
             if name not in by_name:
                 raise InputError(f"{mapping.path}: run {i + 1}: file '{name}' is not among the FILES; {nearest(name, by_name)}")
-        out.append((replace(run, feedforward=run.feedforward or mapping.feedforward), tuple(by_name[n] for n in run.files)))
+        out.append((replace(run, feedforward=run.feedforward or mapping.settings.feedforward), tuple(by_name[n] for n in run.files)))
     names = [run.name for run, _ in out]
     if (twice := next((n for n in names if names.count(n) > 1), None)) is not None:
         of = " and ".join(f"'{', '.join(run.files)}'" for run, _ in out if run.name == twice)
@@ -207,119 +225,41 @@ def run_name(stem: str) -> str:
     return re.sub(r"[^\w\-]+", "_", stem).strip("_") or "run"
 
 
-def _machine(document: Mapping[str, Any], path: Path, machine_file: str | None) -> tuple[Machine | None, str]:
+def _machine(given: str, path: Path, machine_file: str | None) -> tuple[Machine | None, str]:
     """The machine file of --machine or the map; if the map gives only a name, the name."""
-    given = _text(document, "machine", str(path))
     if machine_file:
         return load_machine(machine_file), Path(machine_file).stem
-    if given is None:
-        return None, ""
     if given.endswith(".toml"):
         return load_machine(path.parent / given), Path(given).stem
-    return (load_machine(), given) if given == default_machine_path().stem else (None, given)
+    return load_machine() if given == default_machine_path().stem else None, given
 
 
-def _column(table: Mapping[str, Any], where: str, machine: Machine | None) -> ColumnMap:
-    known_keys(table, _COLUMN, where)
-    name, axis, signal = (_text(table, key, where, needed=True) or "" for key in ("name", "axis", "signal"))
-    where = f"{where} ('{name}')"
-    if signal not in MAPPED:
-        raise InputError(f"{where}: unknown signal '{signal}'; {nearest(signal, MAPPED)}")
-    if not re.fullmatch(r"[^\s.\[\]]+", axis):
-        raise InputError(f"{where}: axis = '{axis}': a name without spaces, dots and brackets, like X")
-    if machine is not None and axis not in machine.axis_names:
-        raise InputError(f"{where}: machine {machine.name} has no axis {axis}; {nearest(axis, machine.axis_names)}")
-    unit = ""
-    if (text := _text(table, "unit", where)) is not None:
-        unit = known_unit(text)
-        if not unit:
-            raise InputError(f"{where}: unknown unit [{text}]; {nearest(text, RECORDED_UNITS)}")
-    sign = table.get("sign", 1)
-    if isinstance(sign, bool) or sign not in (1, -1):
-        raise InputError(f"{where}: sign = {sign!r}; use 1 or -1")
-    scale = _number(table, "scale", 1.0, where)
-    if scale == 0.0:
+def _column(column: ColumnMap, where: str, machine: Machine | None) -> ColumnMap:
+    """The column with its unit in the twin's spelling, checked against the machine."""
+    if machine is not None and column.axis not in machine.axis_names:
+        raise InputError(f"{where}: machine {machine.name} has no axis {column.axis}; {nearest(column.axis, machine.axis_names)}")
+    unit = known_unit(column.unit) if column.unit else None
+    if column.unit and not unit:
+        raise InputError(f"{where}: unknown unit [{column.unit}]; {nearest(column.unit, RECORDED_UNITS)}")
+    if column.scale == 0.0:
         raise InputError(f"{where}: scale = 0 makes a signal of zeros; correct it")
-    per_turn, kind = None, machine.axis(axis).kind if machine else None
-    for key, implied, factor in (("mm_per_rev", "linear", 1e-3), ("deg_per_rev", "rotary", math.pi / 180.0)):
-        if key in table:
-            if per_turn is not None or (kind or implied) != implied:
-                raise InputError(f"{where}: {key} does not go with a {kind} axis; use {'deg' if implied == 'linear' else 'mm'}_per_rev")
-            per_turn, kind = (_number(table, key, None, where, above_zero=True) or 0.0) * factor, implied
-    if per_turn is None and machine is not None and machine.axis(axis).drive != "direct":
-        per_turn = machine.axis(axis).ratio * 2.0 * math.pi  # a direct drive has no revolutions
-    bit = table.get("sign_bit")
-    if bit is not None and (isinstance(bit, bool) or not isinstance(bit, int) or not 0 < bit < 64):
-        raise InputError(f"{where}: sign_bit = {bit!r}; give the number of the bit, 15 for a word of 16 bits")
-    optional = table.get("optional", False)
-    if not isinstance(optional, bool):
-        raise InputError(f"{where}: optional = {optional!r}; use true or false")
-    return ColumnMap(
-        split_heading(name)[0], axis, signal, unit, float(sign) * float(scale or 1.0), _number(table, "offset", 0.0, where) or 0.0, "scale" in table,
-        (_number(table, "skew_ms", 0.0, where) or 0.0) * 1e-3, per_turn, kind, optional, bit,
-    )  # fmt: skip
+    kind = column.drive(machine)[1]
+    if (column.mm_per_rev and column.deg_per_rev) or (machine is not None and kind != machine.axis(column.axis).kind):
+        raise InputError(f"{where}: give mm_per_rev for a linear axis, deg_per_rev for a rotary one, not the other")
+    return replace(column, name=split_heading(column.name.strip())[0], unit=unit)
 
 
-def _run(table: Mapping[str, Any], where: str) -> RunMap:
-    known_keys(table, _RUN, where)
-    files = table.get("files", [table["file"]] if "file" in table else [])
-    if not isinstance(files, list) or not files or not all(isinstance(f, str) for f in files):
+def _run(run: RunMap, where: str) -> RunMap:
+    """The run with names of its files and of its own."""
+    files = run.files or ((run.file,) if run.file else ())
+    if not files:
         raise InputError(f"{where}: 'file' is missing; name one of the FILES (or files = [...] that were recorded together)")
     names = tuple(Path(f).name for f in files)
-    name = _text(table, "name", where) or run_name(Path(names[0]).stem)
+    name = run.name or run_name(Path(names[0]).stem)
     if run_name(name) != name:
         raise InputError(
             f"{where}: name = '{name}' cannot be a file name; use letters, digits, dash and underscore, like '{run_name(name)}'"
         )
-    begin, end = _number(table, "from_s", -math.inf, where), _number(table, "to_s", math.inf, where)
-    assert begin is not None
-    assert end is not None
-    if not begin < end:
-        raise InputError(f"{where}: from_s = {begin:g} is not before to_s = {end:g}; correct them")
-    return RunMap(name, names, _feedforward(table, where), _number(table, "started_at_s", None, where), begin, end)
-
-
-def _table(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
-    table = document.get(key, {})
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where}: {key} is a table; write [{key}]")
-    return table
-
-
-def _tables(document: Mapping[str, Any], key: str, where: str) -> list[Any]:
-    tables = document.get(key, [])
-    if not isinstance(tables, list) or not all(isinstance(t, Mapping) for t in tables):
-        raise InputError(f"{where}: {key} is a list of tables; write [[{key}]]")
-    return tables
-
-
-def _text(table: Mapping[str, Any], key: str, where: str, needed: bool = False) -> str | None:
-    value = table.get(key)
-    if value is None and needed:
-        raise InputError(f"{where}: '{key}' is missing; give it as text")
-    if value is not None and (not isinstance(value, str) or not value.strip()):
-        raise InputError(f"{where}: {key} = {value!r}; give it as text")
-    return value.strip() if value is not None else None
-
-
-def _number(table: Mapping[str, Any], key: str, default: float | None, where: str, above_zero: bool = False) -> float | None:
-    value = table.get(key, default)
-    if value is None or (key not in table):
-        return value
-    if not is_number(value) or (above_zero and value <= 0.0):
-        raise InputError(f"{where}: {key} = {value!r}; give a {'number above 0' if above_zero else 'number'}")
-    return float(value)
-
-
-def _labels(document: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    value = document.get("labels", [])
-    if not isinstance(value, list) or not all(isinstance(one, str) and one.strip() for one in value):
-        raise InputError(f'{where}: labels = {value!r}; give the names of columns, like ["load"]')
-    return tuple(dict.fromkeys(value))
-
-
-def _feedforward(table: Mapping[str, Any], where: str) -> str | None:
-    value = _text(table, "feedforward", where)
-    if value is not None and value not in FEEDFORWARD:
-        raise InputError(f"{where}: feedforward = '{value}'; use one of {', '.join(FEEDFORWARD)}")
-    return value
+    if not run.from_s < run.to_s:
+        raise InputError(f"{where}: from_s = {run.from_s:g} is not before to_s = {run.to_s:g}; correct them")
+    return replace(run, name=name, files=names)

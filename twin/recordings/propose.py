@@ -210,7 +210,7 @@ def _timed(signal: Signal) -> bool:
 
 def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal) -> dict[str, Meaning]:
     """Column -> meaning, of the given map or of its name. Labels and columns of other use are entered into the proposal."""
-    stated = {c.name: Meaning(c.axis, c.signal, c.unit, -1) for c in given.columns} if given else {}
+    stated = {c.name: Meaning(c.axis, c.signal, c.unit or "", -1) for c in given.columns} if given else {}
     axes = {c.axis for c in given.columns} if given else set()
     only = next(iter(axes)) if len(axes) == 1 else "X"
     meanings: dict[str, Meaning] = {}

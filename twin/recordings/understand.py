@@ -91,7 +91,7 @@ class Understood:
 def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
     """Analyse a run before it is written. Raises InputError if the map does not fit or units are contradictory."""
     channels, kinds, notes = _channels(mapping, run, recordings)
-    fill = mapping.gaps == "fill"
+    fill = mapping.settings.gaps == "fill"
     if fill and (parts := next((r for r in recordings if r.restarts), None)) is not None:
         raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} starts again in each part; use gaps = "split"')
     made = _made(channels)
@@ -123,16 +123,16 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
         notes.append(f"the samples are {period:g} s apart: an index, or ms taken as s? give [time] unit or interval_ms in the map")
     notes += left_columns(mapping, recordings)
     notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
-    correct = _corrected(skews, mapping.skew, period)
+    correct = _corrected(skews, mapping.settings.skew, period)
     notes += skew_notes(skews, correct, period)
     if correct:
         channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
         pieces = grid.pieces(channels)
     known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), unsigned=unsigned)
-    offsets, centred = _offsets(known), mapping.offsets == "correct"
+    offsets, centred = _offsets(known), mapping.settings.offsets == "correct"
     notes += offset_notes(offsets, kinds, centred)
     events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
-    labels = _labels(mapping.labels, recordings, pieces)
+    labels = _labels(mapping.settings.labels, recordings, pieces)
     return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)
 
 
@@ -168,7 +168,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if signal.time is None:
             where = f"{recording.path}: column '{signal.name}'"
             raise InputError(f"{where}: has {len(signal.values)} samples, which differs from the time column; leave it out of the map")
-        conversion = conversion_of(column, signal, str(recording.path))
+        conversion = conversion_of(column, signal, mapping.machine, str(recording.path))
         if column.signal in BY_UNIT:
             column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
         found.append((column, recording, signal, conversion))
@@ -190,7 +190,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
             notes += [n for n in timing.notes if n not in notes]
-        source = Source(signal, timings[id(signal.time)], column.skew_s)
+        source = Source(signal, timings[id(signal.time)], column.skew_ms * 1e-3)
         channels.append(Channel(column, source, conversion, recording.path.name))
     return tuple(channels), kinds, notes
 
@@ -211,7 +211,7 @@ def _made(channels: Sequence[Channel]) -> dict[tuple[str, str], str]:
 def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], mapping: Map, run: RunMap) -> list[str]:
     """Implausible units: notes if the map permits them, else InputError."""
     doubts = doubts_of(window, period, kinds, mapping.machine)
-    if doubts and mapping.units == "refuse":
+    if doubts and mapping.settings.units == "refuse":
         more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
         raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "report" in the map imports it anyway')
     return [d.text for d in doubts]
@@ -327,9 +327,9 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
     if not gaps:
         return []
     shown = ", ".join(f"{(b - a) * 1e3:.4g} ms after {a:.6g} s" for a, b in sorted(gaps)[:3]) + (", ..." if len(gaps) > 3 else "")
-    if mapping.gaps == "refuse":
+    if mapping.settings.gaps == "refuse":
         raise InputError(f'{mapping.path}: run {run.name}: samples are missing ({shown}); gaps = "split" or "fill" in the map imports it')
-    done = "filled by a cubic" if mapping.gaps == "fill" else "the run is split there"
+    done = "filled by a cubic" if mapping.settings.gaps == "fill" else "the run is split there"
     return [f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in time ({shown}): {done}"]
 
 

@@ -128,7 +128,7 @@ def _facts(known: Understood, trace: Written) -> list[str]:
     lines = []
     skews = {(item.axis, item.signal): item for item in known.skews}
     taken = {c.key: c.source.skew_s for c in known.channels}
-    given = {c.key: c.column.skew_s for c in known.channels}  # by the map; the skews are those that are left beside it
+    given = {c.key: c.column.skew_ms * 1e-3 for c in known.channels}  # by the map; the skews are those that are left beside it
     factors = {c.key: c.column.factor for c in known.channels}
     for axis, signal in trace.units:
         channel_keys: list[str] = []

@@ -25,11 +25,11 @@ from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.files import beside, write_whole
 from twin.geometry.scurve import moves_in_turn
-from twin.machine.machine import FEEDFORWARD, Machine, default_machine_path
+from twin.machine.machine import Machine, default_machine_path
 from twin.recordings.campaign import Campaign, read_campaign
-from twin.regress.suite import Case
+from twin.regress.suite import Case, Recorded
 from twin.simulation.setpoints import Setpoints
-from twin.tables import is_number, known_keys
+from twin.tables import is_number, known_keys, typed
 from twin.units import factor_to_si
 
 PERIOD_S = 1e-3
@@ -37,7 +37,6 @@ ACCELERATION_SHARE = 0.8
 """Share of an axis' greatest acceleration that moves use."""
 LEAST_JERK = 50.0
 """Least jerk of moves over the axis' greatest acceleration [1/s], so that short moves still reach their acceleration."""
-_RECORDED_KEYS = ("seed", "effect", "axis", "feedforward")
 
 
 def setpoints_of_moves(case: Case, machine: Machine) -> Setpoints:
@@ -86,20 +85,12 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
     from twin.exam.plant.parameters import Richness
     from twin.exam.programme import TestRun
 
-    table = case.table["recorded"]
     where = f"{case.where}: [recorded]"
-    known_keys(table, _RECORDED_KEYS, where)
-    words = table.get("feedforward", ["off", "velocity+torque"])
-    if not isinstance(words, list) or not words or any(word not in FEEDFORWARD for word in words):
-        raise InputError(f"{where}: feedforward = {words!r}: give a list of {', '.join(FEEDFORWARD)}")
-    if not isinstance(table.get("seed"), int):
-        raise InputError(f"{where}: seed = {table.get('seed')!r}: give a whole number")
+    asked = typed(case.table["recorded"], Recorded, where)
     document = read_toml(default_machine_path())
-    effect, axis = table.get("effect"), table.get("axis")
     try:
-        drawn = draw_case(
-            table["seed"], "single" if effect else "healthy", document, effect=effect, axis=axis, richness=Richness.off(), run_set="exam"
-        )
+        kind = "single" if asked.effect else "healthy"
+        drawn = draw_case(asked.seed, kind, document, effect=asked.effect, axis=asked.axis, richness=Richness.off(), run_set="exam")
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
     # the second plant moves all five axes; only those of the case are recorded
@@ -108,7 +99,7 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
     for a, name in enumerate(machine.axis_names):
         points[:, AXES.index(name)] = wanted.position[:, a]
     lines, started_at = [f'machine = "{machine.name}"\n'], 0.0
-    for i, word in enumerate(words):
+    for i, word in enumerate(asked.feedforward):
         run = f"moves_{i + 1}_{word.replace('+', '_')}"
         columns = columns_of(record(drawn, document, TestRun(run, "test", word, points), started_at), SIGNALS["full"])
         seen = {key: values for key, values in columns.items() if key.startswith("time") or key.split(".")[0] in case.table["moves"]}

@@ -8,41 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import fnmatch
 import hashlib
 import json
 from pathlib import Path
 import re
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
-from twin.machine.machine import FEEDFORWARD
-from twin.tables import is_number, known_keys
-
-KINDS = ("run", "cut", "campaign", "identify", "diagnose", "study")
-COMMON_KEYS = ("kind", "name", "why", "machine", "tolerance")
-CHANGED = ("axes", "values", "effects")
-"""Keys that change the machine of a case: driven axes, numbers by path, effects."""
-OWN_KEYS: dict[str, tuple[str, ...]] = {
-    "run": (*CHANGED, "feedforward", "input", "moves", "compare", "keep_every_ms"),
-    "cut": (*CHANGED, "feedforward", "input", "part", "zone_um"),
-    "campaign": (*CHANGED, "campaign", "moves", "recorded"),
-    "identify": (*CHANGED, "campaign", "moves", "recorded"),
-    "diagnose": (*CHANGED, "campaign", "moves", "recorded", "seed"),
-    "study": ("spec",),
-}
-_TYPES: dict[str, tuple[type, str]] = {
-    "axes": (list, 'a list of axes, e.g. ["X"]'),
-    "values": (dict, 'paths and numbers, e.g. { "axis.X.moving_mass_kg" = 700.0 }'),
-    "effects": (list, 'a list of tables, e.g. [{ name = "backlash", axis = "X", clearance = 1.5e-5 }]'),
-    "moves": (dict, "tables of moves; write [moves.X] with distances_mm and speed_mm_per_s"),
-    "recorded": (dict, "a table with seed, effect, axis, feedforward"),
-    "compare": (list, 'a list of signals, e.g. ["position", "current"]'),
-    "seed": (int, "a whole number"),
-    **dict.fromkeys(("machine", "input", "part", "spec", "campaign"), (str, "a path beside the suite file")),
-}
-NEEDED_TOLERANCES = {"run": ("summary", "events"), "campaign": ("gap",), "identify": ("parameters",), "diagnose": ("parameters",)}
-"""Compared quantities of a kind besides its signals; all other kinds compare `summary`."""
+from twin.machine.machine import Feedforward
+from twin.tables import NotNegative, Table, asks, typed
 
 SIGNAL_UNITS = {
     "setpoint": "um, arcsec",
@@ -64,13 +42,79 @@ COMPARED = ("setpoint", "position", "velocity", "current")
 """Compared signals of a run by default."""
 
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
-_TOLERANCE_KEYS = {
-    "signal": ("rms", "max", "unit", "reason"),
-    "summary": ("relative", "absolute", "reason"),
-    "events": ("time_s", "reason"),
-    "gap": ("growth", "above_noise", "reason"),
-    "parameters": ("relative", "of_interval", "reason"),
+_File = Annotated[str, asks("give a path beside the suite file", min_length=1)]
+_Length = Annotated[float, asks("give a number above 0, e.g. 10", gt=0.0, lt=1e4)]
+_Reason = Annotated[str, asks("give the reason for this tolerance in words", pattern=r"(?s)\S.{3,}\S")]
+
+
+class Recorded(Table, frozen=True):
+    """A campaign of the second plant, see `recorded`."""
+
+    seed: int
+    effect: str | None = None
+    axis: str | None = None
+    feedforward: Annotated[tuple[Feedforward, ...], asks("give a list of off, velocity, velocity+torque", min_length=1)] = (
+        "off",
+        "velocity+torque",
+    )
+
+
+class _Case(Table, frozen=True):
+    kind: str
+    name: str
+    tolerance: dict[str, dict[str, Any]]
+    why: str = ""
+    machine: _File | None = None
+    # what changes the machine
+    axes: Annotated[tuple[str, ...], asks('give a list of axes, e.g. ["X"]', min_length=1)] | None = None
+    values: Annotated[dict[str, Any], asks('give paths and numbers, e.g. { "axis.X.moving_mass_kg" = 700.0 }', min_length=1)] | None = None
+    effects: (
+        Annotated[tuple[dict[str, Any], ...], asks('give a list of tables, e.g. [{ name = "backlash", axis = "X" }]', min_length=1)] | None
+    ) = None
+    feedforward: Feedforward | None = None
+    # what it runs
+    input: _File | None = None
+    moves: Annotated[dict[str, Any], asks("write [moves.X] with distances_mm and speed_mm_per_s", min_length=1)] | None = None
+    part: _File | None = None
+    campaign: _File | None = None
+    recorded: Recorded | None = None
+    spec: _File | None = None
+    seed: int = 0
+    # what is compared
+    compare: Annotated[tuple[str, ...], asks('give a list of signals, e.g. ["position", "current"]', min_length=1)] | None = None
+    keep_every_ms: _Length = 1.0
+    zone_um: _Length = 1.0
+
+
+_ALL = ("kind", "name", "why", "machine", "tolerance")
+_CHANGED = (*_ALL, "axes", "values", "effects")
+KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
+    "run": ((*_CHANGED, "feedforward", "compare", "keep_every_ms"), ("input", "moves"), ("summary", "events")),
+    "cut": ((*_CHANGED, "feedforward", "part", "zone_um"), ("input",), ("summary",)),
+    "campaign": ((*_CHANGED, "moves"), ("campaign", "recorded"), ("gap",)),
+    "identify": ((*_CHANGED, "moves"), ("campaign", "recorded"), ("parameters",)),
+    "diagnose": ((*_CHANGED, "moves", "seed"), ("campaign", "recorded"), ("parameters",)),
+    "study": (_ALL, ("spec",), ("summary",)),
 }
+"""Of each kind: its keys; the keys of which it has exactly one, its source; the quantities compared besides its signals."""
+
+_LIMITS = {
+    **dict.fromkeys(SIGNAL_UNITS, ("rms", "max")),
+    "summary": ("relative", "absolute"),
+    "events": ("time_s",),
+    "gap": ("growth", "above_noise"),
+    "parameters": ("relative", "of_interval"),
+}
+TOLERANCES = {
+    quantity: msgspec.defstruct(
+        quantity,
+        [*((key, NotNegative) for key in keys), *([("unit", str)] if quantity in SIGNAL_UNITS else []), ("reason", _Reason)],
+        bases=(Table,),
+        frozen=True,
+    )
+    for quantity, keys in _LIMITS.items()
+}
+"""The table of the tolerance of each quantity."""
 
 
 @dataclass(frozen=True)
@@ -144,97 +188,50 @@ def _joined(file: Path, shared: Mapping[str, Any], own: Mapping[str, Any]) -> di
 
 
 def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
-    name = table.get("name")
+    name, kind = table.get("name"), table.get("kind")
     if not isinstance(name, str) or not _NAME.match(name):
-        raise InputError(f"{file}: case {index + 1}: name = {name!r}: give a name of letters, digits, '_', '-' or '.'")
-    where = f"{file}: case '{name}'"
-    kind = table.get("kind")
+        raise InputError(f"{file}: case {index + 1}: name = {name!r}; give a name of letters, digits, '_', '-' or '.'")
+    case = Case(name, str(kind), file, table)
     if kind not in KINDS:
-        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}")
-    known = (*COMMON_KEYS, *OWN_KEYS[kind])
-    for key, value in table.items():
-        if key not in known:
-            raise InputError(f"{where}: unknown key '{key}' for kind {kind}; {nearest(key, known)}")
-        expected, form = _TYPES.get(key, (object, ""))
-        if not isinstance(value, expected) or value in ([], {}, ""):
-            raise InputError(f"{where}: {key} = {value!r}: expected {form or 'a word'}")
-    if table.get("feedforward") is not None and table["feedforward"] not in FEEDFORWARD:
-        raise InputError(f"{where}: feedforward '{table['feedforward']}'; use one of {', '.join(FEEDFORWARD)}")
-    for key in ("keep_every_ms", "zone_um"):
-        length = table.get(key, 1.0)
-        if isinstance(length, bool) or not isinstance(length, int | float) or not 0.0 < length < 1e4:
-            raise InputError(f"{where}: {key} = {length!r}: give a number above 0, e.g. 10")
-    case = Case(name, kind, file, table)
-    _check_source(case)
-    _check_tolerances(case)
+        raise InputError(f"{case.where}: kind = {kind!r}; {nearest(kind, KINDS)}")
+    keys, sources, others = KINDS[kind]
+    if wrong := next((key for key in table if key not in (*keys, *sources)), None):
+        raise InputError(f"{case.where}: unknown key '{wrong}' for kind {kind}; {nearest(wrong, (*keys, *sources))}")
+    typed(table, _Case, case.where)
+    given = [key for key in sources if key in table]
+    if len(given) != 1:
+        found = "none is given" if not given else f"{' and '.join(given)} are given"
+        raise InputError(f"{case.where}: give one of {', '.join(sources)}; {found}")
+    if "recorded" in table and "moves" not in table:
+        raise InputError(f"{case.where}: 'recorded' needs moves to record; write [moves.X] with distances_mm and speed_mm_per_s")
+    if kind == "cut" and "part" not in table:
+        raise InputError(f"{case.where}: 'part' is missing; name the part file")
+    for key in ("input", "part", "machine", "spec"):  # only a campaign may be absent; the case is then skipped
+        if key in table and not case.path(key).is_file():
+            raise InputError(f"{case.where}: {key} = '{table[key]}': no such file {case.path(key)}; correct the path")
+    if wrong := next((signal for signal in case.compared if signal not in SIGNAL_UNITS), None):
+        raise InputError(f"{case.where}: compare: no signal '{wrong}'; {nearest(wrong, SIGNAL_UNITS)}")
+    _check_tolerances(case, (*case.compared, *others))
     return case
 
 
-def _check_source(case: Case) -> None:
-    """A case needs exactly one input and existing files; only a campaign may be absent (the case is then skipped)."""
-    table = case.table
-    one_of = {
-        "run": ("input", "moves"),
-        "cut": ("input",),
-        "campaign": ("campaign", "recorded"),
-        "identify": ("campaign", "recorded"),
-        "diagnose": ("campaign", "recorded"),
-        "study": ("spec",),
-    }[case.kind]
-    given = [key for key in one_of if key in table]
-    if len(given) != 1:
-        found = "none is given" if not given else f"{' and '.join(given)} are given"
-        raise InputError(f"{case.where}: give one of {', '.join(one_of)}; {found}")
-    if "recorded" in table and not isinstance(table.get("moves"), dict):
-        raise InputError(f"{case.where}: 'recorded' needs moves to record; write [moves.X] with distances_mm and speed_mm_per_s")
-    if case.kind == "cut" and "part" not in table:
-        raise InputError(f"{case.where}: 'part' is missing; name the part file")
-    for key in ("input", "part", "machine", "spec"):
-        if key in table and not case.path(key).is_file():
-            raise InputError(f"{case.where}: {key} = '{table[key]}': no such file {case.path(key)}; correct the path")
-
-
-def _check_tolerances(case: Case) -> None:
-    """Every compared quantity needs a well-formed tolerance with a reason."""
-    needed = (*case.compared, *NEEDED_TOLERANCES.get(case.kind, ("summary",)))
-    for quantity in case.compared:
-        if not isinstance(quantity, str) or quantity not in SIGNAL_UNITS:
-            raise InputError(f"{case.where}: compare: no signal '{quantity}'; {nearest(str(quantity), SIGNAL_UNITS)}")
+def _check_tolerances(case: Case, needed: Sequence[str]) -> None:
+    """Every compared quantity needs a tolerance with a reason."""
     for quantity in needed:
         if quantity not in case.tolerance:
-            example = " ".join(f"{key} = ..." for key in _keys_of(quantity))
+            example = " ".join(f"{key} = ..." for key in TOLERANCES[quantity].__struct_fields__)
             raise InputError(f"{case.where}: tolerance of '{quantity}' is missing; write [tolerance.{quantity}] {example}")
     for quantity, table in case.tolerance.items():
         where = f"{case.where}: [tolerance.{quantity}]"
-        if not isinstance(table, dict):
-            raise InputError(f"{where}: expected a table, found {table!r}; write [tolerance.{quantity}] followed by its keys")
-        known = (*SIGNAL_UNITS, *(q for q in _TOLERANCE_KEYS if q != "signal"))
-        if quantity not in known:
-            raise InputError(f"{where}: no such quantity; {nearest(quantity, known)}")
-        keys = _keys_of(quantity)
-        known_keys(table, keys, where)
-        for key in keys:
-            if key not in table:
-                raise InputError(f"{where}: '{key}' is missing; a tolerance has {', '.join(keys)}")
-            value = table[key]
-            if key == "reason":
-                if not isinstance(value, str) or len(value.strip()) < 5:
-                    raise InputError(f"{where}: reason = {value!r}: give the reason for this tolerance in words")
-            elif key == "unit":
-                if value != SIGNAL_UNITS[quantity]:
-                    raise InputError(f"{where}: unit = {value!r}: {quantity} is compared in '{SIGNAL_UNITS[quantity]}'")
-            elif not is_number(value) or value < 0.0:
-                raise InputError(f"{where}: {key} = {value!r}: expected a number of 0 or more")
-
-
-def _keys_of(quantity: str) -> tuple[str, ...]:
-    return _TOLERANCE_KEYS["signal" if quantity in SIGNAL_UNITS else quantity]
+        if quantity not in TOLERANCES:
+            raise InputError(f"{where}: no such quantity; {nearest(quantity, TOLERANCES)}")
+        typed(table, TOLERANCES[quantity], where)
+        if (unit := table.get("unit")) != SIGNAL_UNITS.get(quantity):
+            raise InputError(f"{where}: unit = {unit!r}: {quantity} is compared in '{SIGNAL_UNITS[quantity]}'")
 
 
 def chosen(cases: Sequence[Case], only: Sequence[str], suite: str | Path) -> tuple[Case, ...]:
     """Cases whose names match one of the patterns (`*` and `?`); all cases without a pattern."""
-    import fnmatch
-
     for pattern in only:
         if not any(fnmatch.fnmatch(case.name, pattern) for case in cases):
             raise InputError(f"--only {pattern}: no such case in {suite}; {nearest(pattern, [case.name for case in cases])}")

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 import json
 from pathlib import Path
 import warnings
 
+import msgspec
 import numpy as np
 
 from twin.errors import InputError
 from twin.files import output_folder, write_whole
-from twin.recordings.campaign import ChannelFact, MeasuredRun
+from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
 from twin.simulation.result import Run
-
-_KEYS = {"latency": "latency_s", "latency_deviation": "latency_deviation_s", "taken_back": "taken_back_s"}
-"""Field of a finding -> its key in `campaign.toml`, where the names differ."""
 
 
 def write_campaign(runs: Mapping[str, Run | Trace | MeasuredRun], folder: str | Path, feedforward: str | None = None) -> Path:
@@ -45,8 +42,8 @@ def write_campaign(runs: Mapping[str, Run | Trace | MeasuredRun], folder: str | 
         write_trace(trace, out / f"{name}.parquet")
         lines += ["[[run]]", f"file = {json.dumps(name + '.parquet')}", f"started_at_s = {measured.started_at:.6f}"]
         lines += [f"feedforward = {json.dumps(measured.feedforward)}"] if measured.feedforward else []
-        for (axis, signal), fact in measured.facts.items():
-            lines += ["[[run.channel]]", f"axis = {json.dumps(axis)}", f"signal = {json.dumps(signal)}", *_fact(fact, trace.kinds[axis])]
+        for fact in measured.facts.values():
+            lines += ["[[run.channel]]", *(f"{key} = {json.dumps(value)}" for key, value in msgspec.to_builtins(fact).items())]
         lines += ["[run.labels]", *(f"{json.dumps(k)} = {v!r}" for k, v in measured.labels.items())] if measured.labels else []
         if measured.ballbar is not None:
             lines += ["[run.ballbar]", f"axes = {json.dumps(list(measured.ballbar.axes))}", f"noise_m = {measured.ballbar.noise!r}"]
@@ -59,10 +56,3 @@ def _is_ideal(run: Run) -> bool:
     """Was the run simulated without the measuring noise that its machine file gives?"""
     noisy = any(value > 0.0 for key, value in run.machine.document.get("measurement", {}).items() if "noise" in key)
     return noisy and all(np.array_equal(values, run.without_noise.signals[key]) for key, values in run.trace.signals.items())
-
-
-def _fact(fact: ChannelFact, kind: str) -> list[str]:
-    """Lines of the findings that differ from none."""
-    keys = {**_KEYS, "offset": "offset_m" if kind == "linear" else "offset_rad"}
-    found = {f.name: getattr(fact, f.name) for f in fields(fact) if getattr(fact, f.name) != f.default}
-    return [f"{keys.get(name, name)} = {json.dumps(value)}" for name, value in found.items()]

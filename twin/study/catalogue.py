@@ -24,27 +24,41 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of
-from twin.tables import is_number, known_keys
+from twin.tables import NotNegative, Positive, Table, Text, known_keys, typed
 
-KINDS = ("motor", "screw", "gear")
 INERTIA = "inertia_kg_m2"
 
 RATINGS = ("rated_torque_nm", "rated_speed_rev_per_min", "max_speed_rev_per_min", "thermal_time_constant_s")
 """Ratings of a motor; optional in a machine file."""
 _FRICTION = ("coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
-_REQUIRED = {
-    "motor": ("torque_constant_nm_per_a", "back_emf_v_s_per_rad", "resistance_ohm", "inductance_h", INERTIA),
-    "screw": ("screw_lead_m_per_rev", INERTIA),
-    "gear": ("gear_ratio", INERTIA),
+_KEYS = {
+    "motor": (
+        ("back_emf_v_s_per_rad", "resistance_ohm", "inductance_h", INERTIA),
+        ("peak_current_a", "peak_torque_nm", "bus_limit_v", *RATINGS),
+    ),
+    "screw": (("screw_lead_m_per_rev", INERTIA), _FRICTION),
+    "gear": (("gear_ratio", INERTIA), _FRICTION),
 }
-_OPTIONAL = {
-    "motor": ("peak_current_a", "peak_torque_nm", "bus_limit_v", *RATINGS),
-    "screw": _FRICTION,
-    "gear": _FRICTION,
+"""Required and optional numbers of an entry of each kind."""
+_ENTRIES = {
+    kind: msgspec.defstruct(
+        kind,
+        [
+            ("name", Text),
+            *([("torque_constant_nm_per_a", Positive)] if kind == "motor" else []),
+            *((key, NotNegative) for key in required),
+            *((key, NotNegative | None, None) for key in optional),
+        ],
+        bases=(Table,),
+        frozen=True,
+    )
+    for kind, (required, optional) in _KEYS.items()
 }
 
 
@@ -108,35 +122,20 @@ def _entries(path: Path, where: str) -> dict[str, dict[str, Mapping[str, Any]]]:
         document = read_toml(path)
     except InputError as error:
         raise InputError(f"{where}: catalogue: {error}; see docs/study.md for the form") from None
-    known_keys(document, KINDS, str(path))
+    known_keys(document, _ENTRIES, str(path))
     out: dict[str, dict[str, Mapping[str, Any]]] = {}
     for kind, tables in document.items():
         if not isinstance(tables, list):
             raise InputError(f"{path}: [{kind}] must be [[{kind}]]; correct it")
-        found = out.setdefault(kind, {})
-        for i, table in enumerate(tables):
-            entry = _checked(kind, table, f"{path}: {kind} {i + 1}")
-            if entry["name"] in found:
-                raise InputError(f"{path}: two of [[{kind}]] have the name '{entry['name']}'; give each its own")
-            found[entry["name"]] = entry
+        for i, entry in enumerate(tables):
+            typed(entry, _ENTRIES[kind], f"{path}: {kind} {i + 1}")
+            name = entry["name"]
+            if name in out.setdefault(kind, {}):
+                raise InputError(f"{path}: two of [[{kind}]] have the name '{name}'; give each its own")
+            if kind == "motor" and len({"peak_current_a", "peak_torque_nm"} & entry.keys()) != 1:
+                raise InputError(f"{path}: motor {i + 1} '{name}': give one of peak_current_a and peak_torque_nm")
+            out[kind][name] = entry
     return out
-
-
-def _checked(kind: str, table: Any, where: str) -> Mapping[str, Any]:
-    if not isinstance(table, Mapping) or not isinstance(table.get("name"), str):
-        raise InputError(f"{where}: has no name; give it one")
-    where = f"{where} '{table['name']}'"
-    known_keys(table, ("name", *_REQUIRED[kind], *_OPTIONAL[kind]), where)
-    if missing := next((key for key in _REQUIRED[kind] if key not in table), None):
-        raise InputError(f"{where}: '{missing}' is missing; add it")
-    if kind == "motor" and len({"peak_current_a", "peak_torque_nm"} & table.keys()) != 1:
-        raise InputError(f"{where}: give one of peak_current_a and peak_torque_nm")
-    for key, value in table.items():
-        if key != "name" and (not is_number(value) or value < 0.0):
-            raise InputError(f"{where}: {key} = {value!r}; give a number, 0 or more")
-    if kind == "motor" and not table["torque_constant_nm_per_a"] > 0.0:
-        raise InputError(f"{where}: torque_constant_nm_per_a = 0; give a number above 0")
-    return table
 
 
 def with_choices(choices: Sequence[Choice], machine: Machine) -> dict[str, float]:

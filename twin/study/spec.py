@@ -45,52 +45,66 @@ rows = [[0.5], [1.0]]                # list
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-import re
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from msgspec import field
+from msgspec.structs import replace
 
 from twin.documents import outer_file, read_toml
 from twin.errors import InputError, nearest
-from twin.machine.machine import FEEDFORWARD, Machine, load_machine
+from twin.machine.machine import Feedforward, Machine, load_machine
 from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, MOST_TIME_AT_LIMIT, Constraint, standing
-from twin.study.factors import (
-    Factor,
-    Tied,
-    catalogue_factor_of,
-    check_apart,
-    factor_of,
-    flag,
-    known_table,
-    numbers,
-    tied_of,
-)
+from twin.study.factors import Factor, FactorTable, Tied, TiedTable, catalogue_factor_of, check_apart, factor_of, tied_of
 from twin.study.paths import matching_paths, with_numbers
-from twin.tables import is_number
+from twin.tables import Number, Table, Text, Whole, asks, is_number, known_keys, typed
 
 DESIGNS = {"grid": ("levels",), "latin_hypercube": ("count",), "sobol": ("count",), "one_at_a_time": ("levels",), "list": ("rows",)}
 """Designs and their keys."""
 
-TOP = (
-    "seed",
-    "machine",
-    "part",
-    "answer",
-    "recommission",
-    "retune",
-    "pareto",
-    "least_phase_margin_deg",
-    "most_time_at_limit",
-    "fixed",
-    "run",
-    "factor",
-    "tied",
-    "constraint",
-    "design",
-)
-SAME_MARGINS = "same margins"
-"""Value of `retune`: gains follow inertia and winding, so that designs are compared, not tunings."""
+
+class Design(Table, frozen=True):
+    """Combination of the factors; `rows` is empty unless the design is a list."""
+
+    kind: Literal["grid", "latin_hypercube", "sobol", "one_at_a_time", "list"]
+    levels: Annotated[int, asks("give a whole number, 2 or more", ge=2)] = 5
+    count: Annotated[int, asks("the design has no variant; give a whole number, 1 or more", ge=1)] = 64
+    rows: Annotated[tuple[tuple[Number | str, ...], ...], asks("give rows of numbers: [[..], [..]]")] = ()
+
+
+class _RunTable(Table, frozen=True):
+    input: Annotated[str, asks("name a program or a trace beside the study file")]
+    feedforward: Feedforward | None = None
+    name: Annotated[
+        str, asks("it becomes part of file names; leave out / and \\, and a leading dot", pattern=r"^[^/\\\x00-\x1f.][^/\\\x00-\x1f]*$")
+    ] = ""
+    part: str | None = None
+
+
+class _ConstraintTable(Table, frozen=True):
+    response: Annotated[str, asks("name a response or a pattern, e.g. current_limit_used_*")]
+    least: Number | None = None
+    most: Number | None = None
+
+
+class _Document(Table, frozen=True):
+    run: Annotated[tuple[_RunTable, ...], asks("no [[run]]; give at least one", min_length=1)]
+    factor: Annotated[tuple[FactorTable, ...], asks("no [[factor]]; give at least one", min_length=1)]
+    design: Annotated[Design, asks('write [design] and kind = "grid", or another one, below it')]
+    tied: tuple[TiedTable, ...] = ()
+    constraint: tuple[_ConstraintTable, ...] = ()
+    fixed: Annotated[dict[str, Any], asks('write "axis.X.moving_mass_kg" = 690.0 below [fixed]')] = field(default_factory=dict)
+    seed: Whole = 0
+    machine: Text | None = None
+    part: Text | None = None
+    answer: Annotated[tuple[str, ...] | str, asks("name responses")] = ()
+    recommission: bool = False
+    retune: Annotated[Literal["same margins"] | None, asks('write "same margins", or leave it out to keep the gains')] = None
+    pareto: Annotated[tuple[tuple[str, str], ...], asks('give pairs of responses, e.g. [["contour_error_max_um", "cycle_time_s"]]')] = ()
+    least_phase_margin_deg: Number = LEAST_PHASE_MARGIN_DEG
+    most_time_at_limit: Number = MOST_TIME_AT_LIMIT
 
 
 @dataclass(frozen=True)
@@ -101,16 +115,6 @@ class StudyRun:
     input: Path
     feedforward: str | None
     part: Path | None = None
-
-
-@dataclass(frozen=True)
-class Design:
-    """Combination of the factors; `rows` is empty unless the design is a list."""
-
-    kind: str
-    levels: int
-    count: int
-    rows: tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -141,44 +145,42 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: no such study file; see docs/study.md for the form")
-    document = read_toml(path)
-    known_table(document, TOP, str(path))
-    own = document.get("machine")
-    machine = load_machine(machine_path or (outer_file(own, path.parent, f"{path}: machine") if own else None))
-    machine = with_numbers(machine, _fixed(document.get("fixed", {}), machine, f"{path}: [fixed]"))
-    design = _design(document.get("design", {}), f"{path}: [design]")
+    raw = read_toml(path)
+    document = typed(raw, _Document, str(path))
+    machine = load_machine(machine_path or (outer_file(document.machine, path.parent, f"{path}: machine") if document.machine else None))
+    machine = with_numbers(machine, _fixed(document.fixed, machine, f"{path}: [fixed]"))
+    design = _checked(document.design, raw["design"], f"{path}: [design]")
     factors = tuple(
         catalogue_factor_of(table, machine, path, f"{path}: factor {i + 1}")
-        if isinstance(table, Mapping) and "catalogue" in table
+        if table.catalogue is not None
         else factor_of(table, _column(design, i), machine, f"{path}: factor {i + 1}")
-        for i, table in enumerate(_tables(document, "factor", path))
+        for i, table in enumerate(document.factor)
     )
     check_apart(factors, path)
-    design = _rows_by_number(design, factors, f"{path}: [design]")
-    tied = tuple(
-        tied_of(table, factors, machine, f"{path}: tied {i + 1}") for i, table in enumerate(_tables(document, "tied", path, least=0))
-    )
-    part = _part(document, path, str(path), None)
-    runs = tuple(_run(table, path, f"{path}: run {i + 1}", part) for i, table in enumerate(_tables(document, "run", path)))
+    part = document.part and outer_file(document.part, path.parent, f"{path}: part")
+    runs = tuple(_run(table, path, f"{path}: run {i + 1}", part or None) for i, table in enumerate(document.run))
     for what, names in (("factor", [f.name for f in factors]), ("run", [r.name for r in runs])):
         if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
             raise InputError(f"{path}: two of [[{what}]] have the name '{twice}'; give each its own")
-    seed, answer = document.get("seed", 0), document.get("answer", [])
-    if not isinstance(seed, int) or seed < 0:
-        raise InputError(f"{path}: seed = {seed!r}; give a whole number, 0 or more")
+    for i, table in enumerate(document.constraint):
+        if table.least is None and table.most is None:
+            raise InputError(f"{path}: constraint {i + 1}: has no bound; give least = .. or most = ..")
     return Study(
         path=path,
         machine=machine,
         runs=runs,
         factors=factors,
-        tied=tied,
-        design=design,
-        seed=seed,
-        answer=tuple(str(a) for a in answer) if isinstance(answer, list) else (str(answer),),
-        recommission=flag(document, "recommission", str(path)),
-        retune=_retune(document, path),
-        constraints=_constraints(document, path),
-        pareto=_pairs(document.get("pareto", []), path),
+        tied=tuple(tied_of(table, factors, machine, f"{path}: tied {i + 1}") for i, table in enumerate(document.tied)),
+        design=_rows_by_number(design, factors, f"{path}: [design]"),
+        seed=document.seed,
+        answer=(document.answer,) if isinstance(document.answer, str) else document.answer,
+        recommission=document.recommission,
+        retune=document.retune is not None,
+        constraints=(
+            *standing(document.least_phase_margin_deg, document.most_time_at_limit),
+            *(Constraint(table.response, table.least, table.most) for table in document.constraint),
+        ),
+        pareto=document.pareto,
     )
 
 
@@ -187,130 +189,47 @@ def _column(design: Design, i: int) -> list[Any] | None:
     return [row[i] for row in design.rows if i < len(row)] if design.kind == "list" else None
 
 
-def _retune(document: Mapping[str, Any], path: Path) -> bool:
-    value = document.get("retune")
-    if value not in (None, SAME_MARGINS):
-        raise InputError(f'{path}: retune = {value!r}; write "{SAME_MARGINS}", or leave it out to keep the gains')
-    return value is not None
-
-
-def _pairs(pairs: Any, path: Path) -> tuple[tuple[str, str], ...]:
-    if not isinstance(pairs, list) or not all(isinstance(p, list) and len(p) == 2 and all(isinstance(n, str) for n in p) for p in pairs):
-        raise InputError(f'{path}: pareto = {pairs!r}; give pairs of responses, e.g. [["contour_error_max_um", "cycle_time_s"]]')
-    return tuple((a, b) for a, b in pairs)
-
-
-def _constraints(document: Mapping[str, Any], path: Path) -> tuple[Constraint, ...]:
-    margin, share = (
-        _bound(document, key, str(path), default)
-        for key, default in (("least_phase_margin_deg", LEAST_PHASE_MARGIN_DEG), ("most_time_at_limit", MOST_TIME_AT_LIMIT))
-    )
-    found = list(standing(margin, share))
-    for i, table in enumerate(_tables(document, "constraint", path, least=0)):
-        where = f"{path}: constraint {i + 1}"
-        known_table(table, ("response", "least", "most"), where)
-        if not isinstance(table.get("response"), str):
-            raise InputError(f"{where}: 'response' is missing; name a response or a pattern, e.g. current_limit_used_*")
-        if "least" not in table and "most" not in table:
-            raise InputError(f"{where}: has no bound; give least = .. or most = ..")
-        least, most = (_bound(table, key, where) if key in table else None for key in ("least", "most"))
-        found.append(Constraint(table["response"], least, most))
-    return tuple(found)
-
-
-def _bound(table: Mapping[str, Any], key: str, where: str, default: float = 0.0) -> float:
-    value = table.get(key, default)
-    if not is_number(value):
-        raise InputError(f"{where}: {key} = {value!r}; give a number")
-    return float(value)
-
-
-def _tables(document: Mapping[str, Any], key: str, path: Path, least: int = 1) -> list[Any]:
-    tables = document.get(key, [])
-    if not isinstance(tables, list):
-        raise InputError(f"{path}: '{key}' must be a list of tables; write [[{key}]]")
-    if len(tables) < least:
-        raise InputError(f"{path}: no [[{key}]]; give at least one")
-    return tables
-
-
-def _fixed(table: Any, machine: Machine, where: str) -> dict[str, float]:
+def _fixed(table: Mapping[str, Any], machine: Machine, where: str, prefix: str = "") -> dict[str, float]:
     """Numbers by path; TOML reads an unquoted path as nested tables."""
-    if not isinstance(table, Mapping):
-        raise InputError(f'{where}: must be a table; write "axis.X.moving_mass_kg" = 690.0')
     out: dict[str, float] = {}
-
-    def collect(inner: Mapping[str, Any], prefix: str) -> None:
-        for key, value in inner.items():
-            if isinstance(value, Mapping):
-                collect(value, f"{prefix}{key}.")
-            else:
-                (number,) = numbers([value], f"{prefix}{key}", where)
-                out.update(dict.fromkeys(matching_paths(f"{prefix}{key}", machine, where), number))
-
-    collect(table, "")
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            out |= _fixed(value, machine, where, f"{prefix}{key}.")
+        elif is_number(value):
+            out |= dict.fromkeys(matching_paths(f"{prefix}{key}", machine, where), float(value))
+        else:
+            raise InputError(f"{where}: {prefix}{key} = {value!r}; give a number")
     return out
 
 
-def _part(table: Mapping[str, Any], path: Path, where: str, otherwise: Path | None) -> Path | None:
-    """The part file of a study or of a run."""
-    part = table.get("part")
-    return otherwise if part is None else outer_file(part, path.parent, f"{where}: part")
+def _run(table: _RunTable, path: Path, where: str, part: Path | None) -> StudyRun:
+    source = outer_file(table.input, path.parent, f"{where}: input")
+    own = outer_file(table.part, path.parent, f"{where}: part") if table.part is not None else part
+    return StudyRun(table.name or source.stem, source, table.feedforward, own)
 
 
-def _run(table: Any, path: Path, where: str, part: Path | None) -> StudyRun:
-    known_table(table, ("name", "input", "feedforward", "part"), where)
-    if "input" not in table:
-        raise InputError(f"{where}: 'input' is missing; name a program or a trace beside the study file")
-    source = outer_file(table["input"], path.parent, f"{where}: input")
-    feedforward = table.get("feedforward")
-    if feedforward is not None and feedforward not in FEEDFORWARD:
-        raise InputError(f"{where}: feedforward = {feedforward!r}; use one of {', '.join(FEEDFORWARD)}")
-    name = str(table.get("name", source.stem))
-    if not re.fullmatch(r"[^/\\\x00-\x1f.][^/\\\x00-\x1f]*", name):
-        raise InputError(f"{where}: name = {name!r} becomes part of file names; leave out / and \\, and a leading dot")
-    return StudyRun(name, source, feedforward, _part(table, path, where, part))
-
-
-def _design(table: Any, where: str) -> Design:
-    kind = table.get("kind") if isinstance(table, Mapping) else None
-    if not isinstance(kind, str) or kind not in DESIGNS:
-        raise InputError(f"{where}: kind = {kind!r}; use one of {', '.join(DESIGNS)}")
-    known_table(table, ("kind", *DESIGNS[kind]), f"{where} of kind {kind}")
-
-    def whole(key: str, default: int, check: Callable[[int], bool], ask: str) -> int:
-        value = table.get(key, default)
-        if not isinstance(value, int) or isinstance(value, bool) or not check(value):
-            raise InputError(f"{where}: {key} = {value!r}; {ask}")
-        return value
-
-    rows = table.get("rows", [])
-    if kind == "list" and (not isinstance(rows, list) or not rows):
+def _checked(design: Design, table: Mapping[str, Any], where: str) -> Design:
+    """The design, with only the keys of its kind."""
+    known_keys(table, ("kind", *DESIGNS[design.kind]), f"{where} of kind {design.kind}")
+    if design.kind == "list" and not design.rows:
         raise InputError(f"{where}: the design has no variant; give rows = [[..], [..]]")
-    return Design(
-        kind=kind,
-        levels=whole("levels", 5, lambda n: n >= 2, "give a whole number, 2 or more"),
-        count=whole("count", 64, lambda n: n >= 2 and n & (n - 1) == 0, "the Sobol sequence needs a power of two, such as 64")
-        if kind == "sobol"
-        else whole("count", 64, lambda n: n >= 1, "the design has no variant; give a whole number, 1 or more"),
-        rows=tuple(tuple(row) if isinstance(row, list) else (row,) for row in rows) if kind == "list" else (),
-    )
+    if design.kind == "sobol" and (design.count < 2 or design.count & (design.count - 1)):
+        raise InputError(f"{where}: count = {design.count}; the Sobol sequence needs a power of two, such as 64")
+    return design
 
 
 def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> Design:
     """The design with the names of catalogue entries in its rows replaced by their indices."""
-    rows = []
+    rows: list[tuple[float | str, ...]] = []
     for row in design.rows:
-        row_numbers: list[float] = []
-        given: tuple[Any, ...] = row
-        for k, value in enumerate(given):
-            factor = factors[k] if k < len(factors) else None
-            if factor and factor.choices:
+        found = list(row)
+        for k, (value, factor) in enumerate(zip(row, factors)):
+            if factor.choices:
                 names = [c.name for c in factor.choices]
                 if value not in names:
                     raise InputError(f"{where} rows: {value!r} is no choice of '{factor.name}'; {nearest(str(value), names)}")
-                row_numbers.append(float(names.index(value)))
-            else:
-                row_numbers += numbers([value], "rows", where)
-        rows.append(tuple(row_numbers))
+                found[k] = float(names.index(str(value)))
+            elif isinstance(value, str):
+                raise InputError(f"{where} rows: {value!r} is no value of '{factor.name}'; give a number")
+        rows.append(tuple(found))
     return replace(design, rows=tuple(rows))

@@ -100,7 +100,7 @@ def test_an_axis_at_rest_says_nothing() -> None:
 def test_an_unsigned_current_gives_no_friction() -> None:
     from twin.recordings.campaign import ChannelFact
 
-    run: MeasuredRun = replace(strokes(Planted(), 5), facts={("X", "current"): ChannelFact(unsigned=True)})
+    run: MeasuredRun = replace(strokes(Planted(), 5), facts={("X", "current"): ChannelFact(axis="X", signal="current", unsigned=True)})
     one = facts_of([run], "X")
     assert one is not None
     assert one.friction is None
