@@ -19,8 +19,8 @@ from twin.machine.machine import load_machine, write_machine
 from twin.machine.model_file import check_mjcf, check_safe, files_of, state_of_model
 from twin.machine.model_limits import compiles
 from twin.machine.new import new_machine
+from twin.machine.urdf import shown_urdf
 from twin.machine.urdf_file import check_urdf
-from twin.machine.urdf_visuals import read_visuals
 from twin.simulation.plant_spec import build_plant, frames_of_model, load_spec
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -353,7 +353,7 @@ def test_mesh_paths_cannot_leave_their_package(tmp_path: Path, name: str) -> Non
         shutil.copy(ROOT / "examples" / "gantry" / "spindle.stl", place / "secret.stl")
     (home / "r.urdf").write_text(PACKAGE.format(name))
     with pytest.raises(InputError, match=r"leaves the folder|names no package|no mesh"):
-        read_visuals(home / "r.urdf")
+        shown_urdf(home / "r.urdf")
 
 
 def test_meshes_of_a_package_are_found(tmp_path: Path) -> None:
@@ -362,7 +362,7 @@ def test_meshes_of_a_package_are_found(tmp_path: Path) -> None:
     (tmp_path / "robot" / "meshes").mkdir()
     shutil.copy(ROOT / "examples" / "gantry" / "spindle.stl", tmp_path / "robot" / "meshes" / "s.stl")
     (home / "r.urdf").write_text(PACKAGE.format("robot/meshes/s.stl"))
-    assert len(read_visuals(home / "r.urdf").shapes) == 1
+    assert shown_urdf(home / "r.urdf")[0].ngeom == 1
 
 
 def test_a_mesh_opens_no_other_file(tmp_path: Path) -> None:
@@ -391,6 +391,6 @@ def test_a_urdf_that_every_reader_refuses(tmp_path: Path, case: str) -> None:
     text, words = WRONG_URDF[case]
     assert text != URDF
     (tmp_path / "r.urdf").write_text(text, encoding="utf-8")
-    for read in (check_urdf, read_visuals):
+    for read in (check_urdf, shown_urdf):
         with pytest.raises(InputError, match=words):
             read(tmp_path / "r.urdf")

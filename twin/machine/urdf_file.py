@@ -1,17 +1,16 @@
 """A URDF from an unknown source: read safely; tree, vectors and names checked; meshes located in packages.
 
-Every reader of a URDF starts with `read_urdf`. `check_urdf` also refuses what cannot be a machine of axes.
+`checked_tree` is the way to any URDF. `check_urdf` also refuses what cannot be a machine of axes.
 """
 
 from __future__ import annotations
 
 from graphlib import CycleError, TopologicalSorter
-import logging
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from twin.documents import named_file, reading
+from twin.documents import named_file
 from twin.errors import InputError, nearest
 from twin.machine.model_file import positive_mass, read_xml
 from twin.machine.model_limits import check_size
@@ -33,16 +32,6 @@ _VECTORS = {
 }  # fmt: skip
 """How many numbers an attribute of an element has."""
 _NEEDED = {("cylinder", "radius"), ("cylinder", "length"), ("sphere", "radius"), ("box", "size"), ("mass", "value")}
-
-
-def read_urdf(path: Path) -> Any:
-    """The robot of a URDF, as yourdfpy returns it. Raises InputError in one line."""
-    from yourdfpy import URDF  # type: ignore[import-untyped]
-
-    checked_tree(path)
-    logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
-    with reading(path, "URDF", "correct it there"):
-        return URDF.load(str(path), build_scene_graph=False, load_meshes=False, load_collision_meshes=False)
 
 
 def check_urdf(path: Path) -> Element:

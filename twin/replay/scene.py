@@ -17,7 +17,7 @@ from twin.geometry.body_poses import rotate
 from twin.geometry.shape import Shape
 from twin.machine.machine import Machine
 from twin.machine.model_limits import compiled_spec
-from twin.machine.urdf_visuals import read_visuals
+from twin.machine.urdf import shown_urdf
 from twin.replay.names import entity
 from twin.simulation.plant_spec import frames_of_model, load_spec
 
@@ -85,8 +85,8 @@ def scene_from_mjcf(path: Path) -> Scene:
 
 def scene_from_urdf(path: Path) -> Scene:
     """The scene of any URDF file."""
-    visuals = read_visuals(path)
-    return Scene(visuals.name, visuals.model, body_paths(visuals.model), visuals.shapes, -1, -1, visuals.mimics)
+    model, mimics = shown_urdf(path)
+    return replace(_scene(model, path.stem), mimics=mimics)
 
 
 def _scene(model: mujoco.MjModel, name: str) -> Scene:
