@@ -20,6 +20,7 @@ from pathlib import Path
 import sys
 import tempfile
 
+from msgspec import structs
 import numpy as np
 
 from twin.errors import InputError
@@ -248,9 +249,10 @@ def judge(case: Case, folder: Path) -> tuple[str, str]:
             return "asked", found.lacking
         mapping = read_map(map_file)
         ((run, paths),) = runs_of(mapping, [file])
+        as_recorded = replace(mapping, settings=structs.replace(mapping.settings, skew="report", offsets="report"))
         wanted = frozenset(c.name for c in mapping.columns)
         recording = read_recording(paths[0], ReadOptions(mapping.clock, wanted, folder / "scratch", mapping.dialect))
-        known = understand(replace(mapping, skew="report", offsets="report"), run, [recording])
+        known = understand(as_recorded, run, [recording])
     except InputError as error:
         return "asked", str(error)
     except Exception as error:

@@ -285,7 +285,7 @@ def test_an_everyday_machine_is_drawn_recorded_answered_and_marked(tmp_path: Pat
     def candidate(command: list[str], **_: object) -> subprocess.CompletedProcess:
         campaign, machine, answer = map(Path, command[3:6])
         assert [run.name for run in read_campaign(campaign, load_machine(machine)).runs] == ["acceleration"]
-        write_answer(answer, load_machine(machine), {}, said({largest: 1.1 * budget[largest], ("inertia", "X"): 5.0}))
+        write_answer(answer, load_machine(machine), said({largest: 1.1 * budget[largest], ("inertia", "X"): 5.0}))
         return subprocess.CompletedProcess(command, 0, "", "")
 
     monkeypatch.setattr("twin.exam.session.subprocess.run", candidate)

@@ -10,12 +10,12 @@ from twin.geometry.polyline import keep_shape
 from twin.geometry.tool_path import contour_of
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace
+from twin.replay.blueprint import _even_range
 from twin.replay.clock import on_clock_of
-from twin.replay.curves import SET_POINT, axis_curves, not_recorded, torque_parts
-from twin.replay.dashes import dashes
+from twin.replay.curves import SET_POINT, Curve, axis_curves, line_width, not_recorded, torque_parts
 from twin.replay.decimate import SAME_LINE, decimate, thinned
 from twin.replay.events import find_events, stretches, turning_points
-from twin.replay.paths import error_scale, kept_points, magnifications
+from twin.replay.paths import PATH_TOLERANCE, error_scale, kept_points, magnifications
 from twin.replay.recording import LEAST_CURVE_POINTS
 from twin.replay.scene import scene_of
 from twin.replay.toolpaths import tool_paths_of
@@ -197,7 +197,7 @@ def test_a_current_far_from_its_limit_is_not_squeezed_by_it() -> None:
         assert all(np.all(np.abs(values) == limit) for values in drawn)
 
 
-def test_runs_differ_by_colour_and_dash() -> None:
+def test_runs_differ_by_colour_and_width() -> None:
     time = np.arange(100) * 1e-3
     trace = trace_of(time, setpoint=time, position=time, current=time)
     curves = axis_curves(MACHINE, {"measured": trace, "nominal": trace, "corrected": trace})
@@ -205,10 +205,25 @@ def test_runs_differ_by_colour_and_dash() -> None:
     assert [c.key for c in positions] == ["measured", "nominal", "corrected"]
     assert len({c.colour for c in positions}) == 3
     assert [c.run for c in positions] == [0, 1, 2]
-    times, values = dashes(time, np.sin(time), 1)
-    shown = ~np.isnan(values)
-    assert 0.4 < np.mean([np.interp(t, times, shown) > 0.5 for t in time]) < 0.8
-    assert np.allclose(values[shown], np.sin(times[shown]), atol=1e-6)
+    assert line_width(0, True) > 2.0 * line_width(1, True) > 2.0 * line_width(2, True)  # each is seen beside the ones upon it
+
+
+@pytest.mark.parametrize("values", [[-9.3, 8.1], [0.0, 0.004], [-250.0, 250.0], [1.99, 2.01]])
+def test_a_plot_ends_at_even_numbers(values: list[float]) -> None:
+    """At least two multiples of the power of ten below its span are in view; without them the viewer labels 0 alone."""
+    axis = _even_range([Curve("/axes/X/torque/a", "", (0, 0, 0), np.arange(2.0), np.array(values))], "/axes/X/torque")
+    low, high = (float(v) for v in axis.range.as_arrow_array().to_pylist()[0])
+    step = 10.0 ** np.floor(np.log10(np.ptp(values)))
+    assert low < min(values)
+    assert max(values) < high
+    assert np.floor(high / step) - np.ceil(low / step) >= 1
+
+
+def test_a_magnified_path_keeps_its_shape() -> None:
+    """1.9 s at 1 kHz of a deviation of 10 um, magnified 100 times: a point for each bend, no polygon of 60."""
+    t = np.linspace(0.0, 1.9, 1900)
+    points = np.column_stack([0.1 * t, 1e-3 * np.sin(60.0 * t), np.zeros_like(t)])
+    assert len(kept_points(points, PATH_TOLERANCE, np.array([], int), 1.9, False)) > 300
 
 
 def test_missing_signals_of_a_measured_trace_are_named() -> None:

@@ -7,7 +7,7 @@ import pyarrow.parquet
 import pytest
 from scipy.stats import qmc
 
-from tests.builders.study_files import FACTOR, write_spec
+from tests.builders.study_files import FACTOR, GRID, write_spec
 from twin.errors import InputError
 from twin.machine.loops import loops_of, margins_of
 from twin.machine.machine import load_machine
@@ -15,7 +15,7 @@ from twin.study.design import retuned
 from twin.study.labels import valued
 from twin.study.outcomes import effects_of, pareto_front, sobol_of, surrogate_of, swings_of, without_effect
 from twin.study.paths import carrying_axes, with_numbers
-from twin.study.report import sentences, swing_rows
+from twin.study.report import effect_rows, sentences, swing_rows
 from twin.study.results import answers_of, surrogate_from, table_of
 from twin.study.spec import read_study
 from twin.study.store import Row
@@ -187,6 +187,30 @@ def test_a_response_without_a_pattern_gives_no_effects(tmp_path: Path) -> None:
     assert swing_rows(answers, line)[0][1] == valued("line", line.swings[0].swing)
     assert any("1 of 34 variants could not be run; most common reason: axis X: moving_mass_kg = .." in text for text in said)
     assert any("3 of 34 variants break a constraint" in text and "copper loss of X is .. W" in text for text in said)
+
+
+def test_two_variants_give_the_change_in_percent(tmp_path: Path) -> None:
+    study = read_study(write_spec(tmp_path, 'answer = ["line"]\n' + FACTOR + '[design]\nkind = "list"\nrows = [[600], [900]]\n'))
+    said = sentences(answers_of(study, [(0, [600.0], {"line": 1200.0}, None), (1, [900.0], {"line": 1596.0}, None)]))
+    assert "with mass 600 kg" in said[0]
+    assert said[0].endswith("with mass 900 kg (+33 %)")
+
+
+def test_an_optimum_inside_the_range_has_one_ranking_and_no_slope(tmp_path: Path) -> None:
+    """A straight line through a U says nothing: the table ranks by the swing and gives a slope to the straight response alone."""
+    study = read_study(write_spec(tmp_path, 'answer = ["u", "line"]\n' + FACTOR + '[design]\nkind = "latin_hypercube"\ncount = 20\n'))
+    masses = np.linspace(500.0, 900.0, 20).tolist()
+    answers = answers_of(study, [(n, [m], {"u": (m - 690.0) ** 2, "line": 2.0 * m}, None) for n, m in enumerate(masses)])
+    u, line = (swing_rows(answers, r)[0] for r in answers.responses)
+    assert u[-1] == "-"
+    assert line[-1] == "+200 per 100 kg"
+    assert [effect_rows(r) for r in answers.responses] == [[], []]
+
+
+def test_a_lead_is_read_in_mm_per_revolution(tmp_path: Path) -> None:
+    factor = '[[factor]]\nname = "lead"\npath = "axis.X.screw_lead_m_per_rev"\nrange = [0.016, 0.024]\n'
+    lead = read_study(write_spec(tmp_path, factor + GRID)).factors[0]
+    assert (lead.titled, lead.said(0.02)) == ("lead [mm/rev]", "20 mm/rev")
 
 
 def test_effects_that_the_design_cannot_separate_are_omitted() -> None:

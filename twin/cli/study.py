@@ -37,7 +37,7 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.study.execution import carry_out, dask_cluster, fingerprint, threads_here
     from twin.study.labels import label_of, titled, valued
     from twin.study.output import write_comparison, write_study
-    from twin.study.report import sentences, swing_rows
+    from twin.study.report import SWING_HEADING, sentences, swing_rows
     from twin.study.results import answers_of, rows_of
     from twin.study.spec import read_study
     from twin.study.store import Store
@@ -77,7 +77,7 @@ def carry_out(args: argparse.Namespace) -> int:
     for r in answers.responses:
         if r.swings:
             print(f"\n{titled(r.name)} ({r.name})")
-            print(table(["factor", "changes it by", "least at", "largest at"], swing_rows(answers, r)))
+            print(table(SWING_HEADING, swing_rows(answers, r)))
         if r.sobol:
             lines = zip(answers.factors, r.sobol["S1"], r.sobol["S1_conf"], r.sobol["ST"], r.sobol["ST_conf"])
             print(table(["factor", "first order", "total"], [[n, f"{a:.3f} +- {b:.3f}", f"{c:.3f} +- {d:.3f}"] for n, a, b, c, d in lines]))

@@ -125,8 +125,8 @@ class Comparison:
             unit, factor = AXIS_UNITS[axis.kind].error
             asked = delayed_set_point(self.first, axis)
             curves = [
-                Curve(name, (asked - trace.get(axis.name, "position")) * factor, colour, dash)
-                for name, trace, colour, dash in zip(self.names, (self.first, self.second), ("setpoint", axis.name), ("-", "-"))
+                Curve(name, (asked - trace.get(axis.name, "position")) * factor, colour)
+                for name, trace, colour in zip(self.names, (self.first, self.second), ("setpoint", axis.name))
                 if trace.has(axis.name, "position")
             ]
             panels.append(Panel(f"{axis.name} error without\nthe delay, {unit}", curves, peaks=unit))

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
+from msgspec import structs
 import numpy as np
 
 from twin.errors import InputError, nearest
@@ -170,7 +171,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
             raise InputError(f"{where}: has {len(signal.values)} samples, which differs from the time column; leave it out of the map")
         conversion = conversion_of(column, signal, mapping.machine, str(recording.path))
         if column.signal in BY_UNIT:
-            column = replace(column, signal=BY_UNIT[column.signal][conversion.si])
+            column = structs.replace(column, signal=BY_UNIT[column.signal][conversion.si])
         found.append((column, recording, signal, conversion))
     keys = [column.key for column, *_ in found]
     if not found:

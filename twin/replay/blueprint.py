@@ -40,8 +40,8 @@ NEAR = 1.3
 LEAST_CONTOUR_UM = 0.1
 """Least range of the contour error plot [um]; a smaller one would show rounding."""
 GROUP_TITLES = {
-    "error_without_delay": "error less delay",
-    "following_error": "following error",
+    "error_without_delay": "error",
+    "following_error": "with delay",
     "position": "position",
     "speed": "speed",
     "current": "current",
@@ -50,7 +50,9 @@ GROUP_TITLES = {
     "difference_speed": "Δ speed",
     "difference_current": "Δ current",
 }
-"""Titles of the plots of an axis; the viewer truncates longer ones."""
+"""Titles of the plots in the tab of an axis; the viewer cuts longer ones off."""
+_WIDE = 1.6
+"""Width of a column with several plots as tabs, relative to one with a single plot."""
 _COLUMNS = (("error_without_delay", "following_error", "position"), ("speed",), ("current",), ("torque",))
 """Plots of an axis by column, from left to right; plots of one column are tabs. Differences come in a column before these."""
 
@@ -223,12 +225,13 @@ def axis_tabs(
         groups = {group: name for group in GROUP_TITLES if (name := _unit_title(curves, axis, group))}
         differences = tuple(group for group in groups if group.startswith("difference"))
         columns = [[g for g in column if g in groups] for column in (differences, *_COLUMNS)]
-        plots = []
+        plots, shares = [], []
         for column in filter(None, columns):
-            views = [_plot(axis_entity(axis, group), f"{axis} {groups[group]}") for group in column]
+            views = [_plot(axis_entity(axis, g), groups[g], _even_range(curves, axis_entity(axis, g))) for g in column]
             plots.append(rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0])
+            shares.append(_WIDE if len(views) > 1 else 1.0)
         if plots:
-            tabs.append(_with_key(rrb.Horizontal(*plots), keys.get(axis), f"Axis {axis}"))
+            tabs.append(_with_key(rrb.Horizontal(*plots, column_shares=shares), keys.get(axis), f"Axis {axis}"))
     if not tabs:
         return None
     if steps:
@@ -247,6 +250,23 @@ def _steps_view(steps: Sequence[Curve]) -> rrb.View:
 def _plot(origin: str, name: str, axis_y: rrb.ScalarAxis | None = None) -> rrb.View:
     """A plot without legend (it would cover curves)."""
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False), axis_y=axis_y)
+
+
+def _even_range(curves: Sequence[Curve], root: str) -> rrb.ScalarAxis | None:
+    """A range that ends at even numbers, so that the plot shows more than one of them beside its grid."""
+    values = [
+        v for curve in curves if curve.path.startswith(f"{root}/") and len(curve.values) for v in (curve.values.min(), curve.values.max())
+    ]
+    span = max(values, default=0.0) - min(values, default=0.0)
+    if not span > 0.0:
+        return None
+    step = 10.0 ** np.floor(np.log10(span))
+    low, high = step * np.floor(min(values) / step), step * np.ceil(max(values) / step)
+    return rrb.ScalarAxis(range=(low - MARGIN * (high - low), high + MARGIN * (high - low)))
+
+
+MARGIN = 0.04
+"""Free space above and below a plot, as a share of its range."""
 
 
 def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str | None = None) -> rrb.View | rrb.Container:

@@ -37,7 +37,7 @@ SAME_TIME = 1e-9
 class Curve:
     """One line of a plot: entity path, name with unit, and samples in that unit.
 
-    `key` is its entry in the key below the plots. `run` is the index of its run: the first is drawn solid, later ones dashed.
+    `key` is its entry in the key below the plots. `run` is the index of its run: the first is drawn wide, later ones thin upon it.
     """
 
     path: str
@@ -47,6 +47,11 @@ class Curve:
     values: np.ndarray
     key: str = ""
     run: int = 0
+
+
+def line_width(run: int, several: bool) -> float:
+    """Width of a line [points]: of several runs the first is wide and later ones lie thin upon it, so that none hides another."""
+    return (4.0, 1.5, 0.75)[min(run, 2)] if several else 1.75
 
 
 def axis_curves(machine: Machine, runs: Mapping[str, Trace]) -> list[Curve]:

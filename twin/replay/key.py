@@ -1,4 +1,4 @@
-"""The key of the plots: a strip below them with colour and dash of each line, so that no legend covers a curve."""
+"""The key of the plots: a strip below them with colour and width of each line, so that no legend covers a curve."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 import rerun as rr
 
-from twin.replay.curves import Curve
-from twin.replay.dashes import DASHES
+from twin.replay.curves import Curve, line_width
 from twin.replay.names import CONTOUR_ERROR, KEY, entity
 from twin.report.colours import Colour
 
@@ -38,10 +37,10 @@ def key_picture(entries: Sequence[tuple[str, Colour, int]], least_width: int = L
     widths = [SAMPLE + 8 + int(font.getlength(word)) + SPACE for word, _, _ in entries]
     picture = Image.new("RGB", (max(sum(widths) + SPACE, least_width), HEIGHT), GROUND)
     pen, x = ImageDraw.Draw(picture), SPACE // 2
+    several = any(run for *_, run in entries)
     for (word, colour, run), width in zip(entries, widths):
-        step, share = (SAMPLE, 1.0) if run == 0 else (SAMPLE // (3 * run), DASHES[(run - 1) % len(DASHES)][1])
-        for left in range(x, x + SAMPLE - 2, step):
-            pen.line([(left, HEIGHT // 2), (left + share * step, HEIGHT // 2)], fill=colour, width=4)
+        width_of_line = round(2.0 * line_width(run, several))
+        pen.line([(x, HEIGHT // 2), (x + SAMPLE - 2, HEIGHT // 2)], fill=colour, width=width_of_line)
         pen.text((x + SAMPLE + 8, HEIGHT // 2), word, fill=INK, font=font, anchor="lm")
         x += width
     return np.asarray(picture)

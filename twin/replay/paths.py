@@ -26,8 +26,7 @@ LEAST_SHOWN = 5e-8
 VISIBLE = (0.01, 0.5)
 """Least and largest magnified deviation, as shares of the path's extent."""
 PATH_TOLERANCE = 2e-6
-"""Largest distance of a dropped point from the drawn path [m]; times the magnification, up to COARSEST_TOLERANCE."""
-COARSEST_TOLERANCE = 1e-4
+"""Largest distance of a dropped point from the drawn path [m], also where the deviation is magnified."""
 DRAW_STEP = 0.05
 """Step in which the followed path grows [s]; longer in runs with more than DRAW_STEPS steps."""
 DRAW_STEPS = 3000
@@ -108,13 +107,13 @@ def log_growing_path(
 ) -> None:
     """Log a path (sample, 3) piece by piece on the timeline; `bands` (sample,) are indices into the palette.
 
-    `drawn` has factor (the magnification), width [points of the screen], full (all samples) and dashed (every other piece).
+    `drawn` has width [points of the screen], full (all samples) and dashed (every other piece).
     """
-    factor, width, full = drawn["factor"], drawn["width"], drawn["full"]
+    width, full = drawn["width"], drawn["full"]
     duration = float(time[-1] - time[0])
     step = max(DRAW_STEP, duration / DRAW_STEPS)
     edges = np.unique(np.searchsorted(time, np.arange(time[0], time[-1] + step, step)).clip(0, len(time) - 1))
-    kept = kept_points(points, min(COARSEST_TOLERANCE, PATH_TOLERANCE * factor), edges, duration, full)
+    kept = kept_points(points, PATH_TOLERANCE, edges, duration, full)
     if len(kept) < 2:
         return
     # a segment has its worst colour; neighbours of equal colour within a step form one piece

@@ -17,8 +17,7 @@ from twin.geometry.body_poses import local_poses
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import Content, layout
-from twin.replay.curves import Curve, axis_curves, contour_curve, following_error
-from twin.replay.dashes import dash_entity, dashes
+from twin.replay.curves import Curve, axis_curves, contour_curve, following_error, line_width
 from twin.replay.decimate import decimate
 from twin.replay.events import MOST_EVENTS, Event, find_events
 from twin.replay.key import log_keys
@@ -32,8 +31,6 @@ from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths,
 from twin.simulation.errors_of_run import error_without_delay
 from twin.stopping import leave_behind
 
-SOLID_WIDTH, THIN_WIDTH, DASH_WIDTH = 1.75, 0.4, 1.25
-"""Line widths [points]: the first run, later runs, and the dashes over these."""
 POSES_PER_SECOND = 50.0
 """Rate at which poses of the bodies are logged [1/s]."""
 CURVE_POINTS_PER_MINUTE = 100_000
@@ -210,19 +207,16 @@ def log_curves(recording: rr.RecordingStream, curves: Sequence[Curve], full: boo
         return
     duration = max(float(curve.time[-1] - curve.time[0]) for curve in curves)
     budget = max(LEAST_CURVE_POINTS, int(CURVE_POINTS_PER_MINUTE * duration / 60.0))
-    # the dashes of later runs need points, too
-    budget = round(budget / (1.0 + sum(curve.run > 0 for curve in curves) / len(curves)))
     kept = [np.arange(len(c.time)) for c in curves] if full else decimate([(c.time, c.values) for c in curves], budget)
     # the viewer may aggregate evenly spaced samples; for thinned points that would draw ramps that are not in the data
     policy = rr.components.AggregationPolicy.MinMax if full else rr.components.AggregationPolicy.Off
+    several = any(curve.run for curve in curves)
     for curve, steps in zip(curves, kept):
-        drawn = [(curve.path, curve.time[steps], curve.values[steps], SOLID_WIDTH if curve.run == 0 else THIN_WIDTH)]
-        if curve.run:
-            drawn.append((dash_entity(curve.path), *dashes(curve.time[steps], curve.values[steps], curve.run), DASH_WIDTH))
-        for path, time, values, width in drawn:
-            style = rr.SeriesLines(colors=[curve.colour], names=[curve.name], widths=[width], aggregation_policy=policy)
-            recording.log(path, style, static=True)
-            recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time)], rr.Scalars.columns(scalars=values))
+        width = line_width(curve.run, several)
+        style = rr.SeriesLines(colors=[curve.colour], names=[curve.name], widths=[width], aggregation_policy=policy)
+        recording.log(curve.path, style, static=True)
+        columns = rr.Scalars.columns(scalars=curve.values[steps])
+        recording.send_columns(curve.path, [rr.TimeColumn(TIMELINE, duration=curve.time[steps])], columns)
 
 
 def bounds_with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) -> np.ndarray:

@@ -108,7 +108,7 @@ def _overlay_text(machine: Machine, first: Trace, second: Trace, label: str, oth
     """A sentence on the difference of two runs."""
     amount, axis, at = setpoint_difference(machine, first, second)
     if not axis or amount <= SETPOINTS_EQUAL[machine.axis(axis).kind]:
-        return f"**{other} - {label}** both runs have the same set points; curves of *{other}* are dashed."
+        return f"**{other} - {label}** both runs have the same set points; curves of *{other}* are thin."
     unit, factor = AXIS_UNITS[machine.axis(axis).kind].error
     return (
         f"**{other} - {label}**: the set points differ by up to {amount * factor:.3g} {unit} ({axis} at {at:.3f} s), "

@@ -133,9 +133,7 @@ def log_tool_paths(
             palette = ERROR_BANDS if order == 0 else (SECOND_RUN_COLOUR,)
             growing.append(entity(root, "followed", label))
             width = 2.5 if order == 0 else 1.5
-            log_growing_path(
-                recording, growing[-1], paths.times[label], drawn, bands, palette, factor=factor, width=width, full=full, dashed=order > 0
-            )
+            log_growing_path(recording, growing[-1], paths.times[label], drawn, bands, palette, width=width, full=full, dashed=order > 0)
             if order == 0:
                 log_tool_point(recording, entity(root, "tool_point"), paths.times[label], drawn)
         if paths.programmed is not None:
@@ -163,7 +161,7 @@ def log_tip_path(
     points, _ = tool_point(scene, joints)
     root = entity(scene.part_path, "path_x1")
     path = entity(root, "followed", "motion")
-    log_growing_path(recording, path, time, points, np.zeros(len(time), int), (ERROR_BANDS[0],), factor=1, width=2.5, full=full)
+    log_growing_path(recording, path, time, points, np.zeros(len(time), int), (ERROR_BANDS[0],), width=2.5, full=full)
     log_tool_point(recording, entity(root, "tool_point"), time, points)
     return (PathView("At the tip: machine and path", root, (path,), np.array([points.min(axis=0), points.max(axis=0)]), ()),)
 

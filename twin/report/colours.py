@@ -27,7 +27,7 @@ TORQUE_COLOURS: dict[str, Colour] = {
 """Parts of the motor torque, for the viewer's dark background; the whole torque has the colour of its axis."""
 
 RUN_COLOURS: tuple[Colour, ...] = ((255, 221, 0), (187, 255, 255))
-"""Second and third of overlaid runs in the viewer, also dashed; the first run has the colour of its axis."""
+"""Second and third of overlaid runs in the viewer, also thin; the first run has the colour of its axis."""
 
 SETPOINT_COLOUR: Colour = (166, 170, 178)
 """Set points of any axis."""

@@ -16,6 +16,9 @@ from twin.tables import Number, Table, Text, asks
 
 INERTIA = "inertia."
 
+READ_IN = {"m": ("mm", 1e3), "m/rev": ("mm/rev", 1e3), "s": ("ms", 1e3), "H": ("mH", 1e3)}
+"""Unit of a machine file -> the unit in which people read it, and the factor."""
+
 
 @dataclass(frozen=True)
 class Factor:
@@ -40,16 +43,22 @@ class Factor:
     def high(self) -> float:
         return self.range[1] if self.range else max(self.values)
 
-    def shown(self, value: float) -> str:
-        """A value as text: the name of a choice, otherwise the number."""
-        return self.choices[round(value)].name if self.choices else f"{value:.4g}"
+    @property
+    def read_in(self) -> tuple[str, float]:
+        """Unit in which people read its values, and the factor to it: 'mm/rev', 1000; ('', 1) for catalogue entries and numbers without a unit."""
+        if self.choices:
+            return "", 1.0
+        unit = "times nominal" if self.relative else unit_at(self.paths[0])
+        return READ_IN.get(unit, (unit, 1.0))
 
     @property
     def unit(self) -> str:
-        """Unit of its values: 'kg', 'times nominal'; '' for catalogue entries and numbers without a unit."""
-        if self.choices:
-            return ""
-        return "times nominal" if self.relative else unit_at(self.paths[0])
+        """Unit in which people read its values: 'kg', 'mm/rev', 'times nominal'."""
+        return self.read_in[0]
+
+    def shown(self, value: float) -> str:
+        """A value as text: the name of a choice, otherwise the number in `unit`."""
+        return self.choices[round(value)].name if self.choices else f"{value * self.read_in[1]:.4g}"
 
     @property
     def titled(self) -> str:

@@ -13,10 +13,10 @@ from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.stamp import made_line
 from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
+from twin.study.factors import Factor
 from twin.study.holding_figure import holding_figure
 from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valued
 from twin.study.outcomes import Effect, depends, middle_of
-from twin.study.paths import unit_at
 from twin.study.results import Answers, Response, values_of
 from twin.study.spec import Study
 
@@ -36,7 +36,12 @@ def sentences(answers: Answers) -> list[str]:
     """The findings in words: the range of each response and the factor with the largest influence."""
     said = []
     for r in answers.responses:
-        text = f"{label_of(r.name)}: {valued(r.name, float(r.y.min()))} to {valued(r.name, float(r.y.max()))}"
+        least, largest = float(r.y.min()), float(r.y.max())
+        text = f"{label_of(r.name)}: {valued(r.name, least)} to {valued(r.name, largest)}"
+        if len(answers.rows) == len(r.y) == 2:
+            first, second = r.y.tolist()
+            text = f"{label_of(r.name)}: {valued(r.name, first)} with {answers.design_of(0)}, {valued(r.name, second)} with {answers.design_of(1)}"
+            text += f" ({100.0 * (second / first - 1.0):+.0f} %)" if first else ""
         if r.swings:
             s = r.swings[0]
             text += f"; largest influence: {s.factor}, {changed(r.name, s.swing)}, "
@@ -55,32 +60,37 @@ def sentences(answers: Answers) -> list[str]:
 
 
 def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
-    """A row per factor: the change of the response, and where it is least and largest."""
-    lines = []
+    """A row per factor, largest influence first: the change of the response over its range, where it is least and largest, and its slope.
+
+    The slope is per 100 kg, per 10 % or per tenth of the range, '-' where the response has an optimum inside the
+    range: there a slope says nothing.
+    """
+    lines, straight = [], {e.factors[0]: e for e in r.effects if len(e.factors) == 1}
     for s in r.swings:
         moves = s.swing > ROUNDING * float(np.abs(r.y).max())
         places = [answers.said_of(s.factor, place) if moves else "-" for place in (s.least_at, s.largest_at)]
-        lines.append([s.factor, changed(r.name, s.swing if moves else 0.0), *places])
+        effect, i = straight.get(s.factor), answers.factors.index(s.factor)
+        slope = "-"
+        ends = float(r.table[:, i].min()), float(r.table[:, i].max())
+        if moves and effect is not None and not answers.definitions[i].choices and {s.least_at, s.largest_at} == {*ends}:
+            width = ends[1] - ends[0]
+            step, said = _step(answers.definitions[i], width)
+            slope = f"{2.0 * effect.value / width * step * scale_of(r.name):+.3g} {unit_of(r.name).replace('1', '')} per {said}".replace(
+                "  ", " "
+            )
+        lines.append([s.factor, changed(r.name, s.swing if moves else 0.0), *places, slope])
     return lines
 
 
-def sensitivity_rows(study: Study, r: Response) -> list[list[str]]:
-    """A row per factor: the change of the response per 100 kg, 10 %, or a tenth of the range."""
-    lines = []
-    change = {e.factors[0]: e for e in r.effects if len(e.factors) == 1}
-    for i, factor in enumerate(study.factors):
-        width = float(np.ptp(r.table[:, i]))
-        if factor.name not in change or width == 0.0 or factor.choices:
-            continue
-        unit = unit_at(factor.paths[0])
-        step, said = (
-            (0.1, "10 %") if factor.relative else (100.0, "100 kg") if unit == "kg" else (width / 10.0, f"{width / 10.0:.3g} {unit}")
-        )
-        effect = change[factor.name]
-        low, value, high = (2.0 * v / width * step * scale_of(r.name) for v in (effect.low, _rounded(effect), effect.high))
-        band = f"{low:+.3g} .. {high:+.3g}" if np.isfinite(low) else "-"
-        lines.append([factor.name, f"{value:+.3g} {unit_of(r.name)} per {said}", band])
-    return lines
+SWING_HEADING = ("factor", "changes it by", "least at", "largest at", "slope")
+
+
+def _step(factor: Factor, width: float) -> tuple[float, str]:
+    """A step of a factor that people think in, and its words."""
+    if factor.relative:
+        return 0.1, "10 %"
+    tenth = float(f"{width / 10.0:.1g}")
+    return (100.0, "100 kg") if factor.unit == "kg" else (tenth, factor.said(tenth))
 
 
 def _rounded(effect: Effect) -> float:
@@ -89,15 +99,16 @@ def _rounded(effect: Effect) -> float:
 
 
 def effect_rows(r: Response) -> list[list[str]]:
-    """A row per effect: factors, change from the low to the high end, 95 % interval."""
+    """A row per effect that the swings do not show: factors together, or each factor where the variants are too few for swings."""
     twice = 2.0 * scale_of(r.name)
+    effects = [e for e in r.effects if len(e.factors) > 1 or not r.swings]
     return [
         [
             " x ".join(e.factors),
             f"{twice * _rounded(e):+.4g}",
             f"{twice * e.low:+.4g} .. {twice * e.high:+.4g}" if np.isfinite(e.low) else "-",
         ]
-        for e in r.effects[:MOST_BARS]
+        for e in effects[:MOST_BARS]
     ]
 
 
@@ -147,12 +158,11 @@ def _response_section(study: Study, answers: Answers, r: Response, shown: Shown)
         words.append(f"Surrogate: {r.surrogate.kind}; RMS error on left-out variants {changed(r.name, r.surrogate.error)}{share}.")
         if not r.surrogate.fits:
             words.append("This error is too large: the surrogate is not drawn, and no effects are given.")
-    if sensitivities := sensitivity_rows(study, r):
-        heading = ["factor", "sensitivity", "95 % interval"]
-        tables.append(Table(heading, sensitivities, caption="Sensitivities: straight line over the range"))
-    if r.effects:
+    if r.swings:
+        tables.append(Table(SWING_HEADING, swing_rows(answers, r), caption="Each factor over its range, the others at their median"))
+    if rows := effect_rows(r):
         heading = ["factors", _with_unit("change, low to high end", r.name), "95 % interval"]
-        tables.append(Table(heading, effect_rows(r), caption="Main effects and interactions"))
+        tables.append(Table(heading, rows, caption="Factors together" if r.swings else "Main effects and interactions"))
     if r.sobol:
         columns = (r.sobol[key] for key in ("S1", "S1_conf", "ST", "ST_conf"))
         lines = [[n, *(f"{v:.3f}" for v in line)] for n, *line in zip(answers.factors, *columns)]
@@ -224,9 +234,10 @@ def factors_figure(study: Study, r: Response) -> Any:
             here = r.table[:, listed[0]] == entry
             groups.append((name, colour, colour, here, np.where(np.arange(count) == listed[0], entry, middle)))
     for i, (factor, panel) in enumerate(zip(study.factors, panels)):
+        read = factor.read_in[1]
         for _, colour, line, here, at in groups:
             panel.plot(
-                r.table[here, i],
+                read * r.table[here, i],
                 scale * r.y[here],
                 ".",
                 color=colour,
@@ -238,7 +249,7 @@ def factors_figure(study: Study, r: Response) -> Any:
                 continue
             points = np.tile(at, (120, 1))
             points[:, i] = np.linspace(r.table[:, i].min(), r.table[:, i].max(), 120)
-            panel.plot(points[:, i], scale * r.surrogate.predict(points), color=line, linewidth=2.0)
+            panel.plot(read * points[:, i], scale * r.surrogate.predict(points), color=line, linewidth=2.0)
         if factor.choices:
             panel.set_xticks(range(len(factor.choices)), [choice.name for choice in factor.choices])
         panel.set_xlabel(factor.titled)
