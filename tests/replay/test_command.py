@@ -1,6 +1,7 @@
 """`twin replay`: what it makes of each kind of path, and one clear line for each kind of bad input."""
 
 import argparse
+import json
 import os
 from pathlib import Path
 import shutil
@@ -64,6 +65,16 @@ def test_two_runs_become_an_overlay_by_folder_or_trace(run: Path, tmp_path: Path
     held = read_recording(tmp_path / "both.rrd")
     assert "/axes/X/difference_position/second" in held
     assert "/axes/X/position/first" in held
+
+
+def test_an_overlay_names_the_effects_of_its_runs(run: Path, tmp_path: Path) -> None:
+    shutil.copytree(run, tmp_path / "worn")
+    effects = [{"name": "backlash", "axis": "X", "clearance": 1.5e-5}]
+    (tmp_path / "worn" / "summary.json").write_text(json.dumps({"effects": effects}), encoding="utf-8")
+    assert replay(str(run), str(tmp_path / "worn"), "--out", str(tmp_path / "out.rrd")) == 0
+    said = str(read_recording(tmp_path / "out.rrd")["/summary"]["TextDocument:text"].values)
+    assert "worn: effects backlash X" in said
+    assert "first: effects" not in said
 
 
 def test_two_folders_of_one_name_keep_apart(run: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from twin.cli.arguments import add_machine, machine_of, positive
 from twin.errors import InputError
 from twin.files import shipped_example, write_json
+from twin.progress import Progress
 from twin.units import AXIS_UNITS
 
 if TYPE_CHECKING:
@@ -252,7 +253,9 @@ def _predicted(trace: Trace, machine: Machine, measured: CircleTest, ballbar: Ba
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of
 
-    run = simulate(machine, setpoints_of(trace, machine), sample_period=simulated_period(machine, trace.period, ballbar))
+    with Progress("simulating the circle") as bar:
+        period = simulated_period(machine, trace.period, ballbar)
+        run = simulate(machine, setpoints_of(trace, machine), sample_period=period, progress=bar)
     return next(test for test in circles_of_trace(as_recorded(run.trace, trace.time, ballbar)) if test.axes == measured.axes)
 
 

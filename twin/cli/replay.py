@@ -10,8 +10,9 @@ import tempfile
 from twin.cli.arguments import machine_of
 from twin.errors import InputError
 from twin.machine.machine import load_machine
+from twin.progress import Progress
 from twin.recordings.trace import Trace, read_trace
-from twin.replay.source import MODEL_ENDINGS, machine_file_in, source_of
+from twin.replay.source import MODEL_ENDINGS, effects_beside, machine_file_in, source_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +56,10 @@ def carry_out(args: argparse.Namespace) -> int:
             raise InputError(f"{keep}: a recording is written as .rrd; give the file this ending")
         shown = recordings_for(args, keep or Path(folder) / "replay.rrd")
         if args.screenshot:
-            print(viewer.screenshot(shown, args.screenshot, args.at, size))
+            with Progress("drawing") as bar:
+                bar.say("drawing")
+                picture = viewer.screenshot(shown, args.screenshot, args.at, size)
+            print(picture)
         elif args.serve:
             viewer.serve(shown, args.port)
         elif keep is not None:
@@ -114,7 +118,12 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
         notes += [f"{label} is shifted by {shift * 1e3:.4g} ms onto the set points of {next(iter(runs))}"] if shift else []
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
-    write_recording(out, machine, runs, summary="\n".join(notes), full=args.full)
+    effects = [
+        f"{label}: effects {found}" for label, source in zip(runs, sources) if source.trace and (found := effects_beside(source.trace))
+    ]
+    with Progress("writing the recording") as bar:
+        bar.say("writing the recording")
+        write_recording(out, machine, runs, summary="\n".join([*effects, *notes]), full=args.full)
     return [out]
 
 

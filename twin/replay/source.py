@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from twin.documents import read_toml
+from twin.documents import read_json_table, read_toml
 from twin.errors import InputError, nearest
 
 TRACE_ENDINGS = (".parquet", ".csv")
@@ -50,6 +50,16 @@ def machine_file_in(path: Path) -> Path | None:
         return None
     files = [file for file in sorted(path.glob("*.toml")) if "axis" in _tables_of(file)]
     return files[0] if len(files) == 1 else None
+
+
+def effects_beside(trace: Path) -> str:
+    """Effects of the simulated machine, 'backlash X', from the summary beside a trace; '' without any."""
+    try:
+        found = read_json_table(trace.parent / "summary.json").get("effects", [])
+    except InputError:
+        return ""
+    tables = [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+    return ", ".join(f"{one.get('name', '')} {one.get('axis', '')}".replace("_", " ") for one in tables)
 
 
 def _of_folder(path: Path) -> Source:
