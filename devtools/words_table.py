@@ -8,7 +8,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.program.tables import ACTS, ISO_G, ISO_M, KLARTEXT, KLARTEXT_M, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
+from twin.program.iso import ISO_G, ISO_M
+from twin.program.klartext import KLARTEXT, KLARTEXT_M
+from twin.program.tables import ACTS, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "programs.md"
 BEGIN, END = "<!-- words: python devtools/words_table.py --write -->\n", "<!-- end of words -->\n"
@@ -18,7 +20,7 @@ KINDS = {ACTS: "acts", NOTE: "noted", REFUSED: "refused"}
 def rows(table: dict, prefix: str) -> list[tuple[str, str, str]]:
     """Words with the same meaning in one row: words, kind, meaning."""
     grouped: dict[tuple[str, str], list[str]] = {}
-    for key, (kind, meaning) in table.items():
+    for key, (kind, meaning, *_) in table.items():
         name = key if isinstance(key, str) else f"{prefix}{key:g}"
         grouped.setdefault((kind, meaning), []).append(name)
     return [(_short(names), KINDS[kind], meaning) for wanted in KINDS for (kind, meaning), names in grouped.items() if kind == wanted]

@@ -13,9 +13,10 @@ from devtools import fuzz_programs
 from tests.conftest import ROOT
 from twin.errors import InputError
 from twin.program import check, read_program
+from twin.program.klartext import KLARTEXT, KLARTEXT_M
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
-from twin.program.tables import ACTS, KLARTEXT, KLARTEXT_M, NOTE, REFUSED
+from twin.program.tables import ACTS, NOTE, REFUSED
 
 ROOT2 = math.sqrt(0.5)
 DRILL = "CYCL DEF {} ~\n Q200=2 ;CLEARANCE ~\n Q201=-10 ;DEPTH ~\n Q206=200 ;FEED ~\n Q202=4 ~\n Q210=0 ~\n Q203=+1 ~\n Q204=20 ~\n Q211=0.5 {}\n"
@@ -247,7 +248,7 @@ def test_every_word_of_the_table_acts_or_is_noted_or_is_refused(write, equipped)
 
     without, notes = meaning("")
     wrong = []
-    for word, (kind, _) in KLARTEXT.items():
+    for word, (kind, *_) in KLARTEXT.items():
         try:
             now, said = meaning(EXAMPLES.get(word, f"{word} 1"))
             result = ACTS if now != without else NOTE if said - notes else "silent"

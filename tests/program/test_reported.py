@@ -11,10 +11,11 @@ import pytest
 
 from twin.errors import InputError
 from twin.program import check, is_program, read_program
+from twin.program.iso import ISO_M
 from twin.program.moves import ARC, LINE
 from twin.program.read import dialect, understand
 from twin.program.source import Source
-from twin.program.tables import ISO_M, SINUMERIK_M
+from twin.program.tables import SINUMERIK_M
 
 
 def ends(program) -> np.ndarray:

@@ -12,9 +12,10 @@ from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.program import interpolate, read_program
 from twin.program.apt_words import WITHOUT_EFFECT
+from twin.program.iso import ISO_G, ISO_M, iso
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
-from twin.program.tables import ACTS, ISO_G, ISO_M, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_NAMES
+from twin.program.tables import ACTS, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_NAMES
 
 LINUXCNC = Path(__file__).resolve().parents[3] / "shared" / "data" / "linuxcnc" / "interp"
 
@@ -260,15 +261,13 @@ def fingerprint(out, front) -> tuple:
         "home",
         "modal_macro",
         "chosen",
-        "program_offset",
         "pole",
         "angles_are_rpy",
         "corners_meet",
         "modal",
-        "swivelled",
-        "plane_matrix",
+        "frames",
     ]
-    parts = [part for part in vars(front).values() if type(part).__module__.startswith("twin.program")]
+    parts = [front, *(part for part in vars(front).values() if type(part).__module__.startswith("twin.program"))]
     return (
         len(out.kinds),
         out.modes,
@@ -290,17 +289,16 @@ def test_every_word_of_the_iso_table_acts_or_is_noted_or_is_refused(write, mikro
         "G0 X0 Y0 Z5\nG1 X1 Y1 F100 S100\n",
         "G20 G18 G91 G93 G99 G90.1 G61 G16 G55 G52 X1\nG92 X3\nG51 P2\nG17 G90 G20\nG1 X1 F1\nG81 Z-1 R1 F1\nG19 G91 G42.1 D1\n",
     )
-    from twin.program.iso import Iso
     from twin.program.source import Source, units_of
 
     def run(text: str) -> tuple:
         path = write(text, "part.nc")
-        front = Iso(path, mikron, units_of(Source(path))[0], linuxcnc=False)
-        front.flow.run(front, front.values, front.calls)
+        front = iso(path, mikron, units_of(Source(path))[0], linuxcnc=False)
+        front.flow.run()
         return fingerprint(front.out, front), tuple(front.out.notes)
 
     silent = []
-    for number, (kind, _) in ISO_G.items():
+    for number, (kind, *_) in ISO_G.items():
         word = f"G{number:g} " + CONTEXT.get(number, "Z-1 R1" if 73 < number < 90 and number != 80 else "")
         outcomes = []
         for state in states:
@@ -341,7 +339,7 @@ def test_every_word_of_the_iso_table_acts_or_is_noted_or_is_refused(write, mikro
         ):
             silent.append((word, outcomes))
     assert not silent, silent
-    assert all(kind in (ACTS, NOTE, REFUSED) for kind, _ in ISO_M.values())
+    assert all(kind in (ACTS, NOTE, REFUSED) for kind, *_ in ISO_M.values())
 
 
 NAMES_IN_CONTEXT = {
@@ -385,8 +383,8 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
 
     context = {4: "F1", 25: "X1", 26: "X1", 331: "Z3 K1", 332: "Z3 K1", 63: "Z3", 41: "X9", 42: "X9", 53: "X3", 153: "X3", 58: "X5", 59: "X5", 74: "X1=0", 75: "X1=0",
                2: "X2 Z3 Y1 I3 K3 CR=5", 3: "X5 Y5 CR=9", 9: "X7", 110: "X4", 111: "X4", 112: "X4", 0: "X7", 1: "X7"}  # fmt: skip
-    words = [NAMES_IN_CONTEXT.get(n, f"{n}=1") for n, (kind, _) in SINUMERIK_NAMES.items() if kind == ACTS and n not in ("RET", "ENDPROC")]
-    words += [f"G{n:g} {context.get(n, '')}" for n, (kind, _) in SINUMERIK_G.items() if kind == ACTS and n != 40]
+    words = [NAMES_IN_CONTEXT.get(n, f"{n}=1") for n, (kind, *_) in SINUMERIK_NAMES.items() if kind == ACTS and n not in ("RET", "ENDPROC")]
+    words += [f"G{n:g} {context.get(n, '')}" for n, (kind, *_) in SINUMERIK_G.items() if kind == ACTS and n != 40]
     before = [run(state) for state in states]
     silent = []
     for word in words:
@@ -446,7 +444,7 @@ MODES_HERE = [
 
 def test_no_name_beside_a_move_is_ignored(write, mikron) -> None:
     """Each name of the table, alone, with a value and as a call, in two states: the moves with it are others, or a note or an error names it."""
-    words = [word for n, (kind, _) in SINUMERIK_NAMES.items() if kind != REFUSED for word in (n, f"{n}=3", f"{n}(3)")]
+    words = [word for n, (kind, *_) in SINUMERIK_NAMES.items() if kind != REFUSED for word in (n, f"{n}=3", f"{n}(3)")]
     silent = set(words)
     for head in (HEAD, "G0 X0 Y0 Z200\nTRAORI\nORIMKS\nBRISK\nFFWOF\nG1 X1 Y1 F100 S100\n"):
         without = meaning(write(f"{head}X5 Y5\n{TAIL}"), mikron)
@@ -495,7 +493,7 @@ def test_no_g_code_beside_a_move_is_ignored(write, mikron, name: str) -> None:
     head = set_apart + HEAD
     without = meaning(write(f"{head}X5 Y5\n{TAIL}", name), mikron)
     silent = set()
-    for number, (kind, _) in ISO_G.items():
+    for number, (kind, *_) in ISO_G.items():
         words = " ".join(w for w in CONTEXT.get(number, "").split() if w[0] not in "XYZ")
         if kind != REFUSED and ignored(meaning(write(f"{head}X5 Y5 G{number:g} {words}\n{TAIL}", name), mikron), without):
             silent.add(number)
@@ -658,7 +656,7 @@ def test_fine_boring_steps_off_the_wall(read) -> None:
     assert ends(program)[-3:].tolist() == [[5.5, 0, -3], [5.5, 0, 9], [5, 0, 9]]
 
 
-@pytest.mark.parametrize("name", [n for n, (kind, _) in SINUMERIK_NAMES.items() if kind == REFUSED])
+@pytest.mark.parametrize("name", [n for n, (kind, *_) in SINUMERIK_NAMES.items() if kind == REFUSED])
 def test_every_refused_name_says_what_to_do(read, name: str) -> None:
     bare = () if re.fullmatch(r"[A-Z]\d", name) else (name, f"{name}(1)")  # A4 alone is a position of the axis A
     for block in (f"{name}=1", *bare):
@@ -668,11 +666,11 @@ def test_every_refused_name_says_what_to_do(read, name: str) -> None:
 
 
 def test_every_noted_name_is_noted(write, mikron) -> None:
-    for name in [n for n, (kind, _) in SINUMERIK_NAMES.items() if kind == NOTE]:
+    for name in [n for n, (kind, *_) in SINUMERIK_NAMES.items() if kind == NOTE]:
         word = f"{name}=1" if re.fullmatch(r"[A-Z]\d", name) else name  # A4 alone is a position of the axis A
         out = understand(write(f"G1 X1 F100\n{word}\nG1 X2\n"), mikron)
         assert any(name in note for note in out.notes), name
-    for number, (kind, _) in SINUMERIK_G.items():
+    for number, (kind, *_) in SINUMERIK_G.items():
         if kind == NOTE:
             assert any(f"G{number:g}" in n for n in understand(write(f"G{number:g}\n"), mikron).notes)
 

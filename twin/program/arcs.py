@@ -17,6 +17,10 @@ PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 """First and second axis of the working plane and its normal."""
 
 
+Arc = tuple[np.ndarray, np.ndarray, float]
+"""Centre (3,), axis (3,) and angle > 0 [rad], right-handed about the axis."""
+
+
 class ArcError(Exception):
     """A geometrically impossible arc; the reader adds the place."""
 
@@ -29,7 +33,7 @@ def from_centre(
     clockwise: bool,
     turns: int,
     tolerance: float = CLOSING_TOLERANCE,
-) -> tuple[np.ndarray, np.ndarray, float]:
+) -> Arc:
     """Centre (3,), normal (3,) and angle > 0 of an arc in a plane; equal start and end are a full circle."""
     a, b, c = PLANES[plane]
     first = np.array([start[a] - centre[a], start[b] - centre[b]])
@@ -79,7 +83,7 @@ def centre_from_radius(start: np.ndarray, end: np.ndarray, radius: float, plane:
     return centre
 
 
-def through(start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def through(start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> Arc:
     """Centre (3,), normal (3,) and angle of the arc in space from start through a middle point to the end (CIP)."""
     u, v = middle - start, end - start
     normal = np.cross(u, v)
@@ -91,7 +95,7 @@ def through(start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> tuple[np.
     return centre, axis, _angle(start - centre, end - centre, axis)
 
 
-def tangential(start: np.ndarray, direction: np.ndarray, end: np.ndarray, plane: int) -> tuple[np.ndarray, np.ndarray, float]:
+def tangential(start: np.ndarray, direction: np.ndarray, end: np.ndarray, plane: int) -> Arc:
     """Centre, normal and angle of the arc in the plane that starts tangent to a direction (3,) (CT)."""
     a, b, c = PLANES[plane]
     t = np.array([direction[a], direction[b]])

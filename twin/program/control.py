@@ -5,7 +5,7 @@ Moves are passed to the collector in machine coordinates; `twin.program.state` h
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Container
 from dataclasses import replace
 import math
 from typing import NamedTuple
@@ -14,32 +14,37 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
+from twin.program.arcs import Arc
 from twin.program.compensation import GOUGE, Compensation, CompensationError, Element
 from twin.program.cycles import ASIDE, BACK, DWELL, FEED, RAPID, Drilling, drill
 from twin.program.expressions import WordError
-from twin.program.state import INDEX, LINEAR, ROTARY, Item, State
+from twin.program.frames import INDEX, LINEAR, ROTARY
+from twin.program.state import Item, State
 
 LONGEST_DWELL = 3600.0
 SAME_SCALE = 1e-9
+KEPT = (math.nan, math.nan)
+"""A and C that stay where they are."""
 
 Vector = tuple[float, float, float]
-Arc = tuple[np.ndarray, bool, int]
-"""Centre (3,), whether clockwise, full turns more."""
-SpaceArc = tuple[np.ndarray, np.ndarray, float]
-"""Centre (3,), normal (3,), angle [rad]."""
 
 
-class Programmed(NamedTuple):
-    """Data of a block's move besides X Y Z; `mode` is the number of the active modes."""
+class Move(NamedTuple):
+    """One move to a point in program coordinates (machine coordinates if `machine`), by a line or an arc.
+
+    Feed (with its override), place in the program and modes are those with which it was programmed; `mode` is the number of the modes.
+    """
 
     kind: int
-    angles: list[float]
-    vector: Vector | None
+    point: np.ndarray
+    angles: tuple[float, float]  # A and C, NaN if not programmed
+    vector: Vector | None  # tool axis
+    arc: Arc | None
+    machine: bool
     feed: float
     line: int
     block: int
     mode: int
-    tolerance: Callable[[float], float]
 
 
 class Control:
@@ -50,23 +55,25 @@ class Control:
 
     # ------------------------------------------------------------------ moves
 
-    def target(self, words: dict[str, Item], suppress: bool, start: np.ndarray | None = None) -> tuple[np.ndarray, list[float]]:
-        """Target of a block: program coordinates (3,), or machine coordinates if `suppress`; A and C, NaN if not programmed.
+    def target(
+        self, words: dict[str, Item], machine: bool = False, start: np.ndarray | None = None
+    ) -> tuple[np.ndarray, tuple[float, float]]:
+        """Target of a block: program coordinates (3,), or machine coordinates if `machine`; A and C, NaN if not programmed.
 
         `start` (3,): start of the move; default: position of the tool.
         """
         out = self.state.out
         if any(n in words and (words[n].how not in ("", "AC") or not self.state.absolute) for n in ROTARY):
             out.position[3:] = [float(v) for v in out.settle()]
-        if suppress and self.state.comp is not None:
+        if machine and self.state.comp is not None:
             raise WordError("a block in machine coordinates is inside G41 or G42; write G40 and a move before", 1)
         if start is None:
-            start = np.array(out.position[:3]) if suppress else self.state.here()
+            start = np.array(out.position[:3]) if machine else self.state.here()
         point = start.copy()
         angles = [math.nan, math.nan]
         for name, (value, how, column) in words.items():
             si = self.state.si(name, value)
-            relative = how == "IC" or (how == "" and not self.state.absolute and not suppress)
+            relative = how == "IC" or (how == "" and not self.state.absolute and not machine)
             if name in LINEAR:
                 if how in ("DC", "ACP", "ACN"):
                     raise WordError(f"{how}() is for rotary axes; use AC() or IC()", column)
@@ -74,7 +81,7 @@ class Control:
                 point[i] = start[i] + si if relative else si
             elif name in ROTARY:
                 i = INDEX[name]
-                offset, now = (0.0 if suppress else self.state.offset[i]), out.position[i]
+                offset, now = (0.0 if machine else self.state.offset[i]), out.position[i]
                 if relative:
                     goal = now + si
                 elif how in ("DC", "ACP", "ACN"):
@@ -87,7 +94,7 @@ class Control:
                 angles[i - 3] = goal
             else:
                 self.move_other(name, self.state.other_axes[name] + si if relative else si)
-        return point, angles
+        return point, (angles[0], angles[1])
 
     def move_other(self, name: str, value: float) -> None:
         """Record an axis that this machine lacks; a value other than zero is reported at the end."""
@@ -99,80 +106,74 @@ class Control:
                 next((n for n, slot in self.state.slot_of.items() if slot == name), name),
             )
 
-    def go(
+    def move(
         self,
         kind: int,
         point: np.ndarray,
-        angles: list[float],
+        angles: tuple[float, float] = KEPT,
         vector: Vector | None = None,
         arc: Arc | None = None,
-        *,
-        suppress: bool = False,
-        space_arc: SpaceArc | None = None,
-    ) -> None:
-        """One move to a point in program coordinates (machine coordinates if `suppress`); `arc`: centre, clockwise, turns more."""
-        self.feed_given(kind)
-        if self.state.after_compensation and self.state.comp is None:
-            if arc is not None or space_arc is not None:
-                raise WordError("the move after G40 must be straight, not an arc; add a straight move", 1)
-            self.state.after_compensation = False
-            self.state.settle_plain()
-        said = Programmed(
-            kind,
-            angles,
-            vector,
-            self.state.feed * self.state.override,
-            self.state.line,
-            self.state.block,
-            len(self.state.out.all_modes) - 1,
-            self.state.closing(),
-        )
-        if self.state.comp is not None and not suppress:
-            self._beside(said, self.state.here(), point, arc, space_arc)
-            return
-        self._put(said, self.state.here() if not suppress else np.array(self.state.out.position[:3]), point, arc, suppress, space_arc)
+        machine: bool = False,
+    ) -> Move:
+        """A move with the feed, place and modes in force."""
+        s = self.state
+        return Move(kind, point, angles, vector, arc, machine, s.feed * s.override, s.line, s.block, len(s.out.all_modes) - 1)
 
-    def feed_given(self, kind: int) -> None:
-        if kind != mv.RAPID and math.isnan(self.state.feed):
+    def go(self, kind: int, point: np.ndarray, angles: tuple[float, float] = KEPT, arc: Arc | None = None, machine: bool = False) -> None:
+        """Make a move with the feed, place and modes in force."""
+        self.make(self.move(kind, point, angles, None, arc, machine))
+
+    def make(self, move: Move) -> None:
+        """Make a move, or queue it for radius compensation."""
+        s = self.state
+        if move.kind != mv.RAPID and not move.feed > 0.0:
+            self.feed_given(move.feed)
+        if s.after_compensation and s.comp is None:
+            if move.arc is not None:
+                raise WordError("the move after G40 must be straight, not an arc; add a straight move", 1)
+            s.after_compensation = False
+            s.settle_plain()
+        if s.comp is not None and not move.machine:
+            self._beside(move)
+        else:
+            self._put(move)
+
+    def feed_given(self, feed: float) -> None:
+        """Refuse a move without a feed; an ISO control refuses F0 in the block of the move."""
+        if self.state.iso and feed == 0.0:
+            raise WordError("the feed is 0; give F a number above 0", 1)
+        if math.isnan(feed):
             text = "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block, or feed_mm_min in [program] of the machine file"
             if self.state.path.suffix.lower() == ".spf":
                 text = "no feed is programmed yet, which a call gives this subprogram; read the program that calls it"
             raise self.state.out.fail(self.state.line, self.state.block, text)
 
-    def _put(
-        self,
-        said: Programmed,
-        start: np.ndarray,
-        point: np.ndarray,
-        arc: Arc | None,
-        suppress: bool = False,
-        space_arc: SpaceArc | None = None,
-    ) -> None:
+    def _put(self, move: Move) -> None:
         """Pass a move to the collector, in machine coordinates."""
-        kind, angles, vector, feed, line, block, mode, tolerance = said
-        out = self.state.out
-        goal = point if suppress else self.state.to_machine(point)
-        circle = space_arc
-        if arc is not None:
-            centre, clockwise, turns = arc
-            radius = float(np.linalg.norm(start - centre))
-            circle = arcs.from_centre(start, point, centre, self.state.plane, clockwise, turns, tolerance(radius))
-        if circle is not None:
-            out.arcs[len(out.kinds)] = circle if suppress else self._turned(circle)
-        if self.state.fixed_axis is not None and vector is None and math.isnan(angles[0]) and math.isnan(angles[1]):
-            vector = _vector(self.state.fixed_axis)
-        elif vector is not None and self.state.matrix is not None:
-            vector = _vector(self.state.matrix @ np.array(vector))
-        out.add(kind, (*map(float, goal), *angles), vector, math.inf if kind == mv.RAPID else feed, line, block)
-        out.mode_of[-1] = mode
-        out.position[:3] = [float(v) for v in goal]
+        s, out, vector, angles = self.state, self.state.out, move.vector, move.angles
+        goal = move.point if move.machine else s.to_machine(move.point)
+        if move.arc is not None:
+            out.arcs[len(out.kinds)] = move.arc if move.machine else self._turned(move.arc)
+        if s.fixed_axis is not None and vector is None and math.isnan(angles[0]) and math.isnan(angles[1]):
+            vector = _vector(s.fixed_axis)
+        elif vector is not None and s.matrix is not None:
+            vector = _vector(s.matrix @ np.array(vector))
+        place = goal.tolist()
+        out.add(move.kind, (*place, *angles), vector, math.inf if move.kind == mv.RAPID else move.feed, move.line, move.block)
+        out.mode_of[-1] = move.mode
+        out.position[:3] = place
         for i, angle in enumerate(angles):
             if not math.isnan(angle):
                 out.position[3 + i] = angle
         if vector is not None:
-            out.position[3:] = [math.nan, math.nan]
+            out.position[3:] = KEPT
 
-    def _turned(self, circle: SpaceArc) -> SpaceArc:
+    def arc_about(self, start: np.ndarray, end: np.ndarray, centre: np.ndarray, clockwise: bool, turns: int = 0) -> Arc:
+        """The arc about a centre in the plane; equal start and end are a full circle."""
+        limit = self.state.closing()(float(np.linalg.norm(start - centre)))
+        return arcs.from_centre(start, end, centre, self.state.plane, clockwise, turns, limit)
+
+    def _turned(self, circle: Arc) -> Arc:
         """An arc in machine coordinates; a mirror reverses its direction."""
         centre, normal, angle = circle
         if self.state.matrix is not None:
@@ -226,6 +227,11 @@ class Control:
         if self.state.out.kinds:
             self.state.out.stops[len(self.state.out.kinds) - 1] = pause
 
+    def to_home(self, home: np.ndarray, names: Container[str]) -> None:
+        """Rapid of the axes named to their places (5,) in machine coordinates; the others stay."""
+        place = [home[INDEX[n]] if n in names else now for n, now in zip(INDEX, [*self.state.out.position[:3], *KEPT])]
+        self.go(mv.RAPID, np.array(place[:3]), (float(place[3]), float(place[4])), machine=True)
+
     def dwell(self, seconds: float) -> None:
         """A dwell at the current position."""
         if not 0.0 <= seconds <= LONGEST_DWELL:
@@ -259,12 +265,12 @@ class Control:
                 for i, step in zip(arcs.PLANES[self.state.plane][:2], aside):
                     point[i] += step * self.state.unit * (1.0 if what == ASIDE else -1.0)
             self.state.feed = feed * share
-            self.go(mv.LINE if what == FEED else mv.RAPID, point, [math.nan, math.nan])
+            self.go(mv.LINE if what == FEED else mv.RAPID, point)
         self.state.feed = feed
 
     # ------------------------------------------------------------------ cutter radius
 
-    def compensate(self, side: int, radius: float, *, along_next: bool, corners_meet: bool = False) -> None:
+    def compensate(self, side: int, radius: float, *, along_next: bool = False, corners_meet: bool = False) -> None:
         """G40 (0), G41 (1) or G42 (-1) from the next move on."""
         if self.state.comp is not None:
             if side and (side > 0) == (self.state.comp.offset * radius > 0) and self.state.comp.tool_radius == abs(radius):
@@ -319,53 +325,52 @@ class Control:
         self.state.after_compensation = stands is not None
         self.state.settle_plain()
 
-    def _beside(self, said: Programmed, start: np.ndarray, point: np.ndarray, arc: Arc | None, space_arc: SpaceArc | None) -> None:
+    def _beside(self, move: Move) -> None:
         """Queue a move of the contour for radius compensation."""
-        assert self.state.comp is not None
-        if space_arc is not None or said.vector is not None or not all(math.isnan(v) for v in said.angles):
+        s, arc, start, point = self.state, move.arc, self.state.here(), move.point
+        assert s.comp is not None
+        a, b, c = arcs.PLANES[s.plane]
+        flat = arc is None or abs(arc[1][c]) > 1.0 - 1e-9
+        if not flat or move.vector is not None or not all(map(math.isnan, move.angles)):
             raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before", 1)
-        a, b, c = arcs.PLANES[self.state.plane]
-        mode = self.state.out.all_modes[said.mode]
         centre, sense, turns, length = None, 0, 0, float(np.linalg.norm(point - start))
         if arc is not None:
-            circle = arcs.from_centre(
-                start, point, arc[0], self.state.plane, arc[1], arc[2], said.tolerance(float(np.linalg.norm(start - arc[0])))
-            )
-            centre, sense, turns = circle[0][[a, b]], (-1 if arc[1] else 1), arc[2]
-            length = math.hypot(circle[2] * float(np.hypot(*(start[[a, b]] - centre))), point[c] - start[c])
+            centre, sense, turns = arc[0][[a, b]], int(np.sign(arc[1][c])), math.ceil(arc[2] / (2.0 * math.pi) - 1e-9) - 1
+            length = math.hypot(arc[2] * float(np.hypot(*(start[[a, b]] - centre))), point[c] - start[c])
+        mode = s.out.all_modes[move.mode]
         if mode.feed_mode == 93:  # G93 gives the time of the contour; the tool keeps the same speed
-            self.state.out.set_modes(replace(self.state.out.modes, feed_mode=94))
-            said = said._replace(feed=said.feed * length / mode.feed_unit, mode=len(self.state.out.all_modes) - 1)
-            self.state.out.set_modes(mode)
-        element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, said)
+            s.out.set_modes(replace(s.out.modes, feed_mode=94))
+            move = move._replace(feed=move.feed * length / mode.feed_unit, mode=len(s.out.all_modes) - 1)
+            s.out.set_modes(mode)
+        element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, move)
         element.whole = centre is not None and float(np.hypot(*(element.b - element.a))) < 1e-9
-        self.state.programmed = point.copy()
+        s.programmed = point.copy()
         try:
-            self.state.comp.add(element)
+            s.comp.add(element)
         except CompensationError as error:
             raise WordError(str(error), 1) from None
 
     def _emit(self, e: Element) -> None:
         """Emit a finished element of the compensation."""
-        a, b, c = arcs.PLANES[self.state.plane]
-        comp, self.state.comp = self.state.comp, None
-        after, self.state.after_compensation = self.state.after_compensation, False
-        start, point = self.state.here(), np.zeros(3)
+        s = self.state
+        a, b, c = arcs.PLANES[s.plane]
+        comp, s.comp = s.comp, None
+        after, s.after_compensation = s.after_compensation, False
+        start, point = s.here(), np.zeros(3)
         point[[a, b]], point[c] = e.b, e.across[1]
-        said: Programmed = e.move
-        arc, whole = None, e.whole and float(np.hypot(*(e.b - start[[a, b]]))) < GOUGE
+        arc, kind, whole = None, e.move.kind, e.whole and float(np.hypot(*(e.b - start[[a, b]]))) < GOUGE
         if whole:  # a corner that rounding made must not turn it into an arc of no length
             point[[a, b]] = start[[a, b]]
-        if e.centre is not None:
+        moves = np.linalg.norm(point - start) > 1e-12 or e.turns or whole
+        if moves and e.centre is not None:
             centre = start.copy()
             centre[[a, b]] = e.centre
-            arc = centre, e.sense < 0, e.turns
-            said = said._replace(kind=mv.ARC)
-        elif said.kind == mv.ARC:
-            said = said._replace(kind=mv.LINE)
-        if np.linalg.norm(point - start) > 1e-12 or e.turns or whole:
-            self._put(said, start, point, arc)
-        self.state.comp, self.state.after_compensation = comp, after
+            arc, kind = self.arc_about(start, point, centre, e.sense < 0, e.turns), mv.ARC
+        elif kind == mv.ARC:
+            kind = mv.LINE
+        if moves:
+            self._put(e.move._replace(kind=kind, point=point, arc=arc))
+        s.comp, s.after_compensation = comp, after
 
 
 def _gap(start: np.ndarray, end: np.ndarray, centre: np.ndarray, a: int, b: int) -> float:

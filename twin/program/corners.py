@@ -9,28 +9,8 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control import Arc, Control, SpaceArc, Vector
+from twin.program.control import KEPT, Control, Move
 from twin.program.expressions import WordError
-
-
-class Move(NamedTuple):
-    """One move with what `Control.go` takes, and the feed and place that it was programmed with."""
-
-    kind: int
-    point: np.ndarray
-    angles: list[float]
-    vector: Vector | None
-    arc: Arc | None
-    space: SpaceArc | None
-    suppress: bool
-    feed: float
-    line: int
-    block: int
-
-    @property
-    def is_straight(self) -> bool:
-        """Whether the move is a line."""
-        return self.arc is None and self.space is None
 
 
 class Held(NamedTuple):
@@ -52,12 +32,25 @@ class Corners:
     def __init__(self, control: Control) -> None:
         self.control, self.state = control, control.state
         self.tangent: np.ndarray | None = None
+        self.before: list[float] | None = None  # x y z before the last move that was read as a plain line
+        self.last_kind = mv.LINE
         self.every_corner = 0.0  # RNDM [m]
         self.held: Held | None = None  # RND, CHF or CHR that waits for the next move
 
     def start(self) -> np.ndarray:
         """Start of the next move (3,): position of the tool after the waiting move."""
         return self.held.move.point.copy() if self.held is not None else self.state.here()
+
+    def direction(self) -> np.ndarray | None:
+        """Unit vector (3,) of the motion at the end of the last move, which a tangent arc continues."""
+        way = self.tangent
+        if self.held is not None:
+            if self.held.move.arc is not None:
+                raise WordError("a tangent behind RND or CHF on an arc is not supported; write the corner as blocks", 1)
+            way = self.held.move.point - self.held.start
+        elif way is None and self.before is not None:
+            way = self.state.here() - self.state.to_program(np.array(self.before))
+        return None if way is None or not np.linalg.norm(way) > 1e-12 else way / np.linalg.norm(way)
 
     def queue(self, move: Move, corner: tuple[str, float] | None) -> None:
         """Emit a move, or hold it until the next move defines its corner; `corner`: word and size [m]."""
@@ -71,23 +64,19 @@ class Corners:
         self._go(move)
 
     def _go(self, move: Move) -> None:
-        """Emit a move with its feed and line; keep the direction at its end for CT."""
-        kind, point, angles, vector, arc, space, suppress, feed, line, block = move
-        now = self.state.feed, self.state.line, self.state.block
-        self.state.feed, self.state.line, self.state.block = feed, line, block
-        start = self.state.here() if not suppress else None
-        self.control.go(kind, point, angles, vector, arc, suppress=suppress, space_arc=space)
-        self.tangent = None
-        if start is not None and arc is None and space is None and np.linalg.norm(point - start) > 0:
-            self.tangent = (point - start) / np.linalg.norm(point - start)
-        elif start is not None and (arc is not None or space is not None):
-            if space is None:
-                assert arc is not None
-                space = arcs.from_centre(start, point, arc[0], self.state.plane, arc[1], arc[2], self.state.closing()(np.inf))
-            centre, normal, _ = space
-            way = np.cross(normal, point - centre)
+        """Emit a move; keep the direction at its end for a tangent arc."""
+        start = None if move.machine else self.state.here()
+        self.control.make(move)
+        self.tangent, self.before, self.last_kind = None, None, move.kind
+        if start is None:
+            return
+        if move.arc is None:
+            way = move.point - start
+        else:
+            centre, normal, _ = move.arc
+            way = np.cross(normal, move.point - centre)
+        if np.linalg.norm(way) > 0.0:
             self.tangent = way / np.linalg.norm(way)
-        self.state.feed, self.state.line, self.state.block = now
 
     def release(self) -> None:
         """Emit a waiting move at full length."""
@@ -105,10 +94,10 @@ class Corners:
         corner = before.point
         u, v = corner - start, following.point - corner
         lengths = float(np.linalg.norm(u)), float(np.linalg.norm(v))
-        straight = before.is_straight and following.is_straight and following.kind != mv.RAPID
+        straight = before.arc is None and following.arc is None and following.kind != mv.RAPID
         if not straight or min(lengths) < 1e-9:
             if what == "RNDM":
-                if following.kind != mv.RAPID and not following.is_straight:
+                if following.kind != mv.RAPID and following.arc is not None:
                     self.state.note("RNDM: a corner between a line and an arc is not rounded; write it as blocks where it is no tangent")
                 self._go(before)
                 return
@@ -129,7 +118,7 @@ class Corners:
             raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller", 1)
         first, last = corner - cut * u, corner + cut * v
         self._go(before._replace(point=first))
-        cut_off = before._replace(point=last, angles=[math.nan, math.nan], vector=None, suppress=False)
+        cut_off = before._replace(point=last, angles=KEPT, vector=None, machine=False)
         if what == "CHF" or what in CUT_OFF:
             self._go(cut_off)
         else:
@@ -139,4 +128,4 @@ class Corners:
             axis = arcs.PLANES[self.state.plane][2]
             if abs(abs(normal[axis]) - 1.0) > 1e-9:
                 raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane", 1)
-            self._go(cut_off._replace(kind=mv.ARC, arc=(centre, bool(normal[axis] < 0), 0)))
+            self._go(cut_off._replace(kind=mv.ARC, arc=self.control.arc_about(first, last, centre, bool(normal[axis] < 0))))

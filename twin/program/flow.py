@@ -71,12 +71,13 @@ class Blocks(Protocol):
 class Flow:
     """Executes the blocks of a program."""
 
+    lines: Lines
     values: Values
     calls: Calls
     blocks: Blocks
 
-    def __init__(self, unit: Unit, state: State, lines: Lines) -> None:
-        self.state, self.lines = state, lines
+    def __init__(self, unit: Unit, state: State) -> None:
+        self.state = state
         self.frames = [Frame(unit, unit.first)]
         self.ran = self.jumps = self.same_jumps = 0
         self._seen: dict[tuple, tuple] = {}
@@ -87,10 +88,13 @@ class Flow:
         """The running program or subprogram."""
         return self.frames[-1]
 
-    def run(self, blocks: Blocks, values: Values, calls: Calls) -> None:
+    def speak(self, lines: Lines, values: Values, calls: Calls, blocks: Blocks) -> None:
+        """Set the parts of the language."""
+        self.lines, self.values, self.calls, self.blocks = lines, values, calls, blocks
+
+    def run(self) -> None:
         """Execute all blocks until the program ends."""
-        self.blocks, self.values, self.calls = blocks, values, calls
-        state, fast = self.state, blocks.fast
+        state, fast, calls = self.state, self.blocks.fast, self.calls
         while not self.ended and self.frames:
             frame = self.frames[-1]
             lines, offset = frame.unit.lines, frame.unit.offset
@@ -311,15 +315,16 @@ class Flow:
             raise WordError(f"more than {MOST_JUMPS} jumps have run; the loop with this jump does not end, correct it", column)
 
     def _opens(self, frame: Frame, at: int) -> bool:
-        return self._table(frame.unit).get(at, (at,))[0] == at
+        return self.table(frame.unit).get(at, (at,))[0] == at
 
     def _partners(self, frame: Frame, at: int, s: Statement) -> tuple[int, ...]:
-        return partners(self._table(frame.unit), at, s)
+        return partners(self.table(frame.unit), at, s)
 
     def _around(self, frame: Frame, at: int, s: Statement) -> tuple[int, ...]:
-        return loop_around(self._table(frame.unit), frame.unit, at, s)
+        return loop_around(self.table(frame.unit), frame.unit, at, s)
 
-    def _table(self, unit: Unit) -> dict[int, tuple[int, ...]]:
+    def table(self, unit: Unit) -> dict[int, tuple[int, ...]]:
+        """The structures of a program by their lines."""
         if unit.partners is None:
             unit.partners = structures_of(unit, self._statement)
         return unit.partners

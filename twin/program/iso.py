@@ -1,246 +1,309 @@
-"""Reader of ISO programs (Fanuc and similar controls, LinuxCNC): words of a block, expressions, O-words, macros.
-
-Some words mean different things on LinuxCNC and Fanuc. `linuxcnc` selects the dialect: a file .ngc, or one with O-words or named
-parameters. Where the dialects differ, a note gives the chosen meaning.
-"""
+"""The words of ISO programs with what carries them out, and the order in which those of a block are carried out."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-import math
+from collections.abc import Callable
 from pathlib import Path
-import re
-from typing import Any
 
 from twin.machine.machine import Machine
 from twin.program import arcs
-from twin.program import moves as mv
-from twin.program.control import Control
-from twin.program.corners import Corners
-from twin.program.cycles import CycleError
-from twin.program.expressions import Null, WordError
-from twin.program.flow import Flow
-from twin.program.iso_calls import IsoCalls
-from twin.program.iso_drilling import CYCLES, IsoDrilling
-from twin.program.iso_frames import IsoFrames
-from twin.program.iso_lines import SEPARATOR, IsoLines, between_percents, message_text
-from twin.program.iso_modes import IsoModes
-from twin.program.iso_motion import POLAR, REFERENCES, IsoMotion
-from twin.program.iso_variables import IsoVariables
+from twin.program import iso_frames as frames
+from twin.program import iso_moves as moves
+from twin.program.expressions import WordError
+from twin.program.iso_blocks import AXES, Block, Iso
+from twin.program.iso_calls import IsoCalls, call_block
+from twin.program.iso_lines import IsoLines
 from twin.program.source import Unit
-from twin.program.state import LINEAR, OTHER, ROTARY, Item, State
-from twin.program.tables import ISO_M, WORDS_OF_M
-from twin.program.words import NUMBER
+from twin.program.state import INCH
+from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word
 
-_ALIKE: tuple[set[float], ...] = (
-    {0, 1, 2, 3, *CYCLES}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {20, 21, 70, 71}, {40, 41, 42, 41.1, 42.1}, {61, 61.1, 64}, {98, 99},
-    {54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3},
-)  # fmt: skip
-"""Groups of codes of which a block may have one: LinuxCNC refuses two, a Fanuc uses the last."""
-_AXES = (*LINEAR, *ROTARY, *OTHER)
+LENGTH_ON = {43, 43.4, 43.5, 44, 234}
+"""G codes that switch a tool length on."""
+NOT_IN_LINUXCNC: dict[float, str] = {
+    76: "threading is not simulated", 88: "boring with a halt for the hand is not simulated", 87: "LinuxCNC itself does not carry it out",
+    100: "LinuxCNC has no such code", 101: "LinuxCNC has no such code",
+}  # fmt: skip
+ONLY_IN_LINUXCNC: dict[float, str] = dict.fromkeys((33, 33.1), "threading is not simulated")
+WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22: "XYZIJK"}
+WORDS_OF_M = "PQRELDK"
+"""Words that an M code may carry."""
+F_WITH_UNIT = {
+    True: "F beside G20 or G21: it is in the unit before them, since LinuxCNC carries F out first",
+    False: "F beside G20 or G21: it is in the new unit; in .ngc files in the one before",
+}
+
+Handler = Callable[[Iso, Block, float], None]
+"""Carries out a G code."""
 
 
-class Iso:
-    """Reads the blocks of one ISO program: a state with its frames, variables, cycles, moves, calls and modes."""
+def iso(path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> Iso:
+    """The reader of one program."""
+    m = Iso(path, machine, unit, linuxcnc)
+    m.carry_out = lambda b: execute(m, b)
+    m.flow.speak(IsoLines(m.state), m.values, IsoCalls(m), m)
+    return m
 
-    def __init__(self, path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> None:
-        unit = between_percents(unit)
-        self.state = State(path, machine, "linuxcnc" if linuxcnc else "iso")
-        self.corners = Corners(Control(self.state))
-        self.control, self.out = self.corners.control, self.state.out
-        self.flow = Flow(unit, self.state, IsoLines(self.state))
-        self.frames = IsoFrames(self.state)
-        self.values = IsoVariables(self.state, self.flow, self.frames)
-        self.drilling = IsoDrilling(self.control)
-        self.moves = IsoMotion(self.corners, self.flow, self.values, self.drilling)
-        self.calls = IsoCalls(self.moves, self, unit)
-        self.modes = IsoModes(self.moves, self.frames)
-        self.plain_block = re.compile(
-            r"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?"
-            + "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.state.out.kinematics.letters)
-            + rf"(?:F({NUMBER})\s*)?;?\s*$",
-            re.A,
-        )
-        self.state.out.set_modes(replace(self.state.out.modes, feed_of_all=not linuxcnc))
-        self.state.out.mixed_feed = (
-            "F beside X Y Z with A or C: it counts X Y Z alone, as on LinuxCNC"
-            if linuxcnc
-            else "F beside X Y Z with A or C: it counts all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
-        )
-        self.state.set_frames()
 
-    def run(self) -> Any:
-        """Read all blocks; `out` holds the moves."""
-        self.flow.run(self, self.values, self.calls)
-        self.corners.release()
-        if self.state.comp is not None:
-            self.control.compensate(0, 0.0, along_next=False)
-        return self.state.out
+def execute(m: Iso, b: Block) -> None:
+    """Execute the words of a block in the order of the control; an unused word is an error."""
+    s, codes = m.state, b.codes
+    for number, column in b.g:
+        other = (NOT_IN_LINUXCNC if m.linuxcnc else ONLY_IN_LINUXCNC).get(number)
+        word = ISO_G.get(number) if other is None else Word(REFUSED, other)
+        s.check_code("G", number, Word(ACTS, "") if word is not None and word.kind == NOTE else word, column)
+    for number in b.m:
+        if ISO_M.get(number, Word(ACTS, "")).kind == REFUSED:
+            s.check_code("M", number, ISO_M[number], 1)
+    if m.corners.held is not None and (not b.w.keys() & set("XYZ") or codes - {1} or b.m):
+        m.corners.release()
+    if call_block(m, b):
+        return
+    if 100 in codes and "T" in b.w:
+        _change_and_move(m, b)
+        return
+    b.w = {s.slot_of.get(name, name): item for name, item in b.w.items()}
+    if not m.linuxcnc and codes & {41, 42} and not codes & {43, 43.4, 43.5, 44} and "H" in b.w and "D" not in b.w:
+        s.note("G41 H, G42 H: H is the number of the radius, as on older controls")
+        b.w["D"] = b.w.pop("H")
+    _feed_and_tool(m, b)
+    groups = {number: ISO_G[number].group for number in codes}
+    if m.linuxcnc:
+        s.one_of_each([n for n, _ in b.g], groups)
+    motion = next((n for n, _ in reversed(b.g) if groups[n] == "motion"), None)
+    plane = s.plane
+    for number, column in b.g:
+        b.column = column
+        word = ISO_G[number]
+        if word.kind == NOTE and not (m.linuxcnc and number == 5.1):
+            s.note(f"G{number:g}: {word.meaning}")
+            b.drop(WORDS_OF_NOTES.get(number, ""))
+        elif word.handler is not None:
+            word.handler(m, b, number)
+    if s.plane != plane and s.comp is not None:
+        raise WordError("the plane changes inside G41 or G42; write G40 before", 1)
+    if motion is not None and motion > 3:
+        if m.cycle is None:
+            m.sticky, m.initial = {}, float(s.here()[arcs.PLANES[s.plane][2]])
+        m.cycle = int(motion)
+    elif motion is not None:
+        m.cycle, s.motion = None, int(motion)
+    pause = _m_codes(m, b)
+    if "D" in b.w and not m.linuxcnc:
+        moves.other_radius(m, b.w.pop("D"))
+    moves.move_words(m, b)
+    if any(number == 29 or number not in ISO_M for number in b.m):  # codes of the machine builder have what no move used
+        b.drop(WORDS_OF_M)
+    if 9 in codes:
+        m.control.stop(0.0)
+    if pause is not None:
+        m.control.stop(pause)
+    s.all_used(b.w)
+    if 2 in b.m or 30 in b.m:
+        m.flow.ended = True
 
-    def words(self, text: str) -> None:
-        """One block."""
-        body, *messages = text.split(SEPARATOR)
-        if self.frames.parameter_lines:
-            self.frames.parameter_lines = "G11" not in body
-            return
-        if body.strip():
-            try:
-                self.execute(*self.parse(body))
-            except CycleError as error:
-                raise WordError(str(error), 1) from None
-        for message in messages:
-            self.state.out.messages.append(message_text(message, self.values.number_of))
 
-    def parse(self, text: str) -> tuple[list[tuple[float, int]], list[tuple[float, int]], dict[str, Item]]:
-        """G codes, M codes and the other words of a block; assigned variables are set after the block is read."""
-        g: list[tuple[float, int]] = []
-        m: list[tuple[float, int]] = []
-        words: dict[str, Item] = {}
-        later: list[tuple[int | str, float, int]] = []
-        e = self.values.expression(text, 0)
-        while char := e.peek():
-            column = e.at + 1
-            if char == "#":
-                e.at += 1
-                key = self.values.key(e)
-                if e.peek() != "=":
-                    raise e.fail("a variable without an assignment; give it a value with '='")
-                e.at += 1
-                later.append((key, e.number(), column))
-                continue
-            name = char
-            if char == ",":
-                e.at += 1
-                name = "," + e.peek()
-            if not (name[-1].isalpha() or (self.state.linuxcnc and name in POLAR)) or not name.isascii():
-                raise WordError(f"'{char}' starts no word", column)
-            e.at += 1
-            if not self.state.linuxcnc and name in _AXES and (not e.peek() or e.peek() in _AXES) and {28, 30} & {n for n, _ in g}:
-                self.state.note("G28, G30: an axis without a value goes to its reference point at once")
-                words[name] = Item(0.0, "IC", column)
-                continue
-            if not e.peek():
-                raise WordError(f"'{name}' needs a number", column)
-            try:
-                value = e.atom()
-            except WordError as error:
-                raise WordError(f"'{name}' needs a number: {error}", error.column) from None
-            if isinstance(value, str):
-                raise WordError(f"'{name}' needs a number", column)
-            if name == "N":
-                self.state.block = int(value)
-            elif name == "G":
-                g.append((round(value, 4), column))
-            elif name == "M":
-                m.append((value, column))
-            elif isinstance(value, Null) and not self.state.linuxcnc:
-                self.state.note(f"{name}: a word whose variable was never set is ignored")
-            elif name == "T" and name in words and not self.state.linuxcnc:
-                self.state.note("T twice in a block: the second prepares the tool of the next change")
-            elif name in words:
-                raise WordError(f"{name} occurs twice in the block; keep one", column)
-            else:
-                words[name] = Item(float(value), "", column)
-        for key, value, column in later:
-            self.values.write(key, value, column)
-        return g, m, words
+def _change_and_move(m: Iso, b: Block) -> None:
+    """G100 T of a Brother: a tool change, then rapid, Z last."""
+    m.state.note("G100 T: a tool change, then the other axes at rapid, then Z")
+    motion, places = m.state.motion, b.pick(*AXES)
+    execute(m, Block([entry for entry in b.g if entry[0] != 100], [*b.m, 6], b.w))
+    for part in ({n: i for n, i in places.items() if n != "Z"}, {n: i for n, i in places.items() if n == "Z"}):
+        if part:
+            execute(m, Block([(0, 1)], [], part))
+    m.state.motion = motion
 
-    def fast(self, text: str, line: int) -> bool:
-        """Execute a plain block of coordinates; False if it must be read word by word."""
-        state = self.state
-        if (
-            not state.plain
-            or self.drilling.cycle is not None
-            or self.moves.polar
-            or self.moves.modal_macro is not None
-            or self.corners.held is not None
-        ):
-            return False
-        match = self.plain_block.match(text)
-        if not match:
-            return False
-        number, g, x, y, z, a, c, f = match.groups()
-        motion = state.motion if g is None else int(g)
-        if motion not in (0, 1):
-            return False
-        out = state.out
-        if f is not None:
-            state.feed = float(f)
-        state.motion = motion
-        if x is None and y is None and z is None and a is None and c is None:
-            return True
-        state.line, state.block = line, int(number) if number else -1
-        position = out.position
-        tilt, turn = state.plain_place(x, y, z, a, c)
-        if motion and math.isnan(state.feed):
-            self.control.feed_given(mv.LINE)
-        if motion and not state.feed:
-            self.drilling.no_feed()
-        out.add(
-            mv.LINE if motion else mv.RAPID, (position[0], position[1], position[2], tilt, turn), None,
-            state.feed if motion else math.inf, line, state.block,
-        )  # fmt: skip
-        return True
 
-    def execute(self, g: list[tuple[float, int]], m: list[tuple[float, int]], words: dict[str, Item]) -> None:
-        """Execute the words of a block in the order of the control; an unused word is an error."""
-        g = [self.modes.known_g(number, column) for number, column in g]
-        m_codes = [self.modes.known_m(number, column) for number, column in m]
-        self.modes.with_m19 = 19 in m_codes
-        w = dict(words)
-        codes = {number for number, _ in g}
-        if self.corners.held is not None and (not words.keys() & set("XYZ") or codes - {1} or m_codes):
-            self.corners.release()
-        if self.calls.block(codes, m_codes, w):
-            return
-        if 100 in codes and "T" in w:
-            self._change_and_move(g, m, w)
-            return
-        w = {self.state.slot_of.get(name, name): item for name, item in w.items()}
-        if not self.state.linuxcnc and codes & {41, 42} and not codes & {43, 43.4, 43.5, 44} and "H" in w and "D" not in w:
-            self.state.note("G41 H, G42 H: H is the number of the radius, as on older controls")
-            w["D"] = w.pop("H")
-        self.modes.feed_and_tool(codes, g, m_codes, w)
-        if self.state.linuxcnc:
-            self.state.one_of_each([n for n, _ in g], _ALIKE)
-        motion = next((n for n, _ in reversed(g) if n in _ALIKE[0]), None)
-        plane_before = self.state.plane
-        modal = False
-        for number, column in g:
-            if number not in (0, 1, 2, 3, 53, *REFERENCES, 33, 33.1, *self.moves.splines) and number not in CYCLES:
-                modal = self.modes.g_code(number, column, w, codes) or modal
-        if self.state.plane != plane_before and self.state.comp is not None:
-            raise WordError("the plane changes inside G41 or G42; write G40 before", 1)
-        if motion is not None and motion in CYCLES:
-            if self.drilling.cycle is None:
-                self.drilling.sticky = {}
-                self.drilling.initial = float(self.state.here()[arcs.PLANES[self.state.plane][2]])
-            self.drilling.cycle = {"g": int(motion)}
-        elif motion is not None:
-            self.drilling.cycle, self.state.motion = None, int(motion)
-        pause = self.modes.m_before(m_codes, w)
-        if "D" in w and not self.state.linuxcnc:
-            self.moves.other_radius(w.pop("D"))
-        self.moves.move_words(codes, w)
-        if any(number == 29 or number not in ISO_M for number in m_codes):  # codes of the machine builder have what no move used
-            for name in WORDS_OF_M:
-                w.pop(name, None)
-        if 9 in codes:
-            self.control.stop(0.0)
-        if pause is not None:
-            self.control.stop(pause)
-        self.state.all_used(w)
-        if 2 in m_codes or 30 in m_codes:
-            self.flow.ended = True
+def _feed_and_tool(m: Iso, b: Block) -> None:
+    """G93 to G95, units, F, S, T, H and tool lengths, which count before the rest of the block."""
+    s, codes, w = m.state, b.codes, b.w
+    for number in (93, 94, 95):
+        if number in codes:
+            s.set_feed_mode(number)
+            s.settle_plain()
+    given = w.pop("F") if "F" in w else None
+    if given and m.linuxcnc:
+        s.set_feed(given.value, given.column)
+    for number in (20, 21, 70, 71):
+        unit = INCH if number in (20, 70) else 1e-3
+        if number in codes:
+            if given and unit != s.unit:
+                s.note(F_WITH_UNIT[m.linuxcnc])
+            s.set_unit(unit, feed=True)
+    if given and not m.linuxcnc:
+        s.set_feed(given.value, given.column)
+    elif not given and s.out.modes.feed_mode == 93 and s.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
+        raise WordError("under G93 every block needs its own F; add it", 1)
+    if "S" in w:
+        s.set_spindle(b.take("S"))
+    tool: dict[str, tuple] = {n: (w[n].value, w.pop(n).column) for n in ("T", "H") if n in w and (n == "T" or 10 not in codes)}
+    if 6 in b.m:
+        tool["M6"] = 6.0, 1
+    elif 61 in b.m and "Q" in w:
+        tool["T"], tool["M6"] = (w["Q"].value, w.pop("Q").column), (6.0, 1)
+    if 44 in codes:
+        if s.out.modes.traori:
+            raise WordError("G44 under G43.4 is not supported; use G43 with a negative length", 1)
+        s.note("G44: treated as G43; without G43.4 X Y Z are positions of the axes for any length")
+    if codes & LENGTH_ON:
+        tool["G43"] = 43.0, 1
+    if 49 in codes:
+        tool["G49"] = 49.0, 1
+        if not s.tilted:
+            s.transform(False)
+    if tool:
+        s.tools.block(tool)
+    if codes & {43.4, 43.5, 234}:
+        s.transform(True)
+    if "E" in w and 187 not in codes:
+        raise WordError("E has no use in this block; remove it", w["E"].column)
 
-    def _change_and_move(self, g: list[tuple[float, int]], m: list[tuple[float, int]], w: dict[str, Item]) -> None:
-        """G100 T of a Brother: a tool change, then rapid, Z last."""
-        self.state.note("G100 T: a tool change, then the other axes at rapid, then Z")
-        motion = self.state.motion
-        places = {name: w.pop(name) for name in (*LINEAR, *ROTARY, *OTHER) if name in w}
-        self.execute([entry for entry in g if entry[0] != 100], [*m, (6.0, 1)], w)
-        height = {"Z": places.pop("Z")} if "Z" in places else {}
-        for part in (places, height):
-            if part:
-                self.execute([(0, 1)], [], part)
-        self.state.motion = motion
+
+def _m_codes(m: Iso, b: Block) -> float | None:
+    """M codes before the move: notes and stored modes; the pause of one that stops behind it."""
+    keeping = (70, 71, 72, 73) if m.linuxcnc else ()
+    pause = m.state.note_m(b.m, ISO_M, {2, 30, *keeping})
+    for number in b.m:
+        if number in keeping:
+            _stored(m, number)
+        b.drop(WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else "P" if 48 <= number <= 53 else "")
+    return pause
+
+
+def _stored(m: Iso, number: int) -> None:
+    """M70 stores the modes, M71 discards them, M72 restores them; M73 restores them at the end of the subprogram."""
+    frame = m.flow.frame
+    if number in (70, 73):
+        kept, system = m.state.kept(with_feed=True), m.system
+
+        def restore() -> None:
+            kept()
+            m.system = system
+            m.set_frames()
+
+        m.stored_modes[id(frame)] = restore
+    if number == 73:
+        frame.on_return = m.stored_modes[id(frame)]
+    elif number == 71:
+        m.stored_modes.pop(id(frame), None)
+    elif number == 72:
+        if id(frame) not in m.stored_modes:
+            raise WordError("M72 finds no modes that M70 has kept in this program or subprogram; add M70", 1)
+        m.stored_modes[id(frame)]()
+
+
+# ------------------------------------------------------------------ modes
+
+
+def _plane(m: Iso, _: Block, number: float) -> None:
+    m.state.plane = int(number)
+
+
+def _distance(m: Iso, _: Block, number: float) -> None:
+    m.state.absolute = number == 90
+    m.state.settle_plain()
+
+
+def _centre(m: Iso, _: Block, number: float) -> None:
+    m.state.centre_absolute = number == 90.1
+
+
+def _polar(m: Iso, _: Block, number: float) -> None:
+    m.polar, m.polar_place = number == 16, None
+
+
+def _retract(m: Iso, _: Block, number: float) -> None:
+    m.state.retract_to_start = number == 98
+
+
+def _cycle_off(m: Iso, _: Block, number: float) -> None:
+    m.cycle = None
+    if m.linuxcnc:
+        m.state.motion = None
+
+
+def _high_speed(m: Iso, b: Block, _: float) -> None:
+    """G5 P of a Fanuc; on LinuxCNC G5 is a motion."""
+    if m.linuxcnc:
+        return
+    if "P" not in b.w or b.w.keys() & set("XYZIJQ"):
+        raise WordError("G5 is not supported: splines; let the CAM system output lines or arcs", b.column)
+    b.take("P")
+    m.state.note("G5 P: high-speed mode of the control, understood, no effect on the motion")
+
+
+def _radii(m: Iso, b: Block, _: float) -> None:
+    if b.take("X"):
+        raise WordError("G10.9 X1 is not supported: diameters are programmed on lathes; this machine mills", b.column)
+    m.state.note("G10.9 X0: lengths are radii, as here")
+
+
+def _length(m: Iso, b: Block, _: float) -> None:
+    b.drop("XYZ")
+    m.state.note("G43.1: its length is used as that of the tool in the spindle")
+
+
+ISO_G: dict[float, Word[Handler]] = {
+    0: Word(ACTS, "rapid", None, "motion"), 1: Word(ACTS, "line at feed", None, "motion"), 2: Word(ACTS, "arc clockwise; I J K from its start, or R; P turns", None, "motion"),
+    3: Word(ACTS, "arc counter-clockwise", None, "motion"), 4: Word(ACTS, "dwell: P in s (LinuxCNC, or with a decimal point) or ms; X, U in s", moves.dwell),
+    5: Word(ACTS, "LinuxCNC: cubic spline; others: P alone, high-speed mode, noted", _high_speed), 5.1: Word(NOTE, "LinuxCNC: quadratic spline; others: look-ahead of the control"),
+    5.2: Word(REFUSED, "NURBS; let the CAM system output lines or arcs"), 5.3: Word(REFUSED, "NURBS; let the CAM system output lines or arcs"),
+    7: Word(REFUSED, "diameters are programmed on lathes; this machine mills"), 8: Word(NOTE, "radius or look-ahead, " + NOTHING),
+    9: Word(ACTS, "exact stop in this block"), 10: Word(ACTS, "L2 and L20 set a zero offset, L10 to L13 (LinuxCNC: L1) a tool", frames.g10), 11: Word(ACTS, "end of G10"), 10.9: Word(ACTS, "X0: radii, as here", _radii),
+    12: Word(REFUSED, "circular pockets; write the arcs"), 13: Word(REFUSED, "circular pockets; write the arcs"),
+    15: Word(ACTS, "polar coordinates off", _polar), 16: Word(ACTS, "polar coordinates about the program zero", _polar),
+    17: Word(ACTS, "plane XY", _plane, "plane"), 18: Word(ACTS, "plane ZX", _plane, "plane"), 19: Word(ACTS, "plane YZ", _plane, "plane"), 20: Word(ACTS, "inch", None, "unit"), 21: Word(ACTS, "mm", None, "unit"),
+    22: Word(NOTE, "stroke limits, which the machine file gives"), 23: Word(NOTE, "stroke limits, which the machine file gives"), 25: Word(NOTE, "spindle watch, " + NOTHING),
+    26: Word(NOTE, "spindle watch, " + NOTHING), 27: Word(ACTS, "to the reference point at rapid; that it lies there is not checked"),
+    28: Word(ACTS, "through the point of the block to the reference point"), 28.1: Word(ACTS, "this place is the reference point of G28", moves.keep_home),
+    29: Word(ACTS, "from the reference point through the point of G28 to that of the block"),
+    30: Word(ACTS, "to the second reference point"), 30.1: Word(ACTS, "this place is the reference point of G30", moves.keep_home),
+    31: Word(REFUSED, "probing is not simulated"), 33: Word(ACTS, "LinuxCNC: a line of K a turn; others: refused"), 33.1: Word(ACTS, "LinuxCNC: rigid tapping, K a turn, and back"),
+    38.2: Word(REFUSED, "probing is not simulated"), 38.3: Word(REFUSED, "probing is not simulated"), 38.4: Word(REFUSED, "probing is not simulated"),
+    38.5: Word(REFUSED, "probing is not simulated"),
+    40: Word(ACTS, "cutter radius compensation off; the next move is straight", moves.compensation, "radius"), 41: Word(ACTS, "cutter to the left of the contour; radius of D from [tool]", moves.compensation, "radius"),
+    42: Word(ACTS, "cutter to the right of the contour", moves.compensation, "radius"), 41.1: Word(ACTS, "as G41, D is the diameter", moves.compensation, "radius"), 42.1: Word(ACTS, "as G42, D is the diameter", moves.compensation, "radius"),
+    43: Word(ACTS, "tool length of H"), 43.1: Word(ACTS, "tool length in the block", _length), 43.2: Word(REFUSED, "a second tool length is not simulated"),
+    43.4: Word(ACTS, "tool centre point control: five-axis transformation on"), 43.5: Word(ACTS, "as G43.4, tool axis by I J K"),
+    44: Word(ACTS, "as G43: without G43.4 X Y Z are positions of the axes for any length"), 49: Word(ACTS, "tool length and G43.4 off"),
+    50: Word(ACTS, "scaling off", frames.local_map), 50.1: Word(ACTS, "mirror off", frames.local_map), 51: Word(ACTS, "scaling P or I J K about a point", frames.local_map), 51.1: Word(ACTS, "mirror about X Y Z", frames.local_map),
+    52: Word(ACTS, "local shift", frames.g52), 53: Word(ACTS, "machine coordinates in this block"), 53.1: Word(NOTE, "A and C turn with the next move"),
+    53.6: Word(NOTE, "A and C turn with the next move"),
+    54: Word(ACTS, "zero offset 1; with P an additional one", frames.choose_system, "offset"), 54.1: Word(ACTS, "additional zero offset P", frames.choose_system), 55: Word(ACTS, "zero offset 2", frames.choose_system, "offset"), 56: Word(ACTS, "zero offset 3", frames.choose_system, "offset"),
+    57: Word(ACTS, "zero offset 4", frames.choose_system, "offset"), 58: Word(ACTS, "zero offset 5", frames.choose_system, "offset"), 59: Word(ACTS, "zero offset 6", frames.choose_system, "offset"), 59.1: Word(ACTS, "zero offset 7", frames.choose_system, "offset"), 59.2: Word(ACTS, "zero offset 8", frames.choose_system, "offset"),
+    59.3: Word(ACTS, "zero offset 9", frames.choose_system, "offset"), 61: Word(ACTS, "LinuxCNC: exact path; others: exact stop", moves.path_mode, "path"), 61.1: Word(ACTS, "LinuxCNC: exact stop; others: high accuracy, as G64", moves.path_mode, "path"), 61.2: Word(NOTE, "path mode, " + NOTHING),
+    62: Word(NOTE, "corner override, " + NOTHING), 63: Word(NOTE, "tapping mode, " + NOTHING), 64: Word(ACTS, "rounding within P", moves.path_mode, "path"),
+    65: Word(ACTS, "macro call P with arguments, L times"), 66: Word(ACTS, "macro call behind each move"), 67: Word(ACTS, "end of G66"),
+    68: Word(ACTS, "turn by R about X Y", frames.local_map), 68.2: Word(ACTS, "tilted plane by origin and Euler angles I J K", frames.tilt), 69: Word(ACTS, "end of G68 and G68.2", frames.local_map),
+    70: Word(ACTS, "inch", None, "unit"), 71: Word(ACTS, "mm", None, "unit"), 72: Word(REFUSED, "turning cycles; this machine mills"),
+    73: Word(ACTS, "drilling, chips broken: Z R Q", None, "motion"), 74: Word(ACTS, "left-hand tapping: Z R P", None, "motion"), 76: Word(ACTS, "fine boring: aside by Q towards +, or by I J", None, "motion"),
+    80: Word(ACTS, "cycle off", _cycle_off), 81: Word(ACTS, "drilling: Z R", None, "motion"), 82: Word(ACTS, "drilling with dwell P", None, "motion"), 83: Word(ACTS, "deep drilling: Q", None, "motion"), 84: Word(ACTS, "tapping at feed", None, "motion"),
+    85: Word(ACTS, "boring, out at feed", None, "motion"), 86: Word(ACTS, "boring, out at rapid", None, "motion"), 87: Word(ACTS, "back boring, upwards from R to Z: aside by Q towards +, or by I J", None, "motion"),
+    88: Word(ACTS, "boring with dwell; the halt for the hand is passed over", None, "motion"), 89: Word(ACTS, "boring with dwell, out at feed", None, "motion"),
+    84.2: Word(REFUSED, "use G84"), 84.3: Word(REFUSED, "use G74"),
+    90: Word(ACTS, "absolute", _distance, "distance"), 91: Word(ACTS, "incremental", _distance, "distance"), 90.1: Word(ACTS, "I J K absolute", _centre), 91.1: Word(ACTS, "I J K from the start", _centre),
+    92: Word(ACTS, "this place has these coordinates", frames.g92), 92.1: Word(ACTS, "G92 cleared", frames.g92_off), 92.2: Word(ACTS, "G92 off", frames.g92_off), 92.3: Word(ACTS, "G92 on again", frames.g92_off),
+    93: Word(ACTS, "F is 1/min of the block", None, "feed"), 94: Word(ACTS, "F per minute", None, "feed"), 95: Word(ACTS, "F per turn of the spindle", None, "feed"),
+    96: Word(REFUSED, "constant cutting speed is not simulated; use G97"), 97: Word(NOTE, NOTHING), 98: Word(ACTS, "cycles retract to the start", _retract, "retract"), 99: Word(ACTS, "cycles retract to R", _retract, "retract"),
+    100: Word(ACTS, "end of G101; with T (Brother) a tool change, then rapid", frames.local_map), 101: Word(ACTS, "mirror about the zero of X Y Z (Haas)", frames.local_map),
+    103: Word(NOTE, "look-ahead in blocks, " + NOTHING), 60: Word(NOTE, "approach from one side: the overshoot is omitted"),
+    **dict.fromkeys((7.1, 12.1, 107, 112), Word(REFUSED, "cylinders and polar axes of other machines; let the CAM system output X Y Z")), 13.1: Word(NOTE, NOTHING),
+    **dict.fromkeys((35, 36, 37), Word(REFUSED, "probing is not simulated")), 47: Word(REFUSED, "engraving; let the CAM system output the moves"),
+    **dict.fromkeys((6.2, 5.4), Word(REFUSED, "NURBS; let the CAM system output lines or arcs")), 54.2: Word(REFUSED, "offsets that turn with the table are not simulated; use G43.4"),
+    **dict.fromkeys((68.3, 68.4), Word(REFUSED, "tilted planes by the tool axis; use G68.2")), **dict.fromkeys((41.2, 42.2, 141), Word(REFUSED, "cutter radius in space; let the CAM system output the tool centre")),
+    143: Word(REFUSED, "use G43.4"), 154: Word(ACTS, "additional zero offset P", frames.choose_system), **dict.fromkeys(range(110, 112), Word(ACTS, "additional zero offset", frames.choose_system)), **dict.fromkeys(range(114, 130), Word(ACTS, "additional zero offset", frames.choose_system)),
+    150: Word(REFUSED, "pocket cycles; let the CAM system output the moves"), 187: Word(NOTE, "smoothness of the control, " + NOTHING),
+    234: Word(ACTS, "as G43.4"), 254: Word(REFUSED, "dynamic zero offsets are not simulated; use G43.4"), 255: Word(NOTE, NOTHING),
+}  # fmt: skip
+"""G codes; motion, cycles, feed, tool lengths, reference points and stops are carried out by the block."""
+
+ISO_M: dict[int, Word] = {
+    0: STOPS, 1: STOPS, 2: Word(ACTS, "end"), 30: Word(ACTS, "end"), 6: Word(ACTS, "tool change"),
+    60: STOPS, 98: Word(ACTS, "call of O with P, L times"), 198: Word(ACTS, "as M98, from another memory"), 99: Word(ACTS, "end of a subprogram; P the block to go on at"),
+    **dict.fromkeys((3, 4, 5, 19, 29), Word(NOTE, "spindle, " + NOTHING)), **dict.fromkeys((7, 8, 9), Word(NOTE, "coolant, " + NOTHING)),
+    **dict.fromkeys((48, 49, 50, 51, 52, 53), Word(NOTE, "override, " + NOTHING)),
+    **dict.fromkeys((62, 63, 64, 65, 67, 68), Word(NOTE, "inputs and outputs, " + NOTHING)),
+    66: Word(NOTE, "waits for an input, which is assumed to be present"), 61: Word(ACTS, "tool number"),
+    70: Word(ACTS, "LinuxCNC: keeps the modes"), 71: Word(ACTS, "LinuxCNC: forgets them"), 72: Word(ACTS, "LinuxCNC: brings back the modes"), 73: Word(ACTS, "LinuxCNC: keeps the modes for the end of the subprogram"),
+    128: Word(REFUSED, "use G43.4"), 97: Word(ACTS, "call of a block N of this program with P, L times (Haas)"),
+}  # fmt: skip
+"""M codes of ISO programs; any other is not known, and noted as such."""

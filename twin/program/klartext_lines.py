@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 import re
 
@@ -12,6 +11,7 @@ from twin.program.flow import Flow
 from twin.program.source import Unit
 from twin.program.state import State
 from twin.program.structures import Statement
+from twin.program.values import Values
 
 VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+|Q[LR]?\d+)"
 """A number or a parameter with its sign, as it stands behind a letter."""
@@ -22,9 +22,7 @@ _CONTOUR = re.compile(r"(?:L|LP|C|CP|CR|CT|CTP)\b")
 _LABEL = r"(?:LBL\s*)?(\d+|\"[^\"]*\"|Q[LR]?\d+)"
 _CALL = re.compile(rf"CALL LBL\s*{_LABEL}(?:\s+REP\s*(\d+|Q[LR]?\d+)(?:/\d+)?)?\s*\Z")
 _JUMP = re.compile(rf"FN\s*(?:9|10|11|12)\s*:\s*IF\s+(.+?)\s+GOTO\s+{_LABEL}\s*\Z")
-_TWO = r"\s*(.+?)\s*"
-_ASSIGN = re.compile(r"(?:FN\s*0\s*:\s*)?(Q[LR]?\d+)\s*=(?P<text>.*)\Z")
-_FN = re.compile(r"FN\s*(\d+)\s*:\s*(Q[LR]?\d+)\s*=(.*)\Z")
+_FORMULA = re.compile(r"(?:FN\s*(?P<fn>\d+)\s*:\s*)?(?P<name>Q[LR]?\d+)\s*=(?P<text>.*)\Z")
 
 KLARTEXT = Grammar(
     "(",
@@ -109,26 +107,12 @@ class KlartextLines:
         return found
 
 
-@dataclass
-class KlartextValues:
+class KlartextValues(Values):
     """Q parameters: Q and QR are common to all programs, QL belong to one."""
 
-    state: State
-    flow: Flow
-
-    def __post_init__(self) -> None:
+    def __init__(self, state: State, flow: Flow) -> None:
+        super().__init__(state, flow, KLARTEXT)
         self.q: dict[str, float] = {}
-
-    def expression(self, text: str, column: int) -> Expression:
-        """A formula that begins at `column`."""
-        return Expression(text, KLARTEXT, self._variable, None, 0, column)
-
-    def number_of(self, text: str, column: int) -> float:
-        """The value of a formula or condition."""
-        value = self.expression(text, column).whole()
-        if isinstance(value, str):
-            raise WordError("a number is needed here", column)
-        return value
 
     def assign(self, name: str, value: float, column: int) -> None:
         """Set a parameter."""
@@ -136,38 +120,29 @@ class KlartextValues:
 
     def parameter(self, name: str, column: int, default: float | None = None) -> float:
         """The value of a parameter, also one that the control or the machine file gives."""
-        for store in (self.flow.frame.variables, self.q):
-            if name in store:
-                return float(store[name])
         state = self.state
-        if isinstance(given := state.given(name), float):
-            return given
+        found = self.flow.frame.variables.get(name, self.q.get(name, state.given(name)))
+        if isinstance(found, float):
+            return found
         if name == "Q108":
             return state.tools.radius(state.tools.name, column) / state.unit
         own = {"Q109": {19: 0.0, 18: 1.0, 17: 2.0}[state.plane], "Q113": float(state.unit != 1e-3)}
         if (value := own.get(name, default)) is None:
-            text = f"{name} has no value here; set it before, or give it in the table [variables] of the machine file"
-            raise WordError(text, column)
+            raise WordError(self.no_value(name), column)
         return value
 
-    def _variable(self, e: Expression, name: str, at: int) -> float:
+    def variable(self, e: Expression, name: str, at: int) -> float:
         if not re.fullmatch(r"Q[LR]?\d+", name):
             hint = nearest(name, KLARTEXT.functions)
             raise e.fail(f"'{name}' is not a value; use Q parameters, numbers and functions" + (f"; {hint}" if "mean" in hint else ""), at)
-        value = self.parameter(name, e.column + at)
-        if self.state.reads is not None:
-            self.state.reads.append(value)
-        return value
+        return self.parameter(name, e.column + at)
 
     def calculation(self, body: str, column: int) -> bool:
         """Carry out FN 0 to FN 8 and FN 13, or a formula; False if the block is none."""
-        if match := _ASSIGN.match(body):
-            self.assign(match[1], self.number_of(match["text"], column + match.start("text")), column)
-            return True
-        match = _FN.match(body)
-        if match is None or int(match[1]) not in (1, 2, 3, 4, 5, 6, 7, 8, 13):
+        match = _FORMULA.match(body)
+        if match is None or int(match["fn"] or 0) not in (0, 1, 2, 3, 4, 5, 6, 7, 8, 13):
             return False
-        self.assign(match[2], self.number_of(match[3], column + match.start(3)), column)
+        self.assign(match["name"], self.number_of(match["text"], column + match.start("text")), column)
         return True
 
 

@@ -10,10 +10,11 @@ from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program.collect import Collector
 from twin.program.expressions import WordError
-from twin.program.iso import Iso
+from twin.program.iso import iso
 from twin.program.iso_lines import LINUXCNC
-from twin.program.klartext import Klartext
+from twin.program.klartext import klartext
 from twin.program.moves import Program, place_of
+from twin.program.reader import Reader
 from twin.program.sinumerik import Sinumerik
 from twin.program.source import Source, units_of
 
@@ -146,13 +147,13 @@ def understand_source(source: Source, machine: Machine) -> Collector:
         reader.read_statements()
         return reader.out
     units = units_of(source)
-    front: Sinumerik | Iso | Klartext
+    front: Reader
     if language == "klartext":
-        front = Klartext(path, machine, units[0])
+        front = klartext(path, machine, units[0])
     elif language == "sinumerik":
         front = Sinumerik(path, machine, units)
     else:
-        front = Iso(path, machine, units[0], linuxcnc=language == "linuxcnc")
+        front = iso(path, machine, units[0], linuxcnc=language == "linuxcnc")
     try:
         front.run()
     except (WordError, arcs.ArcError) as error:
@@ -166,7 +167,7 @@ def understand_source(source: Source, machine: Machine) -> Collector:
         raise InputError(
             f"{place_of(path, front.state.line, front.state.block)}: calls or brackets are nested too deeply; take some apart"
         ) from None
-    front.out.files = tuple(front.folder.read if isinstance(front, Klartext) else front.calls.folder.read)
+    front.out.files = tuple(front.folder.read)
     return front.out
 
 

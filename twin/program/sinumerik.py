@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 import re
-from typing import Any
 
 from twin.machine.machine import Machine
-from twin.program import moves as mv
-from twin.program.control import Control
-from twin.program.corners import Corners
-from twin.program.cycles import CycleError
 from twin.program.expressions import WordError
-from twin.program.flow import Flow
+from twin.program.frames import INDEX, OTHER
+from twin.program.reader import Reader
 from twin.program.sinumerik_calls import SinumerikCalls
 from twin.program.sinumerik_cycles import SinumerikCycles
-from twin.program.sinumerik_frames import SinumerikFrames
+from twin.program.sinumerik_frames import SINUMERIK_FRAMES, SinumerikFrames
 from twin.program.sinumerik_lines import SinumerikLines
 from twin.program.sinumerik_modes import SinumerikModes
 from twin.program.sinumerik_motion import Block, SinumerikMotion
 from twin.program.sinumerik_variables import SinumerikVariables
 from twin.program.source import Unit
-from twin.program.state import INDEX, OTHER, Item, State
+from twin.program.state import Item
 from twin.program.tables import ACTS, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
 from twin.program.words import NUMBER, Word, split_words
 
-_PLAIN = (
-    r"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?"
-    + rf"(?:X=?({NUMBER})\s*)?(?:Y=?({NUMBER})\s*)?(?:Z=?({NUMBER})\s*)?(?:A=?({NUMBER})\s*)?(?:C=?({NUMBER})\s*)?(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?(?:F({NUMBER})\s*)?$"
-)
 _INDEXED_AXES = {"POS", "POSA", "AX"}
 _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
 _ALIKE: tuple[set[float], ...] = (
@@ -41,92 +32,33 @@ _SWITCH_WORDS = {"TRANS", "ATRANS", "ROT", "AROT", "SCALE", "ASCALE", "MIRROR", 
 _VALUE_WORDS = {SINUMERIK_NAMES[n][1] for n in ("CR", "A3", "I1", "OVR")} - {SINUMERIK_NAMES["CIP"][1]}
 
 
-def _plain_block(*letters: str) -> re.Pattern[str]:
-    """A block of coordinates alone with the letters of a machine; its groups are in the order of the places."""
-    pattern = _PLAIN
-    for place, letter in zip("XYZAC", letters):
-        pattern = pattern.replace(f"(?:{place}=?(", f"(?:@{letter}=?(")
-    return re.compile(pattern.replace("(?:@", "(?:"), re.A)
-
-
-class Sinumerik:
-    """Reads the blocks of one SINUMERIK program: a state with its frames, variables, moves, cycles, calls and modes."""
+class Sinumerik(Reader):
+    """Reads the blocks of one SINUMERIK program."""
 
     def __init__(self, path: Path, machine: Machine, units: list[Unit]) -> None:
-        self.state = State(path, machine, "sinumerik")
-        self.corners = Corners(Control(self.state))
-        self.control, self.out = self.corners.control, self.state.out
+        super().__init__(path, machine, "sinumerik", units[0], SINUMERIK_FRAMES)
         self.lines = SinumerikLines(self.state)
-        self.flow = Flow(units[0], self.state, self.lines)
         self.frames = SinumerikFrames(self.corners)
         self.values = SinumerikVariables(self.flow, self.frames)
         self.moves = SinumerikMotion(self.frames)
         self.cycles = SinumerikCycles(self.control, self.values)
-        self.calls = SinumerikCalls(self.lines, self.values, self.moves, units)
+        self.calls = SinumerikCalls(self, self.lines, self.values, self.moves, units)
         self.modes = SinumerikModes(self.calls, self.cycles)
-        self.plain_block = _plain_block(*self.state.out.kinematics.letters)
-        self.state.out.mixed_feed = "F beside X Y Z with A or C: it counts X Y Z alone, the setting as delivered (FGROUP changes it)"
-        self.state.set_frames()
+        self.flow.speak(self.lines, self.values, self.calls, self)
+        letters = "".join(rf"(?:{letter}=?({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
+        vector = rf"(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?"
+        self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{vector}(?:F({NUMBER})\s*)?$", re.A)
+        self.out.mixed_feed = "F beside X Y Z with A or C: it counts X Y Z alone, the setting as delivered (FGROUP changes it)"
+        self.frames.choose("G500")
 
-    def run(self) -> Any:
-        """Read all blocks; `out` holds the moves."""
-        self.flow.run(self, self.values, self.calls)
-        self.corners.release()
-        if self.state.comp is not None:
-            self.control.compensate(0, 0.0, along_next=True)
-        return self.state.out
+    def plain_now(self) -> bool:
+        return self.cycles.modal is None and not self.corners.every_corner and self.state.override == 1.0
 
-    def fast(self, text: str, line: int) -> bool:
-        """Execute a plain block of coordinates; False if it must be read word by word."""
-        state = self.state
-        if (
-            not state.plain
-            or self.cycles.modal is not None
-            or self.corners.held is not None
-            or self.corners.every_corner
-            or state.override != 1.0
-        ):
-            return False
-        match = self.plain_block.match(text)
-        if not match:
-            return False
-        number, g, x, y, z, a, c, i, j, k, f = match.groups()
-        motion = state.motion if g is None else int(g)
-        if motion not in (0, 1):
-            return False
-        out = state.out
-        if i is not None and not out.modes.traori:
-            return False
-        if f is not None:
-            state.feed = float(f)
-        state.motion = motion
-        if x is None and y is None and z is None and a is None and c is None and i is None:
-            return True
-        state.line, state.block = line, int(number) if number else -1
-        position = out.position
-        tilt, turn = state.plain_place(x, y, z, a, c)
-        axis = None
-        if i is not None:
-            axis = (float(i), float(j), float(k))
-            position[3] = position[4] = math.nan
-        if motion and math.isnan(state.feed):
-            self.control.feed_given(mv.LINE)
-        self.corners.tangent = None
-        out.add(
-            mv.LINE if motion else mv.RAPID, (position[0], position[1], position[2], tilt, turn), axis,
-            state.feed if motion else math.inf, line, state.block,
-        )  # fmt: skip
-        return True
-
-    def words(self, text: str) -> None:
-        """One block."""
+    def block(self, text: str) -> None:
         body, number = self.lines.body(text)
         if number >= 0:
             self.state.block = number
-        try:
-            self._block(split_words(body))
-        except CycleError as error:
-            raise WordError(str(error), 1) from None
+        self._block(split_words(body))
 
     def _block(self, words: list[Word]) -> None:
         """All words of one block: first the modes, then the move."""
@@ -187,7 +119,7 @@ class Sinumerik:
         numbers, extra, names, calls = block.numbers, block.extra, block.names, block.calls
         for number, word in block.g:
             self.state.check_code("G", number, SINUMERIK_G.get(number), word.column)
-        self.state.one_of_each(sorted(numbers), _ALIKE)
+        self.state.one_of_each(sorted(numbers), {n: str(k) for k, group in enumerate(_ALIKE) for n in group})
         if numbers & {25, 26}:
             block.coordinates.clear()
             extra.pop("S", None)

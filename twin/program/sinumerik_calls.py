@@ -8,11 +8,11 @@ import re
 from twin.errors import nearest
 from twin.program.expressions import Value, WordError
 from twin.program.flow import Frame
-from twin.program.machine_file import moves_no_axis
+from twin.program.reader import Reader
 from twin.program.sinumerik_lines import SinumerikLines
 from twin.program.sinumerik_motion import SinumerikMotion
 from twin.program.sinumerik_variables import SinumerikVariables
-from twin.program.source import Folder, Unit, plain_name
+from twin.program.source import Unit, plain_name
 from twin.program.structures import Statement
 from twin.program.tables import REFUSED, SINUMERIK_NAMES
 from twin.program.words import Word, split_arguments
@@ -30,11 +30,10 @@ _PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
 class SinumerikCalls:
     """Calls, and statements without motion."""
 
-    def __init__(self, lines: SinumerikLines, values: SinumerikVariables, moves: SinumerikMotion, units: list[Unit]) -> None:
-        self.lines, self.values, self.moves = lines, values, moves
+    def __init__(self, front: Reader, lines: SinumerikLines, values: SinumerikVariables, moves: SinumerikMotion, units: list[Unit]) -> None:
+        self.front, self.lines, self.values, self.moves = front, lines, values, moves
         self.state, self.flow, self.corners = values.state, values.flow, values.corners
         self.units = {plain_name(u.name): u for u in reversed(units)}
-        self.folder = Folder(self.state.path)
         self.written_back: list[tuple[str, dict, int]] = []  # target, store and column of VAR values of the call in hand
 
     def other(self, s: Statement, frame: Frame) -> None:
@@ -79,7 +78,7 @@ class SinumerikCalls:
         return SINUMERIK_NAMES[name][0] == REFUSED and name.startswith("CYCLE") and self.find(name) is not None
 
     def find(self, name: str) -> Unit | None:
-        return self.units.get(plain_name(name)) or self.folder.find(name)
+        return self.units.get(plain_name(name)) or self.front.folder.find(name)
 
     def call(self, word: Word, times: int) -> None:
         name = word.name if word.name != "L" else f"L{word.value:g}"
@@ -90,8 +89,7 @@ class SinumerikCalls:
         if unit is None:
             if word.index is not None or (word.value is not None and word.name != "L"):
                 raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
-            if moves_no_axis(self.state.machine, [name]):
-                self.state.note(f"{name}: the machine file lists it as moving no axis")
+            if self.front.moves_nothing(name):
                 return
             hint = nearest(name, SINUMERIK_NAMES) if len(name) > 2 else ""
             hint = f"{hint}; or " if hint.startswith("did you") else ""
@@ -133,14 +131,15 @@ class SinumerikCalls:
 
     def _kept_modes(self) -> Callable[[], None]:
         """What PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
-        frame, moves = ("chosen", "program_matrix", "program_offset", "fine"), ("corners_meet", "angles_are_rpy")
-        kept, side = self.state.kept((self.values.frames, frame), (self.moves, moves)), self.state.comp
+        moves, chosen = ("corners_meet", "angles_are_rpy"), self.values.frames.chosen
+        kept, side = self.state.kept((self.moves, moves), frames=("program", "fine")), self.state.comp
 
         def restore() -> None:
             self.corners.release()
             if (self.state.comp is None) != (side is None):
                 raise WordError("SAVE with a change of G40, G41 or G42 in the subprogram is not supported; change it in the caller", 1)
             kept()
+            self.values.frames.choose(chosen)
 
         return restore
 

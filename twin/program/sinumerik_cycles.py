@@ -11,11 +11,11 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
-from twin.program.control import Control
-from twin.program.cycles import FEED, MOST_PECKS, CycleError, Drilling
+from twin.program.control import KEPT, Control
+from twin.program.cycles import FEED, MOST_PECKS, CycleError, Drilling, pecks
 from twin.program.expressions import WordError
+from twin.program.frames import Frame, rotation, shifted
 from twin.program.sinumerik_variables import SinumerikVariables
-from twin.program.state import rotation
 from twin.program.words import Word, split_arguments
 from twin.units import rad_from_deg
 
@@ -237,7 +237,7 @@ class SinumerikCycles:
         )  # where feed begins again above the last depth, the control's own rule [mm]
         back = abs(_number(a, 16 if removal else 14, 0.0)) or (before if removal else 1.0) * 1e-3 / self.state.unit
         return Drilling(
-            safe, depth, rtp, dwell=time(8), dwell_last=time(15), dwell_out=time(9), levels=tuple(levels), break_chip=not removal, back=back,
+            safe, depth, rtp, dwell=time(8), dwell_last=time(15), dwell_out=time(9), pecks=pecks([*levels, depth], back, not removal),
             first_scale=share if 0.0 < share <= 1.0 else 1.0,
         )  # fmt: skip
 
@@ -276,7 +276,7 @@ class SinumerikCycles:
         for u, v in places:
             point = self.state.here()
             point[x], point[y] = u * self.state.unit, v * self.state.unit
-            self.control.go(mv.RAPID, point, [math.nan, math.nan])
+            self.control.go(mv.RAPID, point, KEPT)
             depth = len(self.flow.frames)
             self.modal()
             if len(self.flow.frames) != depth:
@@ -289,7 +289,7 @@ class SinumerikCycles:
         mode = int(_number(a, 3, 57.0))
         state = int(_number(a, 2, 0.0))
         if not any(numbers):
-            self.state.unswivel()
+            self.state.untilt()
             return
         angles = numbers[3:6]
         kind = mode >> 6
@@ -306,12 +306,11 @@ class SinumerikCycles:
                 matrix = matrix @ rotation(axis, angle)
         else:
             raise WordError("CYCLE800 by solid or projected angles is not supported; use turns about the axes (mode 57)", word.column)
-        before = np.array(numbers[0:3]) * self.state.unit
-        behind = np.array(numbers[6:9]) * self.state.unit
-        if state % 10 == 1 and self.state.swivelled is not None:
-            inner, origin, _ = self.state.swivelled
-            before, matrix = origin + inner @ before, inner @ matrix
-        self.state.swivel(matrix, before + matrix @ behind)
+        before, behind = (np.append(np.array(v) * self.state.unit, [0.0, 0.0]) for v in (numbers[0:3], numbers[6:9]))
+        plane = Frame(matrix, before) @ shifted(behind)
+        if state % 10 == 1 and self.state.tilted:
+            plane = self.state.frames["plane"] @ plane
+        self.state.tilt(plane)
 
     def smooth(self, a: list, word: Word) -> None:
         """CYCLE832(tolerance, machining, orientation tolerance): G642 with this tolerance, SOFT and FFWON; 0 or no argument switches it off.

@@ -7,8 +7,12 @@ import numpy as np
 from twin.program import arcs
 from twin.program.corners import Corners
 from twin.program.expressions import WordError
-from twin.program.state import INDEX, LINEAR, OTHER, ROTARY, Item, rotation
+from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, mirrored, rotation, rotation_xyz, shifted
+from twin.program.state import Item
 from twin.program.words import Word
+
+SINUMERIK_FRAMES = ("basic", "settable", "fine", "program", "plane")
+"""Outermost first; `fine` is G59."""
 
 
 class SinumerikFrames:
@@ -16,49 +20,31 @@ class SinumerikFrames:
 
     def __init__(self, corners: Corners) -> None:
         self.corners, self.state = corners, corners.state
-        self.state.set_frames = self.set_frames
-        self.shifted: dict[int, float] = {}  # axis whose offset has changed -> its position then
-        self.settable: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self.settable: dict[str, Frame] = {}
         self.chosen = "G500"
-        self.basic = np.eye(3), np.zeros(5)
-        self.program_matrix, self.program_offset, self.fine = np.eye(3), np.zeros(5), np.zeros(5)
 
-    def settable_frame(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        if name not in self.settable:
-            self.settable[name] = np.eye(3), self.state.frame_table(name)
-        return self.settable[name]
+    def settable_frame(self, name: str) -> Frame:
+        """A frame from the program or the machine file."""
+        return self.settable.setdefault(name, shifted(self.state.frame_table(name)))
+
+    def choose(self, name: str) -> None:
+        """Select a settable frame."""
+        self.corners.release()
+        self.chosen = name
+        self.state.set_frames(settable=self.settable_frame(name))
 
     @staticmethod
     def frame_number(name: str) -> int:
         number = int(name[1:])
         return 0 if number == 500 else number - 53 if number < 60 else number - 500
 
-    def set_frames(self) -> None:
-        """Basic frame, settable frame, programmable frame, tilted plane: in this order."""
-        matrix, offset = self.basic
-        for inner, shift in (self.settable_frame(self.chosen), (self.program_matrix, self.program_offset + self.fine)):
-            offset = np.concatenate([offset[:3] + matrix @ shift[:3], offset[3:] + shift[3:]])
-            matrix = matrix @ inner
-        self.state.fixed_axis = None
-        if self.state.swivelled is not None:
-            inner, origin, _ = self.state.swivelled
-            offset = np.concatenate([offset[:3] + matrix @ origin + self.state.to_part(), offset[3:]])
-            matrix = matrix @ inner
-            self.state.fixed_axis = matrix[:, arcs.PLANES[self.state.plane][2]].copy()
-        if self.state.out.kinds:
-            self.shifted |= {i: self.state.out.position[i] for i in range(5) if abs(offset[i] - self.state.offset[i]) > 1e-12}
-        self.state.set_frame(matrix, offset)
-
     def note_increments(self, coordinates: dict[str, Item]) -> None:
         """State the assumption where an axis goes on by an increment behind a change of its offset."""
+        s = self.state
         for name, (_, how, _) in coordinates.items():
             i = INDEX.get(name)
-            if (
-                i in self.shifted
-                and (how == "IC" or (how == "" and not self.state.absolute))
-                and self.shifted[i] == self.state.out.position[i]
-            ):
-                self.state.note(
+            if i in s.shifted and (how == "IC" or (how == "" and not s.absolute)) and s.shifted[i] == s.out.position[i]:
+                s.note(
                     "G91, IC() behind a change of the frame: the increment alone is moved, not the change (SD42440 0; with 1 the control adds it)"
                 )
 
@@ -72,39 +58,33 @@ class SinumerikFrames:
         name = word.name if word else ""
         if word is not None and word.text is not None and word.text.strip():
             raise WordError(f"{name} takes its axes as words, e.g. {name} X10", word.column)
-        if word is not None and not name.startswith("A"):
-            self.program_matrix, self.program_offset, self.fine = np.eye(3), np.zeros(5), np.zeros(5)
-        shifted = np.zeros(5)
-        inner = np.eye(3)
+        if not name.endswith("TRANS") and shift is None and set(values) & set(ROTARY):
+            raise WordError(f"{name} of A or C is not supported; let the CAM system output the final coordinates", 1)
+        before, way = self.state.frames["program"], {axis: self.state.si(axis, value) for axis, value in values.items()}
         if shift is not None:
-            target = self.program_offset if shift == 58 else self.fine
-            target = target.copy()
-            for axis, value in values.items():
-                target[INDEX[axis]] = self.state.si(axis, value)
-            if shift == 58:
-                self.program_offset = target
-            else:
-                self.fine = target
-        elif name.endswith("TRANS"):
-            for axis, value in values.items():
-                shifted[INDEX[axis]] = self.state.si(axis, value)
+            part = "program" if shift == 58 else "fine"
+            old = self.state.frames[part]
+            places = old.shift.copy()
+            for axis, value in way.items():
+                places[INDEX[axis]] = value
+            self.state.set_frames(**{part: Frame(old.matrix, places)})
+            return
+        inner = NO_FRAME
+        if name.endswith("TRANS"):
+            inner = shifted(way)
+        elif name in ("ROT", "AROT") and "RPL" in extra:
+            inner = Frame(rotation(arcs.PLANES[self.state.plane][2], extra.pop("RPL").value), np.zeros(5))
         elif name in ("ROT", "AROT"):
-            if "RPL" in extra:
-                inner = rotation(arcs.PLANES[self.state.plane][2], extra.pop("RPL").value)
-            else:
-                inner = rotation(2, values.get("Z", 0.0)) @ rotation(1, values.get("Y", 0.0)) @ rotation(0, values.get("X", 0.0))
+            inner = Frame(rotation_xyz(values), np.zeros(5))
         elif name.endswith("SCALE"):
             if not all(values.values()):
                 raise WordError(f"{name} by 0 leaves nothing; give factors other than 0", 1)
-            inner = np.diag([values.get(n, 1.0) for n in LINEAR])
+            inner = Frame(np.diag([values.get(n, 1.0) for n in LINEAR]), np.zeros(5))
         elif name.endswith("MIRROR"):
-            inner = np.diag([-1.0 if n in values else 1.0 for n in LINEAR])
+            inner = Frame(mirrored(values), np.zeros(5))
         elif values:
             raise WordError(f"{name} is not supported: a turn by angles in space; use ROT with X Y Z", 1)
-        if not name.endswith("TRANS") and shift is None and set(values) & set(ROTARY):
-            raise WordError(f"{name} of A or C is not supported; let the CAM system output the final coordinates", 1)
-        self.program_offset = np.concatenate(
-            [self.program_offset[:3] + self.program_matrix @ shifted[:3], self.program_offset[3:] + shifted[3:]]
-        )
-        self.program_matrix = self.program_matrix @ inner
-        self.state.set_frames()
+        if name.startswith("A"):
+            self.state.set_frames(program=before @ inner)
+        else:
+            self.state.set_frames(program=inner, fine=NO_FRAME)

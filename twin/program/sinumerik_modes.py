@@ -6,10 +6,11 @@ from dataclasses import replace
 
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
 from twin.program.expressions import WordError
+from twin.program.frames import ROTARY
 from twin.program.sinumerik_calls import SinumerikCalls
 from twin.program.sinumerik_cycles import SinumerikCycles
 from twin.program.source import plain_name
-from twin.program.state import INCH, ROTARY, Item
+from twin.program.state import INCH, Item
 from twin.program.tables import NOTE, REFUSED, SINUMERIK_NAMES
 from twin.program.words import Word, split_arguments
 from twin.units import rad_from_deg
@@ -97,14 +98,12 @@ class SinumerikModes:
         elif number in (450, 451):
             self.moves.corners_meet = number == 451
         elif number == 500 or 54 <= number <= 57 or 505 <= number <= 599:
-            self.corners.release()
-            self.frames.chosen = f"G{int(number)}"
-            self.state.set_frames()
+            self.frames.choose(f"G{int(number)}")
 
     def compensation(self, number: int, word: Word) -> None:
         self.corners.release()
         if number == 40:
-            self.control.compensate(0, 0.0, along_next=True)
+            self.control.compensate(0, 0.0)
             return
         radius = self.state.tools.radius(self.state.tools.name, word.column)
         self.control.compensate(1 if number == 41 else -1, radius, along_next=True, corners_meet=self.moves.corners_meet)
@@ -112,7 +111,7 @@ class SinumerikModes:
     def name(self, word: Word, calls: list[Word], cycle: Word | None) -> None:
         """Words without a number: transformation, feedforward, acceleration, messages, cycles."""
         name, out = word.name, self.state.out
-        kind, meaning = SINUMERIK_NAMES[name]
+        kind, meaning, *_ = SINUMERIK_NAMES[name]
         given = (word.text or "").strip()
         if kind == REFUSED:
             raise WordError(f"{name} is not supported: {meaning}", word.column)
@@ -124,7 +123,7 @@ class SinumerikModes:
             if given:
                 self.state.note("TRAORI: its number is ignored; the transformation is that of the model")
             self.corners.release()
-            self.state.unswivel()
+            self.state.untilt()
             self.state.transform(name == "TRAORI")
         elif name in ("ORIWKS", "ORIVECT", "ORIPLANE", "ORIMKS", "ORIAXES"):
             out.set_modes(replace(out.modes, workpiece_orientation=name not in ("ORIMKS", "ORIAXES")))

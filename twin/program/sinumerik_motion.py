@@ -9,11 +9,12 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.control import Arc, SpaceArc, Vector
-from twin.program.corners import Move
+from twin.program.arcs import Arc
+from twin.program.control import Vector
 from twin.program.expressions import Value, WordError
+from twin.program.frames import INDEX, LINEAR, ROTARY, rotation
 from twin.program.sinumerik_frames import SinumerikFrames
-from twin.program.state import INDEX, LINEAR, ROTARY, Item, rotation
+from twin.program.state import Item
 from twin.program.words import Word
 
 _ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
@@ -99,20 +100,16 @@ class SinumerikMotion:
             self.corners.release()
         self.frames.note_increments(coordinates)
         point, angles = self.control.target(coordinates, suppress, start)
-        arc, space = None, None
+        arc = None
         if kind == mv.ARC and about_pole and by_name is None and "AR" not in extra:
             for i in arcs.PLANES[self.state.plane][:2]:
                 centre["IJK"[i]] = Item(self.pole[i] / self.state.unit, "AC")
         if kind == mv.ARC:
-            arc, space = self._arc(start, point, centre, extra, by_name)
-        self.corners.queue(
-            Move(kind, point, angles, vector, arc, space, suppress, self.state.feed, self.state.line, self.state.block), corner
-        )
+            arc = self._arc(start, point, centre, extra, by_name)
+        self.corners.queue(self.control.move(kind, point, angles, vector, arc, suppress), corner)
 
-    def _arc(
-        self, start: np.ndarray, point: np.ndarray, centre: dict[str, Item], extra: dict[str, Item], by_name: str | None
-    ) -> tuple[Arc | None, SpaceArc | None]:
-        """Centre, sense and turns of an arc in the plane, or an arc in space; AR= sets the end `point` (3,)."""
+    def _arc(self, start: np.ndarray, point: np.ndarray, centre: dict[str, Item], extra: dict[str, Item], by_name: str | None) -> Arc:
+        """The arc of the block; AR= sets the end `point` (3,)."""
         turns = int(extra.pop("TURN").value) if "TURN" in extra else 0
         if not 0 <= turns <= 10_000:
             raise WordError(f"TURN={turns} is out of range; give 0 to 10000", 1)
@@ -123,11 +120,11 @@ class SinumerikMotion:
                     item = extra.pop(name)
                     relative = item.how == "IC" or (item.how == "" and not self.state.absolute)
                     middle[i] = item.value * self.state.unit + (start[i] if relative else 0.0)
-            return None, arcs.through(start, middle, point)
+            return arcs.through(start, middle, point)
         if by_name == "CT":
-            if self.corners.tangent is None:
+            if (direction := self.corners.direction()) is None:
                 raise WordError("CT needs a move before it, whose direction it continues; use CIP or G2", 1)
-            return None, arcs.tangential(start, self.corners.tangent, point, self.state.plane)
+            return arcs.tangential(start, direction, point, self.state.plane)
         clockwise = self.state.motion == 2
         if "AR" in extra:
             item = extra.pop("AR")
@@ -145,11 +142,11 @@ class SinumerikMotion:
                 chord = point[[a, b]] - start[[a, b]]
                 side = 0.5 / math.tan(0.5 * angle)
                 middle[[a, b]] = start[[a, b]] + 0.5 * chord + side * np.array([-chord[1], chord[0]])
-            return (middle, clockwise, turns), None
+            return self.control.arc_about(start, point, middle, clockwise, turns)
         radius = extra.pop("CR").value * self.state.unit if "CR" in extra else None
         if radius is None and not centre:
             raise WordError("a circle needs its centre (I J K) or radius (CR=, in .ngc files R); add it to the block", 1)
-        return (self.control.arc_centre(start, point, centre, radius), clockwise, turns), None
+        return self.control.arc_about(start, point, self.control.arc_centre(start, point, centre, radius), clockwise, turns)
 
     def _tap(self, numbers: set[float], centre: dict[str, Item]) -> None:
         """G331, G332: along the thread; the feed is pitch times speed. G63 uses the active feed."""
@@ -229,7 +226,7 @@ class SinumerikMotion:
         traori = self.state.out.modes.traori
         self.state.transform(False)
         goal = np.where([n in coordinates for n in LINEAR], goal, self.state.out.position[:3])
-        self.control.go(mv.RAPID, goal, angles, suppress=True)
+        self.control.go(mv.RAPID, goal, (angles[0], angles[1]), machine=True)
         self.state.transform(traori)
 
     def dwell(self, numbers: set[float], extra: dict[str, Item], more: bool) -> None:

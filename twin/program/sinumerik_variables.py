@@ -10,10 +10,14 @@ import numpy as np
 
 from twin.errors import nearest
 from twin.program.expressions import SINUMERIK, Expression, Value, WordError
-from twin.program.flow import Flow, Frame, Statement
+from twin.program.flow import Flow
+from twin.program.flow import Frame as Call
+from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
 from twin.program.sinumerik_frames import SinumerikFrames
-from twin.program.state import INDEX, LINEAR, OTHER, Item, rotation
+from twin.program.state import Item
+from twin.program.structures import Statement
 from twin.program.tables import SINUMERIK_NAMES
+from twin.program.values import Values, as_number
 from twin.program.words import Word, split_arguments
 
 _DEF = re.compile(
@@ -33,17 +37,18 @@ G_GROUPS = {
 """G codes by group, in the order in which G[group]=number and $P_GG[group] count them."""
 
 
-class SinumerikVariables:
+class SinumerikVariables(Values):
     """Values of variables, words and expressions."""
 
     def __init__(self, flow: Flow, frames: SinumerikFrames) -> None:
-        self.flow, self.frames, self.state, self.corners = flow, frames, frames.state, frames.corners
+        super().__init__(frames.state, flow, SINUMERIK)
+        self.frames, self.corners = frames, frames.corners
         self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
         self.parameters: dict[int, float] = {}
         self.globals: dict[str, dict[tuple, Value]] = {}
-        self.frame_variables: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # DEF FRAME
+        self.frame_variables: dict[str, Frame] = {}  # DEF FRAME
 
-    def define(self, s: Statement, frame: Frame) -> None:
+    def define(self, s: Statement, frame: Call) -> None:
         match = _DEF.match(s.text)
         if not match:
             raise WordError("DEF needs a type and names, e.g. DEF REAL LENGTH=10", s.column)
@@ -73,30 +78,15 @@ class SinumerikVariables:
             if match[1] == "FRAME":
                 self.frame_variables[shape[1]] = self._frame_of(value, s.column)
 
-    def value_of(self, text: str, column: int) -> Value:
-        variable = self._variable if self.state.reads is None else self._noted_variable
-        value = Expression(text, SINUMERIK, variable, None, 0, column).whole()
-        return value
-
-    def _noted_variable(self, e: Expression, name: str, at: int) -> Value:
-        value = self._variable(e, name, at)
-        if self.state.reads is not None:
-            self.state.reads.append(value)
-        return value
-
     def number_of(self, text: str, column: int) -> float:
-        """The value of an expression or condition (1 true, 0 false)."""
         if not text.strip():
             raise WordError("a condition or number is missing, e.g. IF R1<10", column)
-        value = self.value_of(text, column)
-        if isinstance(value, str):
-            raise WordError(f'a number is needed here, not the text "{value[:20]}"', column)
-        return value
+        return super().number_of(text, column)
 
     def store_of(self, name: str) -> dict[tuple, Value] | None:
         return self.flow.frame.variables.get(name) or self.globals.get(name)
 
-    def _variable(self, e: Expression, name: str, at: int) -> Value:
+    def variable(self, e: Expression, name: str, at: int) -> Value:
         index: tuple = ()
         if e.peek() == "[":
             index = tuple(e.arguments())
@@ -266,13 +256,13 @@ class SinumerikVariables:
         old = self._frame_named(name, index)
         parts = [self.state.slot_of.get(i, i) for i in index if isinstance(i, str)]
         if len(parts) == 2 and parts[1] in ("TR", "FI") and parts[0] in INDEX:
-            offset = old[1].copy()
+            offset = old.shift.copy()
             value = self.state.si(parts[0], self.number_of(text, column))
             if parts[1] == "TR":
                 offset[INDEX[parts[0]]] = value
             elif value:
                 raise WordError("fine offsets of frames are not kept apart; add them to TR", word.column)
-            new = old[0], offset
+            new = Frame(old.matrix, offset)
         elif len(parts) == 2 and parts[1] == "RT" and not self.number_of(text, column):
             new = old
         elif parts:
@@ -282,70 +272,51 @@ class SinumerikVariables:
         if name in self.frame_variables:
             self.frame_variables[name] = new
             return
+        self.corners.release()
         if name in ("$P_UIFR", "$P_IFRAME"):
             self.frames.settable[self._settable_name(name, index)] = new
-        elif name == "$P_PFRAME":
-            self.frames.program_matrix, self.frames.program_offset = new
+            self.frames.choose(self.frames.chosen)
         else:
-            self.frames.basic = new
-        self.corners.release()
-        self.state.set_frames()
+            self.state.set_frames(**{"program" if name == "$P_PFRAME" else "basic": new})
 
     def _settable_name(self, name: str, index: tuple) -> str:
         return self.frames.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
 
-    def _frame_named(self, name: str, index: tuple) -> tuple[np.ndarray, np.ndarray]:
+    def _frame_named(self, name: str, index: tuple) -> Frame:
         """The frame of a variable or of the control."""
         if name in self.frame_variables:
             return self.frame_variables[name]
         if name in ("$P_UIFR", "$P_IFRAME"):
             return self.frames.settable_frame(self._settable_name(name, index))
-        return (self.frames.program_matrix, self.frames.program_offset) if name == "$P_PFRAME" else self.frames.basic
+        return self.state.frames["program" if name == "$P_PFRAME" else "basic"]
 
-    def _frame_of(self, text: str, column: int) -> tuple[np.ndarray, np.ndarray]:
+    def _frame_of(self, text: str, column: int) -> Frame:
         """The frames of a chain CTRANS(..):CROT(..):F1 as one; an empty text changes nothing."""
-        matrix, offset = np.eye(3), np.zeros(5)
-        at = 0
+        whole, at = NO_FRAME, 0
         while at < len(text.rstrip()):
             part = _FRAME_PART.match(text, at)
             if not part or (part[3] and part[3] not in _FRAMES and part[3] not in self.frame_variables):
                 raise WordError(f"'{text[at:].strip()[:20]}' is not a frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
+            at = part.end()
             if part[3]:
-                inner, shift = self._frame_named(part[3], tuple(self.value_of(t, column) for t, _ in split_arguments(part[4] or "")))
-                offset = np.concatenate([offset[:3] + matrix @ shift[:3], offset[3:] + shift[3:]])
-                matrix = matrix @ inner
-                at = part.end()
+                whole = whole @ self._frame_named(part[3], tuple(self.value_of(t, column) for t, _ in split_arguments(part[4] or "")))
                 continue
             values = [self.state.slot_of.get(t, t) for t, _ in split_arguments(part[2])]
-            inner, shift = np.eye(3), np.zeros(5)
             if part[1] == "MIRROR":
-                inner = np.diag([-1.0 if n in values else 1.0 for n in LINEAR])
-                pairs: dict[str, float] = {}
-            else:
-                pairs = {values[i]: self.number_of(values[i + 1], column) for i in range(0, len(values) - 1, 2)}
+                whole = whole @ Frame(mirrored(values), np.zeros(5))
+                continue
+            pairs = {values[i]: self.number_of(values[i + 1], column) for i in range(0, len(values) - 1, 2)}
             for axis in pairs:
                 if axis not in INDEX and pairs[axis]:
                     raise WordError(f"'{axis}' is not an axis of this machine (X Y Z A C)", column)
             if part[1] in ("TRANS", "FINE"):
-                for axis, value in pairs.items():
-                    if axis in INDEX:
-                        shift[INDEX[axis]] = self.state.si(axis, value)
-            elif part[1] == "ROT":
-                inner = rotation(2, pairs.get("Z", 0.0)) @ rotation(1, pairs.get("Y", 0.0)) @ rotation(0, pairs.get("X", 0.0))
-            elif part[1] == "SCALE":
-                inner = np.diag([pairs.get(n, 1.0) for n in LINEAR])
-            offset = np.concatenate([offset[:3] + matrix @ shift[:3], offset[3:] + shift[3:]])
-            matrix = matrix @ inner
-            at = part.end()
-        return matrix, offset
+                whole = whole @ shifted({axis: self.state.si(axis, value) for axis, value in pairs.items() if axis in INDEX})
+            else:
+                matrix = rotation_xyz(pairs) if part[1] == "ROT" else np.diag([pairs.get(n, 1.0) for n in LINEAR])
+                whole = whole @ Frame(matrix, np.zeros(5))
+        return whole
 
 
 def frame_name(number: Value) -> str:
     n = int(as_number(number, 1))
     return "G500" if n == 0 else f"G{53 + n}" if n <= 4 else f"G{500 + n}"
-
-
-def as_number(value: Value, column: int) -> float:
-    if isinstance(value, str):
-        raise WordError(f'a number is needed here, not the text "{value[:20]}"', column)
-    return float(value)

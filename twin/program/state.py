@@ -6,7 +6,7 @@ scales). Lengths are in m and rad; a front end converts the programmed values.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 import math
 from pathlib import Path
@@ -20,28 +20,17 @@ from twin.program import arcs
 from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
 from twin.program.compensation import Compensation
 from twin.program.expressions import WordError
+from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame
 from twin.program.machine_file import first_feed
-from twin.program.tables import NOTE, REFUSED, STOPS, UNKNOWN_M
+from twin.program.tables import NOTE, REFUSED, STOPS, UNKNOWN, Word
 from twin.program.tools import Tools
 from twin.units import rad_from_deg
 
-LINEAR, ROTARY, OTHER = ("X", "Y", "Z"), ("A", "C"), ("B", "U", "V", "W")
-INDEX = {name: i for i, name in enumerate((*LINEAR, *ROTARY))}
 INCH = 0.0254
 
-
 MODES = (
-    "motion",
-    "plane",
-    "absolute",
-    "centre_absolute",
-    "rounding",
-    "tolerance",
-    "angle_tolerance",
-    "adis",
-    "adispos",
-    "retract_to_start",
-)
+    "motion", "plane", "absolute", "centre_absolute", "rounding", "tolerance", "angle_tolerance", "adis", "adispos", "retract_to_start",
+)  # fmt: skip
 """Modes that are kept and brought back as they are."""
 
 
@@ -53,29 +42,16 @@ class Item(NamedTuple):
     column: int = 1
 
 
-def rotation(axis: int, degrees: float) -> np.ndarray:
-    """Matrix (3, 3) that turns about x, y or z by an angle, right-handed; exact at right angles."""
-    quarter = degrees / 90.0
-    if quarter == round(quarter):
-        c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
-    else:
-        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    matrix = np.eye(3)
-    matrix[i, i] = matrix[j, j] = c
-    matrix[i, j], matrix[j, i] = -s, s
-    return matrix
-
-
 class State:
     """The modal state while blocks are executed; the module docstring defines the frames."""
 
     after_compensation = False  # the next move leads from the compensated path and must be straight
 
-    def __init__(self, path: Path, machine: Machine, language: str) -> None:
+    def __init__(self, path: Path, machine: Machine, language: str, frames: Iterable[str]) -> None:
         self.path, self.machine = path, machine
         self.linuxcnc, self.iso = language == "linuxcnc", language in ("linuxcnc", "iso")
-        self.set_frames: Callable[[], None] = lambda: None  # applies the frames of the language, whose part sets it
+        self.frames = dict.fromkeys(frames, NO_FRAME)
+        """Frames by name, the outermost first; a tilted plane is `plane`."""
         self.out = Collector(path, machine)
         self.motion: int | None = 1
         self.feed = first_feed(machine)  # till the first F
@@ -93,7 +69,8 @@ class State:
         self.comp: Compensation | None = None
         self.programmed = np.zeros(3)  # place on the contour, while the tool follows it at a distance
         self.fixed_axis: np.ndarray | None = None  # tool axis of a swivelled plane, part frame
-        self.swivelled: tuple[np.ndarray, np.ndarray, bool] | None = None  # plane and origin; whether it switched TRAORI on
+        self.tilted = self.tilt_switched = False  # whether a tilted plane is in force; whether it switched TRAORI on
+        self.shifted: dict[int, float] = {}  # axis whose offset has changed -> its position then
         self.plain = True  # blocks of coordinates alone may take the fast way
         self.retract_to_start = True  # G98
         self.line, self.block = 0, -1
@@ -141,25 +118,33 @@ class State:
             position[4] = turn = rad_from_deg(float(c)) + frame[4]
         return tilt, turn
 
-    def set_frame(self, matrix: np.ndarray | None, offset: np.ndarray) -> None:
-        """Set the frame of the following blocks: matrix (3, 3) or None, and offset (5,)."""
+    def set_frames(self, **changed: Frame) -> None:
+        """Change some of the frames; all of them hold for the following blocks.
+
+        The tool stands across a tilted plane. Its transformation counts from the part frame, so the frames outside it do, too.
+        """
         if self.comp is not None:
             raise WordError("the zero offset changes inside G41 or G42; write G40 and a move before", 1)
-        self.matrix = None if matrix is None or np.array_equal(matrix, np.eye(3)) else matrix
-        self.offset = [float(v) for v in offset]
+        self.frames |= changed
+        whole, self.fixed_axis = NO_FRAME, None
+        for name, frame in self.frames.items():
+            whole = whole @ frame
+            if name == "plane" and self.tilted:
+                self.fixed_axis = whole.matrix[:, 2 if self.iso else arcs.PLANES[self.plane][2]].copy()
+        offset = whole.shift.tolist()
+        if self.tilted and self.tilt_switched:
+            kinematics = self.out.kinematics.with_tool_length(self.out.modes.tool_length)
+            offset[:3] = (whole.shift[:3] + kinematics.forward(np.zeros((1, 5)))[0][0]).tolist()
+        if self.out.kinds:
+            self.shifted |= {i: self.out.position[i] for i in range(5) if abs(offset[i] - self.offset[i]) > 1e-12}
+        self.matrix = None if np.array_equal(whole.matrix, np.eye(3)) else whole.matrix
+        self.offset = offset
         self.settle_plain()
 
     def settle_plain(self) -> None:
         """Whether plain blocks of coordinates may be read by the fast method."""
         self.plain = self.absolute and self.matrix is None and self.comp is None and self.fixed_axis is None and not self.after_compensation
         self.plain = self.plain and not (self.iso and self.out.modes.feed_mode == 93)  # each block needs its F
-
-    def to_part(self) -> np.ndarray:
-        """From positions of the axes to the part frame at A = C = 0 (3,); none where TRAORI was on before the plane was tilted."""
-        if self.swivelled is None or not self.swivelled[2]:
-            return np.zeros(3)
-        kinematics = self.out.kinematics.with_tool_length(self.out.modes.tool_length)
-        return kinematics.forward(np.zeros((1, 5)))[0][0]
 
     def frame_table(self, name: str) -> np.ndarray:
         """Zero offset (5,) of a settable frame from the table [frame.G54] of the machine file; zero if there is none."""
@@ -221,21 +206,21 @@ class State:
         """The largest difference of the radii of an arc by its radius [m]."""
         return arcs.iso_tolerance(self.unit) if self.iso else lambda radius: arcs.CLOSING_TOLERANCE
 
-    def swivel(self, matrix: np.ndarray, origin: np.ndarray) -> None:
+    def tilt(self, plane: Frame) -> None:
         """Start a tilted plane: TRAORI on, the tool perpendicular to the plane."""
-        self.unswivel()
-        self.swivelled = matrix, origin, not self.out.modes.traori
+        self.untilt()
+        self.tilted, self.tilt_switched = True, not self.out.modes.traori
+        self.frames["plane"] = plane
         self.transform(True)
         self.set_frames()
 
-    def unswivel(self) -> None:
+    def untilt(self) -> None:
         """Restore the plane before, and switch TRAORI off if the tilted plane had switched it on."""
-        if self.swivelled is not None:
-            _, _, switched = self.swivelled
-            self.swivelled = None
-            if switched:
+        if self.tilted:
+            self.tilted = False
+            if self.tilt_switched:
                 self.transform(False)
-            self.set_frames()
+            self.set_frames(plane=NO_FRAME)
 
     def transform(self, on: bool) -> None:
         """Switch TRAORI on or off."""
@@ -244,8 +229,9 @@ class State:
         if self.out.modes.traori != on:
             self.out.change_frame(replace(self.out.modes, traori=on))
 
-    def kept(self, *more: tuple[object, tuple[str, ...]], with_feed: bool = False) -> Callable[[], None]:
+    def kept(self, *more: tuple[object, tuple[str, ...]], frames: Iterable[str] = (), with_feed: bool = False) -> Callable[[], None]:
         """A function that brings back the modes in force now; `more`: attributes of other parts that it brings back, too."""
+        inner = {name: self.frames[name] for name in frames}
         places = [(self, MODES), *more]
         values = [[getattr(part, name) for name in names] for part, names in places]
         unit, modes, feed = self.unit, self.out.modes, self.feed
@@ -259,13 +245,13 @@ class State:
             self.feed = feed if with_feed else self.feed
             same = ("stop_window", "brisk", "feedforward", "workpiece_orientation")
             self.round_corners(**{name: getattr(modes, name) for name in same})
-            self.set_frames()
+            self.set_frames(**inner)
 
         return restore
 
     # ------------------------------------------------------------------ words of the tables
 
-    def check_code(self, letter: str, number: float, entry: tuple[str, str] | None, column: int) -> None:
+    def check_code(self, letter: str, number: float, entry: Word | None, column: int) -> None:
         """Refuse a G or M code that its table does not know or refuses, and note one without effect."""
         if entry is None:
             text = "is not known; remove it or replace it by moves (docs/programs.md lists what is read)"
@@ -275,11 +261,11 @@ class State:
         if entry[0] == NOTE:
             self.note(f"{letter}{number:g}: {entry[1]}")
 
-    def note_m(self, numbers: Sequence[int], table: Mapping[int, tuple[str, str]], ends: Container[int]) -> float | None:
+    def note_m(self, numbers: Sequence[int], table: Mapping[int, Word], ends: Container[int]) -> float | None:
         """Note the M codes of a block; the pause [s] of one that stops, None without one."""
         pause = None
         for number in numbers:
-            entry = table.get(number, (NOTE, UNKNOWN_M))
+            entry = table.get(number, Word(NOTE, UNKNOWN))
             if entry == STOPS or number == 6:
                 self.note(f"M{number}: the program continues after an exact stop")
                 pause = 0.0
@@ -288,10 +274,10 @@ class State:
         return pause
 
     @staticmethod
-    def one_of_each(codes: Collection[float], groups: Iterable[Set[float]]) -> None:
+    def one_of_each(codes: Sequence[float], groups: Mapping[float, str]) -> None:
         """A block takes one code of a modal group."""
-        for group in groups:
-            if len(both := [n for n in codes if n in group]) > 1:
+        for group in dict.fromkeys(groups.get(n, "") for n in codes):
+            if group and len(both := [n for n in codes if groups.get(n) == group]) > 1:
                 raise WordError("G" + " and G".join(f"{n:g}" for n in both) + " are in one block; keep one", 1)
 
     @staticmethod

@@ -1,0 +1,172 @@
+"""The reader of ISO programs (Fanuc and similar controls, LinuxCNC): the words of a block, and what the dialect keeps from block to block.
+
+Some words mean different things on LinuxCNC and Fanuc. `linuxcnc` selects the dialect: a file .ngc, or one with O-words or named
+parameters. Where the dialects differ, a note gives the chosen meaning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+import re
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.program.expressions import Null, WordError
+from twin.program.frames import LINEAR, NO_FRAME, OTHER, ROTARY, Frame, rotation, shifted
+from twin.program.iso_lines import SEPARATOR, between_percents, message_text
+from twin.program.iso_values import IsoValues, system_name
+from twin.program.reader import Reader
+from twin.program.source import Unit
+from twin.program.state import Item
+from twin.program.words import NUMBER
+
+ISO_FRAMES = ("system", "shift", "local", "mirror", "scale", "turn", "plane")
+"""Zero offset, G92, G52, then G51.1, G51 and G68 in the order in which a Fanuc nests them, and G68.2."""
+AXES = (*LINEAR, *ROTARY, *OTHER)
+POLAR = ("@", "^")
+"""Words of a radius and an angle (LinuxCNC)."""
+
+
+@dataclass
+class Block:
+    """The words of one block; each step takes away the words that it uses, so a word that remains is an error."""
+
+    g: list[tuple[float, int]] = field(default_factory=list)  # number and column
+    m: list[int] = field(default_factory=list)
+    w: dict[str, Item] = field(default_factory=dict)
+    column: int = 1  # of the G code in hand
+
+    @property
+    def codes(self) -> set[float]:
+        """The G codes."""
+        return {number for number, _ in self.g}
+
+    def take(self, name: str, default: float = 0.0) -> float:
+        """Take a word away; its value."""
+        return self.w.pop(name).value if name in self.w else default
+
+    def drop(self, names: str) -> None:
+        """Take words of one letter away."""
+        for name in names:
+            self.w.pop(name, None)
+
+    def pick(self, *names: str) -> dict[str, Item]:
+        """Take words away."""
+        return {n: self.w.pop(n) for n in names if n in self.w}
+
+
+class Iso(Reader):
+    """Reads the blocks of one ISO program."""
+
+    carry_out: Callable[[Block], None]
+
+    def __init__(self, path: Path, machine: Machine, unit: Unit, linuxcnc: bool) -> None:
+        super().__init__(path, machine, "linuxcnc" if linuxcnc else "iso", between_percents(unit), ISO_FRAMES)
+        self.unit_read, self.linuxcnc, state = self.flow.frame.unit, linuxcnc, self.state
+        state.motion, state.tools.modal_h = None, not linuxcnc
+        self.systems = {n: state.frame_table(system_name(n)) for n in range(1, 10)}
+        self.turned = dict.fromkeys(range(1, 10), 0.0)  # deg, by system
+        self.system = 1
+        self.shift, self.shift_kept, self.shift_on = np.zeros(5), np.zeros(5), False  # G92 (LinuxCNC: also G52)
+        self.local = np.zeros(5)  # G52 of Fanuc
+        self.mirrors: dict[int, float] = {}  # axis of G51.1 -> place of the mirror [m]
+        self.home = {28: state.frame_table("G28"), 30: state.frame_table("G30")}
+        self.cycle: int | None = None  # G73 to G89 in force
+        self.sticky: dict[str, float] = {}  # words of the cycles
+        self.given_absolute: dict[str, bool] = {}  # of the words in `sticky`: under G90
+        self.initial = 0.0  # height at which the cycles began [m]
+        self.polar = False  # G16
+        self.polar_place: tuple[float, float] | None = None  # radius and angle [deg] that G16 keeps
+        self.any_motion = False  # a Fanuc takes coordinates before any G0 or G1 as rapid
+        self.modal_macro: tuple[Unit, int, dict] | None = None  # G66
+        self.edge: Item | None = None  # D, which a Fanuc keeps
+        self.spline_arm = 0.0, 0.0  # P and Q of the last G5 [m]
+        self.between: tuple[np.ndarray, tuple[float, float]] | None = None  # the point of G28 or G30, through which G29 returns
+        self.parameter_lines = False  # behind G10 L50, up to G11
+        self.stored_modes: dict[int, Callable[[], None]] = {}
+        self.main_seen = False
+        self.values = IsoValues(self)
+        letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
+        self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}(?:F({NUMBER})\s*)?;?\s*$", re.A)
+        self.out.set_modes(replace(self.out.modes, feed_of_all=not linuxcnc))
+        self.out.mixed_feed = (
+            "F beside X Y Z with A or C: it counts X Y Z alone, as on LinuxCNC"
+            if linuxcnc
+            else "F beside X Y Z with A or C: it counts all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
+        )
+        self.set_frames()
+
+    def set_frames(self) -> None:
+        """The zero offset in force with its rotation, G92 and G52."""
+        system = Frame(rotation(2, self.turned[self.system]), self.systems[self.system])
+        shift = shifted(self.shift) if self.shift_on else NO_FRAME
+        self.state.set_frames(system=system, shift=shift, local=shifted(self.local.copy()))
+
+    def plain_now(self) -> bool:
+        return self.cycle is None and not self.polar and self.modal_macro is None
+
+    def block(self, text: str) -> None:
+        body, *messages = text.split(SEPARATOR)
+        if self.parameter_lines:
+            self.parameter_lines = "G11" not in body
+            return
+        if body.strip():
+            self.carry_out(self.parse(body))
+        for message in messages:
+            self.out.messages.append(message_text(message, self.values.number_of))
+
+    def parse(self, text: str) -> Block:
+        """The words of a block; assigned variables are set after the block is read."""
+        block, later = Block(), []
+        g, m, words, e, fanuc = block.g, block.m, block.w, self.values.expression(text), not self.linuxcnc
+        while char := e.peek():
+            column = e.at + 1
+            if char == "#":
+                e.at += 1
+                key = self.values.key(e)
+                if e.peek() != "=":
+                    raise e.fail("a variable without an assignment; give it a value with '='")
+                e.at += 1
+                later.append((key, e.number(), column))
+                continue
+            name = char
+            if char == ",":
+                e.at += 1
+                name = "," + e.peek()
+            if not (name[-1].isalpha() or (self.linuxcnc and name in POLAR)) or not name.isascii():
+                raise WordError(f"'{char}' starts no word", column)
+            e.at += 1
+            if fanuc and name in AXES and (not e.peek() or e.peek() in AXES) and {28, 30} & block.codes:
+                self.state.note("G28, G30: an axis without a value goes to its reference point at once")
+                words[name] = Item(0.0, "IC", column)
+                continue
+            if not e.peek():
+                raise WordError(f"'{name}' needs a number", column)
+            try:
+                value = e.atom()
+            except WordError as error:
+                raise WordError(f"'{name}' needs a number: {error}", error.column) from None
+            if isinstance(value, str):
+                raise WordError(f"'{name}' needs a number", column)
+            if name == "N":
+                self.state.block = int(value)
+            elif name == "G":
+                g.append((round(value, 4), column))
+            elif name == "M":
+                if value != int(value) or not 0 <= value <= 99999:
+                    raise WordError(f"M{value:g} is not an M code", column)
+                m.append(int(value))
+            elif isinstance(value, Null) and fanuc:
+                self.state.note(f"{name}: a word whose variable was never set is ignored")
+            elif name == "T" and name in words and fanuc:
+                self.state.note("T twice in a block: the second prepares the tool of the next change")
+            elif name in words:
+                raise WordError(f"{name} occurs twice in the block; keep one", column)
+            else:
+                words[name] = Item(float(value), "", column)
+        for key, number, column in later:
+            self.values.write(key, number, column)
+        return block

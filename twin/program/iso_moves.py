@@ -1,0 +1,266 @@
+"""The moves of ISO programs: lines, arcs, polar coordinates, reference points, splines, threads, dwell, cutter radius."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+
+from twin.program import arcs
+from twin.program import moves as mv
+from twin.program.collect import DEFAULT_TOLERANCE
+from twin.program.expressions import WordError
+from twin.program.frames import INDEX, LINEAR, ROTARY
+from twin.program.iso_blocks import AXES, POLAR, Block, Iso
+from twin.program.iso_cycles import drill_holes
+from twin.program.state import Item
+
+REFERENCES = {27, 28, 29, 30}
+"""G codes of the reference point."""
+
+
+def move_words(m: Iso, b: Block) -> None:
+    """The motion of the block."""
+    s, codes, w, places = m.state, b.codes, b.w, b.pick(*AXES)
+    if w.keys() & set(POLAR):
+        _radius_and_angle(m, b, places)
+    if codes & REFERENCES:
+        _reference(m, b, int(min(codes & REFERENCES)), places)
+        return
+    if m.linuxcnc and (codes & {5, 5.1} or (s.motion == 5 and places and not codes & {0, 1, 2, 3})):
+        _spline(m, b, 5.1 if 5.1 in codes else 5, places)
+        return
+    if codes & {33, 33.1}:
+        _thread(m, b, min(codes & {33, 33.1}), places)
+        return
+    vector, given = None, w.keys() & set("IJK")
+    if 43.5 in codes or (s.out.modes.traori and s.motion in (0, 1) and given and not codes & {2, 3}):
+        i, j, k = (b.take(n) for n in "IJK")
+        vector = (i, j, k) if given else None
+    if m.polar:
+        _polar(m, places)
+    if m.cycle is not None:
+        drill_holes(m, b, places)
+        return
+    centre = b.pick("I", "J", "K") if s.motion in (2, 3) else {}
+    if s.motion is None and places and not m.linuxcnc and not m.any_motion:
+        s.motion = 0
+        s.note("coordinates before any G0 or G1 are rapid moves; a parameter of the control decides this")
+    m.any_motion = m.any_motion or s.motion is not None
+    moves = bool(places or vector or (s.motion in (2, 3) and (centre or "R" in w)))
+    if codes & {2, 3} and not moves:
+        raise WordError("a circle needs its centre (I J K) or radius R, and an end point; add them", 1)
+    if not moves:
+        return
+    if s.motion is None:
+        raise WordError("coordinates without a motion: G80 is in force; give G0 or G1", 1)
+    kind, machine = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[s.motion], 53 in codes
+    if machine and kind == mv.ARC:
+        raise WordError("G53 goes with G0 or G1; give the arc in the work coordinates", 1)
+    start = m.corners.start()
+    point, angles = m.control.target(places, machine, None if machine else start)
+    arc = _arc(m, b, start, point, centre) if kind == mv.ARC else None
+    corner = next(((n, w.pop(n)) for n in (",R", ",C") if n in w), None)
+    if corner is not None and (kind != mv.LINE or machine or vector):
+        raise WordError(f"{corner[0]} belongs in a block with G1 that another G1 follows; move it there", corner[1].column)
+    move = m.control.move(kind, point, angles, vector, arc, machine)
+    m.corners.queue(move, None if corner is None else (corner[0], corner[1].value * s.unit))
+    if m.modal_macro is not None and all(frame.name != "G66" for frame in m.flow.frames):  # not after moves of the macro itself
+        unit, at, variables = m.modal_macro
+        if frame := m.flow.call(unit, at, name="G66", style="macro"):
+            frame.variables = dict(variables)
+
+
+def _arc(m: Iso, b: Block, start: np.ndarray, point: np.ndarray, centre: dict[str, Item]) -> arcs.Arc:
+    """The arc of a block by I J K or R, with P - 1 turns more."""
+    s, turns = m.state, 1.0
+    radius = b.take("R") * s.unit if "R" in b.w else None
+    if "P" in b.w:
+        turns, _, column = b.w.pop("P")
+        if turns != int(turns) or not 1 <= turns <= 10_000:
+            raise WordError(f"P{turns:g}: the number of turns of an arc is a whole number from 1", column)
+    if radius is None and not centre:
+        raise WordError("a circle needs its centre (I J K) or radius R; add it to the block", 1)
+    in_plane = [n for n in centre if "IJK".index(n) in arcs.PLANES[s.plane][:2]]
+    if s.centre_absolute and centre and len(in_plane) < 2:
+        raise WordError("under G90.1 a circle needs both words of its centre; add the other", 1)
+    return m.control.arc_about(start, point, m.control.arc_centre(start, point, centre, radius), s.motion == 2, int(turns) - 1)
+
+
+def _in_plane(m: Iso, places: dict[str, Item], radius: float, angle: float, column: int) -> None:
+    """The first two axes of the plane from a radius [program units] and an angle [deg] about the zero of the program."""
+    for i, part in zip(arcs.PLANES[m.state.plane], (math.cos, math.sin)):
+        places[LINEAR[i]] = Item(radius * part(math.radians(angle)), "AC", column)
+
+
+def _place(m: Iso) -> tuple[float, float]:
+    """Radius [program units] and angle [deg] of the start about the zero of the program."""
+    first, second = m.corners.start()[list(arcs.PLANES[m.state.plane][:2])] / m.state.unit
+    return math.hypot(first, second), math.degrees(math.atan2(second, first))
+
+
+def _radius_and_angle(m: Iso, b: Block, places: dict[str, Item]) -> None:
+    """@ and ^ of LinuxCNC: radius and angle about the program zero; a missing one is kept, with G91 they are added."""
+    words = b.pick(*POLAR)
+    column = next(iter(words.values())).column
+    if m.state.plane != 17 or places.keys() & {"X", "Y"}:
+        raise WordError("@ and ^ stand for X and Y under G17; remove the other words", column)
+    here = _place(m)
+    radius, angle = (
+        words[n].value + (0.0 if m.state.absolute else before) if n in words else before for n, before in zip(POLAR, here)
+    )  # fmt: skip
+    _in_plane(m, places, radius, angle, column)
+
+
+def _polar(m: Iso, places: dict[str, Item]) -> None:
+    """G16: the first axis of the plane is a radius, the second an angle, about the zero of the program; both are kept.
+
+    With G91 the angle counts from the last one. A radius with G91 would be about the place of the tool, which is refused.
+    """
+    first, second = (LINEAR[i] for i in arcs.PLANES[m.state.plane][:2])
+    if not places.keys() & {first, second}:
+        return
+    radius, angle = m.polar_place or _place(m)
+    if first in places and not m.state.absolute:
+        raise WordError(
+            f"{first} under G16 and G91 is a radius about the place of the tool, which is not read; use G90", places[first].column
+        )
+    radius = places[first].value if first in places else radius
+    if second in places:
+        angle = places[second].value + (0.0 if m.state.absolute else angle)
+    m.polar_place = radius, angle
+    _in_plane(m, places, radius, angle, next(iter(places.values())).column)
+
+
+def _reference(m: Iso, b: Block, number: int, places: dict[str, Item]) -> None:
+    """G28, G30: through the point of the block to the reference point; G29: back through that point; G27: to the point alone. Rapid."""
+    s, control = m.state, m.control
+    if number == 29 and m.between is not None:
+        control.go(mv.RAPID, *m.between)
+    if number in (27, 29):
+        s.note("G27: a rapid move; that it ends at the reference point is not checked") if number == 27 else None
+        control.go(mv.RAPID, *control.target(places))
+        return
+    home = m.home[number]
+    if number == 30 and "P" in b.w and (which := int(b.take("P"))) != 2:
+        home = s.frame_table(f"G30P{which}")
+    s.note("G28, G30: the reference point is the zero of the axes, or [frame.G28] x_m .. of the machine file")
+    point, angles = control.target(places)
+    if places:
+        control.go(mv.RAPID, point, angles)
+        m.between = point, angles
+    s.other_axes |= dict.fromkeys(places.keys() - INDEX.keys(), 0.0)
+    control.to_home(home, places or (*LINEAR, *ROTARY))
+
+
+def keep_home(m: Iso, _: Block, number: float) -> None:
+    """G28.1, G30.1: this place is the reference point."""
+    m.home[int(number)] = np.array([*m.out.position[:3], *m.values.place()[3:]])
+
+
+def _spline(m: Iso, b: Block, number: float, places: dict[str, Item]) -> None:
+    """G5 and G5.1 of LinuxCNC: a cubic or quadratic Bezier curve in the XY plane, as chords."""
+    s = m.state
+    if s.plane != 17 or places.keys() - {"X", "Y"} or s.comp is not None or not s.feed > 0.0:
+        raise WordError(f"G{number:g} moves X and Y under G17 with a feed, outside G41 and G42; correct the block", 1)
+    needed = "IJPQ" if number == 5 else "IJ"
+    given = {n: item.value * s.unit for n, item in b.pick(*needed).items()}
+    if number == 5 and s.motion == 5 and not given.keys() & {"I", "J"}:
+        given["I"], given["J"] = (-v for v in m.spline_arm)  # the next curve goes on smoothly
+    if set(needed) - given.keys():
+        raise WordError(f"G{number:g} needs {' '.join(needed)}; add them", 1)
+    start = s.here()
+    point, _ = m.control.target(places)
+    near = start + np.array([given["I"], given["J"], 0.0])
+    far = point + np.array([given["P"], given["Q"], 0.0]) if number == 5 else near
+    if number == 5.1:
+        near, far = start + (near - start) * 2.0 / 3.0, point + (far - point) * 2.0 / 3.0
+    for end in arcs.bezier_chords(np.array([start, near, far, point])):
+        m.control.go(mv.LINE, end)
+    s.note("G5, G5.1: the curve as chords within 0.5 um")
+    s.motion, m.spline_arm = (5, (given["P"], given["Q"])) if number == 5 else (None, (0.0, 0.0))
+
+
+def _thread(m: Iso, b: Block, number: float, places: dict[str, Item]) -> None:
+    """G33 and G33.1 of LinuxCNC: a line with K per turn of the spindle; G33.1 (tapping) returns along it."""
+    s = m.state
+    if "K" not in b.w or not s.out.modes.spindle > 0.0:
+        raise WordError(f"G{number:g} needs K, the pitch, and a spindle speed S; add them", 1)
+    start, feed = s.here(), s.feed
+    s.feed = abs(b.take("K")) * s.out.modes.spindle
+    s.note("G33, G33.1: a line at K times S; the angle of the spindle is not simulated")
+    m.control.go(mv.LINE, *m.control.target(places))
+    if number == 33.1:
+        m.control.go(mv.LINE, start)
+    s.feed, s.motion = feed, None
+
+
+def dwell(m: Iso, b: Block, _: float) -> None:
+    """G4: P in s or, written whole on a Fanuc, in ms; X, U in s."""
+    name = next((n for n in (("P",) if m.linuxcnc else ("P", "X", "U")) if n in b.w), None)
+    if name is None:
+        raise WordError("G4 needs its time, e.g. G4 P1.5", 1)
+    item = b.w.pop(name)
+    seconds = item.value
+    if name == "P" and not m.linuxcnc:
+        text = m.flow.frame.unit.lines[m.flow.frame.at]
+        if "." not in re.split(r"[^\d.+\-]", text[item.column :].lstrip())[0]:
+            seconds /= 1000.0
+            m.state.note("G4 P without a decimal point is in ms, as on a Fanuc; write P1.5 or a .ngc file for seconds")
+    m.control.dwell(seconds)
+
+
+def path_mode(m: Iso, b: Block, number: float) -> None:
+    """G61, G61.1, G64: exact path, exact stop, rounding within P."""
+    s = m.state
+    if number == 64:
+        if "R" in b.w and 19 in b.m:
+            raise WordError("R may belong to G64 or to M19 here; write two blocks", b.w["R"].column)
+        if b.pick("R"):
+            s.note("G64 R: a setting of the planner of LinuxCNC, without effect on the path")
+        if b.pick("Q"):
+            s.note("G64 Q: merging of collinear blocks, which the rounding here always does")
+        p = b.take("P")
+        s.tolerance = p * s.unit if p > 0.0 else DEFAULT_TOLERANCE
+    elif number == 61.1 and not m.linuxcnc:
+        s.note("G61.1: high accuracy of Mazak and Mitsubishi, corners are rounded as under G64; in .ngc files an exact stop")
+    elif number == 61 and m.linuxcnc:
+        s.tolerance = 1e-6
+        s.note("G61: exact path, a rounding of 1 um")
+    elif number == 61:
+        s.note("G61: exact stop; in .ngc files exact path, without a stop")
+    s.rounding = 60 if number == (61.1 if m.linuxcnc else 61) else 64
+    s.round_corners()
+
+
+def _radius_of(m: Iso, d: Item) -> float:
+    """Radius [m] selected by a D word of a Fanuc; D0 selects none."""
+    return 0.0 if d.value == 0 else m.state.tools.radius(f"{d.value:g}", d.column)
+
+
+def other_radius(m: Iso, d: Item) -> None:
+    """D without G41 or G42 on a Fanuc: the radius of the next G41 or G42; inside one it must not change the radius."""
+    m.edge = d
+    if m.state.comp is not None and abs(_radius_of(m, d)) != m.state.comp.tool_radius:
+        raise WordError("D changes the radius inside G41 or G42; write G40 and a move before", d.column)
+
+
+def compensation(m: Iso, b: Block, number: float) -> None:
+    """G40 to G42.1: the radius is that of D, else that of the last D, else that of the tool."""
+    s, d = m.state, b.w.pop("D", None)
+    if number == 40:
+        m.control.compensate(0, 0.0)
+        return
+    if number in (41.1, 42.1):
+        if d is None:
+            raise WordError("G41.1 and G42.1 need D, the diameter of the tool", b.column)
+        radius = 0.5 * d.value * s.unit
+    else:
+        m.edge = d or (m.edge and m.edge._replace(column=b.column))
+        radius = _radius_of(m, m.edge) if m.edge else s.tools.radius(s.tools.name, b.column)
+    if not radius:
+        s.note("G41, G42 with radius 0: the contour is the path")
+    elif not m.linuxcnc:
+        s.note("G41, G42: the tool comes to the contour at a right angle to it, as on a Fanuc; in .ngc files beside its first corner")
+    m.control.compensate(1 if number < 42 else -1, radius, along_next=not m.linuxcnc)
