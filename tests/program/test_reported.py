@@ -14,8 +14,8 @@ from twin.program import check, is_program, read_program
 from twin.program.iso import ISO_M
 from twin.program.moves import ARC, LINE
 from twin.program.read import dialect, understand
+from twin.program.sinumerik import SINUMERIK_M
 from twin.program.source import Source
-from twin.program.tables import SINUMERIK_M
 
 
 def ends(program) -> np.ndarray:

@@ -15,7 +15,8 @@ from twin.program.apt_words import WITHOUT_EFFECT
 from twin.program.iso import ISO_G, ISO_M, iso
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
-from twin.program.tables import ACTS, NOTE, REFUSED, SINUMERIK_G, SINUMERIK_NAMES
+from twin.program.sinumerik import SINUMERIK_G, SINUMERIK_NAMES, sinumerik
+from twin.program.tables import ACTS, NOTE, REFUSED
 
 LINUXCNC = Path(__file__).resolve().parents[3] / "shared" / "data" / "linuxcnc" / "interp"
 
@@ -365,7 +366,6 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
 
     RET, ENDPROC and G40 act on what follows: other tests hold them.
     """
-    from twin.program.sinumerik import Sinumerik
     from twin.program.source import Source, units_of
 
     states = (
@@ -377,7 +377,7 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
     def run(text: str) -> tuple:
         path = write(f"$TC_DP6[1,1]=1\nT1 D1\n{text}")
         write("G91 X1\nG90\nM17\n", "SUB1.SPF")
-        front = Sinumerik(path, mikron, units_of(Source(path)))
+        front = sinumerik(path, mikron, units_of(Source(path)))
         front.run()
         return fingerprint(front.out, front), tuple(front.out.feeds), len(front.out.notes)
 

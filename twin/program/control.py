@@ -73,7 +73,7 @@ class Control:
         angles = [math.nan, math.nan]
         for name, (value, how, column) in words.items():
             si = self.state.si(name, value)
-            relative = how == "IC" or (how == "" and not self.state.absolute and not machine)
+            relative = self.state.is_relative(how) and not (machine and how == "")
             if name in LINEAR:
                 if how in ("DC", "ACP", "ACN"):
                     raise WordError(f"{how}() is for rotary axes; use AC() or IC()", column)
@@ -227,10 +227,24 @@ class Control:
         if self.state.out.kinds:
             self.state.out.stops[len(self.state.out.kinds) - 1] = pause
 
-    def to_home(self, home: np.ndarray, names: Container[str]) -> None:
-        """Rapid of the axes named to their places (5,) in machine coordinates; the others stay."""
+    def polar(self, pole: np.ndarray, start: np.ndarray, radius: Item | None, angle: Item | None) -> np.ndarray:
+        """The point (3,) at a radius and an angle [deg] about a pole (3,) in the plane; a missing one is that of the start."""
+        s, point = self.state, start.copy()
+        a, b, _ = arcs.PLANES[s.plane]
+        arm = start[[a, b]] - pole[[a, b]]
+        size, turn = float(np.hypot(*arm)), math.degrees(math.atan2(arm[1], arm[0]))
+        if radius is not None:
+            size = radius.value * s.unit + (size if radius.how == "IC" else 0.0)
+        if angle is not None:
+            turn = angle.value + (turn if angle.how == "IC" else 0.0)
+        point[a] = pole[a] + size * math.cos(math.radians(turn))
+        point[b] = pole[b] + size * math.sin(math.radians(turn))
+        return point
+
+    def to_home(self, home: np.ndarray, names: Container[str], kind: int = mv.RAPID) -> None:
+        """The axes named go to their places (5,) in machine coordinates; the others stay."""
         place = [home[INDEX[n]] if n in names else now for n, now in zip(INDEX, [*self.state.out.position[:3], *KEPT])]
-        self.go(mv.RAPID, np.array(place[:3]), (float(place[3]), float(place[4])), machine=True)
+        self.go(kind, np.array(place[:3]), (float(place[3]), float(place[4])), machine=True)
 
     def dwell(self, seconds: float) -> None:
         """A dwell at the current position."""

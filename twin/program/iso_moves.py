@@ -9,7 +9,6 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.collect import DEFAULT_TOLERANCE
 from twin.program.expressions import WordError
 from twin.program.frames import INDEX, LINEAR, ROTARY
 from twin.program.iso_blocks import AXES, POLAR, Block, Iso
@@ -221,8 +220,7 @@ def path_mode(m: Iso, b: Block, number: float) -> None:
             s.note("G64 R: a setting of the planner of LinuxCNC, without effect on the path")
         if b.pick("Q"):
             s.note("G64 Q: merging of collinear blocks, which the rounding here always does")
-        p = b.take("P")
-        s.tolerance = p * s.unit if p > 0.0 else DEFAULT_TOLERANCE
+        s.set_tolerances(b.take("P"), None)
     elif number == 61.1 and not m.linuxcnc:
         s.note("G61.1: high accuracy of Mazak and Mitsubishi, corners are rounded as under G64; in .ngc files an exact stop")
     elif number == 61 and m.linuxcnc:

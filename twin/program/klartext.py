@@ -10,7 +10,6 @@ from twin.machine.machine import Machine
 from twin.program import klartext_frames as frames
 from twin.program import klartext_path as path
 from twin.program import moves as mv
-from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE
 from twin.program.expressions import WordError
 from twin.program.klartext_blocks import Handler, Klartext
 from twin.program.klartext_cycles import NEEDS, cycle_here
@@ -18,7 +17,6 @@ from twin.program.klartext_lines import VALUE, all_parts
 from twin.program.source import Unit
 from twin.program.state import INCH
 from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word, named
-from twin.units import rad_from_deg
 
 _PLANE_OF = {"Z": 17, "Y": 18, "X": 19}
 
@@ -160,9 +158,7 @@ def dwell(m: Klartext, _: str, text: str, column: int) -> None:
 def tolerance(m: Klartext, head: str, text: str, column: int) -> None:
     """Cycle 32: T of the path, TA of the orientation; without them as switched on."""
     words = m.only_words(head, re.sub(r"\bHSC-MODE:\s*\d", "", text), column, "T TA", " and HSC-MODE")
-    path_tolerance, angle = (words[n].value if n in words else 0.0 for n in ("T", "TA"))
-    m.state.tolerance = path_tolerance * m.state.unit if path_tolerance > 0.0 else DEFAULT_TOLERANCE
-    m.state.angle_tolerance = rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE
+    m.state.set_tolerances(*(words[n].value if n in words else 0.0 for n in ("T", "TA")))
     m.state.round_corners()
 
 

@@ -117,6 +117,8 @@ class Klartext(Reader):
                 block.arg = match["arg"].replace(" ", "")
             elif match["feed"] and block.m and block.m[-1] in (128, 140):
                 self.state.note("F behind M128 or M140 is that of its own motion") if block.m[-1] == 128 else None
+            elif match["feed"] and block.feed:
+                raise WordError("F occurs twice in the block; keep one", place)
             elif match["feed"]:
                 block.rapid, block.feed = match["feed"] == "MAX", match["feed"]
             elif match["name"] in block.words:

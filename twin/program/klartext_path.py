@@ -132,11 +132,9 @@ def retract(m: Klartext, column: int) -> None:
         point[across] += m.values.number_of(match[1], column) * state.unit
         m.control.go(kind, point)
         return
-    traori = m.out.modes.traori
+    traori, goal = m.out.modes.traori, np.array(m.out.kinematics.travel[:, 1])
     state.transform(False)
-    goal = np.array(m.out.position[:3])
-    goal[across] = m.out.kinematics.travel[across, 1]
-    m.control.go(kind, goal, machine=True)
+    m.control.to_home(goal, LINEAR[across], kind)
     state.transform(traori)
     state.note("M140 MB MAX: to the end of the travel of the linear axis")
 
@@ -168,25 +166,12 @@ def pole_of(m: Klartext, column: int) -> np.ndarray:
 
 def polar(m: Klartext, start: np.ndarray, words: dict[str, Item], column: int, *, on_circle: bool) -> tuple[np.ndarray, float]:
     """Point (3,) of PR and PA about the pole, and the programmed angle of travel [deg], 0 if it is not incremental."""
-    pole = pole_of(m, column)
-    a, b, _ = arcs.PLANES[m.state.plane]
-    arm = start[[a, b]] - pole[[a, b]]
-    radius, angle, way = float(np.hypot(*arm)), math.degrees(math.atan2(arm[1], arm[0])), 0.0
-    if "PR" in words:
-        item = words.pop("PR")
-        if on_circle:
-            raise WordError("PR has no use in CP, whose radius is that of the start; remove it", item.column)
-        radius = item.value * m.state.unit + (radius if item.how == "IC" else 0.0)
-    if "PA" in words:
-        item = words.pop("PA")
-        way = item.value if item.how == "IC" else 0.0
-        angle = angle + way if item.how == "IC" else item.value
-    elif on_circle:
+    pole, radius, angle = pole_of(m, column), words.pop("PR", None), words.pop("PA", None)
+    if on_circle and radius is not None:
+        raise WordError("PR has no use in CP, whose radius is that of the start; remove it", radius.column)
+    if on_circle and angle is None:
         raise WordError("CP needs its angle PA or IPA; add it", column)
-    point = start.copy()
-    point[a] = pole[a] + radius * math.cos(math.radians(angle))
-    point[b] = pole[b] + radius * math.sin(math.radians(angle))
-    return point, way
+    return m.control.polar(pole, start, radius, angle), angle.value if angle is not None and angle.how == "IC" else 0.0
 
 
 # ------------------------------------------------------------------ approach and departure

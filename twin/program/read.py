@@ -15,7 +15,7 @@ from twin.program.iso_lines import LINUXCNC
 from twin.program.klartext import klartext
 from twin.program.moves import Program, place_of
 from twin.program.reader import Reader
-from twin.program.sinumerik import Sinumerik
+from twin.program.sinumerik import sinumerik
 from twin.program.source import Source, units_of
 
 SINUMERIK_ENDINGS = (".mpf", ".spf")
@@ -151,7 +151,7 @@ def understand_source(source: Source, machine: Machine) -> Collector:
     if language == "klartext":
         front = klartext(path, machine, units[0])
     elif language == "sinumerik":
-        front = Sinumerik(path, machine, units)
+        front = sinumerik(path, machine, units)
     else:
         front = iso(path, machine, units[0], linuxcnc=language == "linuxcnc")
     try:

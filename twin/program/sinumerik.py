@@ -1,181 +1,373 @@
-"""Reader of SINUMERIK programs: words of a block, variables, subprograms, frames, cycles."""
+"""The words of SINUMERIK programs with what carries them out, and the order in which those of a block are carried out."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-import re
 
 from twin.machine.machine import Machine
+from twin.program import sinumerik_cycles as cycles
+from twin.program import sinumerik_moves as moves
 from twin.program.expressions import WordError
-from twin.program.frames import INDEX, OTHER
-from twin.program.reader import Reader
-from twin.program.sinumerik_calls import SinumerikCalls
-from twin.program.sinumerik_cycles import SinumerikCycles
-from twin.program.sinumerik_frames import SINUMERIK_FRAMES, SinumerikFrames
-from twin.program.sinumerik_lines import SinumerikLines
-from twin.program.sinumerik_modes import SinumerikModes
-from twin.program.sinumerik_motion import Block, SinumerikMotion
-from twin.program.sinumerik_variables import SinumerikVariables
-from twin.program.source import Unit
-from twin.program.state import Item
-from twin.program.tables import ACTS, SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
-from twin.program.words import NUMBER, Word, split_words
+from twin.program.frames import ROTARY
+from twin.program.sinumerik_blocks import Block, Sinumerik
+from twin.program.sinumerik_calls import SinumerikCalls, call, modal_call
+from twin.program.sinumerik_frames import frame_words
+from twin.program.source import Unit, plain_name
+from twin.program.state import INCH
+from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word, named
+from twin.program.words import Word as Written
+from twin.program.words import split_arguments
 
-_INDEXED_AXES = {"POS", "POSA", "AX"}
-_MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
-_ALIKE: tuple[set[float], ...] = (
-    {0, 1, 2, 3, 331, 332}, {17, 18, 19}, {90, 91}, {93, 94, 95}, {70, 71, 700, 710}, {40, 41, 42}, {60, 64, 641, 642, 643, 644, 645, 646},
-    {54, 55, 56, 57, 500, *range(505, 600)}, {601, 602, 603}, {450, 451},
-)  # fmt: skip
-"""G codes of one group: a block takes one of them."""
-_SWITCH_WORDS = {"TRANS", "ATRANS", "ROT", "AROT", "SCALE", "ASCALE", "MIRROR", "AMIRROR", "ROTS", "AROTS"}
-_VALUE_WORDS = {SINUMERIK_NAMES[n][1] for n in ("CR", "A3", "I1", "OVR")} - {SINUMERIK_NAMES["CIP"][1]}
+Handler = Callable[[Sinumerik, Block, float], None]
+"""Carries out a G code."""
+NameHandler = Callable[[Sinumerik, Block, Written], None]
+"""Carries out a name."""
 
 
-class Sinumerik(Reader):
-    """Reads the blocks of one SINUMERIK program."""
+def sinumerik(path: Path, machine: Machine, units: list[Unit]) -> Sinumerik:
+    """The reader of one program."""
+    m = Sinumerik(path, machine, units, SINUMERIK_NAMES)
+    m.carry_out = lambda b: carry_out(m, b)
+    m.flow.speak(m.lines, m.values, SinumerikCalls(m), m)
+    return m
 
-    def __init__(self, path: Path, machine: Machine, units: list[Unit]) -> None:
-        super().__init__(path, machine, "sinumerik", units[0], SINUMERIK_FRAMES)
-        self.lines = SinumerikLines(self.state)
-        self.frames = SinumerikFrames(self.corners)
-        self.values = SinumerikVariables(self.flow, self.frames)
-        self.moves = SinumerikMotion(self.frames)
-        self.cycles = SinumerikCycles(self.control, self.values)
-        self.calls = SinumerikCalls(self, self.lines, self.values, self.moves, units)
-        self.modes = SinumerikModes(self.calls, self.cycles)
-        self.flow.speak(self.lines, self.values, self.calls, self)
-        letters = "".join(rf"(?:{letter}=?({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
-        vector = rf"(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?"
-        self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{vector}(?:F({NUMBER})\s*)?$", re.A)
-        self.out.mixed_feed = "F beside X Y Z with A or C: it counts X Y Z alone, the setting as delivered (FGROUP changes it)"
-        self.frames.choose("G500")
 
-    def plain_now(self) -> bool:
-        return self.cycles.modal is None and not self.corners.every_corner and self.state.override == 1.0
+def carry_out(m: Sinumerik, b: Block) -> None:
+    """Execute the words of a block in the order of the control."""
+    s, numbers, extra = m.state, b.numbers, b.extra
+    for number, column in b.g:
+        s.check_code("G", number, SINUMERIK_G.get(number), column)
+    s.one_of_each(sorted(numbers), {n: SINUMERIK_G[n].group for n in numbers})
+    if numbers & {25, 26}:
+        b.coordinates.clear()
+        b.take("S")
+    if b.tool or 6 in b.m:
+        if 6 in b.m:
+            b.tool["M6"] = 6.0, 1
+        s.tools.block(b.tool)
+    if 4 in numbers:
+        moves.dwell(m, b)
+        return
+    vector = moves.orientation(m, b)
+    _values(m, b)
+    modal, feed = m.modal, s.feed
+    for number, column in b.g:
+        b.column = column
+        if (handler := SINUMERIK_G[number].handler) is not None:
+            handler(m, b, number)
+    for word in b.names:
+        _name(m, b, word)
+    pause = s.note_m(b.m, SINUMERIK_M, (2, 17, 30))
+    frame_word = next((w for w in b.names if SINUMERIK_NAMES[w.name].meaning == SINUMERIK_NAMES["ROT"].meaning), None)
+    shift = next((n for n in (58, 59) if n in numbers), None)
+    if frame_word is not None or shift is not None:
+        frame_words(m, b, frame_word, shift)
+    elif numbers & {74, 75}:
+        moves.fixed_point(m, b, 75 if 75 in numbers else 74)
+    elif numbers & {110, 111, 112}:
+        moves.set_pole(m, b, next(n for n in (110, 111, 112) if n in numbers))
+    else:
+        feed = s.feed
+        if "FB" in extra:
+            s.set_feed(b.take("FB"))
+        moves.motion_block(m, b, vector, bool(numbers & {53, 153}) or b.has("SUPA"))
+        s.feed = feed if numbers.isdisjoint({331, 332}) else s.feed
+        if b.coordinates and m.modal is not None and m.modal is modal:
+            m.modal()
+    for halt in (0.0 if 9 in numbers else None, pause):
+        if halt is not None:
+            m.corners.release()
+            m.control.stop(halt)
+    times = int(b.take("P")) if "P" in extra and b.calls else 1
+    s.all_used(extra)
+    if len(b.calls) > 1:
+        raise WordError(f"'{b.calls[1].name}' is a second call in the block; write it in the next one", b.calls[1].column)
+    for word in b.calls:
+        call(m, word, times)
+    if 17 in b.m or b.has("RET", "ENDPROC"):
+        m.flow.back()
+    elif 2 in b.m or 30 in b.m:
+        m.flow.ended = True
 
-    def block(self, text: str) -> None:
-        body, number = self.lines.body(text)
-        if number >= 0:
-            self.state.block = number
-        self._block(split_words(body))
 
-    def _block(self, words: list[Word]) -> None:
-        """All words of one block: first the modes, then the move."""
-        block = Block()
-        for word in words:
-            name = self.state.slot_of.get(word.name, word.name)
-            if word.assigned and (
-                name in self.flow.frame.variables or name in self.values.globals or re.fullmatch(r"R\d*", name) or name[0] == "$"
-            ):
-                self.values.assignment(word)
-            elif name == "G" and (word.value is not None or word.assigned):
-                block.g.append((self.values.value(word) if word.index is None else self.values.of_group(word), word))
-            elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in _INDEXED_AXES and word.index):
-                if word.index and name not in _INDEXED_AXES:
-                    raise WordError(f"{name}[..] is not an axis; write {name} and its place, or AX[..]", word.column)
-                axis = name[0] if name not in _INDEXED_AXES else self.values.axis_of(word)
-                axis = self.state.slot_of.get(axis, axis) if axis != name else axis
-                if axis not in INDEX and axis not in OTHER:
-                    raise WordError(f"{name}[{axis}]: this machine has {self.state.out.own_axes}", word.column)
-                if axis in block.coordinates:
-                    raise WordError(f"{axis} occurs twice in the block; keep one", word.column)
-                block.coordinates[axis] = self.values.item(word)
-                if name.startswith("POS"):
-                    self.state.note("POS, POSA: the axis moves with the others of the block, and at rapid if it is alone")
-                    block.extra["POS"] = Item(1.0, "", word.column)
-            elif name in ("I", "J", "K"):
-                block.centre[name] = self.values.item(word)
-            elif name in ("F", "S", "P") or (name in SINUMERIK_NAMES and SINUMERIK_NAMES[name][1] in _VALUE_WORDS):
-                if name in block.extra:
-                    raise WordError(f"{name} occurs twice in the block; keep one", word.column)
-                block.extra[name] = self.values.item(word)
-            elif name == "M" and (word.value is not None or word.assigned):
-                block.m.append(int(self.values.value(word)))
-            elif name in ("T", "D", "H") and (word.value is not None or word.assigned):
-                block.tool[name] = self.values.tool_value(word), word.column
-            elif name == "L" and word.value is not None:
-                block.calls.append(word)
-            elif name == "S1" and word.assigned and "S" not in block.extra:
-                block.extra["S"] = self.values.item(word)
-            elif re.fullmatch(r"[SMHTD]\d+", name) and word.assigned:
-                self.state.note(f"{name}=: a word of another spindle or tool, understood, no effect on the motion")
-            elif name == "R":
-                raise WordError("R is an R-parameter here (X=R1, R1=5); the radius of an arc is CR=, R in .ngc files only", word.column)
-            elif len(name) == 1:
-                raise WordError(
-                    f"word '{name}' is not known; remove it or replace it by moves (docs/programs.md lists what is read)", word.column
-                )
-            elif name in SINUMERIK_NAMES and not self.calls.own_program(name):
-                block.names.append(word)
-            elif word.assigned:
-                self.values.assignment(word)
-            else:
-                block.calls.append(word)
-        self._carry_out(block)
+def _values(m: Sinumerik, b: Block) -> None:
+    """G93 to G95, units, F, S, OVR and the tolerances of the block, which count before its names."""
+    s, numbers, extra = m.state, b.numbers, b.extra
+    for number in (93, 94, 95):
+        if number in numbers:
+            s.set_feed_mode(number)
+    for number in (70, 71, 700, 710):
+        if number in numbers:
+            s.set_unit(INCH if number in (70, 700) else 1e-3, feed=number in (700, 710))
+    if "F" in extra:
+        item = extra.pop("F")
+        s.set_feed(item.value, item.column)
+    s.override = b.take("OVR", 100.0 * s.override) / 100.0
+    if not 0.0 < s.override <= 2.0:
+        raise WordError(f"OVR={100 * s.override:g} is out of range; give 1 to 200 percent", 1)
+    if "S" in extra:
+        s.set_spindle(b.take("S"))
+    changed = extra.keys() & {"CTOL", "OTOL", "ADIS", "ADISPOS"}
+    s.set_tolerances(b.take("CTOL") if "CTOL" in extra else None, b.take("OTOL") if "OTOL" in extra else None)
+    for name in ("ADIS", "ADISPOS"):
+        if name in extra:
+            setattr(s, name.lower(), max(0.0, b.take(name)) * s.unit)
+    if changed:
+        s.round_corners()
 
-    def _carry_out(self, block: Block) -> None:
-        """Execute the words of a block in the order of the control."""
-        numbers, extra, names, calls = block.numbers, block.extra, block.names, block.calls
-        for number, word in block.g:
-            self.state.check_code("G", number, SINUMERIK_G.get(number), word.column)
-        self.state.one_of_each(sorted(numbers), {n: str(k) for k, group in enumerate(_ALIKE) for n in group})
-        if numbers & {25, 26}:
-            block.coordinates.clear()
-            extra.pop("S", None)
-        if block.tool or 6 in block.m:
-            if 6 in block.m:
-                block.tool["M6"] = 6.0, 1
-            self.state.tools.block(block.tool)
-        if 4 in numbers:
-            self.moves.dwell(numbers, extra, bool(block.coordinates or block.centre or names or calls))
-            return
-        frame_word = next((w for w in names if w.name in _SWITCH_WORDS), None)
-        shift = next((n for n in (58, 59) if n in numbers), None)
-        suppress = bool(numbers & {53, 153}) or any(w.name == "SUPA" for w in names)
-        vector = self.moves.orientation(extra)
-        self.modes.settings(extra, numbers)
-        modal_before = self.cycles.modal
-        moved_by_name = None
-        for number, word in block.g:
-            self.modes.g_code(number, word)
-        cycle = next((w for w in names if w.name.startswith("CYCLE8") and SINUMERIK_NAMES[w.name][0] == ACTS), None)
-        if cycle is not None and any(w.name == "MCALL" for w in names):
-            names = [w for w in names if w is not cycle]
-        for word in names:
-            if word.name in ("CIP", "CT"):
-                moved_by_name = word.name
-                self.state.motion = 2
-            elif word.name not in _SWITCH_WORDS and word.name != "SUPA":
-                self.modes.name(word, calls, cycle)
-        pause = self.state.note_m(block.m, SINUMERIK_M, (2, 17, 30))
-        if frame_word is not None or shift is not None:
-            self.frames.frame_words(frame_word, shift, block.coordinates, extra)
-        elif numbers & {74, 75}:
-            self.moves.fixed_point(75 if 75 in numbers else 74, block.coordinates, extra)
-        elif numbers & {110, 111, 112}:
-            self.moves.set_pole(next(n for n in (110, 111, 112) if n in numbers), block.coordinates, extra)
-        else:
-            feed = self.state.feed
-            if "FB" in extra:
-                self.state.set_feed(extra.pop("FB").value)
-            self.moves.motion_block(block, vector, suppress, moved_by_name)
-            self.state.feed = feed if numbers.isdisjoint({331, 332}) else self.state.feed
-            if block.coordinates and self.cycles.modal is not None and self.cycles.modal is modal_before:
-                self.cycles.modal()
-        if 9 in numbers:
-            self.corners.release()
-            self.control.stop(0.0)
-        if pause is not None:
-            self.corners.release()
-            self.control.stop(pause)
-        times = int(extra.pop("P").value) if "P" in extra and calls else 1
-        self.state.all_used(extra)
-        if len(calls) > 1:
-            raise WordError(f"'{calls[1].name}' is a second call in the block; write it in the next one", calls[1].column)
-        for word in calls:
-            self.calls.call(word, times)
-        if 17 in block.m or any(w.name in ("RET", "ENDPROC") for w in names):
-            self.flow.back()
-        elif 2 in block.m or 30 in block.m:
-            self.flow.ended = True
+
+def _name(m: Sinumerik, b: Block, word: Written) -> None:
+    """Carry out, note or refuse a name."""
+    meaning = SINUMERIK_NAMES[word.name]
+    if meaning.kind == REFUSED:
+        raise WordError(f"{word.name} is not supported: {meaning.meaning}", word.column)
+    if meaning.kind == NOTE:
+        m.state.note(f"{word.name}: {meaning.meaning}")
+    elif meaning.handler is None:
+        raise WordError(f"{word.name} needs a value, e.g. {word.name}=1", word.column)
+    else:
+        meaning.handler(m, b, word)
+
+
+# ------------------------------------------------------------------ G codes
+
+
+def _motion(m: Sinumerik, _: Block, number: float) -> None:
+    m.state.motion = int(number)
+
+
+def _plane(m: Sinumerik, b: Block, number: float) -> None:
+    if m.state.comp is not None and m.state.plane != number:
+        raise WordError("the plane changes inside G41 or G42; write G40 before", b.column)
+    m.corners.release()
+    m.state.plane = int(number)
+
+
+def _distance(m: Sinumerik, _: Block, number: float) -> None:
+    m.state.absolute = number == 90
+    m.state.settle_plain()
+
+
+def _rounding(m: Sinumerik, _: Block, number: float) -> None:
+    m.state.rounding = int(number) if number in (60, 64, 641) else 642
+    m.state.round_corners()
+
+
+def _stop_window(m: Sinumerik, _: Block, number: float) -> None:
+    m.out.set_modes(replace(m.out.modes, stop_window=f"G{int(number)}"))
+
+
+def _compensation(m: Sinumerik, b: Block, number: float) -> None:
+    m.corners.release()
+    radius = 0.0 if number == 40 else m.state.tools.radius(m.state.tools.name, b.column)
+    m.control.compensate({40: 0, 41: 1, 42: -1}[int(number)], radius, along_next=True, corners_meet=m.corners_meet)
+
+
+def _corner(m: Sinumerik, _: Block, number: float) -> None:
+    m.corners_meet = number == 451
+
+
+def _settable(m: Sinumerik, _: Block, number: float) -> None:
+    m.choose(f"G{int(number)}")
+
+
+# ------------------------------------------------------------------ names
+
+
+def _later(m: Sinumerik, b: Block, word: Written) -> None:
+    """A name that the block itself carries out, behind its modes."""
+
+
+def _bare(word: Written) -> None:
+    """Refuse a value of a mode."""
+    if given := (word.text or "").strip():
+        raise WordError(f"{word.name} takes no value; remove '{given[:20]}'", word.column)
+
+
+def _transformation(m: Sinumerik, _: Block, word: Written) -> None:
+    if word.name == "TRAFOOF":
+        _bare(word)
+    elif (word.text or "").strip():
+        m.state.note("TRAORI: its number is ignored; the transformation is that of the model")
+    m.corners.release()
+    m.state.untilt()
+    m.state.transform(word.name == "TRAORI")
+
+
+def _orientation(m: Sinumerik, _: Block, word: Written) -> None:
+    _bare(word)
+    m.out.set_modes(replace(m.out.modes, workpiece_orientation=word.name not in ("ORIMKS", "ORIAXES")))
+
+
+def _angles(m: Sinumerik, _: Block, word: Written) -> None:
+    _bare(word)
+    m.angles_are_rpy = {"ORIRPY": True, "ORIEULER": False}.get(word.name)
+
+
+def _feedforward(m: Sinumerik, _: Block, word: Written) -> None:
+    _bare(word)
+    if m.out.feedforward is None:
+        m.out.feedforward = "velocity+torque" if word.name == "FFWON" else "off"
+    m.out.set_modes(replace(m.out.modes, feedforward=word.name == "FFWON"))
+
+
+def _acceleration(m: Sinumerik, _: Block, word: Written) -> None:
+    _bare(word)
+    m.out.set_modes(replace(m.out.modes, brisk=word.name == "BRISK"))
+
+
+def _feed_axes(m: Sinumerik, _: Block, word: Written) -> None:
+    axes = {m.state.slot_of.get(t, t) for t, _ in split_arguments(word.text or "")} - {""}
+    m.out.set_modes(replace(m.out.modes, feed_of_all=bool(axes & set(ROTARY))))
+    m.state.note("FGROUP: F counts X Y Z alone, or with A or C all axes, a degree as a mm (FGREF as delivered)")
+
+
+def _message(m: Sinumerik, _: Block, word: Written) -> None:
+    text = (word.text or "").strip()
+    m.out.messages.append(text.strip('"') if text.count('"') <= 2 else text)
+
+
+def _zero_only(m: Sinumerik, _: Block, word: Written) -> None:
+    meaning = SINUMERIK_NAMES[word.name].meaning
+    if value := m.values.value(word):
+        raise WordError(f"{word.name}={value:g} is not supported: {meaning}", word.column)
+    m.state.note(f"{word.name}: {meaning}")
+
+
+def _curve(m: Sinumerik, b: Block, word: Written) -> None:
+    b.curve, m.state.motion = word.name, 2
+
+
+def _end(m: Sinumerik, _: Block, word: Written) -> None:
+    m.corners.release()
+
+
+def _by_text(m: Sinumerik, b: Block, word: Written) -> None:
+    """CALL "NAME", or CALL NAME with a variable that holds the name."""
+    text = (word.text or "").strip()
+    if text or not b.calls:
+        b.calls.append(Written(plain_name(str(m.values.value_of(text, word.text_column))), word.column))
+    elif isinstance(held := (m.values.store_of(b.calls[0].name) or {}).get(()), str):
+        b.calls[0] = Written(plain_name(held), word.column)
+
+
+def _modal(m: Sinumerik, b: Block, word: Written) -> None:
+    """MCALL: a cycle or subprogram after each block with motion; without one it ends."""
+    m.corners.release()
+    cycle = cycles.modal_cycle(m, b)
+    if cycle is not None:
+        m.modal = cycles.drilling(m, cycle)
+    else:
+        m.modal = modal_call(m, b.calls.pop(0)) if b.calls else None
+
+
+SINUMERIK_G: dict[float, Word[Handler]] = {
+    0: Word(ACTS, "rapid", _motion, "motion"), 1: Word(ACTS, "line at feed", _motion, "motion"), 2: Word(ACTS, "arc clockwise; I J K from its start, CR=, AR=, TURN=", _motion, "motion"), 3: Word(ACTS, "arc counter-clockwise", _motion, "motion"),
+    4: Word(ACTS, "dwell, alone in its block: F in s, S in turns of the spindle"), 9: Word(ACTS, "exact stop in this block"),
+    17: Word(ACTS, "plane XY", _plane, "plane"), 18: Word(ACTS, "plane ZX", _plane, "plane"), 19: Word(ACTS, "plane YZ", _plane, "plane"),
+    25: Word(NOTE, "limits of axes and spindle, which the machine file gives"), 26: Word(NOTE, "limits of axes and spindle, which the machine file gives"),
+    33: Word(REFUSED, "threading is not simulated"), 34: Word(REFUSED, "threading is not simulated"), 35: Word(REFUSED, "threading is not simulated"),
+    331: Word(ACTS, "tapping: feed is pitch times S", None, "motion"), 332: Word(ACTS, "tapping, out", None, "motion"), 63: Word(ACTS, "tapping with compensating chuck, at feed in this block"),
+    40: Word(ACTS, "cutter radius compensation off; the next move is straight", _compensation, "radius"), 41: Word(ACTS, "cutter to the left of the contour; radius from [tool] or $TC_DP6", _compensation, "radius"),
+    42: Word(ACTS, "cutter to the right of the contour", _compensation, "radius"),
+    43: Word(REFUSED, "use T and D with a table [tool] in the machine file; G43 H is for .ngc files"), 49: Word(NOTE, NOTHING), 80: Word(NOTE, NOTHING), 53: Word(ACTS, "machine coordinates in this block"), 153: Word(ACTS, "machine coordinates in this block"),
+    54: Word(ACTS, "settable frame [frame.G54]", _settable, "offset"), 55: Word(ACTS, "settable frame", _settable, "offset"), 56: Word(ACTS, "settable frame", _settable, "offset"), 57: Word(ACTS, "settable frame", _settable, "offset"),
+    58: Word(ACTS, "programmable shift, absolute"), 59: Word(ACTS, "programmable shift in addition to G58"), 500: Word(ACTS, "no settable frame", _settable, "offset"),
+    **dict.fromkeys(range(505, 600), Word(ACTS, "settable frame", _settable, "offset")),
+    60: Word(ACTS, "exact stop", _rounding, "path"), 64: Word(ACTS, "rounding by 10 um", _rounding, "path"), 641: Word(ACTS, "rounding by ADIS", _rounding, "path"), 642: Word(ACTS, "rounding within CTOL", _rounding, "path"),
+    643: Word(ACTS, "rounding within CTOL", _rounding, "path"), 644: Word(ACTS, "rounding within CTOL", _rounding, "path"), 645: Word(ACTS, "rounding within CTOL", _rounding, "path"), 646: Word(ACTS, "rounding within CTOL", _rounding, "path"),
+    601: Word(ACTS, "exact stop waits 3/Kv", _stop_window, "window"), 602: Word(ACTS, "exact stop waits 1/Kv", _stop_window, "window"), 603: Word(ACTS, "exact stop does not wait", _stop_window, "window"),
+    70: Word(ACTS, "inch, not the feed", None, "unit"), 71: Word(ACTS, "mm, not the feed", None, "unit"), 700: Word(ACTS, "inch, the feed too", None, "unit"), 710: Word(ACTS, "mm, the feed too", None, "unit"),
+    74: Word(ACTS, "to the reference point: the zero of the axes named"), 75: Word(ACTS, "to the fixed point: [frame.G75] of the axes named"),
+    90: Word(ACTS, "absolute", _distance, "distance"), 91: Word(ACTS, "incremental", _distance, "distance"), 93: Word(ACTS, "F is 1/min of the block", None, "feed"), 94: Word(ACTS, "F per minute", None, "feed"), 95: Word(ACTS, "F per turn of the spindle", None, "feed"),
+    96: Word(REFUSED, "constant cutting speed is not simulated; use G97"), 97: Word(NOTE, NOTHING), 961: Word(REFUSED, "constant cutting speed is not simulated; use G97"),
+    971: Word(NOTE, NOTHING), 110: Word(ACTS, "pole from the last position"), 111: Word(ACTS, "pole in the work coordinates"), 112: Word(ACTS, "pole from the last pole"),
+    147: Word(REFUSED, "soft approach; write the moves"), 148: Word(REFUSED, "soft approach; write the moves"), 247: Word(REFUSED, "soft approach; write the moves"),
+    248: Word(REFUSED, "soft approach; write the moves"), 347: Word(REFUSED, "soft approach; write the moves"), 348: Word(REFUSED, "soft approach; write the moves"),
+    290: Word(NOTE, "the language of SINUMERIK"), 291: Word(REFUSED, "ISO blocks inside a SINUMERIK program; write them in another file"),
+    450: Word(ACTS, "round outside corners on an arc", _corner, "corner"), 451: Word(ACTS, "outside corners to the point where the paths meet", _corner, "corner"),
+    **dict.fromkeys((140, 141, 142, 143, 340, 341, 62), Word(NOTE, "of soft approaches and corners, " + NOTHING)),
+    461: Word(NOTE, NOTHING), 462: Word(NOTE, NOTHING), 460: Word(NOTE, NOTHING), 621: Word(NOTE, NOTHING), 810: Word(NOTE, NOTHING), 820: Word(NOTE, NOTHING),
+    **dict.fromkeys((810, 811, 812, 813, 814, 815, 816, 817, 818, 819, 820, 821, 822, 823, 824, 825), Word(NOTE, "set by the machine builder, " + NOTHING)),
+}  # fmt: skip
+"""G codes of SINUMERIK programs."""
+
+SINUMERIK_M: dict[int, Word] = {
+    0: STOPS, 1: STOPS, 2: Word(ACTS, "end"), 30: Word(ACTS, "end"), 17: Word(ACTS, "end of a subprogram"),
+    6: Word(ACTS, "tool change"), **dict.fromkeys((3, 4, 5, 19, 40, 41, 42, 43, 44, 45, 70), Word(NOTE, "spindle, " + NOTHING)),
+    **dict.fromkeys((7, 8, 9), Word(NOTE, "coolant, " + NOTHING)),
+}  # fmt: skip
+"""M codes of SINUMERIK programs; any other is not known, and noted as such."""
+
+SINUMERIK_NAMES: dict[str, Word[NameHandler]] = {
+    **named(NOTE, "compressor: the blocks stay lines, rounded within the tolerance in force", "COMPON COMPCURV COMPCAD COMPOF COMPSURF"),
+    **named(NOTE, "restores the modes at the end of the subprogram that its PROC line names it in", "SAVE"),
+    **named(NOTE, NOTHING, (
+        "NORM CFC CFTCP CFIN CUT2D CUT2DF DIAMOF FNORM FLIN FCUB UPATH SPATH FIFOCTRL STARTFIFO "
+        "STOPFIFO STOPRE WALIMOF WALIMON DYNNORM DYNFINISH DYNSEMIFIN DYNROUGH DYNPOS DYNPREC RTLION RTLIOF CPRECON CPRECOF SPCON SPCOF SBLON SBLOF "
+        "DISPLOF DISPLON ASUP CDON CDOF CDOF2 POLFMASK ORISON ORISOF TCOABS TCOFR TOROTOF PAROTOF TOFFOF COUPOF CUTCONOF "
+        "CUTCONON DRFOF PTPG0 CP OST OSOF OSS OSSE OSC PTP_OFF GFRAME0 TOOLCARRIER AUXFUDEL IPTRUNLOCK IPTRLOCK "
+        "ACCLIMA PRIO QUICK SPRINT LFON LFOF LFTXT LFWP LFPOS POLFMLIN ICYCON ICYCOF TCOFRX TCOFRY TCOFRZ BLSYNC PRLOC ACTBLOCNO IPOENDA FINEA COARSEA "
+        "IPOBRKA DYNPREC CUT2DD CUT2DFD TOWSTD TOWMCS TOWWCS TOWBCS TOWTCS TOWKCS "
+        "BNAT BTAN BAUTO ENAT ETAN EAUTO RMI RMB RME RMN ORIC OSD FTOCOF SPOF POFF WALCS0 TOFROF CUTMODOF TRAILOF LEADOF TANGOF TANGDEL MASLOF CORROF "
+        "PROTA PROTS PROTD NPROT NPROTDEF PUTFTOCF")),
+    **named(NOTE, "a parameter of spindle or axes, " + NOTHING, "FA LIMS SPOS SPOSA SVC FPRAON FPRAOF FZ FENDNORM SF SCC"),
+    **named(NOTE, "a lower limit that the program sets is not simulated; those of the machine file count", "FL OVRA OVRRAP ACC ACCLIM VELOLIM JERKLIM VELOLIMA JERKLIMA"),
+    **named(NOTE, "a parameter of the path that is not simulated; feed and tolerance of the tool tip count", "FGREF STOLF CTOLG0 OTOLG0 ATOL FRC FRCM"),
+    **named(ACTS, "feed of the path in percent; feed of this block alone", "OVR FB", group="value"),
+    **named(ACTS, "the axes that F counts: with A or C all of them, a degree as a mm, otherwise X Y Z; also before the first FGROUP", "FGROUP", _feed_axes),
+    **named(ACTS, "offsets and modes of the control that are read where they are 0, and refused elsewhere", "OFFN TOFFL TOFFR TOFF TCARR CUTMOD FXS CUTMODK DISC", _zero_only),
+    **named(NOTE, "a call that moves no axis of this machine, " + NOTHING, (
+        "SETMS WORKPIECE GROUP_BEGIN GROUP_END GROUP_ADDEND WRITE DELETE GETD GET RELEASE WAITP WAITM WAITE WAITS WAITMC WAITENC SETM CLEARM INIT "
+        "START EXTERN LOCK UNLOCK CANCEL DISABLE ENABLE CLRINT SETAL SETINT NEWCONF DELT RESETMON GETT GETSELT GETTCOR TOOLENV CPROT CPROTDEF EXTCALL_OFF "
+        "PUNCHACC POLF LIFTFAST DELAYFSTON DELAYFSTOF HIGHSPEED LOADWCS MMC FGRP CYCLE_HSC CYCLE207 ISD EXTCLOSE EXTOPEN STRINGIS CYCLE208")),
+    **named(ACTS, "five-axis transformation on or off; X Y Z are then the tool tip in the part frame", "TRAORI TRAFOOF", _transformation),
+    **named(ACTS, "the tool axis turns on a great circle", "ORIWKS ORIVECT ORIPLANE", _orientation),
+    **named(ACTS, "A and C turn linearly", "ORIMKS ORIAXES", _orientation),
+    **named(ACTS, "A2= B2= C2= are angles about turned axes, or about fixed ones", "ORIEULER ORIRPY ORIVIRT1 ORIRPY2", _angles),
+    **named(ACTS, "feedforward", "FFWON FFWOF", _feedforward), **named(ACTS, "jerk limited or not", "SOFT BRISK", _acceleration), **named(NOTE, NOTHING, "DRIVE SOFTA BRISKA DRIVEA"),
+    **named(ACTS, "text for the operator", "MSG", _message),
+    **named(ACTS, "programmable frame: new, or in addition (A..); alone it is cleared", "TRANS ATRANS ROT AROT SCALE ASCALE MIRROR AMIRROR ROTS AROTS", _later),
+    **named(ACTS, "machine coordinates in this block", "SUPA", _later),
+    **named(ACTS, "tolerance (mm) and rounding of free-form surfaces", "CYCLE832", cycles.carry_out), **named(ACTS, "tilted plane", "CYCLE800", cycles.carry_out),
+    **named(ACTS, "drilling", "CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE87 CYCLE88 CYCLE89", cycles.carry_out), **named(ACTS, "tapping at pitch times speed", "CYCLE84 CYCLE840", cycles.carry_out),
+    **named(ACTS, "holes on a line, a circle, a grid, at places", "HOLES1 HOLES2 CYCLE801 CYCLE802", cycles.carry_out),
+    **named(ACTS, "a cycle or subprogram behind each move", "MCALL", _modal),
+    **named(ACTS, "subprogram by a name in a text", "CALL PCALL EXTCALL", _by_text), **named(ACTS, "end of a subprogram", "RET ENDPROC", _end),
+    **named(ACTS, "arc through I1= J1= K1=, tangent arc", "CIP CT", _curve),
+    **named(ACTS, "words of arcs, lines and corners", "CR AR TURN AP RP RPL ANG CHF CHR RND RNDM ADIS ADISPOS CTOL OTOL I1 J1 K1 FP", group="value"),
+    **named(ACTS, "tool axis as a vector, or by angles", "A3 B3 C3 A2 B2 C2", group="value"),
+    **named(ACTS, "an axis by a variable of type AXIS, e.g. AX[_X]=10", "AX"),
+    **named(ACTS, "axis to a position, with its own motion in this block", "POS POSA"),
+    **named(NOTE, "compensation begins and ends across the contour", "KONT KONTC KONTT"),
+    **named(NOTE, "G91 and the length of the tool: as G90 of a mill", "DIAMCYCOF"),
+    **named(REFUSED, "diameters are programmed on lathes; this machine mills", "DIAMON DIAM90 DIAMONA DIAM90A"),
+    **named(REFUSED, "splines and polynomials; let the CAM system output lines or arcs", "SD PW ASPLINE BSPLINE CSPLINE POLY POLYPATH SPLINEPATH INVCW INVCCW OEMIPO1 OEMIPO2"),
+    **named(REFUSED, "a transformation of other machines; let the CAM system output X Y Z", "TRACYL TRANSMIT TRAANG TRACON TRAFOON"),
+    **named(NOTE, "surface normals, which only CUT3D and ORIPATH use", "A4 B4 C4 A5 B5 C5"),
+    **named(REFUSED, "which way these angles turn the tool is set by the machine builder; let the CAM system output A3= B3= C3=", "ORIPATH ORIPATHS LEAD TILT"),
+    **named(REFUSED, "the orientation follows a special law; use A3= B3= C3= or ORIWKS", (
+        "ORICONCW ORICONCCW ORICONIO ORICONTO ORICURVE ORIROTA ORIROTR ORIROTT ORIROTC THETA PHI PSI XH YH ZH A6 B6 C6 A7 B7 C7")),
+    **named(REFUSED, "cutter radius in space; let the CAM system output the tool centre", "CUT3DC CUT3DCC CUT3DCCD CUT3DCD CUT3DF CUT3DFS CUT3DFF CUT3DFD"),
+    **named(REFUSED, "a milling or turning cycle; let the CAM system output the moves", (
+        "POCKET1 POCKET2 POCKET3 POCKET4 SLOT1 SLOT2 LONGHOLE CYCLE60 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE70 CYCLE71 CYCLE72 CYCLE73 CYCLE74 CYCLE75 CYCLE76 CYCLE77 CYCLE78 "
+        "CYCLE79 CYCLE90 CYCLE92 CYCLE93 CYCLE94 CYCLE95 CYCLE96 CYCLE97 CYCLE98 CYCLE99 CYCLE899 CYCLE930 CYCLE940 CYCLE950 CYCLE951 CYCLE952 CYCLE4071 "
+        "CYCLE4072 CYCLE4073 CYCLE4074 CYCLE4075 CYCLE4077 CYCLE4078 CYCLE4079 E_LAB_A_IN F_ROU_Z")),
+    **named(REFUSED, "this place gets new coordinates; use TRANS or a settable frame", "PRESETON PRESETONS"),
+    **named(REFUSED, "point-to-point motion of the axes is not simulated; use CP", "PTP STAT TU"),
+    **named(REFUSED, "tangential and table-coupled axes are not simulated", "TANG TANGON CTABDEF CTABEND"),
+    **named(REFUSED, "contours in tables are not simulated; let the CAM system output the moves", "CONTPRON CONTDCON EXECUTE INTERSEC CALCDAT"),
+    **named(REFUSED, "axes are exchanged or renamed by this; write the program for the axes of the machine", "GEOAX AXCTSWE AXCTSWED AXTOCHAN"),
+    **named(REFUSED, "measuring is not simulated; remove the call", (
+        "CYCLE971 CYCLE973 CYCLE974 CYCLE976 CYCLE977 CYCLE978 CYCLE979 CYCLE982 CYCLE994 CYCLE995 CYCLE996 CYCLE997 CYCLE998 CYCLE961 MEAS MEAW MEASA MEAWA MEAC")),
+    **named(REFUSED, "synchronised actions are not simulated; remove them if they move no axis", "ID IDS WHEN WHENEVER EVERY FROM DO SYNFCT"),
+    **named(REFUSED, "a frame along the tool or from the hand wheel; let the CAM system output the final coordinates", "TOROT TOFRAME TOROTX TOROTY TOROTZ PAROT TOFRAMEX TOFRAMEY TOFRAMEZ"),
+    **named(REFUSED, "text that is run as a program; write the blocks", "EXECSTRING EXECTAB ISOCALL"),
+    **named(REFUSED, "coupled axes are not simulated", "TRAILON COUPON COUPDEF EGON EGDEF LEADON MASLON GANTRY"),
+    **named(REFUSED, "soft approach; write the moves", "DISCL DISR DISRP FAD"),
+    **named(REFUSED, "the way back to an interrupted contour; write the moves", "REPOS REPOSA REPOSL REPOSQ REPOSH REPOSQA REPOSHA"),
+    **named(REFUSED, "stamping and oscillating are not simulated", "SON PON SPN SPP WAITOSC OSP1 OSP2"),
+}  # fmt: skip
+"""Names of SINUMERIK programs."""

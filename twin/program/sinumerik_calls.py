@@ -1,4 +1,4 @@
-"""Subprograms of SINUMERIK programs: calls with values, CASE, declarations."""
+"""Subprograms of SINUMERIK programs: calls with values, MCALL, CASE, declarations."""
 
 from __future__ import annotations
 
@@ -8,13 +8,9 @@ import re
 from twin.errors import nearest
 from twin.program.expressions import Value, WordError
 from twin.program.flow import Frame
-from twin.program.reader import Reader
-from twin.program.sinumerik_lines import SinumerikLines
-from twin.program.sinumerik_motion import SinumerikMotion
-from twin.program.sinumerik_variables import SinumerikVariables
-from twin.program.source import Unit, plain_name
+from twin.program.sinumerik_blocks import Sinumerik
+from twin.program.source import Unit
 from twin.program.structures import Statement
-from twin.program.tables import REFUSED, SINUMERIK_NAMES
 from twin.program.words import Word, split_arguments
 
 _DEFINE = re.compile(r"\s*DEFINE\s+([A-Z_][A-Z0-9_]*)\s+AS\s+(.+?)\s*\Z", re.A)
@@ -28,153 +24,165 @@ _PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
 
 
 class SinumerikCalls:
-    """Calls, and statements without motion."""
+    """Statements that are not of the flow."""
 
-    def __init__(self, front: Reader, lines: SinumerikLines, values: SinumerikVariables, moves: SinumerikMotion, units: list[Unit]) -> None:
-        self.front, self.lines, self.values, self.moves = front, lines, values, moves
-        self.state, self.flow, self.corners = values.state, values.flow, values.corners
-        self.units = {plain_name(u.name): u for u in reversed(units)}
-        self.written_back: list[tuple[str, dict, int]] = []  # target, store and column of VAR values of the call in hand
+    def __init__(self, m: Sinumerik) -> None:
+        self.m = m
 
     def other(self, s: Statement, frame: Frame) -> None:
         """CASE, DEF, PROC and the like."""
+        m = self.m
         if s.kind == "case":
-            self._case(s, frame)
+            _case(m, s, frame)
         elif s.kind in ("def", "redef"):
-            self.values.define(s, frame)
+            m.values.define(s, frame)
         elif s.kind == "define":
             match = _DEFINE.match(s.text)
             if not match:
                 raise WordError("DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
-            self.lines.macros[match[1]] = match[2]
+            m.lines.macros[match[1]] = match[2]
             frame.unit.statements.clear()
             frame.unit.partners = None
         elif s.kind == "synchronised":
             if _QUIET.sub("", s.text).strip() or not s.text.strip():
-                raise WordError(f"DO{s.text[:30]}: {SINUMERIK_NAMES['DO'][1]}", s.column)
-            self.state.note("DO: a synchronised action that sets outputs or marks, without effect on the motion")
-        elif s.kind == "proc" and len(self.flow.frames) == 1:
+                raise WordError(f"DO{s.text[:30]}: {m.known['DO'].meaning}", s.column)
+            m.state.note("DO: a synchronised action that sets outputs or marks, without effect on the motion")
+        elif s.kind == "proc" and len(m.flow.frames) == 1:
             match = _PROC.match(s.text)
             for part, _ in split_arguments(match[2] or "") if match else []:
-                self.values.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
+                m.values.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
         elif s.kind == "extern":
-            self.state.note("EXTERN: a declaration, without effect on the motion")
+            m.state.note("EXTERN: a declaration, without effect on the motion")
         elif s.kind in ("endwhile", "endif"):
             raise WordError(f"{s.kind.upper()} ends nothing that was begun", s.column)
 
-    def _case(self, s: Statement, frame: Frame) -> None:
-        match = _CASE.match(s.text)
-        if not match:
-            raise WordError("CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
-        value = self.values.value_of(match[1], s.column)
-        self.flow.decided(match[1], (value,))
-        for part in _CASE_PART.finditer(match[2]):
-            if part[1] == "DEFAULT" or self.values.value_of(part[1], s.column) == value:
-                self.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
-                return
-
-    def own_program(self, name: str) -> bool:
-        """Whether the folder holds a subprogram with the name of a word that is not simulated."""
-        return SINUMERIK_NAMES[name][0] == REFUSED and name.startswith("CYCLE") and self.find(name) is not None
-
-    def find(self, name: str) -> Unit | None:
-        return self.units.get(plain_name(name)) or self.front.folder.find(name)
-
-    def call(self, word: Word, times: int) -> None:
-        name = word.name if word.name != "L" else f"L{word.value:g}"
-        unit = self.find(name)
-        arguments = [(t, word.text_column + c) for t, c in split_arguments(word.text or "")]
-        if unit is None and name == "L":
-            raise WordError("L needs a number", word.column)
-        if unit is None:
-            if word.index is not None or (word.value is not None and word.name != "L"):
-                raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
-            if self.front.moves_nothing(name):
-                return
-            hint = nearest(name, SINUMERIK_NAMES) if len(name) > 2 else ""
-            hint = f"{hint}; or " if hint.startswith("did you") else ""
-            raise WordError(
-                f"word '{name}' is not known and there is no subprogram {name}.SPF beside the program; {hint}add the file, or list it in "
-                "[program] calls_without_motion of the machine file if it moves no axis",
-                word.column,
-            )
-        self.corners.release()
-        variables, first = self.arguments(unit, arguments, word)
-        written, self.written_back = self.written_back, []
-        kept = self._kept_modes() if first and re.search(r"\)?[^)]*\bSAVE\b", self.lines.clean(unit.lines[first - 1])) else None
-        if frame := self.flow.call(unit, first, times=times, name=name, column=word.column):
-            frame.variables = variables
-            frame.on_return = self._at_return(written, kept) if written else kept
-
-    def _at_return(self, written: list[tuple[str, dict, int]], kept: Callable[[], None] | None) -> Callable[[], None]:
-        """Copy VAR values back to the R parameters or array elements that were passed."""
-
-        def restore() -> None:
-            if kept:
-                kept()
-            for target, store, column in written:
-                self.values.assign(target, store[()], column)
-
-        return restore
-
-    def _by_reference(self, given: tuple[str, int], start: Value) -> dict[tuple, Value]:
-        """The store of a VAR value: that of the caller's variable itself, or one that is written back at the end."""
-        text = given[0].strip()
-        store = self.values.store_of(text)
-        if store is not None:
-            store.setdefault(("default",), start)
-            return store
-        own: dict[tuple, Value] = {(): self.values.value_of(*given) if text else start, ("default",): start}
-        if text:
-            self.written_back.append((text, own, given[1]))
-        return own
-
-    def _kept_modes(self) -> Callable[[], None]:
-        """What PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
-        moves, chosen = ("corners_meet", "angles_are_rpy"), self.values.frames.chosen
-        kept, side = self.state.kept((self.moves, moves), frames=("program", "fine")), self.state.comp
-
-        def restore() -> None:
-            self.corners.release()
-            if (self.state.comp is None) != (side is None):
-                raise WordError("SAVE with a change of G40, G41 or G42 in the subprogram is not supported; change it in the caller", 1)
-            kept()
-            self.values.frames.choose(chosen)
-
-        return restore
-
-    def arguments(self, unit: Unit, arguments: list[tuple[str, int]], word: Word) -> tuple[dict, int]:
-        """Values of the parameters of a PROC, and the line it begins at."""
-        for at, line in enumerate(unit.lines):
-            body = self.lines.body(self.lines.clean(line))[0]
-            if not body.strip() or body.strip().startswith("EXTERN"):
-                continue
-            match = _PROC.match(body)
-            if not match:
-                break
-            variables: dict[str, dict] = {}
-            for k, (part, _) in enumerate(split_arguments(match[2] or "")):
-                declared, _, default = part.partition("=")
-                words = re.sub(r"\[[^\]]*\]", " ", declared).split()
-                if not words:
-                    continue
-                name = words[-1]
-                start: Value = "" if any(w in declared for w in ("STRING", "CHAR", "AXIS")) else 0.0
-                given = arguments[k] if k < len(arguments) and arguments[k][0] else (default, 1)
-                if words[0] == "VAR":
-                    variables[name] = self._by_reference(given, start)
-                    continue
-                if "AXIS" in declared and given[0]:
-                    value: Value = given[0]
-                else:
-                    value = self.values.value_of(*given) if given[0].strip() else start
-                variables[name] = {(): value, ("default",): start}
-            if len(arguments) > len(split_arguments(match[2] or "")):
-                raise WordError(f"{unit.name} takes {len(variables)} values; the call gives {len(arguments)}", word.column)
-            return variables, at + 1
-        if any(t for t, _ in arguments):
-            raise WordError(f"{unit.name} takes no values (it has no PROC line); remove the brackets", word.column)
-        return {}, 0
-
     def runs_into(self, what: str, column: int) -> None:
         """The end of the file ends a program like M30."""
+
+
+def _case(m: Sinumerik, s: Statement, frame: Frame) -> None:
+    """CASE: the jump of the first value that fits."""
+    match = _CASE.match(s.text)
+    if not match:
+        raise WordError("CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
+    value = m.values.value_of(match[1], s.column)
+    m.flow.decided(match[1], (value,))
+    for part in _CASE_PART.finditer(match[2]):
+        if part[1] == "DEFAULT" or m.values.value_of(part[1], s.column) == value:
+            m.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
+            return
+
+
+def call(m: Sinumerik, word: Word, times: int) -> None:
+    """A subprogram by its name or L number."""
+    name = word.name if word.name != "L" else f"L{word.value:g}"
+    unit = m.find(name)
+    if unit is None and name == "L":
+        raise WordError("L needs a number", word.column)
+    if unit is None:
+        if word.index is not None or (word.value is not None and word.name != "L"):
+            raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
+        if m.moves_nothing(name):
+            return
+        hint = nearest(name, m.known) if len(name) > 2 else ""
+        hint = f"{hint}; or " if hint.startswith("did you") else ""
+        raise WordError(
+            f"word '{name}' is not known and there is no subprogram {name}.SPF beside the program; {hint}add the file, or list it in "
+            "[program] calls_without_motion of the machine file if it moves no axis",
+            word.column,
+        )
+    m.corners.release()
+    variables, first = arguments(m, unit, word)
+    written, m.written_back = m.written_back, []
+    kept = _kept_modes(m) if first and re.search(r"\)?[^)]*\bSAVE\b", m.lines.clean(unit.lines[first - 1])) else None
+    if frame := m.flow.call(unit, first, times=times, name=name, column=word.column):
+        frame.variables = variables
+        frame.on_return = _at_return(m, written, kept) if written else kept
+
+
+def _at_return(m: Sinumerik, written: list[tuple[str, dict, int]], kept: Callable[[], None] | None) -> Callable[[], None]:
+    """Copy VAR values back to the R parameters or array elements that were passed."""
+
+    def restore() -> None:
+        if kept:
+            kept()
+        for target, store, column in written:
+            m.values.assign(target, store[()], column)
+
+    return restore
+
+
+def _by_reference(m: Sinumerik, given: tuple[str, int], start: Value) -> dict[tuple, Value]:
+    """The store of a VAR value: that of the caller's variable itself, or one that is written back at the end."""
+    text = given[0].strip()
+    store = m.values.store_of(text)
+    if store is not None:
+        store.setdefault(("default",), start)
+        return store
+    own: dict[tuple, Value] = {(): m.values.value_of(*given) if text else start, ("default",): start}
+    if text:
+        m.written_back.append((text, own, given[1]))
+    return own
+
+
+def _kept_modes(m: Sinumerik) -> Callable[[], None]:
+    """What PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
+    kept, side, chosen = m.state.kept((m, ("corners_meet", "angles_are_rpy")), frames=("program", "fine")), m.state.comp, m.chosen
+
+    def restore() -> None:
+        m.corners.release()
+        if (m.state.comp is None) != (side is None):
+            raise WordError("SAVE with a change of G40, G41 or G42 in the subprogram is not supported; change it in the caller", 1)
+        kept()
+        m.choose(chosen)
+
+    return restore
+
+
+def arguments(m: Sinumerik, unit: Unit, word: Word) -> tuple[dict, int]:
+    """Values of the parameters of a PROC, and the line it begins at."""
+    values = [(t, word.text_column + c) for t, c in split_arguments(word.text or "")]
+    for at, line in enumerate(unit.lines):
+        body = m.lines.body(m.lines.clean(line))[0]
+        if not body.strip() or body.strip().startswith("EXTERN"):
+            continue
+        match = _PROC.match(body)
+        if not match:
+            break
+        variables: dict[str, dict] = {}
+        for k, (part, _) in enumerate(split_arguments(match[2] or "")):
+            declared, _, default = part.partition("=")
+            words = re.sub(r"\[[^\]]*\]", " ", declared).split()
+            if not words:
+                continue
+            name = words[-1]
+            start: Value = "" if any(w in declared for w in ("STRING", "CHAR", "AXIS")) else 0.0
+            given = values[k] if k < len(values) and values[k][0] else (default, 1)
+            if words[0] == "VAR":
+                variables[name] = _by_reference(m, given, start)
+                continue
+            if "AXIS" in declared and given[0]:
+                value: Value = given[0]
+            else:
+                value = m.values.value_of(*given) if given[0].strip() else start
+            variables[name] = {(): value, ("default",): start}
+        if len(values) > len(split_arguments(match[2] or "")):
+            raise WordError(f"{unit.name} takes {len(variables)} values; the call gives {len(values)}", word.column)
+        return variables, at + 1
+    if any(t for t, _ in values):
+        raise WordError(f"{unit.name} takes no values (it has no PROC line); remove the brackets", word.column)
+    return {}, 0
+
+
+def modal_call(m: Sinumerik, word: Word) -> Callable[[], None]:
+    """The subprogram of MCALL, which is called behind each block with motion."""
+    unit = m.find(word.name if word.name != "L" else f"L{word.value:g}")
+    if unit is None:
+        raise WordError(f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
+    variables, first = arguments(m, unit, word)
+
+    def repeated() -> None:
+        if frame := m.flow.call(unit, first, name=unit.name, column=word.column):
+            frame.variables = {k: dict(v) for k, v in variables.items()}
+
+    return repeated

@@ -102,6 +102,10 @@ class State:
         """A programmed coordinate in m or rad."""
         return rad_from_deg(value) if name in ("A", "B", "C") else value * self.unit
 
+    def is_relative(self, how: str) -> bool:
+        """Whether a coordinate counts from the position."""
+        return how == "IC" or (how == "" and not self.absolute)
+
     def plain_place(self, x: str | None, y: str | None, z: str | None, a: str | None, c: str | None) -> tuple[float, float]:
         """Position of the tool after a plain block of coordinates; A and C [rad], NaN if not programmed."""
         position, frame, unit = self.out.position, self.offset, self.unit
@@ -186,6 +190,13 @@ class State:
             self.feed *= self.out.modes.feed_unit / unit  # the speed in force stays
             self.out.set_modes(replace(self.out.modes, feed_unit=unit))
         self.unit = unit
+
+    def set_tolerances(self, path: float | None, angle: float | None) -> None:
+        """Tolerance of the path [program units] and of A and C [deg]; 0 stands for the default, None for no change."""
+        if path is not None:
+            self.tolerance = path * self.unit if path > 0.0 else DEFAULT_TOLERANCE
+        if angle is not None:
+            self.angle_tolerance = rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE
 
     def round_corners(self, **changes: object) -> None:
         """The modes of corner rounding from the active G code and its parameters."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 import itertools
 import math
 import re
+from typing import Protocol
 
 import numpy as np
 
@@ -13,10 +15,8 @@ from twin.program.expressions import SINUMERIK, Expression, Value, WordError
 from twin.program.flow import Flow
 from twin.program.flow import Frame as Call
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
-from twin.program.sinumerik_frames import SinumerikFrames
-from twin.program.state import Item
+from twin.program.state import Item, State
 from twin.program.structures import Statement
-from twin.program.tables import SINUMERIK_NAMES
 from twin.program.values import Values, as_number
 from twin.program.words import Word, split_arguments
 
@@ -37,12 +37,24 @@ G_GROUPS = {
 """G codes by group, in the order in which G[group]=number and $P_GG[group] count them."""
 
 
-class SinumerikVariables(Values):
+class Settable(Protocol):
+    """The settable frames of a reader, which variables show and set."""
+
+    state: State
+    flow: Flow
+    chosen: str
+    settable: dict[str, Frame]
+
+    def settable_frame(self, name: str) -> Frame: ...
+    def choose(self, name: str) -> None: ...
+
+
+class SinumerikValues(Values):
     """Values of variables, words and expressions."""
 
-    def __init__(self, flow: Flow, frames: SinumerikFrames) -> None:
-        super().__init__(frames.state, flow, SINUMERIK)
-        self.frames, self.corners = frames, frames.corners
+    def __init__(self, m: Settable, names: Collection[str]) -> None:
+        super().__init__(m.state, m.flow, SINUMERIK)
+        self.m, self.names = m, names
         self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
         self.parameters: dict[int, float] = {}
         self.globals: dict[str, dict[tuple, Value]] = {}
@@ -146,9 +158,9 @@ class SinumerikVariables(Values):
         if name == "$P_TOOLR":
             return self.state.tools.radius(self.state.tools.name, 1) / self.state.unit
         if name == "$P_UIFRNUM":
-            return float(self.frames.frame_number(self.frames.chosen))
+            return float(frame_number(self.m.chosen))
         if name == "$P_UIFR" and len(index) == 3 and index[1] in INDEX:
-            matrix, offset = self.frames.settable_frame(frame_name(index[0]))
+            matrix, offset = self.m.settable_frame(frame_name(index[0]))
             if index[2] == "TR":
                 i = INDEX[index[1]]
                 return math.degrees(offset[i]) if i >= 3 else offset[i] / self.state.unit
@@ -157,7 +169,7 @@ class SinumerikVariables(Values):
         if name == "$P_GG" and len(index) == 1:
             groups = {
                 1.0: 1 + (self.state.motion or 0), 6.0: self.state.plane - 16, 7.0: 1 if self.state.comp is None else 2 if self.state.comp.offset > 0 else 3,
-                8.0: self.frames.frame_number(self.frames.chosen) + 1, 13.0: 1 if self.state.unit != 1e-3 else 2, 14.0: 1 + (not self.state.absolute),
+                8.0: frame_number(self.m.chosen) + 1, 13.0: 1 if self.state.unit != 1e-3 else 2, 14.0: 1 + (not self.state.absolute),
             }  # fmt: skip
             return float(groups[index[0]]) if index[0] in groups else None
         if name in ("$P_AXN1", "$P_AXN2", "$P_AXN3"):
@@ -181,7 +193,7 @@ class SinumerikVariables(Values):
         store = self.store_of(name)
         if store is None:
             if name[0] not in "_$" and self.state.given(name, name.lower()) is None:
-                hint = nearest(name, SINUMERIK_NAMES)
+                hint = nearest(name, self.names)
                 hint = f"; {hint}" if hint.startswith("did you") else ""
                 raise WordError(
                     f"word '{name}' is not known and no variable of this name is defined{hint}; define it (DEF), or give it in the table "
@@ -227,11 +239,6 @@ class SinumerikVariables(Values):
             raise WordError(f"G[{group}]={number} is not read; write the G code itself", word.column)
         return float(codes[number - 1])
 
-    def tool_value(self, word: Word) -> Value:
-        if word.assigned:
-            return self.value_of(word.text or "", word.text_column)
-        return self.value(word)
-
     def assignment(self, word: Word) -> None:
         """A variable of any kind; frames are written whole or by component."""
         name = word.name
@@ -272,22 +279,22 @@ class SinumerikVariables(Values):
         if name in self.frame_variables:
             self.frame_variables[name] = new
             return
-        self.corners.release()
         if name in ("$P_UIFR", "$P_IFRAME"):
-            self.frames.settable[self._settable_name(name, index)] = new
-            self.frames.choose(self.frames.chosen)
+            self.m.settable[self._settable_name(name, index)] = new
+            self.m.choose(self.m.chosen)
         else:
+            self.m.choose(self.m.chosen)
             self.state.set_frames(**{"program" if name == "$P_PFRAME" else "basic": new})
 
     def _settable_name(self, name: str, index: tuple) -> str:
-        return self.frames.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
+        return self.m.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
 
     def _frame_named(self, name: str, index: tuple) -> Frame:
         """The frame of a variable or of the control."""
         if name in self.frame_variables:
             return self.frame_variables[name]
         if name in ("$P_UIFR", "$P_IFRAME"):
-            return self.frames.settable_frame(self._settable_name(name, index))
+            return self.m.settable_frame(self._settable_name(name, index))
         return self.state.frames["program" if name == "$P_PFRAME" else "basic"]
 
     def _frame_of(self, text: str, column: int) -> Frame:
@@ -320,3 +327,9 @@ class SinumerikVariables(Values):
 def frame_name(number: Value) -> str:
     n = int(as_number(number, 1))
     return "G500" if n == 0 else f"G{53 + n}" if n <= 4 else f"G{500 + n}"
+
+
+def frame_number(name: str) -> int:
+    """The number of a settable frame: 0 for G500, 1 for G54."""
+    number = int(name[1:])
+    return 0 if number == 500 else number - 53 if number < 60 else number - 500
