@@ -33,7 +33,7 @@ from twin.exam.plant.plant import run
 from twin.exam.programme import TestRun
 from twin.exam.questions import ANOTHER, RICHNESS, Question, Stratum
 from twin.exam.session import machine_of, seal, sit, truths_text, unseal, write_machine_of
-from twin.files import output_folder, write_json
+from twin.files import output_folder, write_whole
 from twin.machine.machine import Machine, default_machine_path, load_machine
 from twin.recordings.trace import Trace, write_trace
 from twin.remedy.tool_error import ToolError, tool_error
@@ -79,13 +79,12 @@ def main() -> None:
     for q in questions:
         if args.report:
             break
-        place = out / "cases" / q.name
-        if not (place / "remedy" / "remedy.json").is_file() and not (place / "remedy" / FAILED).is_file():
-            candidate(q, cases[q.name], place, machine_file, args.quick, args.program)
+        if not answered(out, q):
+            candidate(q, cases[q.name], out / "cases" / q.name, machine_file, args.quick, args.program)
             print(f"{q.name} {q.stratum.name}: answered", flush=True)
     unseal(text, out)
     marks = [mark(q, cases[q.name], out / "cases" / q.name, machine_file, args.program) for q in questions if answered(out, q)]
-    write_json({"seed": args.seed, "program": args.program, "marks": marks}, out / "remedies.json")
+    write_whole(out / "remedies.json", json.dumps({"seed": args.seed, "program": args.program, "marks": marks}, indent=1) + "\n")
     print("\n".join([*map(line, marks), "", *summary(marks)]))
 
 
@@ -144,7 +143,8 @@ def candidate(question: Question, case: Case, place: Path, machine_file: str, qu
 
 
 def answered(out: Path, question: Question) -> bool:
-    return (out / "cases" / question.name / "remedy").is_dir()
+    """True once the commands have said what to do, or have failed."""
+    return any((out / "cases" / question.name / "remedy" / name).is_file() for name in ("remedy.json", FAILED))
 
 
 def mark(question: Question, case: Case, place: Path, machine_file: str, program: str) -> dict[str, Any]:

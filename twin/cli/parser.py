@@ -70,6 +70,7 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
             "find where a measured campaign differs from the twin, which effects cause it, and how far they close the gap",
         ),
         Command("remedy", "remedy", "say what to set and to do about a diagnosis, what it brings, and write the control's own files"),
+        Command("tune", "tune", "tune gains, feedforward and delays of a healthy machine within margins, beside the symmetrical optimum"),
         Command("exam", "exam", "diagnose sealed campaigns of a second plant, then open the seals and score the answers"),
     ),
     "design": (Command("study", "study", "vary numbers of the machine file, simulate every variant, show the influence of each number"),),

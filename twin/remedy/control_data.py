@@ -6,7 +6,7 @@ of `twin.remedy.files` and of the manuals named there.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
@@ -152,6 +152,17 @@ _SET_BACK: dict[str, dict[str, tuple[str, str, str, float]]] = {
     "inertia": {"sinumerik": ("MD32650 AX_INERTIA", "", "kg m2", 1.0)},
 }
 """Control parameter that holds each deviation: effect -> control -> name, field of the axis, unit, factor from SI."""
+
+
+def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> list[list[str]]:
+    """Axis, number, SINUMERIK datum, unit, old and new value of changed numbers of the loops, by key of the machine file."""
+    rows = []
+    for key, values in moved.items():
+        _, name, _, field = key.split(".")
+        datum = parameter(f"loops.{field}").data[machine.axis(name).kind == "rotary"]
+        label, unit, factor = ("-", "unit of the machine file", 1.0) if datum is None else (f"MD{datum[0]} {datum[1]}", datum[2], datum[3])
+        rows.append([name, field, label, unit, *(f"{value / factor:.5g}" for value in values)])
+    return rows
 
 
 def correction_table(change: Change, axis: Axis) -> ErrorTable:

@@ -18,6 +18,7 @@ import numpy as np
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
 from twin.remedy.change import Change
 from twin.remedy.tool_error import ToolError, tool_error
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
@@ -52,6 +53,16 @@ def errors_of(machines: Sequence[Machine], on: Motionful, engine: bool = False) 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         outcomes = simulate_each(jobs, pool.map, lambda i, run: tool_error(run.trace, machines[i]))
     return [None if isinstance(outcome, TwinError) else outcome for outcome in outcomes]
+
+
+def decoupled(machines: Sequence[Machine], on: Motionful) -> list[Trace]:
+    """The trace of each machine on a motion, on the decoupled plant. Raises TwinError where a simulation diverges."""
+    jobs = [SimulationJob(machine, on.setpoints, lambda change: DecoupledPlant(change, on.motion)) for machine in machines]
+    traces = simulate_each(jobs, map, lambda _i, run: run.trace)
+    for found in traces:
+        if isinstance(found, TwinError):
+            raise found
+    return traces
 
 
 def with_changes(machine: Machine, changes: Sequence[Change]) -> Machine:

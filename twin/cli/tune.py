@@ -1,0 +1,65 @@
+"""`twin tune MACHINE`: gains, feedforward and delays of the healthy machine, beside the symmetrical optimum and the values in the file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twin.cli.arguments import add_effect, add_open, add_place, machine_of, open_report, positive, setpoints_of_input
+from twin.files import output_folder
+from twin.progress import Progress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710 that ships with twin)")
+    add_effect(parser)
+    parser.add_argument(
+        "--program", metavar="INPUT", help="part program or trace on which delays are fitted (default: a circle of two axes)"
+    )
+    add_margins(parser)
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for machine.toml and report.html")
+    add_place(parser)
+    add_open(parser)
+
+
+def add_margins(parser: argparse.ArgumentParser) -> None:
+    """`--phase-margin-deg`, `--gain-margin-db`."""
+    parser.add_argument(
+        "--phase-margin-deg", type=positive, metavar="P", help="smallest phase margin of speed and position loop (default 40 and 50)"
+    )
+    parser.add_argument("--gain-margin-db", type=positive, default=6.0, metavar="G", help="smallest gain margin of both (default 6)")
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Tune; write the machine file and the page; print the table."""
+    from twin.machine.machine import write_machine
+    from twin.remedy.motions import given_motion, standard_motions
+    from twin.remedy.tune import changed_numbers, tune
+    from twin.remedy.tune_report import HEADING, asked_of, mode_sentences, rows_of, write_tune_report
+    from twin.simulation.summary import table
+
+    machine = machine_of(args)
+    asked = asked_of(args.phase_margin_deg, args.gain_margin_db)
+    if args.program:
+        _, trace = setpoints_of_input(Path(args.program), machine, args.place)
+        on = given_motion(Path(args.program).name, trace, machine)
+    else:
+        on = standard_motions(machine)[0]
+    out = output_folder(args.out)
+    with Progress("tuning", total=None) as bar:
+        found = tune(machine, on, asked, bar.say)
+        modes = mode_sentences(found[-1], asked)
+    before, textbook, after = found
+    moved = changed_numbers(before.machine, after.machine)
+    write_machine(machine.with_values({key: new for key, (_, new) in moved.items()}), out / "machine.toml")
+    write_tune_report(found, on.name, modes, out / "report.html")
+    print(table(HEADING, rows_of(found), left=2))
+    print(
+        f"{on.name}: {1e6 * before.tool.rms:.2f} um RMS at the tool point with the values in the file, "
+        f"{1e6 * textbook.tool.rms:.2f} by the symmetrical optimum, {1e6 * after.tool.rms:.2f} tuned"
+    )
+    print("\n".join(modes))
+    print(f"written to {out}: machine.toml, report.html")
+    open_report(args, out / "report.html")
+    return 0

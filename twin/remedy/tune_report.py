@@ -1,0 +1,85 @@
+"""The table of a tuning: the values in the file, the symmetrical optimum and the tuned values side by side, and the page with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from pathlib import Path
+
+from twin.machine.check import LEAST_PHASE_DEG
+from twin.remedy.control_data import datum_lines
+from twin.remedy.tune import Asked, Tuned, changed_numbers, mode_needed
+from twin.report import Section, Table, write_page
+from twin.units import AXIS_UNITS
+
+HEADING = (
+    "axis", "values", "Kp", "Tn", "Kv", "delays", "speed loop", "position loop", "bandwidth",
+    "error", "quadrant", "current",
+)  # fmt: skip
+
+WORDS = (
+    "Kp of a rotary axis or a screw in Nm s/rad. Delays: of the position controller, of the feedforward. Loops: phase and gain margin. Error: RMS behind the "
+    "delayed set point; quadrant: its largest value after a reversal. Current: largest share of the limit, with noise."
+)
+
+
+def asked_of(phase_deg: float | None, gain_db: float) -> Asked:
+    """The margins that a user asks for; without a phase those of `twin machine check`."""
+    return Asked(dict(LEAST_PHASE_DEG) if phase_deg is None else dict.fromkeys(LEAST_PHASE_DEG, phase_deg), 10.0 ** (gain_db / 20.0))
+
+
+def rows_of(found: Sequence[Tuned]) -> list[list[str]]:
+    """One row for each axis and set of values, see WORDS."""
+    rows = []
+    for name in found[0].margins:
+        for tuned in found:
+            axis = tuned.machine.axis(name)
+            loops, (speed, position), errors = axis.loops, tuned.margins[name], tuned.errors[name]
+            unit, to = AXIS_UNITS[axis.kind].error
+            peak = errors.reversal_peak
+            rows.append(
+                [
+                    name,
+                    tuned.name,
+                    f"{loops.speed_gain_nm_s_per_rad:.3g}",
+                    f"{1e3 * loops.speed_integral_time_s:.3g} ms" if axis.has_speed_integral else "-",
+                    f"{loops.position_gain_per_s:.3g}",
+                    f"{1e3 * loops.position_delay_s:.2f}, {1e3 * loops.feedforward_delay_s:.2f} ms",
+                    *(f"{m.phase:.0f} deg, {20 * math.log10(m.gain):.1f} dB" if m.stable else "unstable" for m in (speed, position)),
+                    f"{position.bandwidth:.0f} Hz" if math.isfinite(position.bandwidth) else "-",
+                    f"{to * errors.without_delay_rms:.2f} {unit}",
+                    "-" if peak is None else f"{to * peak:.2f} {unit}",
+                    f"{tuned.shares[name]:.0%}" if name in tuned.shares else "-",
+                ]
+            )
+    return rows
+
+
+def mode_sentences(tuned: Tuned, asked: Asked) -> list[str]:
+    """What the gains need of the mechanics, for axes whose stiffness the file does not hold."""
+    needed = {name: mode_needed(tuned.machine, tuned.machine.axis(name), asked) for name in tuned.margins}
+    modes = ", ".join(f"{name} {hz:.0f} Hz" for name, hz in needed.items() if hz is not None)
+    if not modes:
+        return []
+    return [
+        f"The machine file has no stiffness between motor and load for these axes. The tuned gains keep half of the margins only if the first mode "
+        f"lies above: {modes}. Measure it before you enter them, or give it with --effect transmission_compliance:AXIS:stiffness=..."
+    ]
+
+
+def write_tune_report(found: Sequence[Tuned], motion: str, modes: Sequence[str], path: Path) -> None:
+    """Write the page."""
+    before, textbook, after = found
+    moved = changed_numbers(before.machine, after.machine)
+    lead = (
+        f"On {motion}: {1e6 * before.tool.rms:.2f} um RMS contour error at the tool point with the values in the file, {1e6 * textbook.tool.rms:.2f} um "
+        f"by the symmetrical optimum, {1e6 * after.tool.rms:.2f} um tuned. Without effects of wear; simulated on the decoupled plant."
+    )
+    sections = [
+        Section("Side by side", tables=[Table(HEADING, rows_of(found), left=2, caption=WORDS)], paragraphs=[*modes]),
+        Section(
+            "What to enter",
+            tables=[Table(("axis", "number", "SINUMERIK", "unit", "old", "new"), datum_lines(after.machine, moved), left=4)],
+        ),
+    ]
+    write_page(path, f"Tuning: {after.machine.name}", lead, sections)
