@@ -71,6 +71,7 @@ COMMANDS: dict[str, tuple[Command, ...]] = {
         ),
         Command("remedy", "remedy", "say what to set and to do about a diagnosis, what it brings, and write the control's own files"),
         Command("tune", "tune", "tune gains, feedforward and delays of a healthy machine within margins, beside the symmetrical optimum"),
+        Command("watch", "watch", "judge dated campaigns of one machine: what changed, since when, by what cause; raise an alarm"),
         Command("exam", "exam", "diagnose sealed campaigns of a second plant, then open the seals and score the answers"),
     ),
     "design": (Command("study", "study", "vary numbers of the machine file, simulate every variant, show the influence of each number"),),

@@ -26,6 +26,7 @@ RUN, CAMPAIGN = "run", "campaign"
 _BY_DOCUMENT = {
     "summary.json": RUN,
     "diagnosis.json": "diagnosis",
+    "history.json": "history",
     "compare.json": "comparison",
     "study.json": "study",
     "cut.json": "cut",
@@ -151,6 +152,9 @@ def _summary(kind: str, document: Mapping[str, Any]) -> str:
             more = len(document["effects"]) - 3
             listed = named + (f" and {more} more" if more > 0 else "")
             return f"{document['verdict']}{f': {listed}' if listed else ''}"
+        if kind == "history":
+            changes = "; ".join(str(c["sentence"]) for c in document["changes"]) or "no change"
+            return f"{document['machine']}, {len(document['campaigns'])} recordings: {changes}"
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError):
         return ""
     verdict = document.get("verdict", "")

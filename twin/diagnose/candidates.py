@@ -51,11 +51,12 @@ def starts_of(group: Group, machine: Machine, residual: np.ndarray) -> list[Star
             sources = [a.name for a in effect.axes(machine) if a.name != name] if effect.from_axis else [None]
             for source in sources:
                 for values in _values(effect, machine, axis, read):
-                    starts.append(_start(effect, machine, axis, source, values))
+                    starts.append(start_at(effect, machine, axis, source, values))
     return starts
 
 
-def _start(effect: Effect, machine: Machine, axis: Axis, source: str | None, values: dict[str, float]) -> Start:
+def start_at(effect: Effect, machine: Machine, axis: Axis, source: str | None, values: dict[str, float]) -> Start:
+    """The start with these values; shape parameters at their defaults."""
     shaped = {p.name: p.default for p in effect.parameters if p.default is not None}
     shaped |= {p.name: p.fitted(machine, axis, {**shaped, **values}) for p in effect.parameters if p.fitted is not None}
     settings = [Setting(effect, axis.name, {**shaped, **values}, source)]
@@ -103,7 +104,7 @@ def softened(start: Start, machine: Machine, share: float) -> Setting:
     fitted = {p.name for p in start.effect.parameters if p.fitted is not None}
     values = {name: value for name, value in first.parameters.items() if name not in fitted}
     values[start.effect.size.name] /= share
-    return _start(start.effect, machine, machine.axis(first.axis), first.from_axis, values).settings[0]
+    return start_at(start.effect, machine, machine.axis(first.axis), first.from_axis, values).settings[0]
 
 
 def combine(start: Start, sizes: Sequence[float], machine: Machine) -> Setting:

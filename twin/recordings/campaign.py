@@ -1,6 +1,7 @@
 """Campaigns: folders of measured runs with a `campaign.toml` that describes each run.
 
     machine = "my_machine"
+    recorded = 2026-05-03              # day of the recording, for a history; optional
     [[run]]
     file = "stroke.parquet"
     feedforward = "velocity"           # off | velocity | velocity+torque
@@ -34,7 +35,7 @@ import dataclasses
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import field
 
@@ -105,6 +106,7 @@ class _Run(Table, frozen=True):
 class _Document(Table, frozen=True):
     run: Annotated[tuple[_Run, ...], asks('list at least one, e.g. [[run]] file = "circle.parquet"', min_length=1)]
     machine: str = ""
+    recorded: Any = None  # a day; `twin.history.dated` reads it
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,159 @@
+"""Sealed histories: a machine recorded week by week on the second plant, with everyday background, seasons, tools and workpieces; some have one fault.
+
+    python -m devtools.histories --count 10 --seed 100 --out FOLDER      draw, watch and score; prints a table
+
+Each week is one short recording of the same production program. Temperature (a season and the weather of the week) changes the friction of all
+axes, each by its own coefficient; the tool changes the mass on Z, the workpiece the mass on the table; friction also scatters by itself. The twin
+gets the folder of recordings and the machine file; the truth stays in the memory of this process until all verdicts are in.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from datetime import date, timedelta
+import json
+import math
+from pathlib import Path
+import subprocess
+import sys
+import time
+import tomllib
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from twin.exam.draw import SHIPPED_MACHINE, SIGNALS, Case, columns_of, draw_case, peaks_of, simulate
+from twin.exam.paths import DEG, MARGIN, limits_of, path_of, together
+from twin.exam.plant.effects import LIBRARY, DrawContext, draw_effect
+from twin.exam.plant.parameters import AXES, settings_of
+from twin.exam.programme import TestRun
+
+FAULTS = ("backlash", "coulomb_friction", "viscous_friction", "stribeck", "transmission_compliance", "cyclic_error", "position_gain",
+          "speed_gain", "torque_constant", "lead_error", "constant_force", "viscous_asymmetry")  # fmt: skip
+"""What wears, loosens, or is changed on machines."""
+
+FIRST = date(2026, 1, 5)
+SHARE_WITH_FAULT = 0.6
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One effect that starts in week `onset` and reaches its size after `growth` weeks (0: at once)."""
+
+    effect: dict[str, Any]
+    onset: int
+    growth: int
+
+    def share(self, week: int) -> float:
+        """Share of the final size in a week."""
+        if week < self.onset:
+            return 0.0
+        return 1.0 if not self.growth else min(1.0, (week - self.onset + 1) / self.growth)
+
+
+@dataclass(frozen=True)
+class History:
+    """A sealed history: the machine, its nuisances by week, and its fault if it has one."""
+
+    seed: int
+    case: Case
+    weeks: int
+    kelvin: np.ndarray  # (week,)
+    by_kelvin: np.ndarray  # (axis, viscous and Coulomb) relative change of friction per kelvin
+    scatter: np.ndarray  # (week, axis, viscous and Coulomb)
+    tool_kg: np.ndarray  # (week,)
+    workpiece_kg: np.ndarray  # (week,)
+    fault: Fault | None
+
+
+def machine_tables() -> dict[str, Any]:
+    """The shipped machine file."""
+    return tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
+
+
+def program(machine: dict[str, Any], seconds: float = 4.0) -> TestRun:
+    """A production program: moves of all axes at several speeds with reversals, each axis in its own time."""
+    lim = limits_of(machine)
+    acc = np.minimum(MARGIN * lim.acceleration, [2.0, 2.0, 2.1, 5.0, 5.0])
+    home, columns = np.array([0.0, 0.0, 0.0, -30.0 * DEG, 0.0]), []
+    for k in range(5):
+        unit = 1e-3 if k < 3 else DEG
+        steps = unit * np.array([30.0, 45.0, 40.0, 0.0, 4.0, 0.0, 15.0, 0.0])
+        speeds = unit * np.array([100.0, 30.0, 8.0, 160.0, 25.0, 12.0, 60.0, 40.0])
+        columns.append(path_of(home[k], list(home[k] + steps), list(speeds), acc[k], MARGIN * lim.jerk[k], 0.08, 0.1 + 0.03 * k))
+    return TestRun("production", "program", "velocity+torque", together(columns)[: round(seconds / 1e-3)])
+
+
+def draw_history(seed: int, weeks: int = 52, faulty: bool | None = None, name: str | None = None, axis: str | None = None) -> History:
+    """A history from its seed; `faulty`, `name` and `axis` fix what is drawn otherwise."""
+    machine = machine_tables()
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 77]))
+    case = draw_case(seed, "everyday", machine)
+    background = tuple(e for e in case.effects if e["name"] != "thermal_drift")
+    week = np.arange(weeks)
+    kelvin = rng.uniform(3.0, 8.0) * np.sin(2 * math.pi * (week / 52 - rng.random())) + rng.normal(0.0, 1.5, weeks)
+    by_kelvin = -np.column_stack([rng.uniform(0.006, 0.014, 5), rng.uniform(0.001, 0.004, 5)])
+    workpiece = np.repeat(rng.uniform(0.0, 30.0, weeks), rng.integers(3, 9, weeks))[:weeks]
+    tool = rng.choice([0.0, 2.0, 4.0, 7.0], weeks)
+    fault = None
+    if rng.random() < SHARE_WITH_FAULT if faulty is None else faulty:
+        name = name or str(rng.choice(FAULTS))
+        axis = axis or str(rng.choice(LIBRARY[name].axes))
+        s = settings_of(machine, case.factors)
+        peaks = peaks_of(machine, case.factors, [program(machine)])
+        effect = draw_effect(name, axis, DrawContext(rng, AXES.index(axis), float(rng.uniform(0.6, 1.0)), s, *peaks))
+        fault = Fault(effect, int(rng.integers(16, max(17, weeks - 12))), int(rng.choice([0, 0, 6, 12])))
+        background = tuple(e for e in background if (e["name"], e["axis"]) != (name, axis))
+    return History(
+        seed, replace(case, effects=background), weeks, kelvin, by_kelvin, rng.normal(0.0, 0.01, (weeks, 5, 2)), tool, workpiece, fault
+    )
+
+
+def scaled(effect: dict[str, Any], share: float) -> dict[str, Any]:
+    """An effect at a share of its size: deviations of factors, amplitudes, compliances."""
+    shapes = ("wavelength", "velocity", "periods_per_rev", "phase_rad", "contact_stiffness", "contact_damping", "radius_m", "angle_rad")
+    out = dict(effect)
+    for key, value in effect.items():
+        if key == "factor":
+            out[key] = 1.0 + share * (value - 1.0)
+        elif key in ("stiffness", "damping"):
+            out[key] = value / share
+        elif isinstance(value, float) and key not in shapes:
+            out[key] = share * value
+    return out
+
+
+def case_of(history: History, week: int) -> Case:
+    """The machine in one week."""
+    friction = 1.0 + history.by_kelvin * history.kelvin[week] + history.scatter[week]
+    effects = [*history.case.effects]
+    for k, name in enumerate(AXES):
+        effects += [{"name": n, "axis": name, "factor": float(f)} for n, f in zip(("viscous_friction", "coulomb_friction"), friction[k])]
+    effects.append({"name": "inertia", "axis": "Z", "added": float(history.tool_kg[week])})
+    clamped = {"mass_kg": float(history.workpiece_kg[week]), "radius_m": 0.03, "angle_rad": 1.0, "height_m": 0.1}
+    effects.append({"name": "table_unbalance", "axis": "A", **clamped})
+    if history.fault and (share := history.fault.share(week)) > 0.0:
+        effects.append(scaled(history.fault.effect, share))
+    return replace(history.case, effects=tuple(effects), noise_seed=1000 * history.seed + week)
+
+
+def write_week(history: History, week: int, folder: Path, signals: str = "full", run: TestRun | None = None) -> Path:
+    """One dated campaign; nothing in it reveals the truth."""
+    machine = machine_tables()
+    out = folder / (FIRST + timedelta(weeks=week)).isoformat()
+    out.mkdir(parents=True, exist_ok=True)
+    trace = simulate(case_of(history, week), machine, run or program(machine))
+    pq.write_table(pa.table(columns_of(trace, SIGNALS[signals])), out / "production.parquet", compression="zstd")
+    text = 'machine = "mikron_ucp710"\n[[run]]\nfile = "production.parquet"\nfeedforward = "velocity+torque"\n'
+    (out / "campaign.toml").write_text(text, encoding="utf-8")
+    return out
+
+
+def write_history(history: History, folder: Path, signals: str = "full") -> None:
+    """All weeks of a history."""
+    run = program(machine_tables())
+    for week in range(history.weeks):
+        write_week(history, week, folder, signals, run)

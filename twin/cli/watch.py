@@ -1,0 +1,36 @@
+"""`twin watch FOLDER`: dated campaigns or short recordings of one machine into a history; says what changed, by what cause, and raises an alarm."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twin.cli.arguments import add_machine, add_open, machine_of, open_report
+from twin.files import output_folder, write_json
+from twin.progress import Progress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument("folder", metavar="FOLDER", help="dated campaigns (2026-05-03/campaign.toml) or traces (2026-05-03.parquet)")
+    add_machine(parser, "the Mikron UCP 710 that ships with twin")
+    parser.add_argument("--out", required=True, metavar="HISTORY", help="folder for history.sqlite, history.json, report.html; run again, it continues")
+    add_open(parser)
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Judge what is new, write the history, print what changed; exit code 1 on an alarm."""
+    from twin.history.document import history_document, summary_text
+    from twin.history.page import write_history_page
+    from twin.history.watch import watch
+
+    machine, out = machine_of(args), output_folder(args.out)
+    with Progress("watching", total=None) as bar:
+        history, notes = watch(Path(args.folder), out, machine, progress=bar.say)
+    document = history_document(history, machine, notes)
+    write_json(document, out / "history.json", "history")
+    write_history_page(document, out / "report.html")
+    print(summary_text(document))
+    print(f"written to {out}: history.sqlite, history.json, report.html")
+    open_report(args, out / "report.html")
+    return 1 if document["alarm"] else 0

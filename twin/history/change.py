@@ -1,0 +1,140 @@
+"""A change in a series of sizes: one test with a stated rate of false alarms, the onset, the size, and the date at which a limit is reached.
+
+The size y(t) of a direction in recording t is compared with two laws,
+
+    none     y = C c + e                     C (recording, n): a constant of each program, and what the other axes show of temperature and season
+    change   y = C c + d x(t - onset) + e    x a step, or a ramp
+
+with e normal and independent, of unknown variance, and d ~ N(0, g^2 var e). The ratio L(onset, t) of their marginal likelihoods, all unknowns
+integrated with their invariant prior, has the closed form
+
+    L = (1 + g^2 q)^-1/2 (1 - g^2 s^2 / ((1 + g^2 q) R))^-(n/2)     q = x'Px, s = x'Py, R = y'Py, n = recordings - columns of C, P removes C
+
+and the expectation 1 without a change, whatever the variance and the constants. R(t), the sum of L over all onsets, averaged over shapes, sizes g and
+causes, therefore grows by one in each recording on average if nothing changes (Shiryaev and Roberts): the mean time between false alarms of the rule
+R > A is at least A recordings. Averaged over all causes it is one rule for the machine: more causes cost delay, not false alarms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+SIZES = (1.5, 4.0, 12.0)
+"""Sizes of a change that the test is made for, in standard deviations of the scatter between recordings."""
+
+RAMP = 8.0
+"""Recordings in which a growing change reaches such a size."""
+
+LONGEST = 120
+"""Recordings that the test looks back."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Sum over onsets of the likelihood ratio of each direction (direction,) at the last recording, and the most likely onset of each."""
+
+    total: np.ndarray
+    onset: np.ndarray  # (direction,) index of the first changed recording
+
+
+def without(nuisance: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that span the nuisances (recording, column)."""
+    left, size, _ = np.linalg.svd(nuisance, full_matrices=False)
+    return np.asarray(left[:, size > 1e-9 * max(size.max(initial=0.0), 1e-300)])
+
+
+def shapes(count: int) -> np.ndarray:
+    """Steps and ramps from each onset (shape, recording, onset)."""
+    since = np.arange(count)[:, None] - np.arange(count)[None, :]
+    return np.array([since >= 0, np.maximum(since + 1, 0) / RAMP], dtype=float)
+
+
+def evidence(y: np.ndarray, nuisance: np.ndarray) -> Evidence:
+    """Evidence for a change in each column of y (recording, direction) at the last recording, next to `nuisance` (recording, column)."""
+    count = len(y)
+    basis = without(nuisance)
+    free = count - basis.shape[1]
+    if free < 2:
+        return Evidence(np.zeros(y.shape[1]), np.zeros(y.shape[1], int))
+    rest = y - basis @ (basis.T @ y)
+    square = np.maximum((rest**2).sum(axis=0), 1e-300)
+    total = np.zeros((count, y.shape[1]))
+    for x in shapes(count):
+        x = x - basis @ (basis.T @ x)
+        q = (x**2).sum(axis=0)[:, None]
+        share = (x.T @ rest) ** 2 / square
+        for g in SIZES:
+            spread = 1.0 + g**2 * q
+            left = np.maximum(1.0 - g**2 * share / spread, 1e-12)
+            total += np.exp(np.minimum(-0.5 * np.log(spread) - 0.5 * free * np.log(left), 600.0))
+    total /= len(SIZES) * 2
+    return Evidence(total.sum(axis=0), total.argmax(axis=0))
+
+
+@dataclass(frozen=True)
+class Level:
+    """Mean difference of a series after an onset, its standard error, degrees of freedom, and the scatter of single recordings."""
+
+    size: float
+    error: float
+    free: int
+    scatter: float
+
+    def half(self, confidence: float = 0.95) -> float:
+        """Half the interval."""
+        return float(stats.t.ppf(0.5 + 0.5 * confidence, max(self.free, 1)) * self.error)
+
+
+def level(y: np.ndarray, nuisance: np.ndarray, onset: int, last: int = 4) -> Level:
+    """Size of a change of y (recording,): its last recordings against those before the onset, next to the nuisances.
+
+    The recordings between count for neither, because a change may have grown there.
+    """
+    first = max(onset, len(y) - last)
+    used = np.r_[0:onset, first : len(y)]
+    x = np.column_stack([nuisance[used], used >= onset])
+    coefficients, covariance, free = _regression(x, y[used])
+    scatter = float(np.sqrt(((y[used] - x @ coefficients) ** 2).sum() / free))
+    return Level(float(coefficients[-1]), float(np.sqrt(covariance[-1, -1])), free, scatter)
+
+
+def _regression(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Coefficients, their covariance, and degrees of freedom of a linear regression."""
+    inverse = np.linalg.pinv(x.T @ x)
+    coefficients = inverse @ x.T @ y
+    free = max(len(y) - int(np.linalg.matrix_rank(x)), 1)
+    return coefficients, inverse * float(((y - x @ coefficients) ** 2).sum()) / free, free
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Day at which a growing size reaches a limit, with the earliest and the latest day of its 95 % interval (inf: never)."""
+
+    day: float
+    earliest: float
+    latest: float
+
+
+def forecast(day: np.ndarray, size: np.ndarray, limit: float, now: float) -> Forecast | None:
+    """When a straight line through the sizes since the onset reaches +-`limit`; None without a certain growth towards it."""
+    if len(day) < 4:
+        return None
+    x = np.column_stack([np.ones(len(day)), day - now])
+    (at, slope), covariance, free = _regression(x, size)
+    wide = float(stats.t.ppf(0.975, free))
+    goal = np.copysign(limit, at)
+    if abs(slope) < wide * np.sqrt(covariance[1, 1]) or (slope > 0.0) != (goal > 0.0):
+        return None
+    ahead = np.concatenate([[0.0], np.geomspace(1.0, 3650.0, 400)])
+    line = at + slope * ahead
+    half = wide * np.sqrt(covariance[0, 0] + 2.0 * ahead * covariance[0, 1] + ahead**2 * covariance[1, 1])
+    toward = np.sign(goal)
+
+    def reached(values: np.ndarray) -> float:
+        over = np.flatnonzero(toward * values >= limit)
+        return float(now + ahead[over[0]]) if over.size else float("inf")
+
+    return Forecast(reached(line), reached(line + toward * half), reached(line - toward * half))

@@ -1,0 +1,112 @@
+"""Dated campaigns in a folder: campaigns, or single traces, each with the day on which it was recorded.
+
+The day stands in `campaign.toml` (`recorded = 2026-05-03`), or in the name of the folder or the file (2026-05-03, 2026-05-03_06-30, 20260503).
+Where none has a day, the order of the names counts, one week apart, and this is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+import hashlib
+from pathlib import Path
+import re
+
+from twin.documents import named_file, read_toml
+from twin.errors import InputError
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun, read_campaign
+from twin.recordings.trace import read_trace
+
+TRACES = (".parquet", ".csv")
+_DAY = re.compile(r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?([0-2]\d)[-:.]?([0-5]\d))?(?!\d)")
+FIRST = datetime(2000, 1, 3)
+"""Day of the first campaign of a folder without days."""
+
+
+@dataclass(frozen=True)
+class Dated:
+    """A campaign or a single trace, its day, and the digest of its files."""
+
+    path: Path
+    day: datetime
+    digest: str
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    def runs(self, machine: Machine) -> tuple[MeasuredRun, ...]:
+        """Its runs, checked against the machine."""
+        if self.path.is_dir():
+            return read_campaign(self.path, machine).runs
+        return (MeasuredRun(self.path.stem, read_trace(self.path, axes=machine.kinds, need=("setpoint",)), None, 0.0),)
+
+
+def dated_campaigns(folder: Path) -> tuple[list[Dated], list[str]]:
+    """Everything dated in a folder by day, and notes. Raises InputError if nothing is there or only some have a day."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give a folder of dated campaigns, one subfolder or trace each")
+    found = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".") and _is_one(p)]
+    if not found:
+        raise InputError(f"{folder}: holds no campaign (a subfolder with campaign.toml) and no trace ({', '.join(TRACES)}); import recordings first")
+    days = [_day_of(p) for p in found]
+    undated = [p for p, day in zip(found, days) if day is None]
+    notes = []
+    if len(undated) == len(found):
+        found.sort(key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)])
+        days = [FIRST + timedelta(weeks=i) for i in range(len(found))]
+        notes.append("no campaign has a day: they count as one week apart, in the order of their names; write recorded = 2026-05-03 in campaign.toml")
+    elif undated:
+        raise InputError(f"{undated[0]}: has no day, others have; put it in the name (2026-05-03) or in campaign.toml as recorded = 2026-05-03")
+    dated = [Dated(p, day, digest_of(p)) for p, day in zip(found, days) if day is not None]
+    unique: dict[str, Dated] = {}
+    for one in sorted(dated, key=lambda d: (d.day, d.name)):
+        if one.digest in unique:
+            notes.append(f"{one.name}: the same recording as {unique[one.digest].name}; it counts once")
+        else:
+            unique[one.digest] = one
+    return list(unique.values()), notes
+
+
+def _is_one(path: Path) -> bool:
+    return (path / "campaign.toml").is_file() if path.is_dir() else path.suffix.lower() in TRACES
+
+
+def _day_of(path: Path) -> datetime | None:
+    if path.is_dir():
+        day = read_toml(path / "campaign.toml").get("recorded")
+        if isinstance(day, datetime):
+            return day.replace(tzinfo=None)
+        if isinstance(day, date):
+            return datetime(day.year, day.month, day.day)
+        if day is not None:
+            raise InputError(f"{path / 'campaign.toml'}: recorded = {day!r} is no date; write recorded = 2026-05-03, without quotes")
+    for match in _DAY.finditer(path.stem if path.suffix.lower() in TRACES else path.name):
+        try:
+            return datetime(*(int(part) for part in match.groups(default="0")))
+        except ValueError:
+            continue
+    return None
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of the files of a campaign, or of a trace, whatever their folder is called."""
+    digest = hashlib.sha256()
+    for file in _files(path):
+        digest.update(f"{file.name}\0".encode() if path.is_dir() else b"")
+        with file.open("rb") as stream:
+            digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()
+
+
+def _files(path: Path) -> Sequence[Path]:
+    if not path.is_dir():
+        return [path]
+    toml = path / "campaign.toml"
+    runs = read_toml(toml).get("run", [])
+    names = [run["file"] for run in runs if isinstance(run, dict) and isinstance(run.get("file"), str)] if isinstance(runs, list) else []
+    return [toml, *(named_file(name, path, f"{toml}: file") for name in names)]
+
+

@@ -1,0 +1,161 @@
+"""`history.json`: what a history says, in SI units, and the same in sentences."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.wording import effect_title, listed
+from twin.effects import EFFECTS
+from twin.effects.readable import interval_text
+from twin.history.change import Forecast
+from twin.history.columns import Direction, is_watched
+from twin.history.judge import FALSE_ALARM_WEEKS, Cause, Change, Judgement, causes_of, sizes_over_time
+from twin.history.series import LOAD, SCATTER
+from twin.machine.machine import Machine
+
+
+def history_document(history: Judgement, machine: Machine, notes: list[str]) -> dict[str, Any]:
+    """The document."""
+    causes = causes_of(history.series)
+    changes = [change_entry(history, machine, c) for c in history.changes]
+    several = len({axis for one in history.series for axis in one.axes}) > 1
+    return {
+        "machine": machine.name,
+        "alarm": bool(changes),
+        "rule": {
+            "mean_recordings_between_false_alarms": FALSE_ALARM_WEEKS,
+            "statistic": float(history.evidence[-1]) if len(history.evidence) else 0.0,
+            "causes": len(causes),
+        },
+        "campaigns": [
+            {"name": row.name, "day": row.day.isoformat(), "digest": row.digest, "statistic": float(e)}
+            for row, e in zip(history.rows, history.evidence)
+        ],
+        "changes": changes,
+        "axes": _axes(history, machine, causes),
+        "not_seen": _not_seen(history),
+        "not_watched": sorted(name for name, effect in EFFECTS.items() if not is_watched(effect) or SCATTER.get(name) == LOAD),
+        "notes": [
+            *notes,
+            *([] if several else ["one axis only: a season or a warm day cannot be told from a change of its friction"]),
+            *([] if len(history.rows) >= 8 else [f"{len(history.rows)} recordings: a change shows from about eight on"]),
+        ],
+    }
+
+
+def in_si(direction: Direction, theta: float) -> float:
+    """A change of `theta` usual sizes as the value of the size parameter: of a factor, a spring, or an amount."""
+    size = direction.setting.effect.size
+    if size.is_spring:
+        return direction.unit / theta if theta else math.inf
+    return (1.0 if size.is_factor else 0.0) + theta * direction.unit
+
+
+def entry_of(direction: Direction, machine: Machine, theta: float, half: float) -> dict[str, Any]:
+    """Effect, axis and the change of its size with interval, in the form of `diagnosis.json`."""
+    effect, axis = direction.setting.effect, machine.axis(direction.setting.axis)
+    ends = sorted(in_si(direction, theta + sign * half) for sign in (-1.0, 1.0))
+    values = {"value": in_si(direction, theta), "low": ends[0], "high": ends[1], "unit": effect.size.unit(axis)}
+    source = {"from_axis": direction.setting.from_axis} if direction.setting.from_axis else {}
+    return {"effect": effect.name, "axis": axis.name, **source, "block": effect.block, "parameters": {effect.size.name: values}}
+
+
+def difference_text(entry: dict[str, Any], theta: float) -> str:
+    """'backlash on axis X 4.1 um more (3.6 to 4.6 um)', 'friction on axis Y 12 % less'."""
+    (name, p), *_ = entry["parameters"].items()
+    parameter = EFFECTS[entry["effect"]].parameter(name)
+    if parameter.is_spring:
+        return f"{effect_title(entry)} {'softer' if theta > 0 else 'stiffer'}, as by a spring of {_plain(abs(p['value']), p['unit'], parameter)} in series"
+    neutral = 1.0 if parameter.is_factor else 0.0
+    d, ends = p["value"] - neutral, sorted(abs(p[end] - neutral) for end in ("low", "high"))
+    low, high = (ends if (p["low"] - neutral) * (p["high"] - neutral) > 0 else (0.0, ends[1]))
+    value, interval = interval_text(p["unit"], abs(d) + neutral, low + neutral, high + neutral, parameter)
+    return f"{effect_title(entry)} {value.lstrip('+')} {'more' if d > 0 else 'less'}" + (f" ({interval.replace('+', '')})" if interval else "")
+
+
+def _plain(value: float, unit: str, parameter: Any) -> str:
+    return interval_text(unit, value, value, value, parameter)[0]
+
+
+def change_entry(history: Judgement, machine: Machine, change: Change) -> dict[str, Any]:
+    """A change with its days, size, rivals, forecast, and a sentence."""
+    entry = entry_of(change.direction, machine, change.size.size, change.size.half())
+    onset, alarm = history.rows[change.onset].day, history.rows[change.alarm].day
+    text = f"{difference_text(entry, change.size.size)} since {onset:%Y-%m-%d}"
+    if change.rivals:
+        text += f"; could also be {listed([effect_title(_cause(c)) for c in change.rivals])}"
+    ahead = None if change.forecast is None else _days(change.forecast, history.rows[0].day)
+    if ahead is not None:
+        text += f"; at this rate its usual size as a fault is reached on {ahead['day'] or 'no near day'}"
+    return {
+        **entry,
+        "usual_sizes": {"value": change.size.size, "low": change.size.size - change.size.half(), "high": change.size.size + change.size.half()},
+        "onset": onset.isoformat(),
+        "alarm": alarm.isoformat(),
+        "ambiguous_with": [_cause(c) for c in change.rivals],
+        "forecast": ahead,
+        "sentence": text,
+    }
+
+
+def _cause(cause: Cause) -> dict[str, str]:
+    effect, axis, source = cause
+    return {"effect": effect, "axis": axis, **({"from_axis": source} if source else {})}
+
+
+def _days(forecast: Forecast, first: datetime) -> dict[str, str | None]:
+    def day(after: float) -> str | None:
+        return (first + timedelta(days=after)).date().isoformat() if math.isfinite(after) else None
+
+    return {"limit": "usual size of the effect", "day": day(forecast.day), "earliest": day(forecast.earliest), "latest": day(forecast.latest)}
+
+
+def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, list[int]]]) -> dict[str, Any]:
+    """Series of each axis and effect: size over time in usual sizes, scatter, smallest change that shows."""
+    changed = {c.cause: c for c in history.changes}
+    out: dict[str, Any] = {}
+    for cause, (group, own) in causes.items():
+        one = history.series[group]
+        k = own[int(np.argmax(np.diag(one.gram)[own]))]
+        change = changed.get(cause)
+        if change is not None:
+            k = list(one.directions).index(change.direction)
+        y, _ = sizes_over_time(history, group, k, change.onset if change else None)
+        before = y[one.at < change.onset] if change else y
+        scatter = float(np.std(before, ddof=1)) if len(before) > 1 else math.nan
+        direction = one.directions[k]
+        out.setdefault(cause[1], []).append(
+            {
+                **_cause(cause),
+                "unit": {"usual_size": direction.unit, "of": direction.setting.effect.size.unit(machine.axis(cause[1]))},
+                "scatter": scatter,
+                "smallest_change": 5.0 * scatter,
+                "campaigns": one.at.tolist(),
+                "usual_sizes": y.tolist(),
+            }
+        )
+    return {axis: sorted(rows, key=lambda row: row["effect"]) for axis, rows in sorted(out.items(), key=lambda i: machine.axis_names.index(i[0]))}
+
+
+def _not_seen(history: Judgement) -> list[dict[str, str]]:
+    """Causes that these recordings do not show at a fifth of their usual size, whatever its wave."""
+    seen = causes_of(history.series)
+    all_of = {d.cause for one in history.series for d in one.directions if SCATTER.get(d.setting.effect.name) != LOAD}
+    return [_cause(cause) for cause in sorted(all_of) if cause not in seen]
+
+
+def summary_text(document: dict[str, Any]) -> str:
+    """The history in a few lines for the terminal."""
+    campaigns = document["campaigns"]
+    span = f"{campaigns[0]['day'][:10]} to {campaigns[-1]['day'][:10]}" if campaigns else "none"
+    lines = [f"{document['machine']}: {len(campaigns)} recordings, {span}"]
+    lines += [f"  ALARM on {c['alarm'][:10]}: {c['sentence']}" for c in document["changes"]]
+    if not document["changes"]:
+        lines.append("  no change beyond what normally differs")
+    if document["not_seen"]:
+        lines.append(f"  not seen in these recordings: {listed([effect_title(c) for c in document['not_seen'][:6]])}{' and others' * (len(document['not_seen']) > 6)}")
+    return "\n".join([*lines, *(f"  note: {note}" for note in document["notes"])])

@@ -1,0 +1,186 @@
+"""The judgement of a history: which axis changed, when, by what cause and how much, and when it reaches a limit.
+
+The rule runs through the recordings by day. At each it averages the evidence for a change (`twin.history.change`) over all causes; above
+`FALSE_ALARM_WEEKS` it raises an alarm. The alarm names the cause that explains the change of all directions of its group best. The recordings from
+the onset on then become the new reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from twin.history.change import LONGEST, Forecast, Level, evidence, forecast, level
+from twin.history.columns import Direction
+from twin.history.series import LOAD, SCATTER, Series, constants_of, programs_of, series_of, thermometers
+from twin.history.store import Row
+
+FALSE_ALARM_WEEKS = 1000.0
+"""Mean number of recordings between false alarms of one machine."""
+
+LEAST = 0.05
+"""Change in usual sizes below which nothing is reported: no machine suffers from it."""
+
+LEAST_SCATTER = 0.003
+"""Smallest scatter between recordings in usual sizes: the twin is linear in small changes only."""
+
+RIVAL = 0.8
+"""Share of the best cause's chi^2 from which another cause is named beside it."""
+
+RECENT = 8
+"""Recordings from which a growth is carried forward."""
+
+Cause = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change: cause, the row of its onset and of its alarm, size in usual sizes, other causes that explain nearly as much."""
+
+    cause: Cause
+    direction: Direction
+    onset: int
+    alarm: int
+    size: Level
+    rivals: tuple[Cause, ...] = ()
+    forecast: Forecast | None = None
+    first: int = 0  # first row of the reference before it
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """All that a history says: its rows, series, changes, the evidence at each row, and the nuisances of each group."""
+
+    rows: Sequence[Row]
+    series: Sequence[Series]
+    nuisances: Sequence[np.ndarray]  # (row, column) of each series
+    changes: Sequence[Change] = ()
+    evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (row,)
+
+
+def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
+    """Causes that the recordings show: index of the series, and the directions of each. What an axis carries is no fault of the machine."""
+    found: dict[Cause, tuple[int, list[int]]] = {}
+    for g, one in enumerate(series):
+        for k, direction in enumerate(one.directions):
+            if one.seen[k] and SCATTER.get(direction.setting.effect.name) != LOAD:
+                found.setdefault(direction.cause, (g, []))[1].append(k)
+    return found
+
+
+def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction]]) -> Judgement:
+    """The judgement of all recordings by day."""
+    series = [s for axes, own in directions.items() if (s := series_of(rows, axes, own)) is not None]
+    constants = constants_of(programs_of(rows)) if rows else np.zeros((0, 0))
+    nuisances = [np.column_stack([constants, thermometers(series, one, len(rows))]) for one in series]
+    history = Judgement(rows, series, nuisances)
+    causes = causes_of(series)
+    changes: list[Change] = []
+    total, start = np.zeros(len(rows)), 0
+    for now in range(len(rows)):
+        by_cause, onsets = _evidence(history, causes, max(start, now + 1 - LONGEST), now + 1)
+        total[now] = sum(by_cause.values()) / max(len(causes), 1)
+        if total[now] > FALSE_ALARM_WEEKS:
+            loudest = max(by_cause, key=lambda cause: by_cause[cause])
+            change = _change(history, causes, causes[loudest][0], start, onsets[loudest], now)
+            start = max(onsets[loudest], start + 1)
+            if change is not None:
+                changes.append(change)
+    return replace(history, changes=_joined(history, causes, changes), evidence=total)
+
+
+def _evidence(history: Judgement, causes: dict[Cause, Any], start: int, stop: int) -> tuple[dict[Cause, float], dict[Cause, int]]:
+    """Evidence and onset of each cause at the last of the rows from `start` to `stop`."""
+    by_cause, onsets = {}, {}
+    for g, (one, nuisance) in enumerate(zip(history.series, history.nuisances)):
+        inside = (one.at >= start) & (one.at < stop)
+        if one.at[inside].size < 3 or one.at[inside][-1] != stop - 1:
+            continue
+        found = evidence(one.sizes[inside], nuisance[one.at[inside]])
+        for cause, (group, own) in causes.items():
+            if group == g:
+                by_cause[cause] = float(found.total[own].mean())
+                best = own[int(np.argmax(found.total[own]))]
+                onsets[cause] = int(one.at[inside][found.onset[best]])
+    return by_cause, onsets
+
+
+def _change(history: Judgement, causes: dict[Cause, Any], group: int, start: int, onset: int, now: int) -> Change | None:
+    """The change of a group from the rows before `onset` to those up to `now`, by the cause that explains it best; None if it is too small."""
+    one = history.series[group]
+    inside = (one.at >= start) & (one.at <= now)
+    at = one.at[inside]
+    since = int(np.searchsorted(at, onset))
+    if since < 2:
+        return None
+    nuisance = history.nuisances[group][at]
+    levels = [level(y, nuisance, since) for y in one.sizes[inside].T]
+    scatter = np.array([max(found.scatter, LEAST_SCATTER) for found in levels])
+    owners = [cause for cause, (g, _) in causes.items() if g == group for _ in _waves(one, causes[cause][1])]
+    blocks = [block for cause, (g, own) in causes.items() if g == group for block in _waves(one, own)]
+    explained = one.explained_by(blocks, np.array([found.size for found in levels]), scatter)
+    best: dict[Cause, tuple[float, int, float]] = {}
+    for cause, block, (gain, theta) in zip(owners, blocks, explained):
+        if gain > best.get(cause, (0.0, 0, 0.0))[0]:
+            best[cause] = gain, block[0], float(np.linalg.norm(theta)) if len(block) > 1 else float(theta[0])
+    if not best:
+        return None
+    order = sorted(best, key=lambda cause: -best[cause][0])
+    gain, k, theta = best[order[0]]
+    if abs(theta) < LEAST:
+        return None
+    size = replace(levels[k], size=theta)
+    rivals = tuple(cause for cause in order[1:4] if best[cause][0] > RIVAL * gain)
+    return Change(order[0], one.directions[k], onset, now, size, rivals, first=start)
+
+
+def _waves(one: Series, directions: Sequence[int]) -> list[list[int]]:
+    """The directions of one cause, sine and cosine of each wave together."""
+    waves = dict.fromkeys(one.directions[k].wave for k in directions)
+    return [[k for k in directions if one.directions[k].wave == wave] for wave in waves]
+
+
+def _joined(history: Judgement, causes: dict[Cause, Any], changes: Sequence[Change]) -> list[Change]:
+    """The changes, those that go on in one, with size, cause and forecast by all recordings up to the next change of their group."""
+    out: list[Change] = []
+    for change in changes:
+        group = causes[change.cause][0]
+        earlier = next((c for c in reversed(out) if causes[c.cause][0] == group), None)
+        again = earlier and _resized(history, causes, earlier, change.alarm)
+        if earlier is not None and again is not None and change.cause in (earlier.cause, again.cause):
+            out[out.index(earlier)] = again
+        else:
+            out.append(change)
+    last = {causes[c.cause][0]: c for c in out}
+    whole = len(history.rows) - 1
+    return [_forecast(history, causes, _resized(history, causes, c, whole)) if last[causes[c.cause][0]] is c else c for c in out]
+
+
+def _resized(history: Judgement, causes: dict[Cause, Any], change: Change, now: int) -> Change:
+    """The change judged again with all recordings up to the row `now`."""
+    again = _change(history, causes, causes[change.cause][0], change.first, change.onset, now)
+    return change if again is None else replace(again, alarm=change.alarm)
+
+
+def _forecast(history: Judgement, causes: dict[Cause, Any], change: Change, limit: float = 1.0) -> Change:
+    """The change with the day at which its size reaches `limit` [usual sizes], from the recordings since its onset."""
+    group, _ = causes[change.cause]
+    one = history.series[group]
+    k = list(one.directions).index(change.direction)
+    y, days = sizes_over_time(history, group, k, change.onset)
+    after = np.flatnonzero(one.at >= change.onset)[-RECENT:]
+    return replace(change, forecast=forecast(days[after], y[after], limit, float(days[-1])))
+
+
+def sizes_over_time(history: Judgement, group: int, k: int, until: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes of a direction in usual sizes, free of nuisances, zero on average before the row `until`, and the days of the recordings."""
+    one = history.series[group]
+    nuisance = history.nuisances[group][one.at]
+    before = one.at < (until if until is not None else len(history.rows))
+    y = one.sizes[:, k]
+    coefficients = np.linalg.lstsq(nuisance[before], y[before], rcond=1e-9)[0]
+    days = np.array([(history.rows[i].day - history.rows[0].day).total_seconds() / 86400.0 for i in one.at])
+    return y - nuisance @ coefficients, days

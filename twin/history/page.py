@@ -1,0 +1,77 @@
+"""The page of a history: what changed first, then one row an axis with its sizes over time."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
+from twin.report.figure import BLUE, RED, SOFT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
+
+SHOWN = 5
+"""Sparklines in the row of an axis."""
+
+
+def write_history_page(document: dict[str, Any], path: Path) -> None:
+    """Write the page."""
+    changes, rule = document["changes"], document["rule"]
+    lead = "; ".join(c["sentence"] for c in changes) + "." if changes else "No change beyond what normally differs between recordings."
+    rows = [[c["effect"].replace("_", " "), c["axis"], c["onset"][:10], c["alarm"][:10], c["sentence"]] for c in changes]
+    folded = [
+        Table(
+            ("effect", "scatter [usual sizes]", "smallest change that shows", "now"),
+            [[e["effect"].replace("_", " "), f"{e['scatter']:.3f}", f"{e['smallest_change']:.2f}", f"{e['usual_sizes'][-1]:+.3f}"] for e in effects],
+            folded=f"All effects of axis {axis}",
+        )
+        for axis, effects in document["axes"].items()
+    ]
+    sections = [
+        Section("What changed", tables=[Table(("effect", "axis", "since", "alarm", "what"), rows, left=5)] if rows else [],
+                paragraphs=[f"One rule for all {rule['causes']} effects and axes: at most one false alarm in {rule['mean_recordings_between_false_alarms']:.0f} "
+                            f"recordings. The evidence now is {rule['statistic']:.3g}; the alarm is at {rule['mean_recordings_between_false_alarms']:.0f}."]),
+        Section("Sizes over time", figures=[Figure(figure_svg(sparklines(document)), "One row an axis: the effects that moved most. Size in usual sizes of the "
+                "effect as a fault, free of temperature, season, tool and workpiece; grey: twice the scatter between recordings; red: since the onset.")],
+                tables=folded),
+        Section("What cannot be seen", items=[f"{c['effect'].replace('_', ' ')} on {c['axis']}" for c in document["not_seen"]] or ["Every watched effect shows."],
+                paragraphs=[f"Not watched: {', '.join(n.replace('_', ' ') for n in document['not_watched'])}. A diagnosis finds them."]),
+        Section("Notes", items=document["notes"] or ["None."]),
+    ]  # fmt: skip
+    write_page(path, f"History: {document['machine']}", lead, sections)
+
+
+def sparklines(document: dict[str, Any]) -> MplFigure:
+    """One row an axis, its effects that moved most over time."""
+    axes = document["axes"]
+    days = [datetime.fromisoformat(c["day"]) for c in document["campaigns"]]
+    changed = {(c["effect"], c["axis"]): datetime.fromisoformat(c["onset"]) for c in document["changes"]}
+    figure, panels = new_figure(max(len(axes), 1), SHOWN, height=1.15)
+    for row, (axis, effects) in zip(panels, axes.items()):
+        order = sorted(effects, key=lambda e: ((e["effect"], axis) not in changed, -_moved(e)))[:SHOWN]
+        for panel, effect in zip(row, order):
+            when = [days[i] for i in effect["campaigns"]]
+            y, wide = np.array(effect["usual_sizes"]), 2.0 * np.nan_to_num(effect["scatter"])
+            panel.axhspan(-wide, wide, color=SOFT, alpha=0.2, lw=0)
+            panel.plot(when, y, color=BLUE, lw=0.9)
+            if onset := changed.get((effect["effect"], axis)):
+                since = [d >= onset for d in when]
+                panel.plot(np.array(when)[since], y[since], color=RED, lw=1.2)
+            panel.set_title(effect["effect"].replace("_", " "), fontsize=8)
+            panel.tick_params(labelsize=6.5)
+            panel.set_xticks([when[0], when[-1]], [f"{when[0]:%y-%m-%d}", f"{when[-1]:%y-%m-%d}"])
+            panel.grid(visible=False)
+        for panel in row[len(order) :]:
+            panel.set_visible(False)
+        row[0].set_ylabel(axis, rotation=0, fontsize=11, labelpad=10)
+    return figure
+
+
+def _moved(effect: dict[str, Any]) -> float:
+    """How far a series moved, in its scatter."""
+    y, scatter = effect["usual_sizes"], effect["scatter"]
+    return float(np.max(np.abs(y)) / scatter) if scatter > 0.0 else 0.0

@@ -1,0 +1,141 @@
+"""Sizes over time: the projections of all campaigns as one series per direction, free of what differs between recordings of a healthy machine.
+
+A recording moves b by G (theta + u): theta is the change of the machine, u ~ N(0, diag(scatter^2)) what normally differs from recording to recording
+(load, friction, growth by temperature). The best unbiased size of one direction next to u is
+
+    y = w'b / w'G e        w = (G + G S G)^-1 G e = (1 + S G)^-1 e        S = diag(scatter^2), e the direction
+
+and A = G (1 + S G)^-1 is the information that a recording holds about each direction once u is allowed for. What all axes do together is not a
+change of one of them: the median of the others is a thermometer of each group of axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import functools
+
+import numpy as np
+
+from twin.history.columns import Direction
+from twin.history.store import Row
+
+LOAD, FRICTION, GROWTH, ELSE = 1.0, 0.2, 0.2, 0.01
+SCATTER = {
+    "inertia": LOAD,
+    "table_unbalance": LOAD,
+    "coulomb_friction": FRICTION,
+    "viscous_friction": FRICTION,
+    "thermal_drift": GROWTH,
+    "lead_error": GROWTH,
+}
+"""Standard deviation between recordings of a healthy machine, in usual sizes of the effect: tool and workpiece, lubrication, temperature."""
+
+THERMOMETERS = ("viscous_friction", "coulomb_friction", "lead_error")
+"""Effects by which the other axes show temperature and season."""
+
+SAME_PROGRAM = 0.01
+"""Relative difference of path and travel below which two recordings are of the same program."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One group of axes: sizes y of all directions [usual sizes] in the recordings at `at` (index into the rows), and the mean G."""
+
+    axes: tuple[str, ...]
+    directions: Sequence[Direction]
+    at: np.ndarray  # (recording,)
+    sizes: np.ndarray  # (recording, direction)
+    gram: np.ndarray  # (direction, direction)
+
+    @functools.cached_property
+    def scatter(self) -> np.ndarray:
+        """Normal scatter of each direction between recordings (direction,)."""
+        return scatter_of(self.directions)
+
+    @functools.cached_property
+    def seen(self) -> np.ndarray:
+        """Directions that a recording shows at a fifth of their usual size, at two standard deviations, next to all that scatters (direction,)."""
+        own, scatter = np.diag(information(self.gram, self.scatter)), self.scatter**2
+        return own / np.maximum(1.0 - scatter * own, 1e-12) > (2.0 / 0.2) ** 2
+
+    def explained_by(self, blocks: Sequence[Sequence[int]], change: np.ndarray, scatter: np.ndarray) -> list[tuple[float, np.ndarray]]:
+        """What the directions of each block explain together of a change of the sizes (direction,) [chi^2], and their sizes (block,).
+
+        `scatter` (direction,) is that between these recordings; the change is taken as a difference of two of them.
+        """
+        prior = information(self.gram, self.scatter)
+        moved = change * np.diag(prior)
+        right = moved + self.gram @ (self.scatter**2 * moved)  # b from the scores w'b
+        inner, score = information(self.gram, scatter), filters(self.gram, scatter).T @ right
+        out = []
+        for block in blocks:
+            theta = np.linalg.lstsq(inner[np.ix_(block, block)], score[list(block)], rcond=1e-9)[0]
+            out.append((float(theta @ score[list(block)]), theta))
+        return out
+
+
+def scatter_of(directions: Sequence[Direction]) -> np.ndarray:
+    """Normal scatter between recordings [usual sizes] (direction,)."""
+    return np.array([SCATTER.get(d.setting.effect.name, ELSE) for d in directions])
+
+
+def filters(gram: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    """w of each direction, the columns of (1 + S G)^-1."""
+    return np.linalg.inv(np.eye(len(gram)) + scatter[:, None] ** 2 * gram)
+
+
+def information(gram: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    """A = G (1 + S G)^-1 (direction, direction)."""
+    return gram @ filters(gram, scatter)
+
+
+def series_of(rows: Sequence[Row], axes: tuple[str, ...], directions: Sequence[Direction]) -> Series | None:
+    """The series of a group of axes; None if no recording moves it."""
+    at = np.array([i for i, row in enumerate(rows) if axes in row.projections])
+    if not at.size:
+        return None
+    scatter, sizes = scatter_of(directions), []
+    for i in at:
+        p = rows[i].projections[axes]
+        own = np.diag(information(p.gram, scatter))
+        sizes.append(filters(p.gram, scatter).T @ p.right / np.where(own > 0.0, own, np.inf))
+    gram = np.mean([rows[i].projections[axes].gram for i in at], axis=0)
+    return Series(axes, directions, at, np.array(sizes), gram)
+
+
+def thermometers(series: Sequence[Series], of: Series, count: int) -> np.ndarray:
+    """What the axes outside a group show of temperature (row, thermometer): the median of each kind over at least two axes, if there are."""
+    columns = []
+    for name in THERMOMETERS:
+        others = np.full((count, 0), np.nan)
+        for one in series:
+            if one is not of:
+                picked = [k for k, d in enumerate(one.directions) if d.setting.effect.name == name and one.seen[k]]
+                full = np.full((count, len(picked)), np.nan)
+                full[one.at] = one.sizes[:, picked]
+                others = np.column_stack([others, full])
+        if others.shape[1] >= 2:
+            known = np.isfinite(others).any(axis=1)
+            column = np.zeros(count)
+            column[known] = np.nanmedian(others[known] - np.nanmean(others, axis=0), axis=1)
+            columns.append(column)
+    return np.column_stack(columns) if columns else np.zeros((count, 0))
+
+
+def programs_of(rows: Sequence[Row]) -> np.ndarray:
+    """Number of the program of each recording (row,); those that were recorded once or twice are one class."""
+    known: list[tuple[float, ...]] = []
+    numbers = []
+    for row in rows:
+        same = (k for k, p in enumerate(known) if len(p) == len(row.program) and np.allclose(p, row.program, rtol=SAME_PROGRAM, atol=1e-6))
+        k = next(same, len(known))
+        known += [row.program] if k == len(known) else []
+        numbers.append(k)
+    counts = np.bincount(numbers)
+    return np.array([k if counts[k] > 2 else -1 for k in numbers])
+
+
+def constants_of(programs: np.ndarray) -> np.ndarray:
+    """A constant for each program (row, program)."""
+    return np.column_stack([programs == k for k in np.unique(programs)]).astype(float)
