@@ -33,6 +33,8 @@ ALLOWED = {
     "exam/plant/compiled.py": {"read_bytes": 1},  # the package's own source
     "exam/session.py": {"read_bytes": 3, "read_text": 2, "tomllib.loads": 1},  # the package's own source, and what the examination wrote
     "geometry/mesh_file.py": {"read_bytes": 1, "trimesh.load": 1},  # the one reader of meshes
+    "history/dated.py": {"open": 1},  # a recording that the command names, or a campaign names by named_file: its digest
+    "history/store.py": {"json.loads": 1},  # cells of its own data base
     "identify/from_recording.py": {"read_text": 1},  # the machine file that it wrote and loaded a line before
     "iso230/readings.py": {"open": 2},  # a table that the command names
     "machine/commented.py": {"read_text": 1},  # a machine file that is loaded already: its comments
@@ -116,6 +118,7 @@ WRITES = {
     "diagnose/output.py": {"unlink": 1},  # an output of an earlier call
     "exam/draw.py": {"write_table": 1, "mkdir": 1},  # apart from the package; before the campaign.toml that makes them count
     "files.py": {"mkdir": 3, "unlink": 2, "TemporaryDirectory": 1, "TemporaryFile": 1},  # this is the one way
+    "history/store.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
     "machine/from_recording.py": {"TemporaryDirectory": 1},  # scratch files
     "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 4},  # its own scratch files
     "recordings/imported.py": {"TemporaryDirectory": 1, "rmtree": 1},  # scratch files, also those of an import that was killed

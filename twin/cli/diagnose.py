@@ -41,6 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="less than half the time: fewer candidates, no search on axes at noise level (always for raw recordings)",
     )
+    parser.add_argument(
+        "--since",
+        nargs="+",
+        metavar="BASELINE",
+        help="earlier campaigns of the same machine: say what is different now, in place of what differs from the machine file",
+    )
     parser.add_argument("--program", metavar="INPUT", help="also compute the gap budget for this part program or trace")
     add_place(parser)
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the simulated noise (default 0)")
@@ -54,6 +60,8 @@ def carry_out(args: argparse.Namespace) -> int:
     inputs = [Path(i) for i in args.inputs]
     if len(inputs) == 1 and inputs[0].is_dir() and not is_campaign(inputs) and not any(inputs[0].iterdir()):
         raise InputError(f"{inputs[0]}: holds no files; give a campaign or recordings")
+    if args.since:
+        return _since(args, inputs)
     if not is_campaign(inputs):
         return _raw(args, inputs)
     _diagnosed(args, inputs[0], machine_of(args), output_folder(args.out))
@@ -76,6 +84,34 @@ def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Pa
     move = "" if diagnosis.proposal.move is None else ", next_measurement.csv"
     print(f"written to {out}: diagnosis.json, machine.toml, report.html, diagnosis.rrd{move}")
     return document
+
+
+def _since(args: argparse.Namespace, inputs: list[Path]) -> int:
+    """What is different from earlier campaigns: diagnose the latest of them first, unless the machine has effects already, then compare."""
+    from twin.diagnose.check import same_machine
+    from twin.diagnose.first.raw import is_campaign, machine_of_campaign
+    from twin.history.dated import day_of
+    from twin.history.since_output import diagnosed_since, write_since
+    from twin.machine import load_machine
+    from twin.recordings.campaign import read_campaign
+
+    earlier = [shipped_example(b) for b in args.since]
+    for folder in (*inputs, *earlier):
+        if not is_campaign([folder]) or len(inputs) > 1:
+            raise InputError(f"{folder}: --since compares campaigns; import recordings first: twin import {folder} --out CAMPAIGN")
+    out = output_folder(args.out)
+    machine = machine_of(args)
+    if not args.machine and not same_machine(read_campaign(earlier[-1]), machine):
+        with Progress("machine from the baseline", total=None) as bar:
+            machine = load_machine(machine_of_campaign(earlier[-1], out, print, bar.say)[0])
+    present, baselines = read_campaign(inputs[0], machine), [read_campaign(b, machine) for b in earlier]
+    with Progress("comparing", total=None) as bar:
+        document, today = diagnosed_since(present, baselines, [day_of(b) for b in earlier], machine, out, args.quick, args.seed, bar.say)
+    write_since(document, today, out)
+    print(document["sentence"], *(f"  note: {note}" for note in document["notes"]), sep="\n")
+    print(f"written to {out}: diagnosis.json, machine.toml (of today), report.html, baseline/")
+    open_report(args, out / "report.html")
+    return 0
 
 
 def _program(args: argparse.Namespace, machine: Machine) -> MeasuredRun | None:

@@ -14,7 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     parser.add_argument("folder", metavar="FOLDER", help="dated campaigns (2026-05-03/campaign.toml) or traces (2026-05-03.parquet)")
     add_machine(parser, "the Mikron UCP 710 that ships with twin")
-    parser.add_argument("--out", required=True, metavar="HISTORY", help="folder for history.sqlite, history.json, report.html; run again, it continues")
+    parser.add_argument(
+        "--out", required=True, metavar="HISTORY", help="folder for history.sqlite, history.json, report.html; run again, it continues"
+    )
     add_open(parser)
 
 

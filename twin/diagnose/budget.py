@@ -88,7 +88,7 @@ class Budget:
         return float(np.hypot(self.explained, self.left))
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """A contribution that can be removed from the corrected machine."""
 
     kind: str
@@ -128,6 +128,19 @@ def budget_of(
     the noise of each recorded signal [SI]. `retuned` False leaves out the rows of re-tuned parameters.
     """
     parts = [part for part in _parts(machine, corrected, states) if retuned or part.kind != "re-tuned"]
+    return budget_over(parts, machine, corrected, views, residual, noise, mapper)
+
+
+def budget_over(
+    parts: Sequence[Part],
+    machine: Machine,
+    corrected: Machine,
+    views: Sequence[RunView],
+    residual: Sequence[Trace | None],
+    noise: Mapping[tuple[str, str], float],
+    mapper: Mapper = in_turn,
+) -> Budget:
+    """The budget of these differences between two machines."""
     tool = ToolPoint(machine)
     both = simulated_each(
         [(view, own, machine.axis_names) for own in (corrected, machine) for view in views], mapper, lambda i, trace: trace
@@ -156,7 +169,7 @@ def budget_of(
     return Budget(tuple(order), explained, whole, floor, by_axis)
 
 
-def _parts(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -> Iterable[_Part]:
+def _parts(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -> Iterable[Part]:
     """All differences between the corrected and the nominal machine."""
     rotary = tuple(a.name for a in machine.axes if a.kind == "rotary")
     settings = list(settings_of(corrected))
@@ -167,7 +180,7 @@ def _parts(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -
             own = next((s for s in settings if s.key == setting.key), None)
             if own is None:
                 continue
-            yield _Part(
+            yield Part(
                 "effect", setting.effect.name, setting.axis, moved, with_effects(corrected, others), with_effects(machine, [own]), setting
             )
     effects = {s.key for f in states for s in f.fit.settings}
@@ -176,12 +189,12 @@ def _parts(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -
     for own in settings:  # unlisted laws
         if own.key not in listed:
             others = [s for s in settings if s is not own]
-            yield _Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), own)
+            yield Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), own)
     for own in normal:
         if own.key in effects:
             continue  # in series with the effect of the same name, in one row
         others = [s for s in settings if s.key != own.key]
-        yield _Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), None)
+        yield Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), None)
     for f in states:
         for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
             if nuisance.quantity in NORMAL or abs(float(deviation)) < 1e-6:
@@ -189,7 +202,7 @@ def _parts(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -
             name = "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity
             moved = rotary if nuisance.quantity == "body" else (nuisance.owner,)
             factor = 1.0 + float(deviation)
-            yield _Part(
+            yield Part(
                 "re-tuned", name, nuisance.owner, moved, nuisance.apply(corrected, 1.0 / factor), nuisance.apply(machine, factor), None
             )
 
@@ -210,7 +223,7 @@ def simulated_each(
     return [of(i, None) if isinstance(outcome, TwinError) else outcome for i, outcome in enumerate(outcomes)]
 
 
-def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None, other: Trace | None, part: _Part) -> _Change:
+def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None, other: Trace | None, part: Part) -> _Change:
     """Change of the motion of a run."""
     if base is None or other is None:
         return UNCHANGED
@@ -234,7 +247,7 @@ def _change(machine: Machine, tool: ToolPoint, view: RunView, base: Trace | None
 
 def _row(
     machine: Machine,
-    part: _Part,
+    part: Part,
     changes: Sequence[tuple[_Change, _Change]],
     samples: np.ndarray,
     names: Sequence[str],

@@ -59,10 +59,15 @@ def _names(machine: Machine) -> set[str]:
     return {_plain(name) for name in (machine.name, *files)}
 
 
+def same_machine(campaign: Campaign, machine: Machine) -> bool:
+    """Does a campaign name this machine, or none?"""
+    return not campaign.machine_name or _plain(campaign.machine_name) in _names(machine)
+
+
 def notes_of(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFAULT) -> list[str]:
     """Notes on what the recorded signals leave open."""
     notes = []
-    if campaign.machine_name and _plain(campaign.machine_name) not in _names(machine):
+    if not same_machine(campaign, machine):
         notes.append(f"campaign.toml names machine {campaign.machine_name}, it is compared with {machine.name}")
     recorded = {a for run in campaign.runs for a in run.trace.axes}
     axes = [a for a in machine.axis_names if a in recorded]

@@ -7,14 +7,16 @@ without a small size (a limit that is reached or not) and waves locked to time h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import cmath
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 import itertools
 import math
 
 import numpy as np
 
 from twin.diagnose.candidates import start_at
-from twin.effects import EFFECTS, Effect, Setting
+from twin.effects import EFFECTS, Effect, Setting, settings_of, with_effects
 from twin.effects.effect import Parameter
 from twin.effects.scan import InTime
 from twin.machine.machine import Axis, Machine
@@ -47,23 +49,29 @@ class Direction:
     def name(self) -> str:
         """A text that identifies the direction."""
         wave = ",".join(f"{name}={value:.6g}" for name, value in self.wave if self.setting.effect.parameter(name).fitted is None)
-        return " ".join(filter(None, [*self.cause, wave, "cosine" if self.phase else ""]))
+        return " ".join(filter(None, [*self.cause, wave, ("", "cosine", "opposite")[self.phase]]))
 
 
 def directions_of(machine: Machine, axes: tuple[str, ...]) -> list[Direction]:
     """The directions of these axes."""
     found = []
+    own = {s.key: s for s in settings_of(machine)}
     for name, effect in itertools.product(axes, EFFECTS.values()):
         axis = machine.axis(name)
         if axis not in effect.axes(machine) or not is_watched(effect):
             continue
         sources = [a.name for a in effect.axes(machine) if a.name != name] if effect.from_axis else [None]
-        for source, values in itertools.product(sources, _values(effect, machine, axis)):
-            settings = start_at(effect, machine, axis, source, values).settings
-            if turned := next((p for p in effect.parameters if p.periodic and not p.shape), None):  # an angle: its two components
-                settings = tuple(start_at(effect, machine, axis, source, {**values, turned.name: a}).settings[0] for a in (0.0, math.pi / 2))
-            unit = values[effect.size.name] - (effect.size.neutral or 0.0) if effect.size.is_scaled else values[effect.size.name]
-            found += [Direction(s, phase, unit) for phase, s in enumerate(settings)]
+        for source in sources:
+            for values in _values(effect, machine, axis, own.get((effect.key, name, source))):
+                settings = start_at(effect, machine, axis, source, values).settings
+                if turned := next(
+                    (p for p in effect.parameters if p.periodic and not p.shape), None
+                ):  # at an angle: its two components, and its mass
+                    settings = tuple(
+                        start_at(effect, machine, axis, source, {**values, turned.name: a}).settings[0] for a in (0.0, math.pi / 2, math.pi)
+                    )
+                unit = values[effect.size.name] - (effect.size.neutral or 0.0) if effect.size.is_scaled else values[effect.size.name]
+                found += [Direction(s, phase, unit) for phase, s in enumerate(settings)]
     return found
 
 
@@ -73,11 +81,14 @@ def is_watched(effect: Effect) -> bool:
     return sized and not any(isinstance(p.scan, InTime) for p in effect.parameters)
 
 
-def _values(effect: Effect, machine: Machine, axis: Axis) -> list[dict[str, float]]:
-    """Values at a usual size: one for each wave that the effect may have."""
+def _values(effect: Effect, machine: Machine, axis: Axis, own: Setting | None) -> list[dict[str, float]]:
+    """Values at a usual size: one for each wave that the effect may have, or the wave that it has."""
     choices = []
     for p in effect.parameters:
         if p.shape and p is not effect.size:
+            continue
+        if own is not None and p is not effect.size and not p.periodic:
+            choices.append([(p.name, own.parameters[p.name])])
             continue
         choices.append([(p.name, value) for value in _value(p, p is effect.size, *p.usual_range(machine, axis))])
     return [dict(combination) for combination in itertools.product(*choices)]
@@ -96,3 +107,46 @@ def _value(p: Parameter, is_size: bool, low: float, high: float) -> list[float]:
     if p.quantity == "number":  # periods in a turn
         return [float(n) for n in range(math.ceil(low), math.floor(high) + 1)]
     return np.geomspace(low, high, WAVES).tolist()
+
+
+def amplitude(theta: Sequence[float] | np.ndarray) -> float:
+    """Size of a change along one direction, along sine and cosine, or of masses at 0, 90 and 180 degrees."""
+    if len(theta) == 3:
+        return float(np.hypot(theta[0] - theta[2], theta[1]))
+    return float(np.linalg.norm(theta)) if len(theta) > 1 else float(theta[0])
+
+
+def changed(machine: Machine, changes: Sequence[tuple[Direction, float]]) -> Machine:
+    """The machine with each direction changed by `theta` usual sizes, next to the effects that it has; an effect that falls to nothing goes.
+
+    Two amounts of an effect add up, factors multiply, springs act in series, waves of one kind add up as phasors.
+    """
+    settings = {s.key: s for s in settings_of(machine)}
+    for direction, theta in changes:
+        new, own = direction.setting, settings.get(direction.setting.key)
+        if own is None:
+            softened = [s for s in settings.values() if s.axis == new.axis and s.effect.name in new.effect.contains]
+            kept = {f"contact_{name}": s.parameters[name] for s in softened for name in ("stiffness", "damping") if name in s.parameters}
+            new = replace(new, parameters={**new.parameters, **kept})  # a backlash closes on the spring that is there
+            settings = {key: s for key, s in settings.items() if s not in softened}
+        settings[new.key] = _moved(new, own, direction, theta)
+        if settings[new.key].is_nil:
+            del settings[new.key]
+    return with_effects(machine, list(settings.values()))
+
+
+def _moved(new: Setting, own: Setting | None, direction: Direction, theta: float) -> Setting:
+    """`own` (None: absent) changed by theta usual sizes of a direction."""
+    size, neutral = new.effect.size, new.effect.size.neutral or 0.0
+    if size.is_spring:
+        compliance = theta / direction.unit + (1.0 / own.size if own else 0.0)
+        return replace(own or new, parameters={**(own or new).parameters, size.name: 1.0 / compliance if compliance > 0.0 else math.inf})
+    if (angle := new.effect.phase or next((p for p in new.effect.parameters if p.periodic), None)) is not None:
+        wave = theta * direction.unit * cmath.exp(1j * new.parameters[angle.name])
+        wave += own.size * cmath.exp(1j * own.parameters[angle.name]) if own else 0.0
+        return replace(
+            own or new, parameters={**(own or new).parameters, size.name: abs(wave), angle.name: cmath.phase(wave) % (2.0 * math.pi)}
+        )
+    now = own.size if own else neutral
+    value = now * (1.0 + theta * direction.unit) if size.is_factor else now + theta * direction.unit
+    return replace(own or new, parameters={**(own or new).parameters, size.name: min(max(value, size.low), size.high)})

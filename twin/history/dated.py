@@ -50,16 +50,22 @@ def dated_campaigns(folder: Path) -> tuple[list[Dated], list[str]]:
         raise InputError(f"{folder}: no such folder; give a folder of dated campaigns, one subfolder or trace each")
     found = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".") and _is_one(p)]
     if not found:
-        raise InputError(f"{folder}: holds no campaign (a subfolder with campaign.toml) and no trace ({', '.join(TRACES)}); import recordings first")
-    days = [_day_of(p) for p in found]
+        raise InputError(
+            f"{folder}: holds no campaign (a subfolder with campaign.toml) and no trace ({', '.join(TRACES)}); import recordings first"
+        )
+    days = [day_of(p) for p in found]
     undated = [p for p, day in zip(found, days) if day is None]
     notes = []
     if len(undated) == len(found):
         found.sort(key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)])
         days = [FIRST + timedelta(weeks=i) for i in range(len(found))]
-        notes.append("no campaign has a day: they count as one week apart, in the order of their names; write recorded = 2026-05-03 in campaign.toml")
+        notes.append(
+            "no campaign has a day: they count as one week apart, in the order of their names; write recorded = 2026-05-03 in campaign.toml"
+        )
     elif undated:
-        raise InputError(f"{undated[0]}: has no day, others have; put it in the name (2026-05-03) or in campaign.toml as recorded = 2026-05-03")
+        raise InputError(
+            f"{undated[0]}: has no day, others have; put it in the name (2026-05-03) or in campaign.toml as recorded = 2026-05-03"
+        )
     dated = [Dated(p, day, digest_of(p)) for p, day in zip(found, days) if day is not None]
     unique: dict[str, Dated] = {}
     for one in sorted(dated, key=lambda d: (d.day, d.name)):
@@ -74,7 +80,8 @@ def _is_one(path: Path) -> bool:
     return (path / "campaign.toml").is_file() if path.is_dir() else path.suffix.lower() in TRACES
 
 
-def _day_of(path: Path) -> datetime | None:
+def day_of(path: Path) -> datetime | None:
+    """The day of a campaign or trace; None if it has none."""
     if path.is_dir():
         day = read_toml(path / "campaign.toml").get("recorded")
         if isinstance(day, datetime):
@@ -85,7 +92,8 @@ def _day_of(path: Path) -> datetime | None:
             raise InputError(f"{path / 'campaign.toml'}: recorded = {day!r} is no date; write recorded = 2026-05-03, without quotes")
     for match in _DAY.finditer(path.stem if path.suffix.lower() in TRACES else path.name):
         try:
-            return datetime(*(int(part) for part in match.groups(default="0")))
+            year, month, day, hour, minute = (int(part) for part in match.groups(default="0"))
+            return datetime(year, month, day, hour, minute)
         except ValueError:
             continue
     return None
@@ -108,5 +116,3 @@ def _files(path: Path) -> Sequence[Path]:
     runs = read_toml(toml).get("run", [])
     names = [run["file"] for run in runs if isinstance(run, dict) and isinstance(run.get("file"), str)] if isinstance(runs, list) else []
     return [toml, *(named_file(name, path, f"{toml}: file") for name in names)]
-
-

@@ -13,7 +13,7 @@ from twin.effects import EFFECTS
 from twin.effects.readable import interval_text
 from twin.history.change import Forecast
 from twin.history.columns import Direction, is_watched
-from twin.history.judge import FALSE_ALARM_WEEKS, Cause, Change, Judgement, causes_of, sizes_over_time
+from twin.history.judge import ALARM, FALSE_ALARM_WEEKS, Cause, Change, Judgement, causes_of, sizes_over_time
 from twin.history.series import LOAD, SCATTER
 from twin.machine.machine import Machine
 
@@ -28,6 +28,7 @@ def history_document(history: Judgement, machine: Machine, notes: list[str]) -> 
         "alarm": bool(changes),
         "rule": {
             "mean_recordings_between_false_alarms": FALSE_ALARM_WEEKS,
+            "alarm_at": ALARM,
             "statistic": float(history.evidence[-1]) if len(history.evidence) else 0.0,
             "causes": len(causes),
         },
@@ -72,9 +73,11 @@ def difference_text(entry: dict[str, Any], theta: float) -> str:
         return f"{effect_title(entry)} {'softer' if theta > 0 else 'stiffer'}, as by a spring of {_plain(abs(p['value']), p['unit'], parameter)} in series"
     neutral = 1.0 if parameter.is_factor else 0.0
     d, ends = p["value"] - neutral, sorted(abs(p[end] - neutral) for end in ("low", "high"))
-    low, high = (ends if (p["low"] - neutral) * (p["high"] - neutral) > 0 else (0.0, ends[1]))
+    low, high = ends if (p["low"] - neutral) * (p["high"] - neutral) > 0 else (0.0, ends[1])
     value, interval = interval_text(p["unit"], abs(d) + neutral, low + neutral, high + neutral, parameter)
-    return f"{effect_title(entry)} {value.lstrip('+')} {'more' if d > 0 else 'less'}" + (f" ({interval.replace('+', '')})" if interval else "")
+    return f"{effect_title(entry)} {value.lstrip('+')} {'more' if d > 0 else 'less'}" + (
+        f" ({interval.replace('+', '')})" if interval else ""
+    )
 
 
 def _plain(value: float, unit: str, parameter: Any) -> str:
@@ -87,22 +90,26 @@ def change_entry(history: Judgement, machine: Machine, change: Change) -> dict[s
     onset, alarm = history.rows[change.onset].day, history.rows[change.alarm].day
     text = f"{difference_text(entry, change.size.size)} since {onset:%Y-%m-%d}"
     if change.rivals:
-        text += f"; could also be {listed([effect_title(_cause(c)) for c in change.rivals])}"
+        text += f"; could also be {listed([effect_title(cause_entry(c)) for c in change.rivals])}"
     ahead = None if change.forecast is None else _days(change.forecast, history.rows[0].day)
     if ahead is not None:
         text += f"; at this rate its usual size as a fault is reached on {ahead['day'] or 'no near day'}"
     return {
         **entry,
-        "usual_sizes": {"value": change.size.size, "low": change.size.size - change.size.half(), "high": change.size.size + change.size.half()},
+        "usual_sizes": {
+            "value": change.size.size,
+            "low": change.size.size - change.size.half(),
+            "high": change.size.size + change.size.half(),
+        },
         "onset": onset.isoformat(),
         "alarm": alarm.isoformat(),
-        "ambiguous_with": [_cause(c) for c in change.rivals],
+        "ambiguous_with": [cause_entry(c) for c in change.rivals],
         "forecast": ahead,
         "sentence": text,
     }
 
 
-def _cause(cause: Cause) -> dict[str, str]:
+def cause_entry(cause: Cause) -> dict[str, str]:
     effect, axis, source = cause
     return {"effect": effect, "axis": axis, **({"from_axis": source} if source else {})}
 
@@ -111,7 +118,12 @@ def _days(forecast: Forecast, first: datetime) -> dict[str, str | None]:
     def day(after: float) -> str | None:
         return (first + timedelta(days=after)).date().isoformat() if math.isfinite(after) else None
 
-    return {"limit": "usual size of the effect", "day": day(forecast.day), "earliest": day(forecast.earliest), "latest": day(forecast.latest)}
+    return {
+        "limit": "usual size of the effect",
+        "day": day(forecast.day),
+        "earliest": day(forecast.earliest),
+        "latest": day(forecast.latest),
+    }
 
 
 def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, list[int]]]) -> dict[str, Any]:
@@ -130,7 +142,7 @@ def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, l
         direction = one.directions[k]
         out.setdefault(cause[1], []).append(
             {
-                **_cause(cause),
+                **cause_entry(cause),
                 "unit": {"usual_size": direction.unit, "of": direction.setting.effect.size.unit(machine.axis(cause[1]))},
                 "scatter": scatter,
                 "smallest_change": 5.0 * scatter,
@@ -138,14 +150,17 @@ def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, l
                 "usual_sizes": y.tolist(),
             }
         )
-    return {axis: sorted(rows, key=lambda row: row["effect"]) for axis, rows in sorted(out.items(), key=lambda i: machine.axis_names.index(i[0]))}
+    return {
+        axis: sorted(rows, key=lambda row: row["effect"])
+        for axis, rows in sorted(out.items(), key=lambda i: machine.axis_names.index(i[0]))
+    }
 
 
 def _not_seen(history: Judgement) -> list[dict[str, str]]:
     """Causes that these recordings do not show at a fifth of their usual size, whatever its wave."""
     seen = causes_of(history.series)
     all_of = {d.cause for one in history.series for d in one.directions if SCATTER.get(d.setting.effect.name) != LOAD}
-    return [_cause(cause) for cause in sorted(all_of) if cause not in seen]
+    return [cause_entry(cause) for cause in sorted(all_of) if cause not in seen]
 
 
 def summary_text(document: dict[str, Any]) -> str:
@@ -157,5 +172,7 @@ def summary_text(document: dict[str, Any]) -> str:
     if not document["changes"]:
         lines.append("  no change beyond what normally differs")
     if document["not_seen"]:
-        lines.append(f"  not seen in these recordings: {listed([effect_title(c) for c in document['not_seen'][:6]])}{' and others' * (len(document['not_seen']) > 6)}")
+        lines.append(
+            f"  not seen in these recordings: {listed([effect_title(c) for c in document['not_seen'][:6]])}{' and others' * (len(document['not_seen']) > 6)}"
+        )
     return "\n".join([*lines, *(f"  note: {note}" for note in document["notes"])])

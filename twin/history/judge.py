@@ -1,8 +1,8 @@
 """The judgement of a history: which axis changed, when, by what cause and how much, and when it reaches a limit.
 
-The rule runs through the recordings by day. At each it averages the evidence for a change (`twin.history.change`) over all causes; above
-`FALSE_ALARM_WEEKS` it raises an alarm. The alarm names the cause that explains the change of all directions of its group best. The recordings from
-the onset on then become the new reference.
+The rule runs through the recordings by day. At each it averages the evidence for a change (`twin.history.change`) over all causes of the machine; where
+one group of axes brings it above `ALARM`, it raises an alarm. The alarm names the cause that explains the change of all directions of its group best.
+The recordings from the onset on then become the new reference of that group.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ from typing import Any
 import numpy as np
 
 from twin.history.change import LONGEST, Forecast, Level, evidence, forecast, level
-from twin.history.columns import Direction
+from twin.history.columns import Direction, amplitude
 from twin.history.series import LOAD, SCATTER, Series, constants_of, programs_of, series_of, thermometers
 from twin.history.store import Row
 
-FALSE_ALARM_WEEKS = 1000.0
-"""Mean number of recordings between false alarms of one machine."""
+FALSE_ALARM_WEEKS, ALARM = 1000.0, 3000.0
+"""Mean number of recordings between false alarms of one machine as stated, and the evidence that an alarm needs: it holds that rate three times over,
+because the scatter of real recordings is not quite normal and independent.
+"""
 
-LEAST = 0.05
-"""Change in usual sizes below which nothing is reported: no machine suffers from it."""
+LEAST = 0.1
+"""Change in usual sizes below which nothing is reported: half of what an alarm should find."""
 
 LEAST_SCATTER = 0.003
 """Smallest scatter between recordings in usual sizes: the twin is linear in small changes only."""
@@ -79,23 +81,27 @@ def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction
     history = Judgement(rows, series, nuisances)
     causes = causes_of(series)
     changes: list[Change] = []
-    total, start = np.zeros(len(rows)), 0
+    total, start = np.zeros(len(rows)), [0] * len(series)
     for now in range(len(rows)):
-        by_cause, onsets = _evidence(history, causes, max(start, now + 1 - LONGEST), now + 1)
+        by_cause, onsets = _evidence(history, causes, [max(first, now + 1 - LONGEST) for first in start], now + 1)
         total[now] = sum(by_cause.values()) / max(len(causes), 1)
-        if total[now] > FALSE_ALARM_WEEKS:
-            loudest = max(by_cause, key=lambda cause: by_cause[cause])
-            change = _change(history, causes, causes[loudest][0], start, onsets[loudest], now)
-            start = max(onsets[loudest], start + 1)
-            if change is not None:
-                changes.append(change)
+        for group in range(len(series)):
+            own = {cause: e / len(causes) for cause, e in by_cause.items() if causes[cause][0] == group}
+            if sum(own.values()) > ALARM:
+                loudest = max(own, key=lambda cause: own[cause])
+                change = _change(history, causes, group, start[group], onsets[loudest], now)
+                if change is not None:
+                    start[group] = change.onset
+                    changes.append(change)
     return replace(history, changes=_joined(history, causes, changes), evidence=total)
 
 
-def _evidence(history: Judgement, causes: dict[Cause, Any], start: int, stop: int) -> tuple[dict[Cause, float], dict[Cause, int]]:
-    """Evidence and onset of each cause at the last of the rows from `start` to `stop`."""
+def _evidence(
+    history: Judgement, causes: dict[Cause, Any], starts: Sequence[int], stop: int
+) -> tuple[dict[Cause, float], dict[Cause, int]]:
+    """Evidence and onset of each cause at the row before `stop`; `starts` are the first rows of the reference of each group."""
     by_cause, onsets = {}, {}
-    for g, (one, nuisance) in enumerate(zip(history.series, history.nuisances)):
+    for g, (one, nuisance, start) in enumerate(zip(history.series, history.nuisances, starts)):
         inside = (one.at >= start) & (one.at < stop)
         if one.at[inside].size < 3 or one.at[inside][-1] != stop - 1:
             continue
@@ -125,14 +131,14 @@ def _change(history: Judgement, causes: dict[Cause, Any], group: int, start: int
     best: dict[Cause, tuple[float, int, float]] = {}
     for cause, block, (gain, theta) in zip(owners, blocks, explained):
         if gain > best.get(cause, (0.0, 0, 0.0))[0]:
-            best[cause] = gain, block[0], float(np.linalg.norm(theta)) if len(block) > 1 else float(theta[0])
+            best[cause] = gain, block[0], amplitude(theta)
     if not best:
         return None
     order = sorted(best, key=lambda cause: -best[cause][0])
-    gain, k, theta = best[order[0]]
-    if abs(theta) < LEAST:
+    gain, k, moved = best[order[0]]
+    if abs(moved) < LEAST:
         return None
-    size = replace(levels[k], size=theta)
+    size = replace(levels[k], size=moved)
     rivals = tuple(cause for cause in order[1:4] if best[cause][0] > RIVAL * gain)
     return Change(order[0], one.directions[k], onset, now, size, rivals, first=start)
 

@@ -26,7 +26,10 @@ def write_history_page(document: dict[str, Any], path: Path) -> None:
     folded = [
         Table(
             ("effect", "scatter [usual sizes]", "smallest change that shows", "now"),
-            [[e["effect"].replace("_", " "), f"{e['scatter']:.3f}", f"{e['smallest_change']:.2f}", f"{e['usual_sizes'][-1]:+.3f}"] for e in effects],
+            [
+                [e["effect"].replace("_", " "), f"{e['scatter']:.3f}", f"{e['smallest_change']:.2f}", f"{e['usual_sizes'][-1]:+.3f}"]
+                for e in effects
+            ],
             folded=f"All effects of axis {axis}",
         )
         for axis, effects in document["axes"].items()
@@ -34,7 +37,7 @@ def write_history_page(document: dict[str, Any], path: Path) -> None:
     sections = [
         Section("What changed", tables=[Table(("effect", "axis", "since", "alarm", "what"), rows, left=5)] if rows else [],
                 paragraphs=[f"One rule for all {rule['causes']} effects and axes: at most one false alarm in {rule['mean_recordings_between_false_alarms']:.0f} "
-                            f"recordings. The evidence now is {rule['statistic']:.3g}; the alarm is at {rule['mean_recordings_between_false_alarms']:.0f}."]),
+                            f"recordings. The evidence now is {rule['statistic']:.3g}; the alarm is at {rule['alarm_at']:.0f}."]),
         Section("Sizes over time", figures=[Figure(figure_svg(sparklines(document)), "One row an axis: the effects that moved most. Size in usual sizes of the "
                 "effect as a fault, free of temperature, season, tool and workpiece; grey: twice the scatter between recordings; red: since the onset.")],
                 tables=folded),

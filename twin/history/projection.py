@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+import functools
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from twin.diagnose.simulations import Mapper
 from twin.diagnose.tuning import FREE, zeros_of
 from twin.diagnose.view import RunView, view_of
 from twin.effects import with_effects
-from twin.history.columns import Direction, directions_of
+from twin.history.columns import Direction, changed, directions_of
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 
@@ -61,19 +62,24 @@ def projected(machine: Machine, run: MeasuredRun, axes: tuple[str, ...], mapper:
     group = observe([view or reference_view(machine, run)], axes)
     if not group.size:
         return None
-    return projection_of(group, responses(group, directions_of(machine, axes), mapper))
+    return projection_of(group, responses(group, directions_of(machine, axes), mapper), group.residual)
 
 
 def responses(group: Group, directions: Sequence[Direction], mapper: Mapper) -> np.ndarray:
     """Weighted response (row, direction) to each unit effect; zero where it cannot be simulated."""
-    found: list[Any] = group.responses([Variation(None, [d.setting]) for d in directions], mapper=mapper)
+    found: list[Any] = group.responses([variation([(d, 1.0)]) for d in directions], mapper=mapper)
     return np.column_stack([c if isinstance(c, np.ndarray) else np.zeros(group.size) for c in found])
 
 
-def projection_of(group: Group, columns: np.ndarray) -> Projection:
+def variation(changes: Sequence[tuple[Direction, float]]) -> Variation:
+    """The machine of a view with changes of size."""
+    return Variation(functools.partial(changed, changes=changes))
+
+
+def projection_of(group: Group, columns: np.ndarray, residual: np.ndarray) -> Projection:
     """Inner products over all rows of a group; rows that depend on how an axis stuck hardly count."""
     weight = np.sqrt(group.credit)
-    x = np.column_stack([columns, group.residual, zeros_of(group)]) * weight[:, None]
+    x = np.column_stack([columns, residual, zeros_of(group)]) * weight[:, None]
     k = columns.shape[1]
     products = x.T @ x
     free = products[k + 1 :, k + 1 :] + FREE * np.eye(len(products) - k - 1)

@@ -128,12 +128,17 @@ def programs_of(rows: Sequence[Row]) -> np.ndarray:
     known: list[tuple[float, ...]] = []
     numbers = []
     for row in rows:
-        same = (k for k, p in enumerate(known) if len(p) == len(row.program) and np.allclose(p, row.program, rtol=SAME_PROGRAM, atol=1e-6))
+        same = (k for k, p in enumerate(known) if same_program(p, row.program))
         k = next(same, len(known))
         known += [row.program] if k == len(known) else []
         numbers.append(k)
     counts = np.bincount(numbers)
     return np.array([k if counts[k] > 2 else -1 for k in numbers])
+
+
+def same_program(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Do two recordings have the same axes, paths and travels?"""
+    return len(a) == len(b) and np.allclose(a, b, rtol=SAME_PROGRAM, atol=1e-6)
 
 
 def constants_of(programs: np.ndarray) -> np.ndarray:

@@ -68,7 +68,11 @@ class Store:
         try:
             yield
         except (sqlite3.DatabaseError, zlib.error, ValueError, TypeError) as error:
-            what = "another twin command is writing here; wait for it" if "locked" in str(error) else f"cannot be used ({error}); check the disk"
+            what = (
+                "another twin command is writing here; wait for it"
+                if "locked" in str(error)
+                else f"cannot be used ({error}); check the disk"
+            )
             raise InputError(f"{self.path}: {what} or give another --out") from None
 
     @contextlib.contextmanager

@@ -1,6 +1,6 @@
 """`twin watch`: dated campaigns into a history, each judged once, and what the history says.
 
-    dated campaigns -> one projection each (stored, one transaction a campaign) -> series of sizes -> changes, causes, forecasts -> document, page
+dated campaigns -> one projection each (stored, one transaction a campaign) -> series of sizes -> changes, causes, forecasts -> document, page
 """
 
 from __future__ import annotations
@@ -76,7 +76,11 @@ def program_of(runs: Sequence[MeasuredRun]) -> tuple[float, ...]:
     out: list[float] = []
     for axis in sorted({axis for run in runs for axis in run.trace.axes}):
         points = [run.trace.get(axis, "setpoint") for run in runs if axis in run.trace.axes]
-        out += [float(sum(np.abs(np.diff(p)).sum() for p in points)), float(min(p.min() for p in points)), float(max(p.max() for p in points))]
+        out += [
+            float(sum(np.abs(np.diff(p)).sum() for p in points)),
+            float(min(p.min() for p in points)),
+            float(max(p.max() for p in points)),
+        ]
     return tuple(float(f"{value:.6g}") for value in out)
 
 

@@ -1,0 +1,320 @@
+"""What is different from a baseline: the twin is brought to the baseline first, then the changes of the machine are searched.
+
+The reference M0 is the corrected machine of the baseline. b and G of each run (`twin.history.projection`) are taken about M0. A run with a counterpart in
+the baseline, of the same program, moves by
+
+    b(now) - mean b(baseline) = G theta + noise
+
+whatever the twin lacks. A run without one is compared with the offset that all runs of the baseline have in common, and what differs there from run to
+run is noise. Causes enter one by one, the one that explains most first; each time the present is simulated anew with the changes found (Gauss-Newton with
+fixed slopes), so that a large change leaves no remainder that looks like a small one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+import functools
+
+import numpy as np
+
+from twin.diagnose.observe import Group, observe
+from twin.diagnose.settings import DEFAULT
+from twin.diagnose.simulations import Mapper
+from twin.errors import TwinError
+from twin.history.columns import Direction, amplitude, changed, directions_of
+from twin.history.projection import Projection, groups_of, projection_of, reference_view, responses, variation
+from twin.history.series import filters, information, same_program
+from twin.history.watch import program_of
+from twin.machine.machine import Machine
+from twin.recordings.campaign import Campaign, MeasuredRun
+
+REPEATS, KNOWN = 0.01, 3.0
+"""Scatter between repetitions [usual sizes] that is assumed before any is known, and the number of repetitions that it counts for."""
+
+OFFSET = 5.0
+"""Standard deviation of what the twin may lack in the baseline [usual sizes]."""
+
+LEAST = 0.05
+"""Change in usual sizes below which nothing is reported."""
+
+MOST, STEPS = 6, 4
+"""Largest number of changes of a group of axes; simulations of the changes until their sizes are settled."""
+
+RIVAL = 0.8
+"""Share of the best cause's evidence from which another cause is named beside it."""
+
+SEEN = 100.0
+"""Information [1 / usual size^2] from which a cause shows: a fifth of its usual size at two standard deviations."""
+
+Cause = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A change of one cause: its directions with their sizes [usual sizes], the standard error of the size, evidence and rivals."""
+
+    cause: Cause
+    changes: tuple[tuple[Direction, float], ...]
+    error: float
+    evidence: float  # [nat]
+    probability: float
+    rivals: tuple[Cause, ...]
+    runs: tuple[str, ...]  # where it shows, clearest first
+
+    @property
+    def direction(self) -> Direction:
+        return self.changes[0][0]
+
+    @property
+    def size(self) -> float:
+        """Its size: the amplitude of a wave."""
+        return amplitude([t for _, t in self.changes])
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Changes of one group of axes; levels over the noise of repetitions, on runs left out of the fit; candidates with evidence and size."""
+
+    axes: tuple[str, ...]
+    found: tuple[Difference, ...]
+    before: float
+    after: float
+    held_out: tuple[str, ...]
+    candidates: tuple[tuple[Cause, float, float, Direction], ...]  # cause, evidence [nat], size, direction
+    not_seen: tuple[Cause, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """The difference of a group from the baseline, run by run: the groups with their responses, G, and the change of b.
+
+    The noise of a change of b has the covariance V = `noise` (G + G S G), S the squares of the scatter between repetitions; `noise` is 1 + 1 / repetitions.
+    """
+
+    directions: Sequence[Direction]
+    groups: Sequence[tuple[str, Group, np.ndarray]]  # run, group, responses (row, direction)
+    grams: Sequence[np.ndarray]
+    changes: Sequence[np.ndarray]
+    scatter: np.ndarray
+    noise: float
+    notes: Sequence[str]
+
+    @functools.cached_property
+    def gram(self) -> np.ndarray:
+        """G of all runs."""
+        return np.asarray(np.sum(self.grams, axis=0))
+
+    @functools.cached_property
+    def change(self) -> np.ndarray:
+        """Change of b over all runs."""
+        return np.asarray(np.sum(self.changes, axis=0))
+
+    @functools.cached_property
+    def filters(self) -> np.ndarray:
+        return filters(self.gram, self.scatter)
+
+    @functools.cached_property
+    def information(self) -> np.ndarray:
+        return information(self.gram, self.scatter)
+
+    @functools.cached_property
+    def blocks(self) -> list[list[int]]:
+        """Directions that can be seen, sine and cosine of a wave together."""
+        own = np.diag(self.information)
+        seen = own / np.maximum(1.0 - self.scatter**2 * own, 1e-12) > SEEN
+        waves: dict[tuple[object, ...], list[int]] = {}
+        for k, d in enumerate(self.directions):
+            if seen[k]:
+                waves.setdefault((d.cause, d.wave), []).append(k)
+        return list(waves.values())
+
+    def sizes(self, change: np.ndarray, free: list[int]) -> np.ndarray:
+        """Sizes of some directions together that explain a change of b best (free,)."""
+        return np.asarray(np.linalg.lstsq(self.information[np.ix_(free, free)], (self.filters.T @ change)[free], rcond=1e-9)[0])
+
+    def evidence(self, change: np.ndarray, free: list[int]) -> float:
+        """Log likelihood [nat] that some directions explain together of a change of b."""
+        return 0.5 * float(self.sizes(change, free) @ (self.filters.T @ change)[free]) / self.noise if free else 0.0
+
+    def level(self, change: np.ndarray) -> float:
+        """RMS of a change of b over its noise, in all directions: sqrt(b' V^-1 b / rank)."""
+        values, vectors = np.linalg.eigh(0.5 * (self.gram + self.gram.T))
+        kept = values > 1e-9 * max(values.max(initial=0.0), 1e-300)
+        theta = vectors[:, kept] @ (vectors[:, kept].T @ change / values[kept])  # V^-1 = G^+ A G^+
+        return float(np.sqrt(max(theta @ self.information @ theta, 0.0) / max(kept.sum(), 1) / self.noise))
+
+    def simulated(self, theta: np.ndarray, mapper: Mapper) -> np.ndarray | None:
+        """b of the changes theta, simulated, by the slopes about the reference; None if they cannot be simulated."""
+        changes = [(self.directions[k], float(theta[k])) for k in np.flatnonzero(theta).tolist()]
+        total = np.zeros(len(theta))
+        for _, group, columns in self.groups:
+            answer = group.responses([variation(changes)], mapper=mapper)[0]
+            if isinstance(answer, TwinError):
+                return None
+            total += projection_of(group, columns, answer).right
+        return total
+
+    def one_run(self, i: int) -> Contrast:
+        """The contrast of one run."""
+        return replace(self, grams=[self.grams[i]], changes=[self.changes[i]])
+
+    def other_runs(self, i: int) -> Contrast:
+        """The contrast without one run."""
+        return replace(self, grams=[*self.grams[:i], *self.grams[i + 1 :]], changes=[*self.changes[:i], *self.changes[i + 1 :]])
+
+
+def differences(
+    present: Campaign, baselines: Sequence[Campaign], reference: Machine, mapper: Mapper, progress: Callable[[str], None]
+) -> tuple[list[Differences], Machine]:
+    """The changes of each group of axes, and the machine of today: the reference with them."""
+    out, machine = [], reference
+    for axes in groups_of(reference, present.runs):
+        progress(f"{'+'.join(axes)}: comparing with the baseline")
+        contrast = contrast_of(present, baselines, reference, axes, mapper)
+        if contrast is not None:
+            progress(f"{'+'.join(axes)}: looking for what changed")
+            out.append(_searched(contrast, axes, mapper))
+            machine = changed(machine, [c for d in out[-1].found for c in d.changes])
+    return out, machine
+
+
+def contrast_of(
+    present: Campaign, baselines: Sequence[Campaign], machine: Machine, axes: tuple[str, ...], mapper: Mapper
+) -> Contrast | None:
+    """The runs that have a counterpart against it, or all runs against what the baseline has in common; None if the baseline does not move the axes."""
+    directions, default = directions_of(machine, axes), np.full(len(directions_of(machine, axes)), REPEATS)
+
+    def projected(runs: Sequence[MeasuredRun]) -> Iterator[tuple[MeasuredRun, Group, np.ndarray, Projection]]:
+        for run in runs:
+            group = observe([reference_view(machine, run)], axes)
+            if group.size:
+                columns = responses(group, directions, mapper).astype(np.float32)
+                yield run, group, columns, projection_of(group, columns, group.residual)
+
+    then = [[(program_of([run]), run.feedforward, p) for run, _, _, p in projected(b.runs)] for b in baselines]
+    if not any(then):
+        return None
+    now = list(projected(present.runs))
+    twins = [
+        [p for of in then for program, feedforward, p in of if feedforward == run.feedforward and same_program(program, program_of([run]))]
+        for run, *_ in now
+    ]
+    notes, name = [], ", ".join(axes)
+    if any(twins):
+        used = [i for i, found in enumerate(twins) if found]
+        if alone := [run.name for i, (run, *_) in enumerate(now) if i not in used]:
+            notes.append(f"axes {name}: {', '.join(alone)} not compared: the baseline has no run of this program")
+        changes = [now[i][3].right - np.mean([p.right for p in twins[i]], axis=0) for i in used]
+        repeats = min(len(twins[i]) for i in used)
+        gram = np.sum([now[i][3].gram for i in used], axis=0)
+        repeated = [_sizes(gram, np.sum([twins[i][r].right - twins[i][0].right for i in used], axis=0), default) for r in range(repeats)]
+        noise = 1.0 + 1.0 / repeats
+    else:
+        everything = [p for of in then for _, _, p in of]
+        used, total = list(range(len(now))), np.sum([p.gram for p in everything], axis=0)
+        offset = np.linalg.solve(total + np.eye(len(total)) / OFFSET**2, np.sum([p.right for p in everything], axis=0))
+        changes = [p.right - p.gram @ offset for *_, p in now]
+        repeated = [_sizes(p.gram, p.right - p.gram @ offset, default) for p in everything]
+        noise = 1.0
+        notes.append(
+            f"axes {name}: other programs than in the baseline; a change shows only beyond what differs between the runs of the baseline"
+        )
+    spread = np.sum((np.array(repeated) - np.mean(repeated, axis=0)) ** 2, axis=0)
+    scatter = np.sqrt((KNOWN * REPEATS**2 + spread) / (KNOWN + len(repeated) - 1))
+    groups = [(now[i][0].name, now[i][1], now[i][2]) for i in used]
+    return Contrast(directions, groups, [now[i][3].gram for i in used], changes, scatter, noise, notes)
+
+
+def _sizes(gram: np.ndarray, right: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    own = np.diag(information(gram, scatter))
+    return np.asarray(filters(gram, scatter).T @ right / np.where(own > 0.0, own, np.inf))
+
+
+def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Differences:
+    """The causes that enter one by one, with the present simulated anew after each."""
+    d, blocks, first = contrast.directions, contrast.blocks, contrast.change
+    theta, explained = np.zeros(len(d)), np.zeros(len(d))  # sizes, and the b of these changes
+    alone = sorted(((contrast.evidence(first, b), b) for b in blocks), key=lambda one: -one[0])
+    candidates = tuple((d[b[0]].cause, e, amplitude(contrast.sizes(first, b)), d[b[0]]) for e, b in alone)
+    entered: list[tuple[list[int], float, list[tuple[Cause, float]]]] = []  # block, evidence, rivals with theirs
+    while len(entered) < MOST:
+        taken, left = [k for b, _, _ in entered for k in b], first - explained
+        before = contrast.evidence(left, taken)
+        gains = [(contrast.evidence(left, [*taken, *b]) - before, b) for b in blocks if b[0] not in taken]
+        gains.sort(key=lambda one: -one[0])
+        if not gains:
+            break
+        gain, block = gains[0]
+        free = [*taken, *block]
+        step = np.zeros(len(d))
+        step[free] = contrast.sizes(left, free)
+        inflation = max(1.0, contrast.level(left - contrast.gram @ step) ** 2)
+        if gain / inflation < DEFAULT.evidence + np.log(len(blocks)) or abs(amplitude((theta + step)[block])) < LEAST:
+            break
+        cause = d[block[0]].cause
+        entered.append(
+            (block, gain / inflation, [(d[b[0]].cause, g / inflation) for g, b in gains[1:] if g > RIVAL * gain and d[b[0]].cause != cause])
+        )
+        theta, explained = _resimulated(contrast, theta, explained, free, mapper)
+        entered = [one for one in entered if abs(amplitude(theta[one[0]])) >= LEAST]
+    after = contrast.level(first - explained)
+    free = [k for b, _, _ in entered for k in b]
+    covariance = np.linalg.pinv(contrast.information[np.ix_(free, free)]) * contrast.noise * max(1.0, after**2)
+    found = []
+    for block, evidence, rivals in entered:
+        error = np.sqrt(covariance[free.index(block[0]), free.index(block[0])])
+        odds = sum(np.exp(max(e - evidence, -50.0)) for _, e in rivals)
+        shows = [theta[block] @ g[np.ix_(block, block)] @ theta[block] for g in contrast.grams]
+        found.append(
+            Difference(
+                d[block[0]].cause,
+                tuple((d[k], float(theta[k])) for k in block),
+                float(np.hypot(error, DEFAULT.model_error * amplitude(theta[block]))),
+                evidence,
+                float(min(DEFAULT.confidence, 1.0 / (1.0 + odds))),
+                tuple(dict.fromkeys(c for c, _ in rivals[:3])),
+                tuple(contrast.groups[i][0] for i in np.argsort(shows)[::-1][:3]),
+            )
+        )
+    levels = _held_out(contrast, theta, explained)
+    seen = {d[b[0]].cause for b in blocks}
+    unseen = tuple(sorted({one.cause for one in d} - seen))
+    return Differences(
+        axes, tuple(found), *levels, tuple(name for name, _, _ in contrast.groups), candidates, unseen, tuple(contrast.notes)
+    )
+
+
+def _resimulated(
+    contrast: Contrast, theta: np.ndarray, explained: np.ndarray, free: list[int], mapper: Mapper
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes of the free directions after simulating the present with the changes, and the b of these changes."""
+    theta = theta.copy()
+    for _ in range(STEPS):
+        step = np.zeros(len(theta))
+        step[free] = contrast.sizes(contrast.change - explained, free)
+        theta += step
+        simulated = contrast.simulated(theta, mapper)
+        if simulated is None:
+            return theta, explained + contrast.gram @ step
+        explained = simulated
+        if np.abs(step).max() < 0.01 * np.abs(theta).max():
+            break
+    return theta, explained
+
+
+def _held_out(contrast: Contrast, theta: np.ndarray, explained: np.ndarray) -> tuple[float, float]:
+    """Level of the difference in each run before, and after with the sizes fitted to the other runs; RMS over runs."""
+    free, bent = np.flatnonzero(theta).tolist(), explained - contrast.gram @ theta  # what is not linear in the changes
+    levels = []
+    for i, (gram, change) in enumerate(zip(contrast.grams, contrast.changes)):
+        share = bent * (np.trace(gram) / max(np.trace(contrast.gram), 1e-300))
+        fitted = theta.copy()
+        if free and len(contrast.grams) > 1:
+            rest = contrast.other_runs(i)
+            fitted[free] += rest.sizes(rest.change - rest.gram @ theta - (bent - share), free)
+        own = contrast.one_run(i)
+        levels.append((own.level(change), own.level(change - gram @ fitted - share)))
+    before, after = np.sqrt(np.mean(np.square(levels), axis=0))
+    return float(before), float(after)

@@ -1,0 +1,223 @@
+"""`diagnosis.json`, machine file and report of a diagnosis since a baseline: the effects are the differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from twin.diagnose import diagnose
+from twin.diagnose.budget import Part, budget_over, document_of
+from twin.diagnose.check import check_campaign
+from twin.diagnose.output import write_diagnosis
+from twin.diagnose.settings import DEFAULT
+from twin.diagnose.simulations import Mapper, on_threads
+from twin.diagnose.wording import listed
+from twin.effects import Setting, settings_of
+from twin.files import output_folder, write_json
+from twin.history.columns import changed
+from twin.history.document import cause_entry, difference_text, entry_of
+from twin.history.projection import reference_view
+from twin.history.since import Difference, Differences, differences
+from twin.machine.machine import Machine, write_machine
+from twin.recordings.campaign import Campaign
+from twin.report import Section, Table, write_page
+from twin.simulation.gap import sensor_noise
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def diagnosed_since(
+    present: Campaign,
+    baselines: Sequence[Campaign],
+    days: Sequence[datetime | None],
+    machine: Machine,
+    out: Path,
+    quick: bool,
+    seed: int,
+    progress: Callable[[str], None],
+) -> tuple[dict[str, Any], Machine]:
+    """The document, and the machine of today. The latest baseline is diagnosed in OUT/baseline, unless the machine has effects already."""
+    reference = machine
+    check_campaign(present, machine)
+    if not machine.effects:
+        diagnosis = diagnose(baselines[-1], machine, quick=quick, seed=seed, progress=progress)
+        write_diagnosis(diagnosis, out / "baseline")
+        reference = diagnosis.corrected
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        found, today = differences(present, baselines, reference, on_threads(pool), progress)
+        progress("computing the budget")
+        named = [(b.path.name, day) for b, day in zip(baselines, days)]
+        return since_document(found, present, named, reference, today, on_threads(pool)), today
+
+
+def since_document(
+    found: Sequence[Differences],
+    present: Campaign,
+    baselines: Sequence[tuple[str, datetime | None]],
+    reference: Machine,
+    machine: Machine,
+    mapper: Mapper,
+) -> dict[str, Any]:
+    """The document. `baselines` are names and days."""
+    several = [one for d in found for one in d.found]
+    before, after = (float(np.sqrt(np.mean([getattr(d, which) ** 2 for d in found]))) if found else 1.0 for which in ("before", "after"))
+    explained = {d.axes: _explained(d) for d in found}
+    budget = _budget(several, present, reference, machine, mapper)
+    tool = {(row["effect"], row["axis"], row.get("from_axis")): row["tool_point"] for row in budget["rows"]}
+    effects = []
+    for d in found:
+        for one in d.found:
+            entry = entry_of(one.direction, reference, one.size, 1.96 * one.error)
+            entry |= {
+                "probability": one.probability,
+                "explained": explained[d.axes],
+                "was": _before(reference, one),
+                "sentence": difference_text(entry, one.size),
+            }
+            effects.append(entry)
+    effects.sort(key=lambda e: -tool.get((e["effect"], e["axis"], e.get("from_axis")), 0.0))
+    left = max((d.after for d in found), default=1.0)
+    unknown = left > 2.0 * DEFAULT.unexplained_gap
+    when = listed([name if day is None else f"{day:%Y-%m-%d}" for name, day in baselines])
+    return {
+        "verdict": "unknown" if unknown else "effect" if effects else "none",
+        "since": [name for name, _ in baselines],
+        "sentence": _sentence(effects, when, unknown),
+        "effects": effects,
+        "candidates": _candidates(found, effects, reference),
+        "where": _where(found, several),
+        "gap": {
+            "before": before,
+            "after": after,
+            "noise_floor": 1.0,
+            "unit": "RMS of the difference from the baseline in the directions of the effects, in multiples of what repetitions differ by",
+            "held_out_runs": sorted({name for d in found if len(d.held_out) > 1 for name in d.held_out}),
+        },
+        "budget": budget,
+        "ambiguous_with": [
+            {**cause_entry(r), "instead_of": one.cause[0], "instead_of_axis": one.cause[1]} for one in several for r in one.rivals
+        ],
+        "not_visible": [{**cause_entry(c), "usual_sizes": None} for d in found for c in d.not_seen],
+        "next_measurement": "the same programs once more: two recordings of one day show what differs between repetitions",
+        "laws": [],
+        "notes": [note for d in found for note in d.notes],
+    }
+
+
+def _explained(d: Differences) -> float:
+    return float(np.clip(1.0 - max(d.after**2 - 1.0, 0.0) / max(d.before**2 - 1.0, 1e-9), 0.0, 1.0))
+
+
+def _before(reference: Machine, one: Difference) -> dict[str, float]:
+    """Parameters of the effect in the baseline; empty if it had none."""
+    own = {s.key: s for s in settings_of(reference)}.get(one.direction.setting.key)
+    return dict(own.parameters) if own else {}
+
+
+def _sentence(effects: Sequence[dict[str, Any]], when: str, unknown: bool) -> str:
+    changes = "; ".join(e["sentence"] for e in effects)
+    if unknown:
+        return f"Since {when} something changed that no effect explains" + (f"; part of it is {changes}." if changes else ".")
+    return f"Since {when}: {changes}." if changes else f"No difference from {when} beyond noise and what repetitions differ by."
+
+
+def _candidates(found: Sequence[Differences], effects: Sequence[dict[str, Any]], machine: Machine) -> list[dict[str, Any]]:
+    """All causes, those found first, then by evidence."""
+    rows: dict[tuple[str, str, str], tuple[float, dict[str, Any]]] = {}
+    for d in found:
+        for cause, evidence, size, direction in d.candidates:
+            if cause not in rows:
+                rows[cause] = (
+                    evidence,
+                    {**entry_of(direction, machine, size, 0.0), "probability": 0.0, "explained": 0.0, "evidence": evidence},
+                )
+    named = {(e["effect"], e["axis"], e.get("from_axis", "")) for e in effects}
+    return [*effects, *(row for cause, (_, row) in sorted(rows.items(), key=lambda one: -one[1][0]) if cause not in named)]
+
+
+def _where(found: Sequence[Differences], several: Sequence[Difference]) -> list[dict[str, Any]]:
+    total = sum(one.evidence for one in several) or 1.0
+    rows = [
+        {
+            "axis": one.cause[1],
+            "block": one.direction.setting.effect.block,
+            "share": one.evidence / total,
+            "scales_with": "-",
+            "regime": "all",
+            "runs": list(one.runs),
+        }
+        for one in several
+    ]
+    rows += [
+        {"axis": d.axes[0], "block": "mechanics", "share": 0.0, "scales_with": "-", "regime": "all", "runs": list(d.held_out[:3])}
+        for d in found
+        if d.after > 2.0 * DEFAULT.unexplained_gap
+    ]
+    return sorted(rows, key=lambda row: -row["share"])
+
+
+def _budget(several: Sequence[Difference], present: Campaign, reference: Machine, machine: Machine, mapper: Mapper) -> dict[str, Any]:
+    """What each change moves: the machine of today with and without it, over the runs of today."""
+    views = [reference_view(reference, run) for run in present.runs]
+    rotary = tuple(a.name for a in reference.axes if a.kind == "rotary")
+    parts = []
+    for one in several:
+        effect = one.direction.setting.effect
+        own = next(
+            (s for s in settings_of(machine) if s.key == one.direction.setting.key), Setting(effect, one.cause[1], {}, one.cause[2] or None)
+        )
+        moved = rotary if effect.edits_bodies else (one.cause[1],)
+        without = changed(reference, [c for other in several if other is not one for c in other.changes])
+        parts.append(Part("effect", effect.name, one.cause[1], moved, without, changed(reference, list(one.changes)), own))
+    noise = {
+        (axis.name, signal): level
+        for axis in reference.axes
+        for signal in ("position", "motor_position", "current")
+        if (level := sensor_noise(reference, axis, axis.recorded_as(signal))) > 0.0
+    }
+    budget = budget_over(parts, reference, machine, views, [None] * len(views), noise, mapper)
+    keys = {one.direction.setting.key: one for one in several}
+    return {
+        **document_of(
+            budget, reference, {k: d.probability for k, d in keys.items()}, {k: 1.96 * d.error / abs(d.size) for k, d in keys.items()}
+        ),
+        "unexplained": [],
+    }
+
+
+def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
+    """Write `diagnosis.json`, `machine.toml` (the machine of today) and `report.html`."""
+    output_folder(out)
+    write_json(document, out / "diagnosis.json", "diagnosis")
+    write_machine(machine, out / "machine.toml")
+    gap, tool = document["gap"], {(r["effect"], r["axis"]): r for r in document["budget"]["rows"]}
+    rows = [
+        [
+            e["sentence"],
+            f"{tool[e['effect'], e['axis']]['tool_point']:.2f}",
+            f"{tool[e['effect'], e['axis']]['current']:.2f}",
+            f"{e['probability']:.2f}",
+        ]
+        for e in document["effects"]
+        if (e["effect"], e["axis"]) in tool
+    ]
+    sections = [
+        Section(
+            "What changed",
+            tables=[Table(("change", "at the tool point [um RMS]", "current [A RMS]", "probability"), rows)] if rows else [],
+            paragraphs=[
+                f"Difference from the baseline: {gap['before']:.1f} times what repetitions differ by, {gap['after']:.1f} times once the changes are in "
+                f"the twin ({'on runs left out of the fit' if gap['held_out_runs'] else 'one run: nothing could be left out'})."
+            ],
+        ),
+        Section("Could also be", items=[f"{r['effect'].replace('_', ' ')} on {r['axis']} instead of {r['instead_of'].replace('_', ' ')} on {r['instead_of_axis']}" for r in document["ambiguous_with"]] or ["Nothing else explains it as well."]),
+        Section("Not visible in these runs", items=[f"{r['effect'].replace('_', ' ')} on {r['axis']}" for r in document["not_visible"]] or ["Every change of a fifth of its usual size would show."]),
+        Section("Notes", items=document["notes"] or ["None."]),
+    ]  # fmt: skip
+    write_page(out / "report.html", f"Since {', '.join(document['since'])}", document["sentence"], sections)
