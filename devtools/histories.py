@@ -9,15 +9,10 @@ gets the folder of recordings and the machine file; the truth stays in the memor
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
-import json
 import math
 from pathlib import Path
-import subprocess
-import sys
-import time
 import tomllib
 from typing import Any
 

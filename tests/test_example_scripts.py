@@ -119,3 +119,9 @@ def test_other_structures_run_a_program(tmp_path: Path, capsys: pytest.CaptureFi
     said = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in said] == ["table_table", "head_table", "head_head", "three_axis"]
     assert all(float(line.split()[-2]) < 1e-9 for line in said)
+
+
+@pytest.mark.slow
+def test_the_watched_machine_raises_its_alarm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    carried_out("examples/watch/run.py", "--out", tmp_path, "--weeks", "13")
+    assert "backlash on axis X" in capsys.readouterr().out

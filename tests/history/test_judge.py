@@ -68,7 +68,8 @@ def test_a_fault_is_named_sized_and_dated_next_to_them() -> None:
 
         (change,) = judge(history(seed, faulty)).changes
         assert change.cause[:2] == (effect, axis)
-        assert abs(change.onset - 18) <= 1 and change.alarm <= 21
+        assert abs(change.onset - 18) <= 1
+        assert change.alarm <= 21
         assert abs(change.size.size - size) < 0.15 * abs(size)
 
 
@@ -79,7 +80,8 @@ def test_a_growing_fault_is_one_change_with_a_forecast() -> None:
     (change,) = judge(history(5, growing)).changes
     assert change.cause[:2] == ("backlash", "X")
     ahead = change.forecast
-    assert ahead is not None and ahead.earliest <= (17 + 25) * 7.0 <= ahead.latest
+    assert ahead is not None
+    assert ahead.earliest <= (17 + 25) * 7.0 <= ahead.latest
 
 
 def test_a_judgement_follows_from_the_rows_alone() -> None:

@@ -48,14 +48,17 @@ def watched(weeks: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
 def test_a_backlash_raises_the_alarm_with_cause_onset_and_size(watched: tuple[Path, int]) -> None:
     out, code = watched
     document = json.loads((out / "history.json").read_text())
-    assert code == 1 and document["alarm"]
+    assert code == 1
+    assert document["alarm"]
     (change,) = document["changes"]
     assert (change["effect"], change["axis"]) == ("backlash", "X")
     assert change["onset"][:10] == document["campaigns"][ONSET]["name"]
     assert change["parameters"]["clearance"]["value"] == pytest.approx(12e-6, rel=0.15)
-    assert "backlash on axis X" in change["sentence"] and "um more" in change["sentence"]
+    assert "backlash on axis X" in change["sentence"]
+    assert "um more" in change["sentence"]
     page = (out / "report.html").read_text()
-    assert "backlash" in page and page.count("<svg") >= 1
+    assert "backlash" in page
+    assert page.count("<svg") >= 1
 
 
 def test_nothing_is_judged_twice(watched: tuple[Path, int], weeks: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -65,7 +68,8 @@ def test_nothing_is_judged_twice(watched: tuple[Path, int], weeks: Path, monkeyp
     monkeypatch.setattr(room, "row_of", lambda *_: pytest.fail("judged again"))
     assert main(["watch", str(folder), "--out", str(out)]) == 1
     first, second = (json.loads((place / "history.json").read_text()) for place in (watched[0], out))
-    assert first["campaigns"] == second["campaigns"] and first["changes"] == second["changes"]
+    assert first["campaigns"] == second["campaigns"]
+    assert first["changes"] == second["changes"]
     assert any("counts once" in note for note in second["notes"])
 
 
@@ -78,7 +82,8 @@ def test_an_unreadable_campaign_is_named_and_the_others_are_judged(
     (bad / "campaign.toml").write_text('machine = "mikron_ucp710"\n[[run]]\nfile = "gone.parquet"\n')
     assert main(["watch", str(bad.parent), "--out", str(out)]) in (1, 2)
     said = capsys.readouterr()
-    assert "gone.parquet" in said.out + said.err and "Traceback" not in said.err
+    assert "gone.parquet" in said.out + said.err
+    assert "Traceback" not in said.err
 
 
 def test_another_machine_is_refused(watched: tuple[Path, int], tmp_path: Path) -> None:
@@ -90,19 +95,26 @@ def test_another_machine_is_refused(watched: tuple[Path, int], tmp_path: Path) -
 
 def test_the_desk_lists_it(watched: tuple[Path, int]) -> None:
     (entry,) = [e for e in entries_in(watched[0].parent) if e.kind == "history"]
-    assert "backlash on axis X" in entry.summary and entry.report == "history/report.html"
+    assert "backlash on axis X" in entry.summary
+    assert entry.report == "history/report.html"
 
 
 @pytest.mark.parametrize(
     ("names", "said"),
-    [([], "holds no campaign"), (["a.csv"], None), (["2026-01-05.csv", "b.csv"], "has no day"), (["2026-13-40.csv", "2026-01-05.csv"], "has no day")],
+    [
+        ([], "holds no campaign"),
+        (["a.csv"], None),
+        (["2026-01-05.csv", "b.csv"], "has no day"),
+        (["2026-13-40.csv", "2026-01-05.csv"], "has no day"),
+    ],
 )
 def test_days(tmp_path: Path, names: list[str], said: str | None) -> None:
     for name in names:
         (tmp_path / name).write_text(name)
     if said is None:
         dated, notes = dated_campaigns(tmp_path)
-        assert len(dated) == len(names) and "no campaign has a day" in notes[0]
+        assert len(dated) == len(names)
+        assert "no campaign has a day" in notes[0]
     else:
         with pytest.raises(InputError, match=said):
             dated_campaigns(tmp_path)
@@ -138,7 +150,8 @@ def test_killed_at_any_time_it_loses_nothing(watched: tuple[Path, int], tmp_path
     rng, counts = np.random.default_rng(0), []
     source = shutil.copytree(watched[0], tmp_path / "source")
     for kill, child in enumerate(children(source, tmp_path / "out")):
-        assert child.stdout is not None and child.stdout.readline() == "ready\n"
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
         if kill < 4:
             time.sleep(rng.uniform(0.02, 0.3))
             child.send_signal(signal.SIGKILL)
@@ -149,7 +162,9 @@ def test_killed_at_any_time_it_loses_nothing(watched: tuple[Path, int], tmp_path
         counts.append(len(store.digests()))
         rows = store.rows()
         store.close()
-        assert len({row.digest for row in rows}) == len(rows) and all(len(row.projections) == 4 for row in rows)
+        assert len({row.digest for row in rows}) == len(rows)
+        assert all(len(row.projections) == 4 for row in rows)
         if kill == 4:
             break
-    assert counts == sorted(counts) and counts[-1] == 400
+    assert counts == sorted(counts)
+    assert counts[-1] == 400

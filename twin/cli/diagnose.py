@@ -109,7 +109,7 @@ def _since(args: argparse.Namespace, inputs: list[Path]) -> int:
         document, today = diagnosed_since(present, baselines, [day_of(b) for b in earlier], machine, out, args.quick, args.seed, bar.say)
     write_since(document, today, out)
     print(document["sentence"], *(f"  note: {note}" for note in document["notes"]), sep="\n")
-    print(f"written to {out}: diagnosis.json, machine.toml (of today), report.html, baseline/")
+    print(f"written to {out}: diagnosis.json, machine.toml (of today), report.html{'' if machine.effects else ', baseline/'}")
     open_report(args, out / "report.html")
     return 0
 

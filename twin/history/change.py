@@ -52,15 +52,18 @@ def shapes(count: int) -> np.ndarray:
     return np.array([since >= 0, np.maximum(since + 1, 0) / RAMP], dtype=float)
 
 
-def evidence(y: np.ndarray, nuisance: np.ndarray) -> Evidence:
-    """Evidence for a change in each column of y (recording, direction) at the last recording, next to `nuisance` (recording, column)."""
+def evidence(y: np.ndarray, nuisance: np.ndarray, least: float = 0.0) -> Evidence:
+    """Evidence for a change in each column of y (recording, direction) at the last recording, next to `nuisance` (recording, column).
+
+    A standard deviation of `least` is added to the scatter: changes that are small beside it are no news.
+    """
     count = len(y)
     basis = without(nuisance)
     free = count - basis.shape[1]
     if free < 2:
         return Evidence(np.zeros(y.shape[1]), np.zeros(y.shape[1], int))
     rest = y - basis @ (basis.T @ y)
-    square = np.maximum((rest**2).sum(axis=0), 1e-300)
+    square = np.maximum((rest**2).sum(axis=0) + free * least**2, 1e-300)
     total = np.zeros((count, y.shape[1]))
     for x in shapes(count):
         x = x - basis @ (basis.T @ x)
@@ -88,16 +91,22 @@ class Level:
         return float(stats.t.ppf(0.5 + 0.5 * confidence, max(self.free, 1)) * self.error)
 
 
-def level(y: np.ndarray, nuisance: np.ndarray, onset: int, last: int = 4) -> Level:
-    """Size of a change of y (recording,): its last recordings against those before the onset, next to the nuisances.
+def level(y: np.ndarray, nuisance: np.ndarray, onset: int, last: int = 3) -> Level:
+    """Size of a change of y (recording,): its last recordings against what those before the onset predict from the nuisances.
 
-    The recordings between count for neither, because a change may have grown there.
+    The scatter is that before the onset, where nothing grows; with too few recordings there it is that of both parts.
     """
     first = max(onset, len(y) - last)
     used = np.r_[0:onset, first : len(y)]
     x = np.column_stack([nuisance[used], used >= onset])
     coefficients, covariance, free = _regression(x, y[used])
-    scatter = float(np.sqrt(((y[used] - x @ coefficients) ** 2).sum() / free))
+    rest = y[used] - x @ coefficients
+    scatter = float(np.sqrt((rest**2).sum() / free))
+    free_before = onset - int(np.linalg.matrix_rank(nuisance[:onset]))
+    if free_before >= 3:
+        before, _, _ = _regression(nuisance[:onset], y[:onset])
+        own = float(np.sqrt(((y[:onset] - nuisance[:onset] @ before) ** 2).sum() / free_before))
+        covariance, scatter, free = covariance * (own / max(scatter, 1e-300)) ** 2, own, free_before
     return Level(float(coefficients[-1]), float(np.sqrt(covariance[-1, -1])), free, scatter)
 
 

@@ -26,8 +26,8 @@ because the scatter of real recordings is not quite normal and independent.
 LEAST = 0.1
 """Change in usual sizes below which nothing is reported: half of what an alarm should find."""
 
-LEAST_SCATTER = 0.003
-"""Smallest scatter between recordings in usual sizes: the twin is linear in small changes only."""
+LEAST_SCATTER = 0.01
+"""Smallest scatter between recordings in usual sizes: load and friction act on the rest too, in ways that are not linear."""
 
 RIVAL = 0.8
 """Share of the best cause's chi^2 from which another cause is named beside it."""
@@ -54,13 +54,22 @@ class Change:
 
 @dataclass(frozen=True)
 class Judgement:
-    """All that a history says: its rows, series, changes, the evidence at each row, and the nuisances of each group."""
+    """All that a history says: its rows, series, changes, and the evidence at each row.
+
+    constants     one for each program (row, program)
+    temperature   what the axes outside each group show of it (row, thermometer); only what it acts on is corrected by it
+    """
 
     rows: Sequence[Row]
     series: Sequence[Series]
-    nuisances: Sequence[np.ndarray]  # (row, column) of each series
+    constants: np.ndarray
+    temperature: Sequence[np.ndarray]
     changes: Sequence[Change] = ()
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (row,)
+
+    def nuisance(self, group: int, warms: bool) -> np.ndarray:
+        """What is removed from the directions of a group (row, column), that temperature acts on or not."""
+        return np.column_stack([self.constants, self.temperature[group]]) if warms else self.constants
 
 
 def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
@@ -77,8 +86,7 @@ def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction
     """The judgement of all recordings by day."""
     series = [s for axes, own in directions.items() if (s := series_of(rows, axes, own)) is not None]
     constants = constants_of(programs_of(rows)) if rows else np.zeros((0, 0))
-    nuisances = [np.column_stack([constants, thermometers(series, one, len(rows))]) for one in series]
-    history = Judgement(rows, series, nuisances)
+    history = Judgement(rows, series, constants, [thermometers(series, one, len(rows)) for one in series])
     causes = causes_of(series)
     changes: list[Change] = []
     total, start = np.zeros(len(rows)), [0] * len(series)
@@ -101,16 +109,20 @@ def _evidence(
 ) -> tuple[dict[Cause, float], dict[Cause, int]]:
     """Evidence and onset of each cause at the row before `stop`; `starts` are the first rows of the reference of each group."""
     by_cause, onsets = {}, {}
-    for g, (one, nuisance, start) in enumerate(zip(history.series, history.nuisances, starts)):
+    for g, (one, start) in enumerate(zip(history.series, starts)):
         inside = (one.at >= start) & (one.at < stop)
         if one.at[inside].size < 3 or one.at[inside][-1] != stop - 1:
             continue
-        found = evidence(one.sizes[inside], nuisance[one.at[inside]])
-        for cause, (group, own) in causes.items():
+        at = one.at[inside]
+        total, onset = np.zeros(len(one.directions)), np.zeros(len(one.directions), int)
+        for warms in (False, True):
+            own = one.warms == warms
+            found = evidence(one.sizes[inside][:, own], history.nuisance(g, warms)[at], LEAST / 5.0)
+            total[own], onset[own] = found.total, at[found.onset]
+        for cause, (group, own_directions) in causes.items():
             if group == g:
-                by_cause[cause] = float(found.total[own].mean())
-                best = own[int(np.argmax(found.total[own]))]
-                onsets[cause] = int(one.at[inside][found.onset[best]])
+                by_cause[cause] = float(total[own_directions].mean())
+                onsets[cause] = int(onset[own_directions[int(np.argmax(total[own_directions]))]])
     return by_cause, onsets
 
 
@@ -122,8 +134,7 @@ def _change(history: Judgement, causes: dict[Cause, Any], group: int, start: int
     since = int(np.searchsorted(at, onset))
     if since < 2:
         return None
-    nuisance = history.nuisances[group][at]
-    levels = [level(y, nuisance, since) for y in one.sizes[inside].T]
+    levels = [level(y, history.nuisance(group, bool(warms))[at], since) for y, warms in zip(one.sizes[inside].T, one.warms)]
     scatter = np.array([max(found.scatter, LEAST_SCATTER) for found in levels])
     owners = [cause for cause, (g, _) in causes.items() if g == group for _ in _waves(one, causes[cause][1])]
     blocks = [block for cause, (g, own) in causes.items() if g == group for block in _waves(one, own)]
@@ -184,7 +195,7 @@ def _forecast(history: Judgement, causes: dict[Cause, Any], change: Change, limi
 def sizes_over_time(history: Judgement, group: int, k: int, until: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Sizes of a direction in usual sizes, free of nuisances, zero on average before the row `until`, and the days of the recordings."""
     one = history.series[group]
-    nuisance = history.nuisances[group][one.at]
+    nuisance = history.nuisance(group, bool(one.warms[k]))[one.at]
     before = one.at < (until if until is not None else len(history.rows))
     y = one.sizes[:, k]
     coefficients = np.linalg.lstsq(nuisance[before], y[before], rcond=1e-9)[0]

@@ -31,6 +31,9 @@ SCATTER = {
 }
 """Standard deviation between recordings of a healthy machine, in usual sizes of the effect: tool and workpiece, lubrication, temperature."""
 
+WARMS = ("coulomb_friction", "viscous_friction", "viscous_asymmetry", "stribeck", "thermal_drift", "lead_error")
+"""Effects that temperature acts on."""
+
 THERMOMETERS = ("viscous_friction", "coulomb_friction", "lead_error")
 """Effects by which the other axes show temperature and season."""
 
@@ -52,6 +55,11 @@ class Series:
     def scatter(self) -> np.ndarray:
         """Normal scatter of each direction between recordings (direction,)."""
         return scatter_of(self.directions)
+
+    @functools.cached_property
+    def warms(self) -> np.ndarray:
+        """Directions that temperature acts on (direction,)."""
+        return np.array([d.setting.effect.name in WARMS for d in self.directions])
 
     @functools.cached_property
     def seen(self) -> np.ndarray:

@@ -1,0 +1,107 @@
+"""`twin diagnose --since`: what changed and nothing else, also where it became less; what the twin lacks in both is no news."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import json
+from pathlib import Path
+
+import pytest
+
+from devtools.histories import Fault, History, draw_history, machine_tables, program, write_week
+from twin import load_machine, write_machine
+from twin.cli.parser import main
+from twin.effects import settings_of
+from twin.effects.add import add_effects
+from twin.history.columns import changed, directions_of
+from twin.machine.machine import Machine
+
+QUIET = ("kelvin", "scatter", "tool_kg", "workpiece_kg")
+
+
+def everyday() -> History:
+    """A machine with a small error of every kind on every axis, none of which the twin knows, and nothing that varies."""
+    drawn = draw_history(1, 6, faulty=False)
+    return replace(drawn, **{name: 0.0 * getattr(drawn, name) for name in QUIET})
+
+
+@pytest.fixture(scope="module")
+def campaigns(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Baseline, the same machine again, then with other friction on Y and another gain on C."""
+    folder, run = tmp_path_factory.mktemp("campaigns"), program(machine_tables(), 3.0)
+    changes = [
+        None,
+        None,
+        {"name": "coulomb_friction", "axis": "Y", "factor": 0.88},
+        {"name": "position_gain", "axis": "C", "factor": 0.95},
+    ]
+    return [
+        write_week(replace(everyday(), fault=change and Fault(change, 0, 0)), week, folder, run=run) for week, change in enumerate(changes)
+    ]
+
+
+def since(campaigns: list[Path], number: int, reference: Path, out: Path) -> dict:
+    assert main(["diagnose", str(campaigns[number]), "--since", str(campaigns[0]), "--machine", str(reference), "--out", str(out)]) == 0
+    return json.loads((out / "diagnosis.json").read_text())
+
+
+@pytest.fixture
+def reference(tmp_path: Path, mikron: Machine) -> Path:
+    """A machine that a diagnosis of the baseline may have left: one effect of the many."""
+    write_machine(add_effects(mikron, "stribeck:X:excess=60,velocity=0.003"), tmp_path / "reference.toml")
+    return tmp_path / "reference.toml"
+
+
+def test_the_same_machine_is_no_news(campaigns: list[Path], reference: Path, tmp_path: Path) -> None:
+    document = since(campaigns, 1, reference, tmp_path / "out")
+    assert (document["verdict"], document["effects"]) == ("none", [])
+    assert document["since"] == [campaigns[0].name]
+
+
+@pytest.mark.parametrize(("number", "effect", "axis", "factor"), [(2, "coulomb_friction", "Y", 0.88), (3, "position_gain", "C", 0.95)])
+def test_a_change_is_named_and_sized(
+    campaigns: list[Path], reference: Path, tmp_path: Path, number: int, effect: str, axis: str, factor: float
+) -> None:
+    document = since(campaigns, number, reference, tmp_path / "out")
+    assert document["verdict"] == "effect"
+    (found,) = document["effects"]
+    assert (found["effect"], found["axis"]) == (effect, axis)
+    assert found["parameters"]["factor"]["value"] - 1.0 == pytest.approx(factor - 1.0, rel=0.15)
+    assert f"{document['effects'][0]['axis']} " in document["sentence"]
+    assert "less" in document["sentence"]
+    today = {s.key: s for s in settings_of(load_machine(tmp_path / "out" / "machine.toml"))}
+    assert today[effect, axis, None].parameters["factor"] == pytest.approx(factor, abs=0.02)
+    assert document["gap"]["after"] < document["gap"]["before"]
+    assert document["budget"]["rows"][0]["effect"] == effect
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_what_is_no_campaign_is_one_line(campaigns: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["diagnose", str(campaigns[0]), "--since", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "--since compares campaigns" in said
+    assert said.count("\n") == 1
+
+
+def test_changes_add_up_with_the_effects_of_the_machine(mikron: Machine) -> None:
+    """Factors multiply, amounts add, compliances add, waves add as phasors; what falls to nothing goes."""
+    machine = add_effects(
+        mikron,
+        "coulomb_friction:X:factor=1.2",
+        "backlash:X:clearance=10um",
+        "presliding:Y:stiffness=4e7",
+        "cyclic_error:Z:amplitude=3e-6,phase_rad=0",
+    )
+    of = {(d.setting.effect.name, d.setting.axis, d.phase): d for axis in "XYZ" for d in directions_of(machine, (axis,))}
+
+    def after(*changes: tuple[tuple[str, str, int], float]) -> dict:
+        return {s.key[:2]: s.parameters for s in settings_of(changed(machine, [(of[key], theta) for key, theta in changes]))}
+
+    friction, play, spring, wave = (
+        of[key] for key in [("coulomb_friction", "X", 0), ("backlash", "X", 0), ("presliding", "Y", 0), ("cyclic_error", "Z", 1)]
+    )
+    assert after((("coulomb_friction", "X", 0), -0.1 / friction.unit))["coulomb_friction", "X"]["factor"] == pytest.approx(1.08)
+    assert after((("backlash", "X", 0), 4e-6 / play.unit))["backlash", "X"]["clearance"] == pytest.approx(14e-6)
+    assert after((("presliding", "Y", 0), spring.unit / 4e7))["presliding", "Y"]["stiffness"] == pytest.approx(2e7)
+    assert after((("cyclic_error", "Z", 1), 4e-6 / wave.unit))["cyclic_error", "Z"]["amplitude"] == pytest.approx(5e-6)
+    assert ("backlash", "X") not in after((("backlash", "X", 0), -1.0))
