@@ -135,7 +135,7 @@ def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, l
         k = own[int(np.argmax(np.diag(one.gram)[own]))]
         change = changed.get(cause)
         if change is not None:
-            k = list(one.directions).index(change.direction)
+            k = change.k
         y, _ = sizes_over_time(history, group, k, change.onset if change else None)
         before = y[one.at < change.onset] if change else y
         scatter = float(np.std(before, ddof=1)) if len(before) > 1 else math.nan

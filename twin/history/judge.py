@@ -2,7 +2,7 @@
 
 The rule runs through the recordings by day. At each it averages the evidence for a change (`twin.history.change`) over all causes of the machine; where
 one group of axes brings it above `ALARM`, it raises an alarm. The alarm names the cause that explains the change of all directions of its group best.
-The recordings from the onset on then become the new reference of that group.
+The change then stands: the other directions of its group are judged next to it.
 """
 
 from __future__ import annotations
@@ -40,16 +40,20 @@ Cause = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Change:
-    """A change: cause, the row of its onset and of its alarm, size in usual sizes, other causes that explain nearly as much."""
+    """A change: cause and direction, row of its onset and of its alarm, size in usual sizes, other causes that explain nearly as much."""
 
-    cause: Cause
+    group: int
+    k: int
     direction: Direction
     onset: int
     alarm: int
     size: Level
     rivals: tuple[Cause, ...] = ()
     forecast: Forecast | None = None
-    first: int = 0  # first row of the reference before it
+
+    @property
+    def cause(self) -> Cause:
+        return self.direction.cause
 
 
 @dataclass(frozen=True)
@@ -67,9 +71,17 @@ class Judgement:
     changes: Sequence[Change] = ()
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (row,)
 
-    def nuisance(self, group: int, warms: bool) -> np.ndarray:
-        """What is removed from the directions of a group (row, column), that temperature acts on or not."""
-        return np.column_stack([self.constants, self.temperature[group]]) if warms else self.constants
+    def nuisance(self, group: int, warms: bool, standing: Sequence[Change] = ()) -> np.ndarray:
+        """What is removed from the directions of a group (row, column), that temperature acts on or not: a change that stands moves others a little."""
+        columns = [self.constants, self.temperature[group]] if warms else [self.constants]
+        one = self.series[group]
+        for change in standing:
+            moved = np.zeros((len(self.rows), 2))
+            since = one.at >= change.onset
+            moved[change.onset :, 0] = 1.0
+            moved[one.at[since], 1] = one.sizes[since, change.k]
+            columns.append(moved)
+        return np.column_stack(columns)
 
 
 def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
@@ -88,70 +100,80 @@ def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction
     constants = constants_of(programs_of(rows)) if rows else np.zeros((0, 0))
     history = Judgement(rows, series, constants, [thermometers(series, one, len(rows)) for one in series])
     causes = causes_of(series)
-    changes: list[Change] = []
-    total, start = np.zeros(len(rows)), [0] * len(series)
+    standing: list[list[Change]] = [[] for _ in series]
+    total = np.zeros(len(rows))
     for now in range(len(rows)):
-        by_cause, onsets = _evidence(history, causes, [max(first, now + 1 - LONGEST) for first in start], now + 1)
-        total[now] = sum(by_cause.values()) / max(len(causes), 1)
-        for group in range(len(series)):
-            own = {cause: e / len(causes) for cause, e in by_cause.items() if causes[cause][0] == group}
-            if sum(own.values()) > ALARM:
-                loudest = max(own, key=lambda cause: own[cause])
-                change = _change(history, causes, group, start[group], onsets[loudest], now)
-                if change is not None:
-                    start[group] = change.onset
-                    changes.append(change)
-    return replace(history, changes=_joined(history, causes, changes), evidence=total)
+        for group, stand in enumerate(standing):
+            found = _evidence(history, causes, group, stand, now + 1)
+            own = sum(e for e, _ in found.values()) / len(causes)
+            total[now] += own
+            if own <= ALARM:
+                continue
+            if stand and (again := _resized(history, causes, stand[-1], stand[:-1], now)).cause != stand[-1].cause:
+                stand[-1] = again  # more recordings show another cause of the same change
+                continue
+            loudest = max(found, key=lambda cause: found[cause][0])
+            if (change := _change(history, causes, group, stand, found[loudest][1], now)) is not None:
+                stand.append(change)
+    changes = []
+    for stand in standing:
+        for i, change in enumerate(stand):
+            last = stand[i + 1].alarm - 1 if i + 1 < len(stand) else len(rows) - 1
+            changes.append(_with_forecast(history, _resized(history, causes, change, stand[:i], last)))
+    return replace(history, changes=sorted(changes, key=lambda c: c.alarm), evidence=total)
 
 
 def _evidence(
-    history: Judgement, causes: dict[Cause, Any], starts: Sequence[int], stop: int
-) -> tuple[dict[Cause, float], dict[Cause, int]]:
-    """Evidence and onset of each cause at the row before `stop`; `starts` are the first rows of the reference of each group."""
-    by_cause, onsets = {}, {}
-    for g, (one, start) in enumerate(zip(history.series, starts)):
-        inside = (one.at >= start) & (one.at < stop)
-        if one.at[inside].size < 3 or one.at[inside][-1] != stop - 1:
-            continue
-        at = one.at[inside]
-        total, onset = np.zeros(len(one.directions)), np.zeros(len(one.directions), int)
-        for warms in (False, True):
-            own = one.warms == warms
-            found = evidence(one.sizes[inside][:, own], history.nuisance(g, warms)[at], LEAST / 5.0)
-            total[own], onset[own] = found.total, at[found.onset]
-        for cause, (group, own_directions) in causes.items():
-            if group == g:
-                by_cause[cause] = float(total[own_directions].mean())
-                onsets[cause] = int(onset[own_directions[int(np.argmax(total[own_directions]))]])
-    return by_cause, onsets
-
-
-def _change(history: Judgement, causes: dict[Cause, Any], group: int, start: int, onset: int, now: int) -> Change | None:
-    """The change of a group from the rows before `onset` to those up to `now`, by the cause that explains it best; None if it is too small."""
+    history: Judgement, causes: dict[Cause, Any], group: int, standing: Sequence[Change], stop: int
+) -> dict[Cause, tuple[float, int]]:
+    """Evidence and onset of each cause of a group, but those that stand, at the row before `stop`."""
     one = history.series[group]
-    inside = (one.at >= start) & (one.at <= now)
+    inside = (one.at >= stop - LONGEST) & (one.at < stop)
+    at = one.at[inside]
+    if at.size < 3 or at[-1] != stop - 1:
+        return {}
+    total, onset = np.zeros(len(one.directions)), np.zeros(len(one.directions), int)
+    for warms in (False, True):
+        own = one.warms == warms
+        found = evidence(one.sizes[inside][:, own], history.nuisance(group, warms, standing)[at], LEAST / 5.0)
+        total[own], onset[own] = found.total, at[found.onset]
+    known = {change.cause for change in standing}
+    return {
+        cause: (float(total[own].mean()), int(onset[own[int(np.argmax(total[own]))]]))
+        for cause, (g, own) in causes.items()
+        if g == group and cause not in known
+    }
+
+
+def _change(history: Judgement, causes: dict[Cause, Any], group: int, standing: Sequence[Change], onset: int, now: int) -> Change | None:
+    """The change of a group from the rows before `onset` to those up to `now`, by the cause that explains it best; None unless it is certainly more
+    than `LEAST`.
+    """
+    one = history.series[group]
+    inside = one.at <= now
     at = one.at[inside]
     since = int(np.searchsorted(at, onset))
     if since < 2:
         return None
-    levels = [level(y, history.nuisance(group, bool(warms))[at], since) for y, warms in zip(one.sizes[inside].T, one.warms)]
+    nuisances = [history.nuisance(group, warms, standing)[at] for warms in (False, True)]
+    levels = [level(y, nuisances[int(warms)], since) for y, warms in zip(one.sizes[inside].T, one.warms)]
     scatter = np.array([max(found.scatter, LEAST_SCATTER) for found in levels])
-    owners = [cause for cause, (g, _) in causes.items() if g == group for _ in _waves(one, causes[cause][1])]
-    blocks = [block for cause, (g, own) in causes.items() if g == group for block in _waves(one, own)]
+    blocks = [block for g, own in causes.values() if g == group for block in _waves(one, own)]
     explained = one.explained_by(blocks, np.array([found.size for found in levels]), scatter)
     best: dict[Cause, tuple[float, int, float]] = {}
-    for cause, block, (gain, theta) in zip(owners, blocks, explained):
-        if gain > best.get(cause, (0.0, 0, 0.0))[0]:
+    for block, (gain, theta) in zip(blocks, explained):
+        cause = one.directions[block[0]].cause
+        if gain > best.get(cause, (0.0, 0, 0.0))[0] and cause not in {change.cause for change in standing}:
             best[cause] = gain, block[0], amplitude(theta)
     if not best:
         return None
     order = sorted(best, key=lambda cause: -best[cause][0])
     gain, k, moved = best[order[0]]
-    if abs(moved) < LEAST:
-        return None
     size = replace(levels[k], size=moved)
+    if abs(moved) - size.half() < LEAST:
+        return None
     rivals = tuple(cause for cause in order[1:4] if best[cause][0] > RIVAL * gain)
-    return Change(order[0], one.directions[k], onset, now, size, rivals, first=start)
+    return Change(group, k, one.directions[k], onset, now, size, rivals)
 
 
 def _waves(one: Series, directions: Sequence[int]) -> list[list[int]]:
@@ -160,34 +182,16 @@ def _waves(one: Series, directions: Sequence[int]) -> list[list[int]]:
     return [[k for k in directions if one.directions[k].wave == wave] for wave in waves]
 
 
-def _joined(history: Judgement, causes: dict[Cause, Any], changes: Sequence[Change]) -> list[Change]:
-    """The changes, those that go on in one, with size, cause and forecast by all recordings up to the next change of their group."""
-    out: list[Change] = []
-    for change in changes:
-        group = causes[change.cause][0]
-        earlier = next((c for c in reversed(out) if causes[c.cause][0] == group), None)
-        again = earlier and _resized(history, causes, earlier, change.alarm)
-        if earlier is not None and again is not None and change.cause in (earlier.cause, again.cause):
-            out[out.index(earlier)] = again
-        else:
-            out.append(change)
-    last = {causes[c.cause][0]: c for c in out}
-    whole = len(history.rows) - 1
-    return [_forecast(history, causes, _resized(history, causes, c, whole)) if last[causes[c.cause][0]] is c else c for c in out]
-
-
-def _resized(history: Judgement, causes: dict[Cause, Any], change: Change, now: int) -> Change:
+def _resized(history: Judgement, causes: dict[Cause, Any], change: Change, standing: Sequence[Change], now: int) -> Change:
     """The change judged again with all recordings up to the row `now`."""
-    again = _change(history, causes, causes[change.cause][0], change.first, change.onset, now)
+    again = _change(history, causes, change.group, standing, change.onset, now)
     return change if again is None else replace(again, alarm=change.alarm)
 
 
-def _forecast(history: Judgement, causes: dict[Cause, Any], change: Change, limit: float = 1.0) -> Change:
-    """The change with the day at which its size reaches `limit` [usual sizes], from the recordings since its onset."""
-    group, _ = causes[change.cause]
-    one = history.series[group]
-    k = list(one.directions).index(change.direction)
-    y, days = sizes_over_time(history, group, k, change.onset)
+def _with_forecast(history: Judgement, change: Change, limit: float = 1.0) -> Change:
+    """The change with the day at which its size reaches `limit` [usual sizes], from its last recordings."""
+    one = history.series[change.group]
+    y, days = sizes_over_time(history, change.group, change.k, change.onset)
     after = np.flatnonzero(one.at >= change.onset)[-RECENT:]
     return replace(change, forecast=forecast(days[after], y[after], limit, float(days[-1])))
 

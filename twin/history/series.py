@@ -31,8 +31,8 @@ SCATTER = {
 }
 """Standard deviation between recordings of a healthy machine, in usual sizes of the effect: tool and workpiece, lubrication, temperature."""
 
-WARMS = ("coulomb_friction", "viscous_friction", "viscous_asymmetry", "stribeck", "thermal_drift", "lead_error")
-"""Effects that temperature acts on."""
+WARMS = ("coulomb_friction", "viscous_friction", "viscous_asymmetry", "stribeck", "thermal_drift", "lead_error", "frame_vibration")
+"""Effects that temperature acts on, frame vibration by the moment at which an axis breaks away."""
 
 THERMOMETERS = ("viscous_friction", "coulomb_friction", "lead_error")
 """Effects by which the other axes show temperature and season."""
