@@ -3,12 +3,13 @@
 import ast
 import os
 from pathlib import Path
+import select
 import subprocess
 import sys
 
 import pytest
 
-from twin import compiled_functions
+from twin import compiled_functions, compiling
 
 PACKAGE = Path(compiled_functions.__file__).parent
 ALLOWED = {PACKAGE / "compiled_functions.py", PACKAGE / "exam" / "plant" / "compiled.py"}  # the second plant imports nothing of twin
@@ -78,6 +79,37 @@ def test_without_a_folder_to_write_it_runs_and_says_so_once(tmp_path: Path) -> N
     assert done.stdout == "8.0\n"
     assert done.stderr.count("no writable folder for compiled functions") == 1
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a pseudo-terminal")
+def test_a_terminal_hears_once_that_functions_are_compiled(tmp_path: Path) -> None:
+    """And nothing when the cache holds them, nor where no terminal is."""
+    import pty
+
+    (tmp_path / "kernels.py").write_text(MODULE)
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import kernels; kernels.cube(2.0)"
+    environment = {k: v for k, v in os.environ.items() if k not in (compiling._SAID, compiled_functions._SAID)}
+    path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
+
+    def heard(cache: str, on_terminal: bool) -> int:
+        ours, theirs = pty.openpty()
+        where = {"stderr": theirs if on_terminal else subprocess.PIPE, "text": True}
+        try:
+            done = subprocess.run(
+                [sys.executable, "-c", code],
+                env={**environment, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / cache)},
+                check=True,
+                **where,
+            )
+            said = done.stderr or ""
+            if on_terminal and select.select([ours], [], [], 0.0)[0]:
+                said = os.read(ours, 10_000).decode()
+        finally:
+            os.close(theirs)
+            os.close(ours)
+        return said.count("compiling, once")
+
+    assert [heard("a", True), heard("a", True), heard("b", False), heard("b", True), heard("c", True)] == [1, 0, 0, 0, 1]
 
 
 def test_a_change_of_any_source_compiles_anew(tmp_path: Path) -> None:

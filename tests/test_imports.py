@@ -9,6 +9,7 @@ TOP = {
     "__init__",
     "__main__",
     "compiled_functions",
+    "compiling",
     "documents",
     "errors",
     "files",

@@ -22,6 +22,8 @@ import numba
 from numba.core import caching, sigutils
 from numba.core.ccallback import CFunc
 
+import twin.compiling  # noqa: F401 - says on a terminal that it takes time
+
 njit: Any = numba.njit  # its type does not know _nrt
 
 _PACKAGE = Path(__file__).parent
