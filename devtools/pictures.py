@@ -94,6 +94,11 @@ RECIPES = (
     Recipe(("paper/*.png",), ("python -m devtools.paper",), needs="the paper's recordings"),
     Recipe(("emps_*.png",), ("python examples/emps/run.py DATA_EMPS.mat --out out/emps",), needs=DATA),
     Recipe(("import_sinumerik_edge.png",), ("python examples/real/sinumerik/run.py recording.json --out out/edge",), needs=DATA),
+    copied(
+        ["python -m devtools.versus --data ../shared/data --out out/versus"],
+        needs=f"the extra 'versus' and {DATA}",
+        versus="out/versus/versus.png",
+    ),
     Recipe(("exam_*.svg",), ("python -m devtools.pictures exam DIR",), needs="the folder of an examination"),
 )
 """Every picture of the pages is made by the first recipe that names it."""

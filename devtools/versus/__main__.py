@@ -1,0 +1,112 @@
+"""The twin beside other methods on the same inputs; see docs/versus.md.
+
+    python -m devtools.versus --out DIR [--data ../shared/data] [--only NAME ...] [--peers]
+
+Each input makes DIR/NAME.json, which a later call keeps; the table and the picture are made from these files. Methods whose library is not
+installed (pip install "twin[versus]") are left out and named.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+import importlib.util
+import json
+from pathlib import Path
+import sys
+from typing import Any
+
+from twin.errors import TwinError
+
+from .answer import Answer, marked, timed
+from .inputs import Input, Known, emps, made
+from .picture import draw
+from .simulated_fits import evolution_fit, least_squares_fit
+from .sindy import sindy_fit
+from .sysid import sysid_fit
+from .table import results_in, table_text
+from .twin_answers import diagnosed, identified
+
+LIBRARY = {"mujoco.sysid": "absl", "CMA-ES (PACE)": "cma", "SINDy": "pysindy"}
+"""Method -> module without which it cannot run (mujoco.sysid: from its extra)."""
+
+RIVALS: dict[str, Callable[[Input], Answer]] = {
+    "mujoco.sysid": sysid_fit,
+    "CMA-ES (PACE)": evolution_fit,
+    "least squares": least_squares_fit,
+    "SINDy": sindy_fit,
+}
+
+MADE = {  # name -> kind, seed, axis
+    "healthy": ("healthy", 5701, "X"),
+    "one_effect": ("single", 5702, "X"),
+    "outside": ("outside", 5703, "X"),
+    "everyday": ("everyday", 5704, "X"),
+    "one_effect_y": ("single", 5705, "Y"),
+    "outside_y": ("outside", 5706, "Y"),
+}
+
+
+def inputs_of(data: Path | None, out: Path) -> dict[str, Callable[[], tuple[Input, Known]]]:
+    """How each input is made, by name."""
+    found: dict[str, Callable[[], tuple[Input, Known]]] = {}
+    if data is not None and (data / "emps" / "DATA_EMPS.mat").is_file():
+        found["emps"] = lambda: emps(data, out / "work" / "emps")
+    for name, (kind, seed, axis) in MADE.items():
+        found[name] = lambda name=name, kind=kind, seed=seed, axis=axis: made(kind, seed, axis, out / "work" / name)
+    return found
+
+
+def missing() -> dict[str, str]:
+    """Methods that cannot run here, with the reason."""
+    return {m: f"{m}: {lib} is not installed" for m, lib in LIBRARY.items() if importlib.util.find_spec(lib) is None}
+
+
+def compared(one: Input, known: Known, out: Path) -> dict[str, Any]:
+    """All rows of an input."""
+    rows: dict[str, Any] = {}
+    methods: dict[str, Callable[[], Answer]] = {"machine file": lambda: Answer(one.machine, {}, "")}
+    methods |= {name: lambda method=method: timed(method, one) for name, method in RIVALS.items() if name not in missing()}
+    methods |= {"twin identify": lambda: identified(one, out), "twin diagnose": lambda: diagnosed(one, out)}
+    for name, method in methods.items():
+        try:
+            rows[name] = marked(method(), known)
+        except TwinError as error:
+            rows[name] = {"failed": str(error)}
+        print(f"  {name}: {rows[name].get('gap') or rows[name]['failed']}", file=sys.stderr, flush=True)
+    true = list(known.causes) if known.causes is not None else None
+    return {"text": known.text, "causes": true, "outside": known.outside, "numbers": known.numbers, "rows": rows}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m devtools.versus", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the results; those that it holds are kept")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the public recordings; without it only made machines")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="only these inputs")
+    parser.add_argument("--peers", action="store_true", help="only the speed of simulation and planning beside that of other libraries")
+    args = parser.parse_args(arguments)
+    args.out.mkdir(parents=True, exist_ok=True)
+    if args.peers:
+        from .peers import peers, peers_text
+
+        measured = peers()
+        (args.out / "peers.json").write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
+        print(peers_text(measured))
+        return 0
+    for line in missing().values():
+        print(f"left out: {line}", file=sys.stderr)
+    for name, make in inputs_of(args.data, args.out).items():
+        file = args.out / f"{name}.json"
+        if file.exists() or (args.only and name not in args.only):
+            continue
+        print(name, file=sys.stderr, flush=True)
+        result = compared(*make(), args.out / "work" / name)
+        file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    if results_in(args.out):
+        draw(args.out, args.out / "versus.png")
+    print(table_text(args.out))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

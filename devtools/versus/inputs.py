@@ -1,0 +1,151 @@
+"""The inputs of the comparison: one axis, runs to fit, runs left out, and what is known of the truth, which no method sees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.cli.parser import show_and_run
+from twin.documents import read_toml
+from twin.effects import with_effects
+from twin.effects.truth import true_machine
+from twin.exam.draw import SHIPPED_MACHINE, Case, draw_case, truth_of, write_campaign
+from twin.geometry.scurve import moves_in_turn
+from twin.machine.machine import Machine, load_machine, write_machine
+from twin.recordings.campaign import MeasuredRun, read_campaign
+from twin.recordings.trace import write_trace
+from twin.simulation.lanes import with_commissioned_inertia
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
+
+from .numbers import MECHANICS, numbers_of, with_numbers
+
+HERE = Path(__file__).resolve().parent
+EMPS = HERE.parents[1] / "examples" / "emps"
+
+
+@dataclass(frozen=True)
+class Input:
+    """What a method is given: a machine file with one driven axis and a campaign folder of fitted runs, both also as read."""
+
+    file: Path
+    campaign: Path
+    machine: Machine
+    fitted: tuple[MeasuredRun, ...]
+
+    @property
+    def axis(self) -> str:
+        return self.machine.axis_names[0]
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of an input: runs left out, numbers of the true machine ({} if unknown), true causes, one line of description."""
+
+    text: str
+    held_out: tuple[MeasuredRun, ...]
+    numbers: dict[str, float]
+    causes: tuple[str, ...] | None  # None: unknown
+    outside: bool = False
+
+
+def given(file: Path, campaign: Path) -> Input:
+    """The input in a machine file and a campaign folder."""
+    machine = with_commissioned_inertia(load_machine(file))
+    return Input(file, campaign, machine, read_campaign(campaign, machine).runs)
+
+
+def emps(data: Path, out: Path) -> tuple[Input, Known]:
+    """The EMPS benchmark: two thirds fitted, the last third left out. The truth is unknown; the published numbers stand in its place."""
+    for part, name in (("fit", "two_thirds.toml"), ("check", "last_third.toml")):
+        show_and_run("import", data / "emps" / "DATA_EMPS.mat", "--map", EMPS / name, "--out", out / part, "--no-picture")
+    one = given(EMPS / "axis.toml", out / "fit")
+    published = {"inertia": 95.1089, "coulomb_friction": 20.3935, "viscous_friction": 203.5034, "constant_force": 3.1648}
+    return one, Known("the EMPS record, 16.3 s fitted, 8.3 s left out", read_campaign(out / "check", one.machine).runs, published, None)
+
+
+STROKES = {  # run -> (stroke [m], speed [m/s]) there and back
+    "fast": ((0.2, 0.12), (0.1, 0.08)),
+    "slow": ((0.02, 0.02), (0.05, 0.05), (0.1, 0.12)),
+    "left_out": ((0.15, 0.1), (0.03, 0.03)),
+}
+
+
+def simulated(out: Path, changes: Mapping[str, float], effects: Sequence[Mapping[str, Any]] = ()) -> tuple[Input, Known]:
+    """A small input that the twin makes itself, without any file of others: the axis of the EMPS example with numbers changed by these factors
+    and with effects; five seconds of strokes fitted, three left out, with the noise of its encoder."""
+    machine = with_commissioned_inertia(load_machine(EMPS / "axis.toml"))
+    numbers = {name: factor * numbers_of(machine)[name] for name, factor in changes.items()}
+    true = with_effects(with_numbers(machine, numbers), effects)
+    (axis,) = machine.axes
+    for part, names in (("fit", ("fast", "slow")), ("check", ("left_out",))):
+        (out / part).mkdir(parents=True, exist_ok=True)
+        lines = ['machine = "EMPS"']
+        for i, name in enumerate(names):
+            moves = [(sign * stroke, speed) for stroke, speed in STROKES[name] for sign in (1, -1)]
+            pieces, at = [], 0.0
+            for stroke, speed in moves:
+                _, position = moves_in_turn(at, [stroke], speed, axis.max_acceleration, axis.max_jerk, 0.1, 1e-3)
+                pieces.append(position)
+                at = float(position[-1])
+            run = simulate(true, Setpoints(np.concatenate(pieces)[:, None], 1e-3), noise_seed=i)
+            trace = replace(
+                run.trace, signals={k: v for k, v in run.trace.signals.items() if k[1] in ("setpoint", "motor_position", "voltage")}
+            )
+            write_trace(trace, out / part / f"{name}.parquet")
+            lines.append(f'[[run]]\nfile = "{name}.parquet"\nfeedforward = "off"')
+        (out / part / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    causes = tuple(str(e["name"]) for e in effects)
+    text = f"a simulated axis: {', '.join(causes) or 'no effect'}"
+    known = Known(text, read_campaign(out / "check", machine).runs, mechanics_of(true), causes)
+    return given(EMPS / "axis.toml", out / "fit"), known
+
+
+def mechanics_of(machine: Machine) -> dict[str, float]:
+    """The true mechanical numbers of the driven axis."""
+    return {name: value for name, value in numbers_of(machine).items() if name in MECHANICS}
+
+
+def made(kind: str, seed: int, axis: str, out: Path, runs: Sequence[str] | None = None) -> tuple[Input, Known]:
+    """One axis of a machine that the examination draws: kind as in `twin exam`, campaign of four short runs, its own runs left out.
+
+    `runs` keeps only the named runs of the campaign.
+    """
+    table = read_toml(SHIPPED_MACHINE)
+    case = draw_case(seed, kind, table, axis=axis if kind in ("single", "outside") else None, run_set="short")
+    file = out / "machine.toml"
+    out.mkdir(parents=True, exist_ok=True)
+    write_machine(load_machine(SHIPPED_MACHINE).with_axes([axis]), file)
+    machine = load_machine(file)
+    fitted = _one_axis(case, table, machine, "short", out / "fit", runs)
+    held_out = _one_axis(case, table, machine, "exam", out / "check", None)
+    truth = truth_of(case)
+    causes = tuple(e["name"] for e in (*truth["effect"], *truth["outside"]) if e["axis"] == axis)
+    true = mechanics_of(true_machine(load_machine(SHIPPED_MACHINE), {"parameter": truth["parameter"]}).with_axes([axis]))
+    text = f"a made machine ({kind}), axis {axis}: {', '.join(causes) or 'no effect'}"
+    known = Known(text, read_campaign(held_out, machine).runs, true, causes, bool(truth["outside"]))
+    return given(file, fitted), known
+
+
+def _one_axis(case: Case, table: dict, machine: Machine, run_set: str, folder: Path, kept: Sequence[str] | None) -> Path:
+    """The campaign folder of one axis of a case: runs in which it moves, without the columns of the other axes."""
+    whole = folder.with_name(folder.name + "_whole")
+    if not (whole / "campaign.toml").exists():
+        write_campaign(case, whole, table, runs=run_set)
+    folder.mkdir(exist_ok=True)
+    lines = [f"machine = {json.dumps(machine.name)}"]
+    (name,) = machine.axis_names
+    for run in read_campaign(whole, load_machine(SHIPPED_MACHINE)).runs:
+        signals = {key: values for key, values in run.trace.signals.items() if key[0] == name}
+        moves = float(signals[name, "setpoint"].max() - signals[name, "setpoint"].min()) > 1e-5
+        if not moves or (kept is not None and run.name not in kept):
+            continue
+        write_trace(replace(run.trace, signals=signals, kinds=machine.kinds), folder / f"{run.name}.parquet")
+        lines.append(f'[[run]]\nfile = "{run.name}.parquet"\nfeedforward = "{run.feedforward}"\nstarted_at_s = {run.started_at:.3f}')
+    (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder

@@ -1,0 +1,140 @@
+"""The twin beside other methods: each method finds the numbers of a small made axis, and the marks are right."""
+
+from collections.abc import Callable
+from dataclasses import replace
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devtools.versus import answer, table
+from devtools.versus.__main__ import LIBRARY, RIVALS, compared
+from devtools.versus.answer import Answer, code_lines, marked, timed
+from devtools.versus.inputs import Input, Known, simulated
+from devtools.versus.numbers import numbers_of, with_numbers
+
+CHANGES = {"inertia": 1.03, "coulomb_friction": 0.95, "viscous_friction": 1.04}
+ASYMMETRY = ({"name": "viscous_asymmetry", "axis": "X", "fraction": 0.15},)
+
+# what each method reaches on the small inputs: largest error of a number, gap left out in times noise; without and with the effect
+REACHED = {
+    "mujoco.sysid": ((0.01, 12.0), (0.10, 90.0)),
+    "CMA-ES (PACE)": ((0.001, 3.0), (0.10, 90.0)),
+    "least squares": ((0.001, 3.0), (0.15, 60.0)),
+    "SINDy": ((0.08, 90.0), (0.08, 90.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def numbers_only(tmp_path_factory: pytest.TempPathFactory) -> tuple[Input, Known]:
+    return simulated(tmp_path_factory.mktemp("numbers"), CHANGES)
+
+
+@pytest.fixture(scope="module")
+def one_effect(tmp_path_factory: pytest.TempPathFactory) -> tuple[Input, Known]:
+    return simulated(tmp_path_factory.mktemp("effect"), CHANGES, ASYMMETRY)
+
+
+def installed(method: str) -> Callable[[Input], Answer]:
+    library = LIBRARY.get(method)
+    if library and importlib.util.find_spec(library) is None:
+        pytest.skip(f"{method}: {library} is not installed; it is in the extra 'versus'")
+    return RIVALS[method]
+
+
+SLOW = ("mujoco.sysid", "CMA-ES (PACE)")
+
+
+@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow if m in SLOW else ()) for m in RIVALS])
+def test_each_method_reaches_its_numbers(method: str, numbers_only: tuple[Input, Known], one_effect: tuple[Input, Known]) -> None:
+    """The right model: errors of the numbers and gap. One effect more: nobody claims success, but the gap stays many times the noise."""
+    fit = installed(method)
+    for (one, known), (worst, most) in zip((numbers_only, one_effect), REACHED[method]):
+        row = marked(timed(fit, one), known)
+        assert max(n["error"] for n in row["numbers"].values()) < worst
+        assert row["gap"]["times_noise"] < most
+    assert row["gap"]["times_noise"] > 10.0
+
+
+def test_marks_tell_right_from_wrong(one_effect: tuple[Input, Known]) -> None:
+    """The true machine leaves noise; a number is in its interval or not; a cause is named or not; a load moves the prediction."""
+    one, known = one_effect
+    true = with_numbers(one.machine, known.numbers)
+    narrow = {n: (v, 0.999 * v, 1.001 * v) for n, v in known.numbers.items() if v}
+    good = Answer(true, narrow, "", ("viscous_asymmetry",))
+    wrong = Answer(true, {n: (1.1 * v, 1.09 * v, 1.11 * v) for n, (v, _, _) in narrow.items()}, "", ("stribeck",))
+    of_good, of_wrong = marked(good, known), marked(wrong, known)
+    assert of_good["right"]
+    assert not of_wrong["right"]
+    assert all(n["holds"] for n in of_good["numbers"].values())
+    assert not any(n["holds"] for n in of_wrong["numbers"].values())
+    assert max(n["error"] for n in of_wrong["numbers"].values()) == pytest.approx(0.1)
+    # the effect that is missing, as a force along the motion
+    d = known.numbers["viscous_friction"]
+    loaded = marked(replace(good, load=lambda q, v, a: 0.15 * d * np.abs(v)), known)
+    other = marked(replace(good, load=lambda q, v, a: -0.15 * d * np.abs(v)), known)
+    assert min(loaded["gap"]["times_noise"], other["gap"]["times_noise"]) < 0.3 * of_good["gap"]["times_noise"]
+    outside = replace(known, outside=True)
+    assert answer.right(replace(good, verdict="unknown"), outside)
+    assert not answer.right(replace(good, verdict="none"), outside)
+
+
+def test_numbers_go_into_the_machine_and_come_back(numbers_only: tuple[Input, Known]) -> None:
+    machine = numbers_only[0].machine
+    wanted = {n: 1.07 * v for n, v in numbers_of(machine).items()} | {"constant_force": -2.5}
+    assert numbers_of(with_numbers(machine, wanted)) == pytest.approx(wanted)
+
+
+def test_lines_are_those_of_code() -> None:
+    source = '''
+def fit(x):
+    """Two
+    lines."""
+    # a comment
+
+    y = (x +
+         1)
+    return "text"
+'''
+    assert code_lines(source) == 4
+
+
+def test_the_table_is_made_from_stored_results(numbers_only: tuple[Input, Known], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A failed method is a row, not the end; what is not claimed stays blank."""
+    from twin.errors import InputError
+
+    def fails(_one: Input) -> Answer:
+        raise InputError("cannot")
+
+    one, known = numbers_only
+    monkeypatch.setattr("devtools.versus.__main__.RIVALS", {"mine": lambda one: Answer(one.machine, {}, "said"), "other": fails})
+    monkeypatch.setattr("devtools.versus.__main__.identified", lambda one, _out: Answer(one.machine, {"inertia": (1.0, 0.9, 1.1)}, ""))
+    monkeypatch.setattr(
+        "devtools.versus.__main__.diagnosed", lambda one, _out: Answer(one.machine, {}, "", ("backlash",), verdict="effect")
+    )
+    (tmp_path / "small.json").write_text(json.dumps(compared(one, known, tmp_path)))
+    lines = table.table_text(tmp_path).splitlines()
+    assert "failed" in next(line for line in lines if line.startswith("other"))
+    assert "0 of 1" in next(line for line in lines if line.startswith("twin identify"))
+    assert "backlash" in next(line for line in lines if line.startswith("twin diagnose"))
+
+
+@pytest.mark.slow
+def test_simulation_and_planning_beside_their_peers() -> None:
+    """The peers simulate the same law: within their sampling of the twin. The compiled loop is many times faster than Python."""
+    from devtools.versus.peers import REPEATS, peers, peers_text
+
+    measured = peers()
+    rows = measured["simulation"]
+    assert rows["the twin, decoupled plant"]["off_um"] < 0.02
+    assert rows["solve_ivp (LSODA)"]["off_um"] < 10.0
+    assert rows["MuJoCo in plain Python"]["seconds"] > 5.0 * rows["the twin, MuJoCo"]["seconds"]
+    assert rows["solve_ivp (LSODA)"]["seconds"] > 2.0 * rows["the twin, MuJoCo"]["seconds"]
+    if "python-control (no friction)" in rows:
+        assert rows["python-control (no friction)"]["off_um"] < 20.0
+    if "planning" in measured:
+        assert measured["planning"]["path_time_ratio"] < 1.1
+    assert REPEATS > 1
+    assert "over the twin" in peers_text(measured)
