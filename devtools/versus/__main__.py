@@ -19,7 +19,7 @@ from typing import Any
 from twin.errors import TwinError
 
 from .answer import Answer, marked, timed
-from .inputs import Input, Known, emps, made
+from .inputs import Input, Known, emps, kr300, made
 from .picture import draw
 from .simulated_fits import evolution_fit, least_squares_fit
 from .sindy import sindy_fit
@@ -52,6 +52,8 @@ def inputs_of(data: Path | None, out: Path) -> dict[str, Callable[[], tuple[Inpu
     found: dict[str, Callable[[], tuple[Input, Known]]] = {}
     if data is not None and (data / "emps" / "DATA_EMPS.mat").is_file():
         found["emps"] = lambda: emps(data, out / "work" / "emps")
+    if data is not None and (data / "kr300" / "FF_A.mat").is_file():
+        found["kr300"] = lambda: kr300(data, out / "work" / "kr300")
     for name, (kind, seed, axis) in MADE.items():
         found[name] = lambda name=name, kind=kind, seed=seed, axis=axis: made(kind, seed, axis, out / "work" / name)
     return found

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+import importlib.util
 import json
 from pathlib import Path
+import sys
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,7 @@ from twin.simulation.setpoints import Setpoints
 from .numbers import MECHANICS, numbers_of, with_numbers
 
 HERE = Path(__file__).resolve().parent
+KR300 = HERE.parents[1] / "examples" / "real" / "kr300" / "run.py"
 EMPS = HERE.parents[1] / "examples" / "emps"
 
 
@@ -67,6 +70,31 @@ def emps(data: Path, out: Path) -> tuple[Input, Known]:
     one = given(EMPS / "axis.toml", out / "fit")
     published = {"inertia": 95.1089, "coulomb_friction": 20.3935, "viscous_friction": 203.5034, "constant_force": 3.1648}
     return one, Known("the EMPS record, 16.3 s fitted, 8.3 s left out", read_campaign(out / "check", one.machine).runs, published, None)
+
+
+def kr300(data: Path, out: Path) -> tuple[Input, Known]:
+    """Axis 1 of the KR300 robot, prepared as in examples/real/kr300: recording A fitted, B left out. The truth is unknown."""
+    spec = importlib.util.spec_from_file_location("kr300_run", KR300)
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = script  # its dataclass looks there
+    spec.loader.exec_module(script)
+    recordings = [data / "kr300" / name for name in ("FF_A.mat", "FF_B.mat")]
+    show_and_run("import", *recordings, "--out", out / "imported", "--no-picture")
+    models = [script.model_of(file) for file in recordings]
+    (out / "axes.xml").write_text(script.model_xml(models[0]), encoding="utf-8")
+    (out / "all.toml").write_text(script.machine_text(models[0]), encoding="utf-8")
+    file = out / "machine" / "machine.toml"
+    file.parent.mkdir(exist_ok=True)
+    write_machine(load_machine(out / "all.toml").with_axes(["1"]), file)
+    runs = []
+    for run, model in zip(read_campaign(out / "imported").runs, models):
+        followed = script.following(run, model)
+        one = replace(followed, trace=followed.trace.select(["1"]), facts={k: v for k, v in followed.facts.items() if k[0] == "1"})
+        runs.append(script.resampled(one))
+    script.write_campaign(out / "fit", runs[:1], "KR300")
+    return given(file, out / "fit"), Known("axis 1 of the KR300 robot, A fitted, B left out", tuple(runs[1:]), {}, None)
 
 
 STROKES = {  # run -> (stroke [m], speed [m/s]) there and back

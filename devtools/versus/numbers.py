@@ -9,26 +9,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import Trace
+from twin.simulation.plant_spec import home_inertia_at_motor
 
 MECHANICS = ("inertia", "coulomb_friction", "viscous_friction", "constant_force")
 LOOPS = ("position_gain_per_s", "speed_gain_nm_s_per_rad", "speed_integral_time_s", "position_delay_s", "feedforward_delay_s")
-UNITS = {
-    "linear": ("kg", "N", "N s/m", "N"),
-    "rotary": ("kg m2", "Nm", "Nm s/rad", "Nm"),
-}
 
 
-def load_inertia(axis: Axis) -> float:
-    """Inertia of the load at the axis [kg, kg m2]."""
-    return axis.moving_mass_kg or 0.0
+def load_inertia(machine: Machine) -> float:
+    """Inertia of the load of the only driven axis, at the axis [kg, kg m2]."""
+    (axis,) = machine.axes
+    return float(home_inertia_at_motor(machine)[0] - axis.rotor_inertia_kg_m2) / axis.ratio**2
 
 
 def numbers_of(machine: Machine) -> dict[str, float]:
     """The numbers of the only driven axis: MECHANICS at the axis, and the LOOPS that it has."""
     (axis,) = machine.axes
     found = {
-        "inertia": load_inertia(axis) + axis.rotor_inertia_kg_m2 / axis.ratio**2,
+        "inertia": load_inertia(machine) + axis.rotor_inertia_kg_m2 / axis.ratio**2,
         "coulomb_friction": axis.coulomb_friction,
         "viscous_friction": axis.viscous_friction,
         "constant_force": axis.constant_force,
@@ -42,7 +43,7 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
     (axis,) = machine.axes
     r = axis.ratio
     to_file = {
-        "inertia": ("rotor_inertia_kg_m2", lambda value: max(value - load_inertia(axis), 1e-3 * value) * r**2),
+        "inertia": ("rotor_inertia_kg_m2", lambda value: max(value - load_inertia(machine), 1e-3 * value) * r**2),
         "coulomb_friction": ("coulomb_friction_nm", lambda value: max(value, 0.0) * r),
         "viscous_friction": ("viscous_friction_nm_s_per_rad", lambda value: max(value, 0.0) * r**2),
         "constant_force": ("constant_torque_nm", lambda value: value * r),
@@ -63,3 +64,16 @@ ROTOR = {"linear": "rotor_and_screw_inertia_kg_m2", "rotary": "rotor_and_gear_in
 def sizes_of(numbers: Mapping[str, float]) -> dict[str, float]:
     """The size by which a fit scales each number: its own, for the constant force that of the friction."""
     return {name: numbers["coulomb_friction"] if name == "constant_force" else value for name, value in numbers.items()}
+
+
+def drive_force(axis: Axis, trace: Trace) -> np.ndarray:
+    """Recorded force on the axis (sample,) [N, Nm]: that of the drive at the torque constant of the file, and the known outside load."""
+    force = trace.get(axis.name, axis.effort) * force_per_effort(axis)
+    for unit, load in trace.loads(axis.name).items():
+        force = force + load / (axis.ratio if unit == "Nm" and axis.kind == "linear" else 1.0)
+    return force
+
+
+def force_per_effort(axis: Axis) -> float:
+    """Force at the axis for one ampere, volt or newton metre."""
+    return (1.0 if axis.effort == "torque" else axis.motor.torque_constant_nm_per_a) / axis.ratio

@@ -14,8 +14,7 @@ from twin.recordings.campaign import MeasuredRun
 
 from .answer import Answer
 from .inputs import Input
-from .numbers import MECHANICS, numbers_of, with_numbers
-from .sysid import force_per_effort
+from .numbers import MECHANICS, drive_force, numbers_of, with_numbers
 
 BAND_HZ = 50.0
 SLOW = 4e-3
@@ -52,10 +51,10 @@ def force_rows(axis: Axis, run: MeasuredRun, start: dict[str, float]) -> tuple[n
     q = sosfiltfilt(sos, run.trace.get(axis.name, "motor_position"))
     v = np.gradient(q, run.trace.period)
     library = columns_of(axis, q, v, np.gradient(v, run.trace.period))
-    effort = run.trace.get(axis.name, axis.effort)
+    force = drive_force(axis, run.trace)
     if axis.effort == "voltage":  # a command is held for the cycle that begins: half a cycle later than the position
-        effort = 0.5 * (effort + np.roll(effort, 1))
-    force = effort * force_per_effort(axis) - sum(start[n] * library[n] for n in MECHANICS)
+        force = 0.5 * (force + np.roll(force, 1))
+    force = force - sum(start[n] * library[n] for n in MECHANICS)
     kept = slice(100, -100, 10)
     return sosfiltfilt(sos, force)[kept], sosfiltfilt(sos, np.column_stack(list(library.values())), axis=0)[kept]
 

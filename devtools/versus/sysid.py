@@ -20,7 +20,7 @@ from twin.machine.machine import Axis
 
 from .answer import Answer
 from .inputs import Input
-from .numbers import numbers_of, sizes_of, with_numbers
+from .numbers import drive_force, numbers_of, sizes_of, with_numbers
 
 WINDOW_S = 0.5
 """Length of a window with recorded current."""
@@ -66,7 +66,7 @@ def sysid_fit(one: Input) -> Answer:
     names, states, controls, sensors = [], [], [], []
     for run in one.fitted:
         name, trace = axis.name, run.trace
-        q, control = trace.get(name, "motor_position"), trace.get(name, axis.effort) * force_per_effort(axis)
+        q, control = trace.get(name, "motor_position"), drive_force(axis, trace)
         v = trace.get(name, "velocity") if trace.has(name, "velocity") else np.gradient(q, period)
         length = round(WINDOW_S / period)
         for at in range(0, len(q) - length + 1, length):
@@ -103,11 +103,6 @@ def set_damping(spec: mujoco.MjSpec, parameter: Any) -> None:
 def set_friction(spec: mujoco.MjSpec, parameter: Any) -> None:
     """Modifier: Coulomb friction."""
     spec.joint("q").frictionloss = parameter.value[0]
-
-
-def force_per_effort(axis: Axis) -> float:
-    """Force at the axis for one ampere or volt [N/A, N/V]."""
-    return axis.motor.torque_constant_nm_per_a / axis.ratio
 
 
 sysid_fit.written_by_user = (model_xml, set_inertia, set_damping, set_friction, sysid_fit)  # type: ignore[attr-defined]
