@@ -115,10 +115,17 @@ def test_the_table_is_made_from_stored_results(numbers_only: tuple[Input, Known]
         "devtools.versus.__main__.diagnosed", lambda one, _out: Answer(one.machine, {}, "", ("backlash",), verdict="effect")
     )
     (tmp_path / "small.json").write_text(json.dumps(compared(one, known, tmp_path)))
-    lines = table.table_text(tmp_path).splitlines()
-    assert "failed" in next(line for line in lines if line.startswith("other"))
-    assert "0 of 1" in next(line for line in lines if line.startswith("twin identify"))
-    assert "backlash" in next(line for line in lines if line.startswith("twin diagnose"))
+    results = table.results_in(tmp_path)
+    gaps = table.gaps_table(results)
+    assert "failed" in gaps
+    assert gaps.count("**") == 8  # four methods left the same machine as it was
+    answers = {line.split(" | ")[0].strip("| "): line for line in table.answers_table(results).splitlines()}
+    assert "0 of 1" in answers["twin identify"]
+    assert "| 0 of 1 |" in answers["twin diagnose"]
+    assert "names none" in answers["mine"]
+    says = table.says_table(results)
+    assert "backlash" in says
+    assert "cannot" in says
 
 
 @pytest.mark.slow

@@ -30,12 +30,12 @@ Load = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Answer:
-    """The machine that a method found; numbers with their claimed 95 % interval (None: none claimed); causes named; what it says."""
+    """The machine that a method found; numbers with their claimed 95 % interval (None: none claimed); causes, None if it names none; what it says."""
 
     machine: Machine
     intervals: Mapping[str, tuple[float, float, float] | None]
     says: str
-    causes: tuple[str, ...] = ()
+    causes: tuple[str, ...] | None = None
     load: Load | None = None
     cpu_s: float = 0.0
     lines: int = 0
@@ -116,9 +116,9 @@ def marked(answer: Answer, known: Known) -> dict[str, Any]:
     return {
         "gap": gap_on(answer, known),
         "numbers": rows,
-        "causes": list(answer.causes),
+        "causes": list(answer.causes or ()),
         "verdict": answer.verdict,
-        "right": None if known.causes is None else right(answer, known),
+        "right": None if None in (known.causes, answer.causes) else right(answer, known),
         "says": answer.says,
         "cpu_s": round(answer.cpu_s, 2),
         "lines": answer.lines,
@@ -130,4 +130,4 @@ def right(answer: Answer, known: Known) -> bool:
     """Is what the method names what is there? Nothing for a healthy machine; "unknown" or a law for an effect outside the library."""
     if known.outside:
         return answer.verdict in ("unknown", "law")
-    return set(answer.causes) == set(known.causes or ())
+    return set(answer.causes or ()) == set(known.causes or ())

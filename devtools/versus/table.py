@@ -1,46 +1,89 @@
-"""The table of the comparison, from the stored results."""
+"""The tables of the comparison, in Markdown, from the stored results."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import json
 from pathlib import Path
 from typing import Any
 
-from twin.simulation.summary import table
-
-HEADING = ["method", "gap left out", "position", "effort", "largest error", "intervals hold", "named", "processor time", "lines"]
+NOT_RESULTS = ("peers",)
 
 
 def results_in(folder: Path) -> dict[str, dict[str, Any]]:
     """Stored results by name of the input."""
-    files = [f for f in sorted(folder.glob("*.json")) if f.stem != "peers"]
+    files = [f for f in sorted(folder.glob("*.json")) if f.stem not in NOT_RESULTS]
     return {f.stem: json.loads(f.read_text(encoding="utf-8")) for f in files}
 
 
-def row_of(name: str, row: dict[str, Any], causes: list[str] | None) -> list[str]:
-    """One method in words."""
-    if "failed" in row:
-        return [name, "failed", *[""] * 7]
-    gap, numbers = row["gap"], row["numbers"].values()
-    claimed = [n["holds"] for n in numbers if n["holds"] is not None]
-    named = ", ".join(row["causes"]) or row["verdict"] or ""
-    return [
-        name,
-        f"{gap['times_noise']:.1f} x noise",
-        f"{gap['position']:.2f}",
-        f"{gap['effort']:.3f}",
-        f"{100 * max(n['error'] for n in numbers):.1f} %" if numbers else "",
-        f"{sum(claimed)} of {len(claimed)}" if claimed else "",
-        named,
-        f"{row['cpu_s']:.1f} s",
-        str(row["lines"] or ""),
+def markdown(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [f"| {' | '.join(cells)} |" for cells in (heading, ["---"] * len(heading), *rows)]
+    return "\n".join(lines)
+
+
+def methods_of(results: dict[str, dict[str, Any]]) -> list[str]:
+    """All methods, in the order of the first result that has them."""
+    return list(dict.fromkeys(m for result in results.values() for m in result["rows"]))
+
+
+def gaps_table(results: dict[str, dict[str, Any]]) -> str:
+    """Gap on the runs left out, in times noise: one row an input, one column a method; the best in bold."""
+    methods = methods_of(results)
+    rows = []
+    for result in results.values():
+        gaps = {m: row["gap"]["times_noise"] for m, row in result["rows"].items() if "gap" in row}
+        best = min(gaps.values())
+        texts = {m: f"{g:.2f}" if g < 9.95 else f"{g:.1f}" for m, g in gaps.items()}
+        rows.append([result["text"], *(f"**{texts[m]}**" if gaps.get(m) == best else texts.get(m, "failed") for m in methods)])
+    return markdown(["gap left out, times noise", *methods], rows)
+
+
+def answers_table(results: dict[str, dict[str, Any]]) -> str:
+    """What each method claims: errors of numbers and intervals where the truth is known, causes, time, lines."""
+    rows = []
+    for method in methods_of(results)[1:]:
+        own = {name: result["rows"][method] for name, result in results.items() if method in result["rows"]}
+        own = {name: row for name, row in own.items() if "gap" in row}
+        if not own:
+            continue
+        numbers = [n for name, row in own.items() if results[name]["causes"] is not None for n in row["numbers"].values()]
+        worst = sorted(n["error"] for n in numbers)
+        claimed = [n["holds"] for n in numbers if n["holds"] is not None]
+        asked = [row["right"] for row in own.values() if row["right"] is not None]
+        times = sorted(row["cpu_s"] for row in own.values())
+        lines = {row["lines"] for row in own.values()}
+        rows.append(
+            [
+                method,
+                f"{100 * worst[len(worst) // 2]:.1f} %, {100 * worst[-1]:.0f} %" if worst else "",
+                f"{sum(claimed)} of {len(claimed)}" if claimed else "none claimed",
+                f"{sum(asked)} of {len(asked)}" if asked else "names none",
+                f"{times[0]:.0f} to {times[-1]:.0f} s",
+                str(max(lines)),
+            ]
+        )
+    heading = [
+        "method",
+        "error of the numbers, median and largest",
+        "intervals that contain the truth",
+        "cause right",
+        "processor time",
+        "lines",
     ]
+    return markdown(heading, rows)
+
+
+def says_table(results: dict[str, dict[str, Any]]) -> str:
+    """What each method names and says, by input."""
+    rows = []
+    for result in results.values():
+        for method, row in list(result["rows"].items())[1:]:
+            rows.append([result["text"], method, ", ".join(row.get("causes", ())) or "", row.get("says") or row.get("failed", "")])
+    return markdown(["input", "method", "names", "says"], rows)
 
 
 def table_text(folder: Path) -> str:
-    """One table an input."""
-    parts = []
-    for name, result in results_in(folder).items():
-        rows = [row_of(method, row, result["causes"]) for method, row in result["rows"].items()]
-        parts.append(f"{name}: {result['text']}\n" + table(HEADING, rows, left=1))
-    return "\n\n".join(parts)
+    """All tables."""
+    results = results_in(folder)
+    return "\n\n".join([gaps_table(results), answers_table(results), says_table(results)]) if results else "no results"

@@ -62,7 +62,7 @@ def diagnosed(one: Input, out: Path, *options: str) -> Answer:
     seconds, _ = ran("diagnose", one.campaign, "--machine", one.file, "--out", out / "diagnosis", *options)
     document = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
     causes = tuple(e["effect"] for e in document["effects"])
-    laws = [f"a law over {law.get('variable', law.get('over', '?'))}" for law in document.get("laws", ())]
+    laws = [f"a law over {', '.join(law['variables'])}" for law in document.get("laws", ())]
     machine = with_commissioned_inertia(load_machine(out / "diagnosis" / "machine.toml"))
     parts = [f"{e['effect']} {e['probability']:.2f}" for e in document["effects"]] + laws
     says = f"verdict {document['verdict']}: {', '.join(parts) or 'nothing added'}"
