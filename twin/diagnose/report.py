@@ -6,16 +6,15 @@ from pathlib import Path
 import shlex
 from typing import Any
 
-import jinja2
-
 from twin.diagnose.budget import overlap_text
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.evidence import blocks_map, retuned_values, run_levels, stretches
+from twin.diagnose.evidence import Stretch, blocks_map, retuned_values, run_levels, stretches
 from twin.diagnose.law.figures import laws_figure
-from twin.diagnose.report_figures import as_image, budget_figure, map_figure, stretch_figure, waterfall_figure
+from twin.diagnose.report_figures import budget_figure, image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import (
     calibration_text,
     effect_title,
+    listed,
     parameters_of,
     percent,
     sentence_case,
@@ -24,62 +23,74 @@ from twin.diagnose.wording import (
     verdict_sentence,
 )
 from twin.effects import EFFECTS
-from twin.files import write_whole
+from twin.report import Section, Table, write_page
 from twin.report.stamp import made_line
 from twin.units import ARCSEC, plain
 
+Document = dict[str, Any]
+
 CANDIDATES_SHOWN = 12
 STRETCHES_SHOWN = 3
+ROWS_SHOWN = 20
+"""Most contributions of a budget in the page; diagnosis.json holds all."""
+SMALL = 0.1
+"""Contribution, as a multiple of the noise, below which a row of the budget that is no finding is only counted."""
+LEFT = 2.0
+"""Gap after the correction, as a multiple of the noise, above which a row is highlighted."""
+
+_HOW_TO_READ = [
+    "The gap is measured minus simulated, in multiples of the measuring noise: 1 is a perfect twin. Shares refer to the squared gap above noise.",
+    "'Machine file as it is' is the nominal twin; 'corrected machine' has the re-tuned values and the effects found. The following error is drawn "
+    "without the position delay.",
+    "A probability compares the candidates of a round with each other and with 'no effect'; it never exceeds 98 %, because a cause outside the "
+    "library cannot be excluded.",
+]
 
 
-def write_report(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
+def write_report(diagnosis: Diagnosis, document: Document, path: Path) -> None:
     """Write the page. Raises InputError if the file cannot be written."""
-    write_whole(path, report_page(diagnosis, document, path.parent))
+    axes, _ = run_levels(diagnosis)
+    runs = diagnosis.campaign.runs
+    seconds = sum(float(run.trace.time[-1] - run.trace.time[0]) for run in runs)
+    inputs = f"{diagnosis.campaign.path.name} ({len(runs)} run{'s' * (len(runs) > 1)}, {seconds:.0f} s, axes {' '.join(axes)})"
+    sections = sections_of(diagnosis, document, path.parent)
+    write_page(path, verdict_sentence(document, numbers=True), gap_sentence(document), sections, made_line(diagnosis.machine.name, inputs))
 
 
-def report_page(diagnosis: Diagnosis, document: dict[str, Any], folder: Path = Path()) -> str:
-    """The page as HTML; `folder` holds the corrected machine."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("twin.diagnose", "."),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters.update(
-        percent=percent, plain=plain, times=times, effect_title=effect_title, parameters=parameters_of, sentence_case=sentence_case
-    )
-    axes, blocks = blocks_map(diagnosis, document)
-    run_axes, runs = run_levels(diagnosis)
-    return environment.get_template("report.html.j2").render(
-        document=document,
-        made=made_line(),
-        campaign=diagnosis.campaign,
-        corrected=shlex.quote(str(folder / "machine.toml")),
-        machine=diagnosis.machine,
-        seconds=sum(float(run.trace.time[-1] - run.trace.time[0]) for run in diagnosis.campaign.runs),
-        verdict=verdict_sentence(document, numbers=True),
-        unseen=unseen_text(document),
-        calibration=calibration_text(document),
-        numbers=gap_sentence(document),
-        summaries={name: effect.summary for name, effect in EFFECTS.items()},
-        telling=telling_gaps(document),
-        overlap=overlap_text(document["budget"]) if document["budget"] else "",
-        budget=as_image(budget_figure(document["budget"])) if document["effects"] else "",
-        program_picture=as_image(budget_figure(document["budget_on_program"])) if document["effects"] and diagnosis.on_program else "",
-        waterfall=as_image(waterfall_figure(diagnosis.waterfall)),
-        map=as_image(map_figure(axes, blocks)),
-        curves=[(s, as_image(stretch_figure(diagnosis, s))) for s in stretches(diagnosis, document)[:STRETCHES_SHOWN]],
-        run_axes=run_axes,
-        runs=runs,
-        candidates=document["candidates"][:CANDIDATES_SHOWN],
-        retuned=_retuned_table(diagnosis),
-        stiffness=lambda table: _stiffness(diagnosis, table),
-        laws_picture=as_image(laws_figure(diagnosis.laws, diagnosis.machine)) if diagnosis.laws else "",
-    )
+def sections_of(diagnosis: Diagnosis, document: Document, folder: Path) -> list[Section]:
+    """The page from the three answers (where, which, how far) to the evidence; `folder` holds the corrected machine."""
+    shown = stretches(diagnosis, document)[:STRETCHES_SHOWN]
+    sections = [Section("Where, which, how far", cards=[_where(document), _which(document), _how_far(diagnosis, document)])]
+    if document["effects"]:
+        sections.append(_budget("Gap budget at the tool point", document["budget"], at_tool=True))
+    if program := document.get("budget_on_program"):
+        said = f"The corrected machine moves the tool by {plain(program['change'])} um RMS relative to the machine file."
+        unknown = "The unexplained gap is not known on a program that was not measured."
+        budget = _budget(f"Gap budget on {program['program']}", program, at_tool=False, picture=bool(document["effects"]))
+        sections.append(Section(budget.title, [f"{said} {unknown}"], budget.figures, budget.tables))
+    measured_on = "held-out runs" if document["gap"]["held_out_runs"] else "the runs of the fit"
+    closes = f"First and last bar measured on {measured_on}; percentages refer to the squared gap."
+    alone = "Each block by itself with its measured inputs, compared with its own noise, so that a fault is visible in one block only."
+    sections += [
+        Section("What closes the gap", figures=[image(waterfall_figure(diagnosis.waterfall), closes)]),
+        Section("Where it lies: share by axis and block", figures=[image(map_figure(*blocks_map(diagnosis, document)), alone)]),
+        *(_stretch(diagnosis, s, "Before and after: ") for s in shown[:1]),
+        *([_laws(diagnosis, document)] if document.get("laws") else []),
+        _next(document, folder),
+        *([_effects(document)] if document["effects"] else []),
+        *([_places(document)] if document["where"] else []),
+        *(_stretch(diagnosis, s, "Evidence: ") for s in shown[1:]),
+        _gap_by_signal(document),
+        _gap_by_run(diagnosis),
+        _candidates(document),
+        *([_not_separated(document)] if document["ambiguous_with"] else []),
+        *([_retuned(diagnosis, document)] if retuned_values(diagnosis) else []),
+        Section("How to read this page", _HOW_TO_READ),
+    ]
+    return sections
 
 
-def gap_sentence(document: dict[str, Any]) -> str:
+def gap_sentence(document: Document) -> str:
     """How far the gap shrinks, in multiples of noise."""
     gap = document["gap"]
     where = "held-out runs" if gap["held_out_runs"] else "the runs of the fit"
@@ -88,30 +99,239 @@ def gap_sentence(document: dict[str, Any]) -> str:
     return f"The correction reduces the gap from {times(gap['before'])} to {times(gap['after'])} times the noise, on {where}."
 
 
-def telling_gaps(document: dict[str, Any]) -> list[dict[str, Any]]:
+def _where(document: Document) -> Section:
+    if not document["where"]:
+        return Section("Where", ["Nowhere", "Every block of every axis agrees with the machine file."])
+    first, *others = document["where"]
+    scale = f"; scales with {first['scales_with']}" if first["scales_with"] != "-" else ""
+    band = f"; {_band(first)}" if "band_hz" in first else ""
+    words = [
+        f"Axis {first['axis']}, {first['block']}",
+        f"{percent(first['share'])} of the residual above noise in all blocks; regime: {first['regime']}{scale}{band}.",
+    ]
+    words += [f"Mostly in {_plain(', '.join(first['runs'][:3]))}."] if first["runs"] else []
+    return Section("Where", words + [f"Also axis {o['axis']}, {o['block']}: {percent(o['share'])}." for o in others[:2]])
+
+
+def _which(document: Document) -> Section:
+    effects, words = document["effects"], []
+    for effect in effects[:3]:
+        words += [
+            sentence_case(effect_title(effect)),
+            EFFECTS[effect["effect"]].summary,
+            f"{_parameters(effect)}. Probability {percent(effect['probability'])}; explains {percent(effect['explained'])} of the axis' gap.",
+        ]
+    if not effects:
+        words = [{"none": "No effect", "law": "An unlisted law"}.get(document["verdict"], "None of the known effects")]
+        words += [f"{len(document['candidates'])} combinations of effect and axis were tried."] if document["candidates"] else []
+    words += [f"And {len(effects) - 3} more in the budget below."] if len(effects) > 3 else []
+    if document["ambiguous_with"]:
+        rivals = (f"{effect_title(a)} instead of {_plain(a['instead_of'])}" for a in document["ambiguous_with"])
+        words.append(f"Could also be: {'; '.join(rivals)}.")
+    return Section("Which", words)
+
+
+def _how_far(diagnosis: Diagnosis, document: Document) -> Section:
+    gap = document["gap"]
+    words = [f"{times(gap['before'])} \u2192 {times(gap['after'])} \u00d7 noise"]
+    for g in telling_gaps(document):
+        signal = f"{g['signal'].capitalize()} of {g['axis']}"
+        words.append(f"{signal}: {plain(g['before'])} \u2192 {plain(g['after'])} {g['unit']} RMS (noise {plain(g['noise_floor'])})")
+    tolerance = 100.0 * diagnosis.machine.parameter_tolerance
+    words.append(f"Re-tuning within \u00b1{tolerance:.2g} % and normal imperfections alone close {percent(gap['retuning_share'])}.")
+    held_out = "Every run is predicted by a fit without it." if gap["held_out_runs"] else "Single run: no run can be held out of the fit."
+    return Section("How far", [*words, held_out])
+
+
+def telling_gaps(document: Document) -> list[dict[str, Any]]:
     """For each axis with an effect its worst signal over noise: axis, signal, before, after, noise_floor, unit."""
     rows = []
     for axis in dict.fromkeys(e["axis"] for e in document["effects"]):
         signals = {name: g for name, g in document["gap"]["axes"].get(axis, {}).items() if g["noise_floor"] > 0}
         if signals:
             name = max(signals, key=lambda s: signals[s]["before"] / signals[s]["noise_floor"])
-            rows.append({"axis": axis, "signal": name.replace("_", " "), **signals[name]})
+            rows.append({"axis": axis, "signal": _plain(name), **signals[name]})
     return rows
 
 
-def _stiffness(diagnosis: Diagnosis, table: dict[str, Any]) -> str:
+def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -> Section:
+    """What each effect adds, as a picture and a table."""
+    rows = budget["rows"]
+    small = [r for r in rows if r["kind"] not in ("effect", "law") and r["times_noise"] < SMALL]
+    shown = [r for r in rows[:ROWS_SHOWN] if r not in small]
+    cells = [
+        [
+            effect_title(r) + (f" ({r['kind']})" if r["kind"] not in ("effect", "law") else ""),
+            plain(r["tool_point"]),
+            plain(r["alone"]),
+            plain(r["largest"]),
+            _plain(r["run"]),
+            f"{r['at_s']:.2f}",
+            ", ".join(f"{v:.1f}" for v in r["at_mm"]),
+            f"{plain(r['position'])} {r['position_unit']}",
+            plain(r["current"]),
+            plain(r["times_noise"]),
+            percent(r["probability"]) if r["kind"] == "effect" else "",
+        ]
+        for r in shown
+    ]
+    for r in budget.get("unexplained", ()) if at_tool else ():
+        cells.append([f"not explained: axis {r['axis']}, {r['block']}", plain(r["tool_point"]), *[""] * 7, plain(r["times_noise"]), ""])
+    if small:
+        most = plain(max(r["tool_point"] for r in small))
+        cells.append([f"and {len(small)} more, each below a tenth of the noise and at most {most} um; see diagnosis.json", *[""] * 10])
+    heading = ("contribution", "tool point [um]", "alone [um]", "largest [um]", "in run", "at [s]", "at X, Y, Z of the part [mm]",
+               "true position of the axis", "current [A]", "\u00d7 noise", "probability")  # fmt: skip
+    marked = frozenset(i for i, r in enumerate(shown) if r["kind"] == "effect")
+    caption = (
+        "Bar: RMS change of the true tool point if this effect is removed from the corrected machine; line: 95 % interval of its size."
+        + (f" Contributions overlap and do not add up: {overlap_text(budget)}." if at_tool else "")
+        + " Motion that no encoder measures, such as thermal growth, is included."
+    )
+    figures = [image(budget_figure(budget), caption)] if picture else []
+    return Section(title, figures=figures, tables=[Table(heading, cells, marked=marked, words=frozenset({4}))])
+
+
+def _stretch(diagnosis: Diagnosis, s: Stretch, words: str) -> Section:
+    title = f"{words}axis {s.axis}, {s.block}, run {_plain(s.run)}, {s.start:.2f} to {s.stop:.2f} s"
+    return Section(title, figures=[image(stretch_figure(diagnosis, s), "Measured, nominal and corrected.")])
+
+
+def _laws(diagnosis: Diagnosis, document: Document) -> Section:
+    words = []
+    for law in document["laws"]:
+        words.append(
+            f"Axis {law['axis']}, {law['block']}: {law['sentence']}. Formula: {law['formula']}. It explains {percent(law['explained'])} "
+            "of the gap of the axis that the effects leave."
+        )
+        words += [f"Looks like: {k['name']}. {k['sentence']} To confirm it, measure {k['to_be_sure']}." for k in law["looks_like"]]
+    caption = (
+        "Points: measured in the block alone, shifted to the level of the formula, with a 95 % band; orange: few samples. Each law is in "
+        "machine.toml. It was accepted because it reduces the simulated gap on held-out runs."
+    )
+    return Section("Laws that no effect describes", words, [image(laws_figure(diagnosis.laws, diagnosis.machine), caption)])
+
+
+def _next(document: Document, folder: Path) -> Section:
+    words = [f"Next measurement: {document['next_measurement']}"]
+    corrected = shlex.quote(str(folder / "machine.toml"))
+    if document["effects"] or document.get("laws"):
+        words.append(f"The corrected machine is in {corrected}; simulate with it: twin run PROGRAM --machine {corrected}")
+    if unseen := unseen_text(document):
+        words.append(
+            f"Not visible in these runs and signals at usual size, and therefore not excluded: {unseen}. "
+            "twin exam --plan lists the runs or sensors that would show them."
+        )
+    if document["calibrated"]:
+        words.append(f"Calibrated, because the machine file had only assumed or tried it, so no finding: {calibration_text(document)}.")
+    return Section("What to do next", [*words, *(f"Note: {note}" for note in document["notes"])])
+
+
+def _effects(document: Document) -> Section:
+    rows = []
+    for effect in document["effects"]:
+        head, tail = [effect_title(effect), effect["block"]], [percent(effect["probability"]), percent(effect["explained"])]
+        for p in parameters_of(effect):
+            rows.append([*head, p["name"], p["value"], p["interval"] or "not fitted", *tail])
+            head, tail = ["", ""], ["", ""]
+    heading = ("effect", "block", "parameter", "value", "95 % interval", "probability", "explained")
+    return Section("Evidence: effects found", tables=[Table(heading, rows, left=3)])
+
+
+def _places(document: Document) -> Section:
+    rows = []
+    for place in document["where"]:
+        level = f"{times(place['level'])} \u00d7 noise" if "level" in place else ""
+        s = place.get("stretch")
+        interval = f"{_plain(s['run'])} {s['from_s']:.2f} to {s['to_s']:.2f} s" if s else ""
+        words = [place["regime"], place["scales_with"], _band(place), _plain(", ".join(place["runs"])), interval]
+        rows.append([place["axis"], place["block"], percent(place["share"]), level, *words])
+    heading = ("axis", "block", "share", "level", "regime", "scales with", "band", "runs", "interval")
+    return Section("Places of the gap", tables=[Table(heading, rows, left=2, words=frozenset(range(4, 9)))])
+
+
+def _gap_by_signal(document: Document) -> Section:
+    rows: list[list[str]] = []
+    marked: set[int] = set()
+    for axis, signals in document["gap"]["axes"].items():
+        for i, (signal, g) in enumerate(signals.items()):
+            left = g["after"] / g["noise_floor"] if g["noise_floor"] > 0 else 0.0
+            if left > LEFT:
+                marked.add(len(rows))
+            numbers = [plain(g[key]) for key in ("before", "after", "noise_floor")]
+            rows.append(["" if i else axis, _plain(signal), *numbers, g["unit"], times(left) if left else ""])
+    heading = ("axis", "signal", "before", "after", "noise alone", "unit", "after / noise")
+    return Section("Gap by axis and signal, RMS over all runs", tables=[Table(heading, rows, left=2, marked=frozenset(marked))])
+
+
+def _gap_by_run(diagnosis: Diagnosis) -> Section:
+    axes, runs = run_levels(diagnosis)
+    rows = [[_plain(run), *(f"{times(c[0])} \u2192 {times(c[1])}" if c else "at rest" for c in cells)] for run, cells in runs]
+    marked = frozenset(i for i, (_, cells) in enumerate(runs) if any(c and c[1] > LEFT for c in cells))
+    table = Table(("run", *axes), rows, marked=marked, caption="Highlighted: more than twice the noise remains.")
+    return Section("Gap by run, multiples of noise", tables=[table])
+
+
+def _candidates(document: Document) -> Section:
+    shown = document["candidates"][:CANDIDATES_SHOWN]
+    rows = [
+        [
+            _plain(c["effect"]) + (f", with {_plain(', '.join(c['beside']))}" if "beside" in c else ""),
+            c["axis"] + (f" from {c['from_axis']}" if "from_axis" in c else ""),
+            percent(c["probability"]),
+            percent(c["explained"]) if document["verdict"] != "none" else "-",
+            _parameters(c),
+        ]
+        for c in shown
+    ]
+    heading = ("effect", "axis", "probability", "share explained after re-tuning", "parameters")
+    table = Table(heading, rows, left=2, marked=frozenset(range(len(document["effects"]))), words=frozenset({4}))
+    return Section(f"Candidates: the best {len(shown)} of {len(document['candidates'])}", tables=[table])
+
+
+def _not_separated(document: Document) -> Section:
+    rows = [[_plain(a["instead_of"]), effect_title(a), f"{a['evidence_behind']:.1f}"] for a in document["ambiguous_with"]]
+    heading = ("found", "could also be", "difference in evidence (log likelihood)")
+    return Section("Effects that this campaign does not separate", tables=[Table(heading, rows, left=2)])
+
+
+def _retuned(diagnosis: Diagnosis, document: Document) -> Section:
+    """Deviations by owner (row) and quantity (column); empty where a parameter is not re-tuned."""
+    values = retuned_values(diagnosis)
+    quantities = list(dict.fromkeys(quantity for _, quantity, _ in values))
+    cells = {(owner, quantity): deviation for owner, quantity, deviation in values}
+    rows = [
+        [_plain(owner), *(_signed_percent(cells.get((owner, q))) for q in quantities)] for owner in dict.fromkeys(o for o, _, _ in values)
+    ]
+    tolerance = 100.0 * diagnosis.machine.parameter_tolerance
+    words = [
+        f"The prior keeps them near the tolerance of \u00b1{tolerance:.2g} %; they are normal differences between machines, not effects."
+    ]
+    if document["normal"]:
+        kinds = {"transmission_compliance": "an elastic drive train"}
+        said = [
+            f"{kinds.get(n['name'], 'slip before break-away')} on axis {n['axis']} ({_stiffness(diagnosis, n)})" for n in document["normal"]
+        ]
+        words.append(f"Normal imperfections of the corrected machine, too small to count as effects: {listed(said)}.")
+    return Section("Re-tuned parameters, deviation from the machine file", words, tables=[Table(("", *quantities), rows)])
+
+
+def _parameters(effect: Document) -> str:
+    return ", ".join(f"{p['name']} {p['value']}" + (f" ({p['interval']})" if p["interval"] else "") for p in parameters_of(effect))
+
+
+def _band(place: Document) -> str:
+    return f"{place['band_hz'][0]:.2g} to {place['band_hz'][1]:.2g} Hz" if "band_hz" in place else ""
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _stiffness(diagnosis: Diagnosis, table: Document) -> str:
     """Stiffness of a normal imperfection in data-sheet units."""
     linear = diagnosis.machine.axis(table["axis"]).kind == "linear"
     return f"{plain(table['stiffness'] * 1e-6)} N/um" if linear else f"{plain(table['stiffness'] * ARCSEC)} Nm/arcsec"
-
-
-def _retuned_table(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Deviations by owner (row) and quantity (column), as text; empty where a parameter is not re-tuned."""
-    values = retuned_values(diagnosis)
-    quantities = list(dict.fromkeys(quantity for _, quantity, _ in values))
-    owners = list(dict.fromkeys(owner for owner, _, _ in values))
-    cells = {(owner, quantity): deviation for owner, quantity, deviation in values}
-    return {"quantities": quantities, "rows": [(owner, [_signed_percent(cells.get((owner, q))) for q in quantities]) for owner in owners]}
 
 
 def _signed_percent(fraction: float | None) -> str:

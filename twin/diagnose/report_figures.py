@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+import html
 from textwrap import fill
 from typing import Any
 
@@ -20,6 +21,7 @@ from twin.diagnose.evidence import BLOCKS_NEED, MARGIN, Stretch
 from twin.diagnose.wording import effect_title, percent, times
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
+from twin.report import Figure as Picture
 from twin.report import figure_svg
 from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.gap import gap_unit, is_moving, sensor_noise
@@ -34,9 +36,10 @@ MOST_POINTS = 4000
 """Largest number of points of a curve in the page."""
 
 
-def as_image(figure: Figure) -> str:
-    """The figure as a data URL for an <img>."""
-    return "data:image/svg+xml;base64," + base64.b64encode(figure_svg(figure).encode()).decode()
+def image(figure: Figure, caption: str) -> Picture:
+    """The figure as an image of the page, which keeps its many points out of the text."""
+    data = base64.b64encode(figure_svg(figure).encode()).decode()
+    return Picture(f'<img alt="{html.escape(caption)}" src="data:image/svg+xml;base64,{data}">', caption)
 
 
 def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:

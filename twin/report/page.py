@@ -15,7 +15,7 @@ from twin.report.stamp import made_line
 
 @dataclass(frozen=True)
 class Table:
-    """Heading and rows of text. The first `left` columns are left-aligned; `marked` rows (indices) are highlighted.
+    """Heading and rows of text. The first `left` columns and those in `words` (indices) are left-aligned; `marked` rows (indices) are highlighted.
 
     A table with `folded` text opens when that text is clicked.
     """
@@ -24,6 +24,7 @@ class Table:
     rows: Sequence[Sequence[str]]
     left: int = 1
     marked: frozenset[int] = frozenset()
+    words: frozenset[int] = frozenset()
     caption: str = ""
     folded: str = ""
 
@@ -42,13 +43,14 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page: paragraphs first, then figures and tables."""
+    """A section of a page: cards side by side (the first paragraph of each is large), then paragraphs, figures and tables."""
 
     title: str
     paragraphs: Sequence[str] = ()
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = field(default_factory=tuple)
     items: Sequence[str] = ()
+    cards: Sequence[Section] = ()
 
 
 def page(title: str, lead: str, sections: Sequence[Section], made: str = "") -> str:
