@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.recordings.convert import Channel
 from twin.recordings.grid import Piece
-from twin.recordings.mapping import FOLLOWING_ERROR, Map
+from twin.recordings.mapping import PATH_FROM, Map
 from twin.recordings.relations import stuck_at
 from twin.recordings.signals import BLOCK, Recording
 from twin.recordings.skew import Skew
@@ -23,18 +23,7 @@ SMALL_OFFSET = 2e-6
 
 def made_notes(made: Mapping[tuple[str, str], str]) -> list[str]:
     """What was done without a set point, and what it cannot show."""
-    return [f"{axis}: no set point is recorded; {_MADE[source]}" for (axis, signal), source in made.items() if signal == "setpoint"]
-
-
-_RECORDED_PATH = "the recorded motion is the path: no gain, delay or following error of the position loop can be shown"
-
-
-_MADE = {
-    FOLLOWING_ERROR: "position plus following error gives it back",
-    "position": _RECORDED_PATH,
-    "motor_position": _RECORDED_PATH,
-    "velocity": "the speed is summed up to the path: friction and inertia can be shown, nothing of the position loop",
-}
+    return [f"{axis}: no set point is recorded; {PATH_FROM[source]}" for (axis, signal), source in made.items() if signal == "setpoint"]
 
 
 def skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], period: float) -> list[str]:

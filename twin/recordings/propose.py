@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin.recordings.grouping import groups
-from twin.recordings.mapping import Map
+from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, Map
 from twin.recordings.names import Meaning, meaning_of
 from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
@@ -170,15 +170,9 @@ def _without_setpoint(signals: set[str]) -> list[str]:
         return []
     commanded = " or ".join(word for signal, word in OWN_COMMANDS.items() if signal in signals)
     alone = f"; commanded by {commanded} alone it has no position loop" if commanded else ""
-    if "following_error" in signals and signals & {"position", "motor_position"}:
-        return [f"no set point is recorded; position plus following error gives it back{alone}"]
-    if signals & {"position", "motor_position"}:
-        return [
-            f"no set point is recorded; the recorded motion is taken as the path: no gain, delay or following error can be shown{alone}"
-        ]
-    return [
-        f"no position and no set point are recorded; the speed is summed up to the path: friction and inertia can be shown, nothing of the position loop{alone}"
-    ]
+    measured = bool(signals & {"position", "motor_position"})
+    source = FOLLOWING_ERROR if measured and FOLLOWING_ERROR in signals else "position" if measured else "velocity"
+    return [f"no set point is recorded; {PATH_FROM[source]}{alone}"]
 
 
 def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str | None:
