@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SUITE = "examples/regression"
 ROUNDING = 1e-6
-"""Difference over tolerance below which only file rounding differs; no new golden result is written."""
+"""Below this difference over tolerance only file rounding differs; no new golden result is written."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

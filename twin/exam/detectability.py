@@ -54,7 +54,7 @@ CHANNEL_SETS: dict[str, tuple[str, tuple[str, ...]]] = {
 closed on the scale (`motor`); or the motor encoder of a machine without scales, which closes the position loop (`indirect`)."""
 
 USELESS = 1.0
-"""Multiple of the usual size above which an effect counts as invisible."""
+"""Above this multiple of its usual size an effect counts as invisible."""
 
 Key = tuple[str, str, str | None]
 

@@ -13,7 +13,7 @@ from typing import Any
 from scipy.stats import kendalltau
 
 VISIBLE = 3.0
-"""Multiple of the noise above which an effect must be named."""
+"""Above this multiple of the noise an effect must be named."""
 
 LARGEST = 5
 """Number of largest contributions whose order is marked."""

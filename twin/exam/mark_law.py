@@ -17,7 +17,7 @@ from twin.machine.machine import Machine
 from .plant.outside import LAWS, played
 
 SIMILAR = 0.95
-"""Correlation with the true law from which a shape is right."""
+"""Least correlation with the true law of a right shape."""
 
 FREQUENCIES_HZ = np.linspace(1.0, 200.0, 400)
 """Frequencies at which a filter is compared."""

@@ -61,7 +61,7 @@ EVERYDAY = "everyday"
 """Stratum of machines with many small effects."""
 
 MOST_LEFT = 1.5
-"""Gap over floor up to which a law outside the library counts as closed."""
+"""Largest gap over floor of a closed law outside the library."""
 
 ROUNDING = 1e-9
 """Relative rounding error of a value."""

@@ -14,7 +14,7 @@ from twin.recordings.trace import Trace
 ROUNDNESS, ROUNDING = 1e-4, 2e-6
 """Tolerances within which set points belong to a circle: share of the radius, and tolerance of the interpolator [m]."""
 RADIAL = 0.05
-"""Share of the speed along the radius above which a set point belongs to a lead-in."""
+"""Above this share of the speed along the radius a set point belongs to a lead-in."""
 SMALLEST_RADIUS = 1e-3
 """Smallest radius [m]; smaller circles are corners."""
 PLANES = (("X", "Y"), ("Y", "Z"), ("Z", "X"))

@@ -21,7 +21,7 @@ from twin.units import AXIS_UNITS
 
 LEAST_PHASE_DEG = {"current": 40.0, "speed": 40.0, "position": 50.0}
 LEAST_GAIN = 2.0
-"""Smallest margins, below which a loop rings: usual rules of control engineering (40 to 60 degrees, 6 dB)."""
+"""Smallest margins of a loop that does not ring: usual rules of control engineering (40 to 60 degrees, 6 dB)."""
 
 LEAST_RATIO = 3.0
 """An inner loop should be at least this many times faster than the next outer one."""

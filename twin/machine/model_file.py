@@ -156,7 +156,7 @@ class _State(NamedTuple):
 
 _states: dict[Path, _State] = {}
 SETTLED_NS = 2_000_000_000
-"""Age of a file [ns] from which its time of change tells every later change: the coarsest file systems count in steps of 2 s."""
+"""Least age of a file [ns] at which its time of change tells every later change: the coarsest file systems count in steps of 2 s."""
 
 
 def _stamps(files: tuple[str, ...]) -> tuple[object, ...]:

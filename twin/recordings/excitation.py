@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 LEAST_SPREAD = 2.5
-"""Ratio of the 97th to the 10th percentile of the speeds below which the axis has one speed. Ramps are a small share of such motion, and their
+"""Below this ratio of the 97th to the 10th percentile of its speeds an axis has one speed. Ramps are a small share of such motion, and their
 friction is not that of steady speed."""
 
 

@@ -17,9 +17,9 @@ from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
 TOLERANCE = 0.08
 """Relative tolerance within which a ratio counts as 1, or as another known factor."""
 FITS = 0.5
-"""Squared correlation above which a ratio is meaningful."""
+"""Least squared correlation of a meaningful ratio."""
 SHARP = 0.9
-"""Squared correlation above which any ratio other than 1 is reported."""
+"""Above this squared correlation any ratio other than 1 is reported."""
 
 # ratio of recorded to expected values -> probable mistake
 _MISTAKES = {

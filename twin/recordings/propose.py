@@ -21,7 +21,7 @@ from twin.recordings.signals import BLOCK, Recording, Signal
 from twin.recordings.time_found import TimeFound, by_speed, row_counters, time_of, with_time
 
 FURTHER = 12.0
-"""Evidence above which columns without names count as a further axis: a set point that a position follows, and a speed or a force."""
+"""Least evidence that columns without names are a further axis: a set point that a position follows, and a speed or a force."""
 MOTION = ("position", "motor_position", "following_error", "velocity")
 OWN_COMMANDS = {"velocity_setpoint": "a speed", "torque_setpoint": "a torque"}
 """Commands of an axis without a position loop, which has no set point."""

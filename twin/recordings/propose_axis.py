@@ -135,7 +135,7 @@ def _rests(roles: Roles) -> bool:
 
 
 STILL = 6.0
-"""Travel in standard deviations of the position's noise below which an axis stands still."""
+"""Below this travel, in standard deviations of the position's noise, an axis stands still."""
 
 
 def _turns(values: np.ndarray, guess: tuple[str, bool], meaning: Meaning | None) -> float | None:

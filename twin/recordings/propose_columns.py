@@ -25,7 +25,7 @@ FOLLOWS = 0.1
 APART = 0.02
 """Two encoders that differ by more than this share of their travel do not measure the same motion."""
 CLEAR, UNLIKE = 0.02, 0.5
-"""Unexplained share of the variance below which a ratio of two positions is clear, and above which one does not follow the other."""
+"""Unexplained share of the variance: a ratio of two positions is clear below the first; above the second, one does not follow the other."""
 COUNTED = 0.2
 """Share by which counts per second may differ from the slope of counts: few samples and whole numbers are coarse."""
 POSITIONS = ("setpoint", "position", "motor_position", "following_error")

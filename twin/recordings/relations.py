@@ -151,7 +151,7 @@ def supplies(voltage: np.ndarray) -> bool:
 
 
 SUPPLY = 20.0
-"""Mean over standard deviation of a voltage from which it is a supply; a command of an axis that moves passes through zero or changes."""
+"""Least mean over standard deviation of the voltage of a supply; a command of an axis that moves passes through zero or changes."""
 
 
 def stuck_at(values: np.ndarray) -> float | None:

@@ -13,7 +13,7 @@ SECOND_DIFFERENCE = 6.0
 """Variance of second differences of white noise over its own: 1 + 4 + 1."""
 
 SAME_LEVEL = 1e-12
-"""Relative difference up to which two values are one level, rounded differently."""
+"""Largest relative difference of two values that are one level, rounded differently."""
 
 LEAST_LEVELS = 3
 """Fewest differences between neighbouring levels that show a grid."""
@@ -35,7 +35,7 @@ QUIET = 0.25
 """Share of quiet stretches. Their loudest one gives the level, since a motion, an event or a fault is loud only elsewhere."""
 
 WHITE = -0.6
-"""Correlation of neighbouring fourth differences up to which noise is white: -0.8 if the samples are independent, positive for a motion."""
+"""Largest correlation of neighbouring fourth differences of white noise: -0.8 if the samples are independent, positive for a motion."""
 
 
 def robust_deviation(values: np.ndarray) -> float:

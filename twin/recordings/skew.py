@@ -29,7 +29,7 @@ LATE_S = {"motor_position": 1e-4, "velocity": 1e-4}
 LATE_CURRENT_S = 1.5e-3
 """The same for current, torque and voltage: friction at reversals and masses moved by other axes cause up to 0.8 ms on healthy machines."""
 LEAST_ROWS = 200
-"""Fewest samples from which a skew is estimated: fewer have too few strokes for an interval."""
+"""Fewest samples for an estimate of a skew: fewer have too few strokes for an interval."""
 PER_BAND = 6.0
 """Samples kept per period of the band limit."""
 

@@ -24,7 +24,7 @@ LONGER_MIXED = 3.5
 SHORTEST_S, LONGEST_S = 1e-6, 60.0
 """Shortest and longest interval of a recording [s]."""
 MANY_GAPS = 0.02
-"""Share of gaps among the samples above which the interval itself counts as changing."""
+"""Above this share of gaps among the samples the interval itself counts as changing."""
 MEDIAN_OF = 1 << 18
 WINDOW = 50
 """Samples over which an interval is averaged when single steps are rounded or jitter."""

@@ -30,7 +30,7 @@ _TURNS = sorted({float(2**k) for k in range(8, 25)} | {m * 10.0**e for e in rang
 SLOWEST_S, FASTEST_S = 0.5, 2e-5
 """Usual intervals of recordings [s]."""
 ON_GRID = 0.06
-"""RMS distance from a grid, in steps, below which values lie on it; values anywhere have 0.29."""
+"""Values lie on a grid below this RMS distance from it, in steps; values anywhere have 0.29."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ TIME_TOLERANCE_S = 1e-9
 class Check:
     """One compared quantity: difference `found` against `allowed` in `unit`; `golden` and `now` are the two values, if there are any.
 
-    `since_s` is the time from which a signal exceeds its largest allowed difference (None: never, or not applicable).
+    `since_s` is the time when a signal first exceeds its largest allowed difference (None: never, or not applicable).
     """
 
     quantity: str

@@ -41,15 +41,15 @@ SHARE = 0.35
 """Least share of the change of its output that a named block must have caused. The smallest share of a changed block is 0.37 (gain of the
 current loop); the largest shares of the current loop before a changed block are 0.24 (friction) and 0.41 (measuring system)."""
 SEEN = 1e-4
-"""Relative singular value below which the inputs do not determine a regressed law."""
+"""Below this relative singular value the inputs do not determine a regressed law."""
 TAPS = 5
 """Samples of set points and speed that determine the current loop's torque; it settles within one or two."""
 AT_LIMIT = 0.998
-"""Share of the peak current above which a current set point counts as limited."""
+"""Above this share of the peak current a current set point counts as limited."""
 FOLLOWED = "drive_velocity_setpoint"
 """Speed set point inside a drive that closes the position loop itself."""
 SLIDING = 1e-3
-"""Share of the highest speed above which the friction law is compared."""
+"""The friction law is compared above this share of the highest speed."""
 
 
 @dataclass(frozen=True)

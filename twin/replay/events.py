@@ -30,7 +30,7 @@ MOST_EVENTS = 5000
 WORST = "largest contour error"
 """An event of every run with a tool path."""
 AT_LIMIT = 0.998
-"""Share of a limit from which a value counts as at the limit."""
+"""Least share of a limit of a value that is at the limit."""
 REVERSAL_MOVE = {"linear": 1e-6, "rotary": ARCSEC}
 """Least motion before and after a reversal; less is rounding of the set point [m, rad]."""
 STANDING = {"linear": 5e-5, "rotary": rad_from_deg(0.02)}

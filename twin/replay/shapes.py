@@ -16,7 +16,7 @@ from twin.replay.names import TIMELINE, entity
 from twin.replay.scene import Scene, scene_bounds, shape_path
 
 CREASE = np.cos(np.radians(35.0))
-"""Cosine of the angle between face normals below which an edge is smoothed."""
+"""An edge is smoothed above this cosine of the angle between its face normals."""
 SAME_POSE = 1e-9
 """Poses that differ by less count as equal [m, 1]; a body at rest is logged at the start and end of its rest."""
 SMOOTH_FACES = 30_000

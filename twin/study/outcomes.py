@@ -28,7 +28,7 @@ GLOBAL_SPLINE = 600
 """Most variants for a global spline; above, each point uses its nearest NEIGHBOURS."""
 NEIGHBOURS = 60
 NO_EFFECT = 1e-9
-"""Relative change over all variants below which a response does not depend on any factor."""
+"""Below this relative change over all variants a response depends on no factor."""
 ROUNDING = 1e-9
 """Largest value, in the response's own unit (um, A, W, s), that counts as zero."""
 FITS = 0.5

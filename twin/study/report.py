@@ -29,7 +29,7 @@ ENTRIES = (BLUE, AMBER, GREEN, RED, "#7a4f9a", "#3f8f9b")
 COLUMNS = 3
 """Panels side by side."""
 ROUNDING = 1e-9
-"""Relative change of a response below which it is rounding of the surrogate."""
+"""A smaller relative change of a response is rounding of the surrogate."""
 
 
 def sentences(answers: Answers) -> list[str]:

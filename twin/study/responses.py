@@ -41,13 +41,13 @@ from twin.surface.part import Part
 from twin.units import AXIS_UNITS
 
 SETTLED = {"linear": 1e-6, "rotary": math.radians(1.0 / 3600.0)}
-"""Error below which an axis counts as settled [m, rad]."""
+"""An axis with a smaller error counts as settled [m, rad]."""
 
 MARGIN_GRID = 300
 """Number of frequencies for the search of a loop's crossings, which are refined afterwards."""
 
 HELD = 1e-9
-"""Holding current over the limit below which an axis counts as not loaded by gravity."""
+"""Below this holding current over the limit an axis counts as not loaded by gravity."""
 
 Add = Callable[[str, float], None]
 

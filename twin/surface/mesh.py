@@ -29,7 +29,7 @@ ENDINGS = (".stl", ".obj", ".ply")
 SMALLEST_PART, LARGEST_PART = 5e-3, 2.0
 """Plausible range of a part's longest side [m]."""
 SHARP_EDGE = np.radians(20.0)
-"""Angle between faces above which their common edge is sharp [rad]."""
+"""The common edge of two faces is sharp above this angle between them [rad]."""
 MOST_MESH_RAYS = 2_000_000
 """Most rays of a subdivided mesh."""
 GUESSES = ("mm", "m", "um")

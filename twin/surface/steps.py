@@ -21,7 +21,7 @@ STEP_TOLERANCE = 5e-9
 LONGEST_STEP = 1.5e-3
 """Longer steps are divided to keep culling effective [m]."""
 GAP_LENGTH = 0.05
-"""Distance of the tip between two samples above which the recording has a gap [m]."""
+"""Above this distance of the tip between two samples the recording has a gap [m]."""
 LONGEST_PIECE = 512
 """Most poses in one search for the largest deviation."""
 

@@ -11,7 +11,7 @@ import re
 from twin.errors import InputError
 
 SAMPLE_BYTES = 1 << 18
-"""Bytes from which encoding and layout are found."""
+"""Bytes at the start of a file that tell encoding and layout."""
 NUMBER, STAMP, WORD, BLANK = "number", "stamp", "word", ""
 _NUMBERS = {
     mark: re.compile(rf"[+-]?(?:\d+(?:[{mark}]\d*)?|[{mark}]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE) for mark in (".", ",")

@@ -19,7 +19,7 @@ from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, Sampl
 from twin.recordings.signals import known_unit
 
 MOST_LINES = 600
-"""Lines from which the layout is found."""
+"""Lines that tell the layout."""
 _PAIRS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."), ("|", ","), (" ", "."), (" ", ","))
 """Delimiter and decimal mark are found together: only the right pair makes numbers of most cells. The order decides ties."""
 _LONG_NAMES = (
