@@ -24,6 +24,7 @@ TOP = {
 
 ORDER = (
     ("report",),  # a toolbox of drawing: pages, figures, curves; it imports no room
+    ("estimate",),  # problem, linearised, solved; it knows no machine and imports no room
     ("control",),  # blocks: parameters, compiled updates, linear models, laws
     ("machine",),  # check, loops and data sheet of a machine read its simulation: see BORROWED
     ("geometry",),
@@ -45,7 +46,6 @@ BORROWED = {
     ("machine", "simulation"),  # loops, check: linear models of the loops of a machine that is there
     ("machine", "effects"),  # check, loops: effects that a machine file lists
     ("machine", "recordings"),
-    ("control", "recordings"),  # least squares
     ("control", "simulation"),  # the stages and signals of the compiled loop
     ("machine", "geometry"),
     ("geometry", "simulation"),  # kinematics and tool path read the compiled model

@@ -19,7 +19,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from twin.compiled_functions import compiled
 from twin.errors import InputError
-from twin.recordings.least_squares import Fit, regress, whiteness
+from twin.estimate.regression import Fit, regress, whiteness
 
 NAMES = ("mass", "viscous", "coulomb", "offset")
 BAND_HZ = 50.0

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.builders.other_structures import slides, write_slides
+from twin.estimate.evidence import predicts_better
 from twin.geometry.scurve import moves_in_turn
 from twin.identify.drive_fit import DriveFits, fit_drives
-from twin.identify.drive_mechanics import _predicts_better
 from twin.identify.moves import FOLDS, folds_of
 from twin.identify.parameters import with_drives
 from twin.machine.machine import Machine, load_machine
@@ -112,10 +112,10 @@ def test_folds_are_whole_moves(machine: Machine, ways: list[float], count: int) 
 
 
 def test_one_fold_that_is_predicted_worse_is_enough_to_refuse() -> None:
-    assert _predicts_better([-5.3, -5.2], [-5.0, -5.0])
-    assert not _predicts_better([-5.9, -4.9], [-5.0, -5.0])
-    assert not _predicts_better([-5.01, -5.01], [-5.0, -5.0])
-    assert not _predicts_better([-5.5, np.inf], [-5.0, -5.0])
+    assert predicts_better([-5.3, -5.2], [-5.0, -5.0])
+    assert not predicts_better([-5.9, -4.9], [-5.0, -5.0])
+    assert not predicts_better([-5.01, -5.01], [-5.0, -5.0])
+    assert not predicts_better([-5.5, np.inf], [-5.0, -5.0])
 
 
 def test_the_whole_load_may_swing_behind_its_rotor(tmp_path: Path) -> None:

@@ -5,8 +5,7 @@ from pathlib import Path
 from tests.builders.other_structures import machine_text, write_slides
 from tests.machine.test_from_recording import recorded
 from twin.identify import from_recording
-from twin.identify.from_recording import identified_from_recording
-from twin.machine.from_recording import machine_from_recording
+from twin.identify.from_recording import identified_from_recording, machine_from_recording
 from twin.machine.machine import load_machine
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, path
 from twin.identify.campaign_fit import identify_campaign
+from twin.identify.first_values import first_values
+from twin.identify.from_recording import machine_from_recording
 from twin.identify.recording import prepare_recording
-from twin.machine.from_recording import machine_from_recording
-from twin.machine.lumps import lumps_of
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
@@ -64,7 +64,7 @@ def test_one_speed_gives_the_sum_of_the_frictions(made: Machine) -> None:
 
 
 def test_several_speeds_separate_them() -> None:
-    found = lumps_of([strokes(speeds=(0.01, 0.02, 0.05, 0.1))], "X").mechanics
+    found = first_values([strokes(speeds=(0.01, 0.02, 0.05, 0.1))], ["X"])[0].mechanics
     assert found is not None
     assert found.steady_speed is None
     assert found.viscous == pytest.approx(VISCOUS, rel=0.15)

@@ -9,10 +9,10 @@ import pytest
 from twin.cli import main
 from twin.effects.change import total_inertia
 from twin.errors import InputError
-from twin.machine.from_recording import _runs_with_most_travel
+from twin.identify.first_values import first_values
+from twin.machine.from_recording import runs_with_most_travel
 from twin.machine.holding import holding_of
-from twin.machine.lumped_file import Tuning, write_lumped_machine
-from twin.machine.lumps import AxisLumps, Law, Mechanics, lumps_of
+from twin.machine.lumped_file import AxisLumps, Law, Mechanics, Tuning, write_lumped_machine
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace, write_trace
@@ -84,7 +84,7 @@ def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
     }
     write_trace(Trace(t[:-1], signals, {"X": "linear"}), tmp_path / "run.parquet")
     (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\nfeedforward = "velocity"\n', encoding="utf-8")
-    law = lumps_of(read_campaign(tmp_path).runs, "X").law
+    law = first_values(read_campaign(tmp_path).runs, ["X"])[0].law
     assert law.gain == pytest.approx(kv, rel=1e-3)
     assert law.delay == pytest.approx(3e-3, abs=5e-5)
     assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # holding the command for a cycle adds half a cycle of delay
@@ -124,7 +124,7 @@ def test_a_short_run_does_not_hide_the_long_ones() -> None:
         time = np.arange(count) * 2e-3
         return MeasuredRun(name, Trace(time, {("X", "setpoint"): reach * np.sin(5.0 * time)}, {"X": "linear"}), None, 0.0)
 
-    assert [r.name for r in _runs_with_most_travel([run("short", 30, 1.0), run("long", 5000, 0.1)], ["X"])] == ["long"]
+    assert [r.name for r in runs_with_most_travel([run("short", 30, 1.0), run("long", 5000, 0.1)], ["X"])] == ["long"]
 
 
 def test_a_machine_file_with_a_byte_order_mark_is_checked_and_written_again(tmp_path: Path, mikron: Machine) -> None:

@@ -18,7 +18,7 @@ from twin.files import output_folder, shipped_example
 from twin.progress import Progress
 
 if TYPE_CHECKING:
-    from twin.machine.lumps import AxisLumps
+    from twin.machine.lumped_file import AxisLumps
     from twin.machine.machine import Machine
     from twin.recordings.campaign import MeasuredRun
 

@@ -18,8 +18,8 @@ import math
 
 import numpy as np
 
-from twin.control.evidence import held_out, is_better, pieces_of
-from twin.recordings.least_squares import solved
+from twin.estimate.evidence import held_out, is_better, pieces_of
+from twin.estimate.regression import solved
 
 LONGEST_DIFFERENCE = 6
 """Most cycles over which the control differentiates the position."""

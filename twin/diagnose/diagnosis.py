@@ -24,7 +24,7 @@ from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
 from twin.effects import Setting
-from twin.machine.commented import ASSUMED, TRIED, assumed_values
+from twin.machine.commented import GUESSED, assumed_values
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.gap import COMPARED, Prediction
@@ -90,8 +90,8 @@ class Diagnosis:
 
     @cached_property
     def calibrated(self) -> frozenset[Any]:
-        """Keys of the effects on numbers that the machine file had assumed or tried: no findings, but a calibration of these numbers."""
-        guessed = set(assumed_values(self.machine, (ASSUMED, TRIED)))
+        """Keys of the effects on numbers that the machine file had assumed, tried or bounded: no findings, but a calibration of these numbers."""
+        guessed = set(assumed_values(self.machine, GUESSED))
         return frozenset(s.key for s, _, _ in self.settings if guessed & set(s.paths(self.machine)))
 
     def _budget(self) -> dict[str, Any] | None:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from twin.estimate.regression import Fit, regress
 from twin.machine.axis import Axis
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.least_squares import Fit, regress
 from twin.recordings.trace import OTHER_UNITS, Trace
 
 PAIRS = {"torque": "torque_setpoint", "current": "current_setpoint"}

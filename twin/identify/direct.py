@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from twin.estimate.regression import Fit
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, control_inertia
 from twin.identify.between_samples import fast_loop_of
@@ -17,7 +18,6 @@ from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_
 from twin.identify.position_control import PositionControl, fit_position_control
 from twin.identify.speed_control import SpeedControl, fit_speed_control
 from twin.machine.machine import Axis, Machine
-from twin.recordings.least_squares import Fit
 
 Runs = Mapping[str, Sequence[AxisRun | None]]
 """Axis -> its runs in the order of the campaign; None where the motion of the axis was not measured."""

@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
 from twin.identify.between_samples import (
     RIGID_RAD_PER_S,
@@ -29,7 +30,6 @@ from twin.identify.between_samples import (
 )
 from twin.machine.machine import Axis, Machine
 from twin.recordings.excitation import one_speed
-from twin.recordings.least_squares import Fit, regress
 
 NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
 ROW_STRIDE = 4

@@ -2,12 +2,8 @@
 
 For axes whose speed controller commands an ideal actuator (structures P/PI and P/P): a machine without a data sheet, a laboratory axis.
 The values may be lumped: inertia and friction divided by the torque constant. The whole loop is simulated on the recorded set points and
-compared with every sample of the training rows, including short moves, reversals and the ringing of the speed loop.
-
-    min over the values of an axis:  sum over signals of  N log RMS(measured - simulated)
-
-that is, maximum likelihood with an unknown noise level for each signal. The search is a damped Gauss-Newton (Levenberg-Marquardt). The
-axes are independent, so one simulation perturbs one value of every axis. Intervals come from clusters of a tenth of a second.
+compared with every sample of the training rows, including short moves, reversals and the ringing of the speed loop (`estimate.search`). Each
+axis is a block, so one simulation perturbs one value of every axis. Intervals come from clusters of a tenth of a second.
 """
 
 from __future__ import annotations
@@ -18,9 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twin.errors import SimulationError
-from twin.identify.drive_mechanics import with_mechanics
+from twin.estimate.evidence import LEAST_IMPROVEMENT
+from twin.estimate.search import search
+from twin.identify.drive_mechanics import machine_found, with_mechanics
 from twin.identify.drive_residuals import DriveFit, DriveResiduals
-from twin.identify.drive_search import LEAST_IMPROVEMENT, machine_found, searched
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 
@@ -49,25 +46,28 @@ def fit_drives(
 
     Axes in `skipped` and axes without recorded motion and command are not fitted.
     """
-    plain = searched(DriveResiduals(machine, runs, rows, known, skipped), say)
-    if plain is None:
+    step = None if say is None else lambda k: say(f"drive fit step {k}")  # type: ignore[misc]
+    work = DriveResiduals(machine, runs, rows, known, skipped)
+    if not work.names:
         return DriveFits(machine)
-    searches = dict.fromkeys(plain.x, plain)
-    controlled = [n for n in plain.x if "speed_integral_time_s" in plain.work.fields[n]]
+    plain = search(work, say=step) or search(work, work.softer(), say=step)
+    if plain is None:
+        raise SimulationError(
+            "the simulated machine does not follow the recorded set points because its loops are unstable; correct its gains"
+        )
+    ends = dict.fromkeys(work.names, plain)
+    controlled = [n for n in work.names if "speed_integral_time_s" in work.fields[n]]
     modelled = with_reference_models(machine, controlled)
     fed_by_nc = any("torque" in (run.feedforward or "torque") for run in runs)
     for richer in (modelled, machine if fed_by_nc else with_drive_feedforward(modelled, controlled)):
         if richer == machine:
             continue
-        try:
-            other = searched(DriveResiduals(richer, runs, rows, known, [a.name for a in machine.axes if richer.axis(a.name) == a]), say)
-        except SimulationError:
-            other = None
+        more = DriveResiduals(richer, runs, rows, known, [a.name for a in machine.axes if richer.axis(a.name) == a])
+        other = search(more, say=step) if more.names else None
         if other is not None:
-            searches |= {n: other for n in other.x if other.score[n] < searches[n].score[n] - LEAST_IMPROVEMENT}
-    searches = with_mechanics(machine, runs, rows, known, searches, say)
-    fits = {n: s.work.result(n, s.x[n], s.base[n], s.jacobian[n]) for n, s in searches.items()}
-    return DriveFits(machine_found(machine, searches), fits)
+            ends |= {n: other for n in more.names if other.score(n) < ends[n].score(n) - LEAST_IMPROVEMENT}
+    ends = with_mechanics(machine, runs, rows, known, ends, step)
+    return DriveFits(machine_found(machine, ends), {n: end.problem.result(n, end) for n, end in ends.items()})
 
 
 def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:

@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from twin.errors import SimulationError
-from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveResiduals, follows_recorded_path
-from twin.identify.drive_search import LEAST_IMPROVEMENT, Search, machine_found, score_of, searched
+from twin.estimate.evidence import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
+from twin.estimate.search import Solution, search
+from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveResiduals, follows_recorded_path, with_constant_forces
 from twin.identify.moves import folds_of
 from twin.machine.machine import Machine
 from twin.machine.parameters import parameter
@@ -47,7 +47,7 @@ class _Recording:
     runs: Sequence[MeasuredRun]
     rows: Mapping[str, Sequence[np.ndarray]]
     known: Collection[tuple[str, str]]
-    say: Callable[[str], None] | None
+    say: Callable[[int], None] | None
 
     def work(self, machine: Machine, axes: Collection[str], rows: Mapping[str, Sequence[np.ndarray]] | None = None) -> DriveResiduals:
         """The residuals of some axes of a machine."""
@@ -59,9 +59,9 @@ def with_mechanics(
     runs: Sequence[MeasuredRun],
     rows: Mapping[str, Sequence[np.ndarray]],
     known: Collection[tuple[str, str]],
-    best: Mapping[str, Search],
-    say: Callable[[str], None] | None = None,
-) -> dict[str, Search]:
+    best: Mapping[str, Solution],
+    say: Callable[[int], None] | None = None,
+) -> dict[str, Solution]:
     """`best` with richer mechanics on the axes where they are accepted.
 
     An axis needs at least two moves, and a compared position or a set point that is its recorded path: otherwise errors of an assumed
@@ -78,16 +78,16 @@ def with_mechanics(
     left_out = _scores_left_out(recording, folds, {n: best[n] for n in asked})
     for slip, frequencies in ((True, ()), (False, FREQUENCIES_HZ), (True, FREQUENCIES_HZ)):
         found = _fitted(recording, machine, {n: best[n] for n in asked}, slip, frequencies)
-        promising = {n: s for n, s in found.items() if s.score[n] < best[n].score[n] - LEAST_IMPROVEMENT and _is_narrow(s, n)}
+        promising = {n: s for n, s in found.items() if s.score(n) < best[n].score(n) - LEAST_IMPROVEMENT and _is_narrow(s, n)}
         scores = _scores_left_out(recording, folds, promising)
         for n, s in promising.items():
-            if _predicts_better(scores[n], left_out[n]):
+            if predicts_better(scores[n], left_out[n]):
                 best[n], left_out[n] = s, scores[n]
     return best
 
 
-def _has_position(search: Search, name: str) -> bool:
-    return any(s in search.base[name] for s in BOTH)
+def _has_position(end: Solution, name: str) -> bool:
+    return any(s in end.residuals[name] for s in BOTH)
 
 
 def _is_open(machine: Machine, name: str) -> bool:
@@ -98,47 +98,45 @@ def _is_open(machine: Machine, name: str) -> bool:
 
 
 def _fitted(
-    recording: _Recording, machine: Machine, best: Mapping[str, Search], slip: bool, frequencies: Sequence[float]
-) -> dict[str, Search]:
+    recording: _Recording, machine: Machine, best: Mapping[str, Solution], slip: bool, frequencies: Sequence[float]
+) -> dict[str, Solution]:
     """Fit of a richer model to all axes: a few steps from each start, then to the end from the best start of each axis."""
-    first: list[Search] = []
+    first: list[Solution] = []
     for richer in _starts(machine_found(machine, best), best, slip, frequencies):
-        try:
-            one = searched(recording.work(richer, best), recording.say, steps=SCREENING_STEPS)
-        except SimulationError:
-            continue
+        one = search(recording.work(richer, best), steps=SCREENING_STEPS, say=recording.say)
         if one is not None:
             first.append(one)
     if not first:
         return {}
-    start = {n: first[int(np.argmin([s.score[n] for s in first]))].x[n] for n in best}
-    end = searched(first[0].work, recording.say, start, POLISHING_STEPS)
+    nearest = {n: min(first, key=lambda end: end.score(n)) for n in best}
+    start = {f.name: nearest[f.parts[0]].values[f.name] for f in first[0].problem.free}
+    end = search(first[0].problem, start, POLISHING_STEPS, recording.say)
     return dict.fromkeys(best, end) if end is not None else {}
 
 
-def _starts(machine: Machine, best: Mapping[str, Search], slip: bool, frequencies: Sequence[float]) -> Iterator[Machine]:
+def _starts(machine: Machine, best: Mapping[str, Solution], slip: bool, frequencies: Sequence[float]) -> Iterator[Machine]:
     """The machine with the searched mechanics added to the axes of `best`, once for each frequency."""
     values: dict[str, object] = {}
-    for name, search in best.items():
+    for name, end in best.items():
         axis = machine.axis(name)
         values |= {f"axis.{name}.{parameter(f).key(axis.drive)}": 0.0 for f in (SLIP, *MODE)}
         if slip:
             values[f"axis.{name}.{parameter(SLIP).key(axis.drive)}"] = axis.coulomb_friction / BREAK_AWAY[axis.kind]
-        if "speed_integral_time_s" in search.work.fields[name] and axis.loops.speed_reference_time_s == 0.0:
+        if "speed_integral_time_s" in end.problem.fields[name] and axis.loops.speed_reference_time_s == 0.0:
             values[f"axis.{name}.loops.speed_reference_time_s"] = REFERENCE_START_S
     for frequency in frequencies or (0.0,):
         mode = zip(MODE, (frequency, *MODE_START)) if frequency else ()
         yield machine.with_values({**values, **{f"axis.{n}.{f}": v for f, v in mode for n in best}})
 
 
-def _is_narrow(search: Search, name: str) -> bool:
+def _is_narrow(end: Solution, name: str) -> bool:
     """Whether the intervals of pre-sliding and mode are within NARROW and no value is at a bound of its range.
 
     The mass share may be at its upper bound if the rotor is fitted, too: then the whole load swings, as in a drive of two masses.
     """
-    fit = search.work.result(name, search.x[name], search.base[name], search.jacobian[name])
+    fit = end.problem.result(name, end)
     ranges = dict(RANGES)
-    if search.work.fits_rotor(name):
+    if end.problem.fits_rotor(name):
         ranges["mode_mass_share"] = (ranges["mode_mass_share"][0], math.inf)
     if any(not low * 1.01 < fit.values[f] < high / 1.01 for f, (low, high) in ranges.items() if f in fit.values):
         return False
@@ -146,30 +144,35 @@ def _is_narrow(search: Search, name: str) -> bool:
 
 
 def _scores_left_out(
-    recording: _Recording, folds: Mapping[str, list[list[np.ndarray]]], best: Mapping[str, Search]
+    recording: _Recording, folds: Mapping[str, list[list[np.ndarray]]], best: Mapping[str, Solution]
 ) -> dict[str, list[float]]:
     """Mean log RMS (fold,) of each axis on the moves of each fold, after a fit to the other moves that starts from the fit to all moves."""
     scores: dict[str, list[float]] = {n: [] for n in best}
-    for search in {id(s): s for s in best.values()}.values():
-        own = [n for n, s in best.items() if s is search]
+    for end in {id(s): s for s in best.values()}.values():
+        own = [n for n, s in best.items() if s is end]
         for k in range(max(len(folds[n]) for n in own)):
             axes = [n for n in own if k < len(folds[n])]
             kept = {n: [r & ~f for r, f in zip(recording.rows[n], folds[n][k])] for n in axes}
-            machine = search.work.machine
-            fitted = searched(recording.work(machine, axes, kept), recording.say, {n: search.x[n] for n in axes})
-            aside = recording.work(machine, axes, {n: folds[n][k] for n in axes})
-            there = aside.residuals(fitted.x) if fitted is not None else None
+            fitted = search(recording.work(end.problem.machine, axes, kept), end.values, say=recording.say)
+            aside = recording.work(end.problem.machine, axes, {n: folds[n][k] for n in axes})
+            there = aside.residuals([fitted.values])[0] if fitted is not None else None
             for n in axes:
-                scores[n].append(math.inf if there is None else score_of(_without_steady_command(there[n], machine.axis(n).effort)))
+                effort = end.problem.machine.axis(n).effort
+                scores[n].append(math.inf if there is None else mean_log_rms(_without_steady_command(there[n], effort)))
     return scores
 
 
-def _without_steady_command(residual: Mapping[str, np.ndarray], effort: str) -> dict[str, np.ndarray]:
+def _without_steady_command(residual: Mapping[str, np.ndarray], effort: str) -> list[np.ndarray]:
     """The residuals with the mean command removed: moves in one direction do not separate friction from a steady load."""
-    return {s: v - v.mean() if s == effort and len(v) else v for s, v in residual.items()}
+    return [v - v.mean() if s == effort and len(v) else v for s, v in residual.items()]
 
 
-def _predicts_better(after: Sequence[float], before: Sequence[float]) -> bool:
-    """Whether held-out moves are predicted clearly better on average, and in no fold clearly worse."""
-    gains = np.array(before) - np.array(after)
-    return bool(np.isfinite(after).all() and gains.mean() > LEAST_IMPROVEMENT and gains.min() > -LEAST_IMPROVEMENT)
+def machine_found(machine: Machine, best: Mapping[str, Solution]) -> Machine:
+    """The machine with the final values of each axis."""
+    values: dict[str, object] = {}
+    forces: dict[str, float] = {}
+    for name, end in best.items():
+        own, force = end.problem.values(end.values, [name])
+        values.update(own)
+        forces.update(force)
+    return with_constant_forces(machine.with_values(values), forces)

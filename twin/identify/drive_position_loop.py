@@ -18,10 +18,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import firwin
 
+from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun
 from twin.identify.position_control import loop_position
 from twin.machine.axis import Axis
-from twin.recordings.least_squares import regress
 
 MOST_DELAY_S, MOST_LAG_S = 0.03, 0.03
 """Longest delay of the drive's position loop and longest lag of the speed loop tried [s]."""

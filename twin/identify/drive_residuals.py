@@ -1,4 +1,4 @@
-"""Residuals and Jacobian of the closed-loop drive fit, and the coding of its parameters.
+"""The problem of the closed-loop drive fit: its free numbers, and what the simulated axes leave of the recorded signals.
 
 It covers axes whose speed controller commands an ideal actuator (structures P/PI and P/P). Position and command are compared. If the
 controller gains are unknown, only the command is compared, because the following error then depends on the gains of the file.
@@ -10,15 +10,18 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 import functools
 import math
+from typing import Any
 
 import numpy as np
 
 from twin.errors import InputError, TwinError
+from twin.estimate.evidence import rms_of
+from twin.estimate.problem import Free, Values
+from twin.estimate.search import Solution
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import MOST_MODE_SHARE, parameter
 from twin.machine.toleranced import path_of
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.least_squares import RELATED
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import at_times, is_moving, simulated_period
 from twin.simulation.nominal_motion import motion_of, nominal_motion
@@ -50,9 +53,6 @@ RANGES = {"mode_frequency_hz": (5.0, 200.0), "mode_mass_share": (1e-3, MOST_MODE
 
 SETTLING_S = 0.1
 """Time after a motion in which the position still counts [s]; later vibration has other causes."""
-
-LEAST_RMS = 1e-10
-"""Lower bound of the residual RMS, in units of the signal's range."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def follows_recorded_path(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
 
 
 class DriveResiduals:
-    """The fitted axes with the names and scales of their values and their rows; converts values to a machine and to residuals."""
+    """The problem of the fitted axes: each axis is a part, its free numbers are (axis, field) in the code of `_coded`."""
 
     def __init__(
         self,
@@ -101,6 +101,7 @@ class DriveResiduals:
         self.machine, self.runs = machine, runs
         self.names = [a.name for a in machine.axes if has_ideal_actuator(a) and a.name not in skipped and self._is_seen(a)]
         self.fields = {n: self._fields_of(machine.axis(n), known) for n in self.names}
+        self.free = [self._free(n, f) for n in self.names for f in self.fields[n]]
         self.used = {(n, s): [r & self._counts(run, n, s) for run, r in zip(runs, rows[n])] for n in self.names for s in self.signals(n)}
         self.setpoints = [recorded_setpoints(r.trace, machine) for r in runs]
         self.motions = [_motion_of(machine.with_feedforward(r.feedforward), s) for r, s in zip(runs, self.setpoints)]
@@ -141,25 +142,18 @@ class DriveResiduals:
         fields += [f for f in (SLIP, *MODE) if getattr(axis, f) > 0.0]
         return [f for f in fields if (axis.name, f) not in known]
 
-    def start(self) -> dict[str, np.ndarray]:
-        return {n: np.array([self._coded(n, f, self._value(n, f)) for f in self.fields[n]]) for n in self.names}
+    def _free(self, n: str, field_name: str) -> Free:
+        step = STEP_OF.get(field_name, RELATIVE_STEP) * (1e3 if field_name in TIMES else 1.0)
+        low, high = {"constant_force": (-math.inf, math.inf)}.get(field_name, (0.0, math.inf) if field_name in TIMES else (-40.0, 40.0))
+        if field_name in RANGES:
+            low, high = map(math.log, RANGES[field_name])
+        code = self._coded(n, field_name, self._value(n, field_name))
+        return Free((n, field_name), float(np.clip(code, low, high)), step, (n,), low, high)
 
-    def within(self, x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The codes, each within the bounds of its value."""
-        return {
-            n: np.array([self._coded(n, f, self._decoded(n, f, float(c))) for f, c in zip(self.fields[n], codes)]) for n, codes in x.items()
-        }
-
-    def with_softer_gains(self, x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def softer(self) -> dict[Any, float]:
         """Initial values with half the gains and twice the integral time, for a machine file whose loops are unstable."""
-        out = {}
-        for n in self.names:
-            changed = x[n].copy()
-            for f, amount in (("speed_gain_nm_s_per_rad", -0.7), ("speed_integral_time_s", 0.7)):
-                if f in self.fields[n]:
-                    changed[self.fields[n].index(f)] += amount
-            out[n] = changed
-        return out
+        amounts = {"speed_gain_nm_s_per_rad": -0.7, "speed_integral_time_s": 0.7}
+        return {f.name: f.start + amounts.get(f.name[1], 0.0) for f in self.free}  # type: ignore[index]
 
     def _value(self, name: str, field_name: str) -> float:
         axis = self.machine.axis(name)
@@ -192,23 +186,16 @@ class DriveResiduals:
     def _decoded(self, name: str, field_name: str, code: float) -> float:
         if field_name == "constant_force":
             return code * self._peak(name) / self.machine.axis(name).ratio
-        if field_name in RANGES:
-            return float(np.clip(math.exp(min(code, 40.0)), *RANGES[field_name]))
-        return max(1e-3 * code, 0.0) if field_name in TIMES else math.exp(min(max(code, -40.0), 40.0))
+        return 1e-3 * code if field_name in TIMES else math.exp(code)
 
-    def changed(self, x: Mapping[str, np.ndarray]) -> Machine:
-        """The machine with these values."""
-        values, forces = self.values(x)
-        return with_constant_forces(self.machine.with_values(values), forces)
-
-    def values(self, x: Mapping[str, np.ndarray]) -> tuple[dict[str, object], dict[str, float]]:
-        """Values by their paths in the file, and constant forces [N or Nm at the axis] by axis."""
+    def values(self, x: Values, axes: Collection[str]) -> tuple[dict[str, object], dict[str, float]]:
+        """Values of some axes by their paths in the file, and constant forces [N or Nm at the axis] by axis."""
         values: dict[str, object] = {}
         forces = {}
-        for n, codes in x.items():
+        for n in axes:
             axis = self.machine.axis(n)
-            for f, code in zip(self.fields[n], codes):
-                value = self._decoded(n, f, float(code))
+            for f in self.fields[n]:
+                value = self._decoded(n, f, x[n, f])
                 if f == "constant_force":
                     forces[n] = value
                 elif f == "inertia":
@@ -236,17 +223,14 @@ class DriveResiduals:
         axis = self.machine.axis(name)
         return "inertia" in self.fields[name] and axis.moving_mass_kg is None and axis.rotor_inertia_kg_m2 > 0.0
 
-    def residuals(self, x: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]] | None:
-        """Measured less simulated on the training rows, by axis and signal, in units of the signal's range; None if it diverges."""
-        return self.residuals_of([x])[0]
-
-    def residuals_of(self, many: Sequence[Mapping[str, np.ndarray]]) -> list[dict[str, dict[str, np.ndarray]] | None]:
-        """`residuals` of several sets of values, simulated in one batch."""
+    def residuals(self, many: Sequence[Values]) -> list[dict[str, dict[str, np.ndarray]] | None]:
+        """Measured less simulated on the training rows, by axis and signal, in units of the signal's range; None where it diverges."""
         jobs: list[SimulationJob] = []
         first: list[int | None] = []
         for x in many:
             try:
-                machine = self.changed(x)
+                values, forces = self.values(x, self.names)
+                machine = with_constant_forces(self.machine.with_values(values), forces)
             except InputError:
                 first.append(None)
                 continue
@@ -277,36 +261,17 @@ class DriveResiduals:
             out[n] = own
         return out
 
-    def jacobian(self, x: Mapping[str, np.ndarray], base: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Jacobian (row, value) of the whitened residuals of every axis; one simulation perturbs the k-th value of all axes."""
-        turned, amounts = [], []
-        for k in range(max(len(f) for f in self.fields.values())):
-            at, amount = {n: x[n].copy() for n in self.names}, {}
-            for n in self.names:
-                if k < len(self.fields[n]):
-                    f = self.fields[n][k]
-                    amount[n] = {"constant_force": STEP_OF["constant_force"]}.get(f, 1e3 * STEP_OF[f] if f in STEP_OF else RELATIVE_STEP)
-                    if self._decoded(n, f, at[n][k] + amount[n]) == self._decoded(n, f, at[n][k]):
-                        amount[n] = -amount[n]  # the value is at its upper bound
-                    at[n][k] += amount[n]
-            turned.append(at)
-            amounts.append(amount)
-        columns: dict[str, list[np.ndarray]] = {n: [] for n in self.names}
-        for amount, there in zip(amounts, self.residuals_of(turned)):
-            for n, h in amount.items():
-                level = {s: max(rms_of(v), LEAST_RMS) for s, v in base[n].items()}
-                other = there[n] if there is not None else base[n]
-                columns[n].append(np.concatenate([(other[s] - base[n][s]) / level[s] for s in base[n]]) / h)
-        return {n: np.column_stack(c) for n, c in columns.items()}
-
-    def clusters(self, name: str) -> np.ndarray:
-        """Cluster (row,) of each residual row of an axis; all signals of an interval CLUSTER_S form one cluster."""
-        out = []
+    def clusters(self, name: str) -> dict[str, np.ndarray]:
+        """Cluster (row,) of the rows of each signal of an axis; all signals of an interval CLUSTER_S form one cluster."""
+        out = {}
         for s in self.signals(name):
-            for i, (run, rows) in enumerate(zip(self.runs, self.used[name, s])):
-                if run.trace.has(name, s):
-                    out.append((1_000_000 * i + ((run.trace.time - run.trace.time[0]) / CLUSTER_S).astype(int))[rows])
-        return np.concatenate(out)
+            parts = [
+                (1_000_000 * i + ((run.trace.time - run.trace.time[0]) / CLUSTER_S).astype(int))[rows]
+                for i, (run, rows) in enumerate(zip(self.runs, self.used[name, s]))
+                if run.trace.has(name, s)
+            ]
+            out[s] = np.concatenate(parts)
+        return out
 
     def _moves_one_way(self, name: str) -> bool:
         """Do the set points of an axis move in one direction only on its training rows?"""
@@ -314,12 +279,12 @@ class DriveResiduals:
         steps = np.concatenate([np.diff(run.trace.get(name, "setpoint"))[rows[1:]] for run, rows in moving])
         return min(steps.max(initial=0.0), -steps.min(initial=0.0)) <= ONE_WAY * np.abs(steps).max(initial=0.0)
 
-    def result(self, n: str, x: np.ndarray, base: Mapping[str, np.ndarray], jacobian: np.ndarray) -> DriveFit:
-        """Values of one axis with their deviations."""
-        deviation = _deviations(jacobian, whitened(base), self.clusters(n))
+    def result(self, n: str, end: Solution) -> DriveFit:
+        """Values of one axis with their deviations at the end of a search."""
+        found = end.deviations(n)
         values, deviations, unidentified = {}, {}, []
-        for f, code, d in zip(self.fields[n], x, deviation):
-            value = self._decoded(n, f, float(code))
+        for f in self.fields[n]:
+            value, d = self._decoded(n, f, end.values[n, f]), found[n, f]
             if not math.isfinite(d) or (f not in STEP_OF and d > 1.0):
                 unidentified.append(f)
             slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f in TIMES else value)
@@ -330,26 +295,8 @@ class DriveResiduals:
             deviations["constant_force"] = math.hypot(
                 deviations["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio
             )
-        rms = {s: rms_of(v) * self.scale[n, s] for s, v in base.items()}
+        rms = {s: rms_of(v) * self.scale[n, s] for s, v in end.residuals[n].items()}
         return DriveFit(values, deviations, rms, tuple(unidentified))
-
-
-def _deviations(jacobian: np.ndarray, residual: np.ndarray, clusters: np.ndarray) -> np.ndarray:
-    """Standard deviations (value,) by clusters; infinite for values without an effect on the residual."""
-    length = np.linalg.norm(jacobian, axis=0)
-    seen = length > 1e-9 * max(float(length.max()), 1e-300)
-    out = np.full(jacobian.shape[1], np.inf)
-    if not seen.any():
-        return out
-    j = jacobian[:, seen] / length[seen]
-    bread = np.linalg.pinv(j.T @ j, rcond=1e-12, hermitian=True)
-    _, group = np.unique(clusters, return_inverse=True)
-    scores = np.zeros((int(group.max()) + 1, int(seen.sum())))
-    np.add.at(scores, group, j * residual[:, None])
-    count = len(scores)
-    covariance = RELATED**2 * bread @ (scores.T @ scores) @ bread * count / max(count - int(seen.sum()), 1)
-    out[seen] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / length[seen]
-    return out
 
 
 def _motion_of(machine: Machine, setpoints: Setpoints) -> Motion:
@@ -358,15 +305,6 @@ def _motion_of(machine: Machine, setpoints: Setpoints) -> Motion:
         return nominal_motion(machine, setpoints)
     except TwinError:
         return motion_of(setpoints.position, setpoints.period)
-
-
-def rms_of(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-
-
-def whitened(residual: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Residuals of all signals of an axis concatenated, each in units of its RMS."""
-    return np.concatenate([v / max(rms_of(v), LEAST_RMS) for v in residual.values()])
 
 
 def with_constant_forces(machine: Machine, forces: Mapping[str, float]) -> Machine:

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from twin.estimate.regression import whiteness
 from twin.identify.axis_run import slides_above
 from twin.identify.direct import Balance
 from twin.identify.drive_balance import ROW_STRIDE, Rows
 from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.result import Identification
 from twin.machine.machine import Axis, Machine
-from twin.recordings.least_squares import whiteness
 from twin.report import new_figure
 from twin.report.colours import axis_colour, hexadecimal
 from twin.report.figure import INK, SOFT

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent, hardly_accelerates
@@ -19,7 +20,6 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.excitation import one_speed
 from twin.recordings.force_sign import recorded_sign
-from twin.recordings.least_squares import regress
 from twin.recordings.plausible import contradictions
 from twin.recordings.profile_speed import PROFILE
 

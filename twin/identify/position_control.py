@@ -23,10 +23,10 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
+from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
-from twin.recordings.least_squares import Fit, regress
 from twin.recordings.roughness import robust_deviation
 
 NAMES = ("position_gain_per_s", "velocity_feedforward", "position_delay_s", "feedforward_delay_s")

@@ -5,15 +5,15 @@
 Signals are position, motor angle and mean current where the axis slides; F is the low-pass of the regressions. Above its band the mode of
 the drive train and the saw-tooth between samples depend on parameters that are not refined here. At reversals, friction does.
 
-X, Y, Z and the pair A, C do not affect each other, so one simulation perturbs one parameter of every axis: a dozen simulations a step for
-any number of axes. The simulations have no noise, because noise in the loop would affect the differences and bias the estimates. The
+Each axis is a part of the problem (`estimate.problem`): X, Y, Z and the pair A, C do not affect each other, so a step takes a dozen
+simulations for any number of axes. They have no noise, because noise in the loop would affect the differences and bias the estimates. The
 intervals come from clusters of CLUSTER_S, as in the regression. The search starts at the regression's machine, and the regression's
-standard deviations are its prior. Both use the same data, so their information matrices are averaged, not added.
+standard deviations are its prior.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
@@ -22,6 +22,8 @@ import os
 import numpy as np
 
 from twin.errors import SimulationError
+from twin.estimate.linearised import linearised
+from twin.estimate.problem import Free, Residuals, Values, blocks_of
 from twin.identify.axis_run import AxisRun, axis_run, low_pass_window
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.direct import Runs
@@ -30,7 +32,6 @@ from twin.identify.products import is_vertical
 from twin.machine.machine import Axis, Machine
 from twin.machine.toleranced import TOLERANCED, field_value, inertia_of, path_of
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.least_squares import RELATED
 from twin.simulation.gap import is_moving
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.simulation.run import simulate
@@ -40,8 +41,12 @@ CLUSTER_S = 0.5
 STEPS = 2
 """Number of Gauss-Newton steps; the start from the regression is close enough for linearisation."""
 
+LARGEST_CHANGE, LARGEST_DELAY_CHANGE_S = 0.1, 2e-4
+"""Largest change of a parameter in one step: relative, delays in seconds."""
+
+SIGNALS = ("position", "motor angle", "current")
 FLOOR = {"linear": (2e-8, 2e-8, 2e-3), "rotary": (1.2e-7, 1.2e-7, 2e-3)}
-"""Model errors of scale, motor position [m or rad] and current [A] (standard deviations), added to the sensors' noise."""
+"""Model errors of SIGNALS [m or rad, A] (standard deviations), added to the sensors' noise."""
 
 # field of the axis, its motor or loops, and the step of the difference quotient: relative, delays in seconds
 FIELDS = {
@@ -58,16 +63,6 @@ FIELDS = {
 
 
 @dataclass(frozen=True)
-class FreeParameter:
-    """One refined parameter: a field of an axis, its moving mass, or the mass of a body; `affects` names the axes whose signals change."""
-
-    axis: str
-    field: str
-    step: float
-    affects: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Refined:
     """The refined machine, standard deviations by 'axis.quantity', and the misfit (RMS in units of d) before and after."""
 
@@ -76,34 +71,34 @@ class Refined:
     misfit: tuple[float, float]
 
 
-def free_parameters(machine: Machine, runs: Sequence[MeasuredRun], known: Collection[tuple[str, str]] = ()) -> list[list[FreeParameter]]:
-    """Batches of parameters that one simulation may perturb together: no two in a batch affect the same axis.
+def free_parameters(
+    machine: Machine,
+    runs: Sequence[MeasuredRun],
+    prior: Mapping[tuple[str, str], float] | None = None,
+    known: Collection[tuple[str, str]] = (),
+) -> list[Free]:
+    """The refined parameters by (axis, field): fields of an axis, its moving mass, or the mass of a body.
 
-    Control values in `known` (axis, field) stay as they are.
+    Their values are changes from the machine, relative (delays in seconds). Control values in `known` (axis, field) stay as they are.
     """
     on = {w for r in runs for w in (r.feedforward or "velocity+torque").split("+")}  # unknown: simulated with the weights of the file
     moving = [
         a for a in machine.axes if a.actuator.electrical and any(a.name in r.trace.axes and is_moving(r.trace, a).any() for r in runs)
     ]
-    batches = []
+    out: list[tuple[str, str, float, tuple[str, ...]]] = []
     for field, step in FIELDS.items():
         if (field == "velocity_feedforward" and "velocity" not in on) or (field == "torque_feedforward" and "torque" not in on):
             continue
-        parameters = [FreeParameter(a.name, _field_in_use(a, field), step, (a.name,)) for a in moving if _is_free(machine, a, field, known)]
-        batches += [parameters] if parameters else []
+        out += [(a.name, _field_in_use(a, field), step, (a.name,)) for a in moving if _is_free(machine, a, field, known)]
     names = [a.name for a in moving]
-    weights = [
-        FreeParameter(a.name, "moving_mass_kg", 0.01, (a.name,))
+    out += [
+        (a.name, "moving_mass_kg", 0.01, (a.name,))
         for a in moving
         if a.rotor_inertia_kg_m2 > 0.0 and a.moving_mass_kg is not None and is_vertical(machine, a.name)
     ]
-    pair = {"A", "C"} <= set(names) and {b.name for b in machine.bodies} >= {"cradle", "table", "workpiece"}
-    first = weights + ([FreeParameter("A", "body.cradle", 0.01, ("A",))] if pair else [])
-    if first:
-        batches.append(first)
-    if pair:
-        batches += [[FreeParameter("A", f"body.{b}", 0.01, ("A", "C"))] for b in ("table", "workpiece")]
-    return batches
+    if {"A", "C"} <= set(names) and {b.name for b in machine.bodies} >= {"cradle", "table", "workpiece"}:
+        out += [("A", "body.cradle", 0.01, ("A",)), ("A", "body.table", 0.01, ("A", "C")), ("A", "body.workpiece", 0.01, ("A", "C"))]
+    return [Free((a, f), 0.0, step, parts, deviation=(prior or {}).get((a, f), math.inf)) for a, f, step, parts in out]
 
 
 def _field_in_use(axis: Axis, field: str) -> str:
@@ -120,19 +115,19 @@ def _in_file(machine: Machine, axis: Axis, field: str) -> bool:
     return not hasattr(axis.loops, field) or field in machine.document["axis"][axis.name]["loops"]
 
 
-def perturbed(machine: Machine, parameter: FreeParameter, amount: float) -> Machine:
-    """The machine with one parameter perturbed by `amount` (relative; delays in seconds)."""
-    if parameter.field.startswith("body."):
-        name = parameter.field[5:]
-        return machine.with_body(name, 1.0 + amount)
-    axis = machine.axis(parameter.axis)
-    value = float(next(getattr(part, parameter.field) for part in (axis, axis.motor, axis.loops) if hasattr(part, parameter.field)))
-    changed = max(value + amount, 0.0) if parameter.field.endswith("delay_s") else value * (1.0 + amount)
+def perturbed(machine: Machine, parameter: tuple[str, str], amount: float) -> Machine:
+    """The machine with one parameter (axis, field) changed by `amount` (relative; delays in seconds)."""
+    name, field = parameter
+    if field.startswith("body."):
+        return machine.with_body(field[5:], 1.0 + amount)
+    axis = machine.axis(name)
+    value = float(next(getattr(part, field) for part in (axis, axis.motor, axis.loops) if hasattr(part, field)))
+    changed = max(value + amount, 0.0) if field.endswith("delay_s") else value * (1.0 + amount)
     # a change of the vertical axis' mass changes the weight only: the rotor compensates the inertia, which is a parameter of its own
-    change = {parameter.field: changed}
-    if parameter.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 > 0.0:
+    change = {field: changed}
+    if field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 > 0.0:
         change["rotor_inertia_kg_m2"] = axis.rotor_inertia_kg_m2 - (changed - value) * axis.ratio**2
-    return machine.with_axis(parameter.axis, **change)
+    return machine.with_axis(name, **change)
 
 
 def refined_machine(
@@ -148,212 +143,154 @@ def refined_machine(
     `measured`: the runs on the position cycles; `mean_current`: from the regression. `prior`: the regression's standard deviation by
     (axis, field), relative (delays in seconds); parameters without one have no prior. Raises SimulationError if the start diverges.
     """
-    batches = free_parameters(machine, runs, prior.keys())
-    names = machine.axis_names
-    groups = [[n] for n in names if n not in ("A", "C")] + [[n for n in names if n in ("A", "C")]]
-    groups = [g for g in groups if g and any(k.affects[0] in g for batch in batches for k in batch)]
-    now, misfits, deviations = machine, [], {}
-    seen = {n: [_measured_axis(r, mean_current.get(n)) if r is not None else None for r in measured[n]] for n in names if n in measured}
-    so_far: dict[FreeParameter, float] = {}
-    weights: dict[str, np.ndarray] = {}
-    for step in range(STEPS + 1):
-        last = step == STEPS
-        variants = [now] if last else [now, *(_perturb_all(now, batch) for batch in batches)]
-        residuals = _residuals(variants, runs, seen)
-        if residuals[0] is None:
-            raise SimulationError(
-                "refinement: the simulation of the identified machine diverges on the recorded set points; use --no-refine and read the report"
-            )
-        if step == 0:
-            weights = {n: _weights(pieces) for n, pieces in residuals[0].items()}
-        residuals = [{n: [(weights[n] * p).ravel() for p in q] for n, q in r.items()} if r is not None else None for r in residuals]
-        base = residuals[0]
-        assert base is not None
-        misfits.append(float(np.sqrt(np.mean(np.concatenate([v for axis in base.values() for v in axis]) ** 2))))
-        if last:
-            break
-        updates: list[tuple[FreeParameter, float]] = []
-        for group in groups:
-            parameters = [
-                (i, k) for i, batch in enumerate(batches) for k in batch if set(k.affects) & set(group) and residuals[i + 1] is not None
-            ]
-            rows = np.concatenate([v for n in group if n in base for v in base[n]])
-            columns = np.zeros((len(rows), len(parameters)))
-            for j, (i, k) in enumerate(parameters):
-                other = residuals[i + 1]
-                assert other is not None
-                parts = [
-                    (o - b) / k.step if n in k.affects else np.zeros_like(b) for n in group if n in base for o, b in zip(other[n], base[n])
-                ]
-                columns[:, j] = np.concatenate(parts)
-            clusters = np.concatenate(
-                [np.full(len(v), 1000 * names.index(n) + c) for n in group if n in base for c, v in enumerate(base[n])]
-            )
-            changed_so_far = np.array([so_far.get(k, 0.0) for _, k in parameters])
-            doubt = np.array([prior.get((k.axis, k.field), math.inf) for _, k in parameters])
-            change, spread = _gauss_newton(columns, rows, clusters, changed_so_far, doubt)
-            updates += [(k, float(change[j])) for j, (_, k) in enumerate(parameters)]
-            deviations.update(_spread_of(now, [k for _, k in parameters], spread))
-        for parameter, amount in updates:
-            limit = 2e-4 if parameter.field.endswith("delay_s") else 0.1
-            kept = float(np.clip(amount, -limit, limit))
-            now = perturbed(now, parameter, kept)
-            so_far[parameter] = so_far.get(parameter, 0.0) + kept
+    problem = _Refinement(machine, runs, measured, mean_current, free_parameters(machine, runs, prior, prior.keys()))
+    blocks = blocks_of(problem.free)
+    x: dict[Hashable, float] = {f.name: f.start for f in problem.free}
+    base = problem.at(x)
+    # a signal that exceeds its noise at the start counts by its residual there: otherwise unmodelled effects, such as the spring between
+    # motor and scale, would distort the parameters
+    levels = {(part, s): max(float(np.sqrt(np.mean(v**2))), 1.0) for part, own in base.items() for s, v in own.items()}
+    misfits, deviations = [_misfit(base, levels)], {}
+    for step in range(STEPS):
+        for block, linear in zip(blocks, linearised(problem, blocks, x, base, lambda part, signal: levels[part, signal])):
+            if linear is None:
+                continue
+            known = np.array([f.deviation for f in block.free])
+            change, spread = linear.averaged(np.array([x[f.name] for f in block.free]), known)
+            deviations.update(_spread_of(problem.machine_at(x), [f.name for f in block.free], spread))  # type: ignore[misc]
+            for f, amount in zip(block.free, change):
+                most = LARGEST_DELAY_CHANGE_S if f.name[1].endswith("delay_s") else LARGEST_CHANGE  # type: ignore[index]
+                x[f.name] += float(np.clip(amount, -most, most))
         if say:
             say(f"refinement step {step + 1}: misfit {misfits[-1]:.3f}")
-    return Refined(_without_negative_friction(now), deviations, (misfits[0], misfits[-1]))
+        base = problem.at(x)
+        misfits.append(_misfit(base, levels))
+    return Refined(_without_negative_friction(problem.machine_at(x)), deviations, (misfits[0], misfits[-1]))
 
 
-def _perturb_all(machine: Machine, batch: Sequence[FreeParameter]) -> Machine:
-    for parameter in batch:
-        machine = perturbed(machine, parameter, parameter.step)
-    return machine
+def _misfit(residuals: Residuals, levels: Mapping[tuple[str, str], float]) -> float:
+    rows = [v / levels[part, s] for part, own in residuals.items() for s, v in own.items()]
+    return float(np.sqrt(np.mean(np.concatenate(rows) ** 2))) if rows else 0.0
 
 
 @dataclass(frozen=True)
-class MeasuredAxis:
-    """Measured signals of one axis in one run: rows (cycle,), and filtered scale, motor position [axis units] and current [A] (k, cycle)."""
+class _Seen:
+    """One axis in one run: rows (row,), signals (3, cycle) with the scale in axis units, which of them are recorded, clusters (row,)."""
 
     rows: np.ndarray
     signals: np.ndarray
-    present: tuple[bool, bool, bool]
+    present: tuple[bool, ...]
+    clusters: np.ndarray
 
 
-def _measured_axis(run: AxisRun, current: MeanCurrent | None) -> MeasuredAxis:
-    return MeasuredAxis(np.flatnonzero(run.sliding)[::ROW_STRIDE], *_filtered(run, current.of(run) if current is not None else None))
+class _Refinement:
+    """The problem: residuals of the training runs in units of noise, by axis and signal."""
+
+    def __init__(
+        self, machine: Machine, runs: Sequence[MeasuredRun], measured: Runs, currents: Mapping[str, MeanCurrent], free: Sequence[Free]
+    ) -> None:
+        self.machine, self.runs, self.free = machine, runs, free
+        self.seen: dict[tuple[str, int], _Seen] = {}
+        for name, several in measured.items():
+            mean = currents.get(name)
+            for k, run in enumerate(several):
+                rows = np.flatnonzero(run.sliding)[::ROW_STRIDE] if run is not None else np.zeros(0, int)
+                if run is not None and len(rows) > 10:
+                    piece = np.arange(len(rows)) // max(1, round(CLUSTER_S / (ROW_STRIDE * run.cycle)))
+                    self.seen[name, k] = _Seen(rows, *_filtered(run, mean.of(run) if mean is not None else None), 100_000 * k + piece)
+
+    def machine_at(self, x: Values) -> Machine:
+        """The machine with these changes."""
+        machine = self.machine
+        for f in self.free:
+            machine = perturbed(machine, f.name, x[f.name]) if x[f.name] != 0.0 else machine  # type: ignore[arg-type]
+        return machine
+
+    def at(self, x: Values) -> Residuals:
+        """Residuals at one point. Raises SimulationError if the simulation diverges."""
+        found = self.residuals([x])[0]
+        if found is None:
+            raise SimulationError(
+                "refinement: the simulation of the identified machine diverges on the recorded set points; use --no-refine and read the report"
+            )
+        return found
+
+    def residuals(self, many: Sequence[Values]) -> list[Residuals | None]:
+        machines = [self.machine_at(x) for x in many]
+        inertias = [home_inertia_at_motor(m) for m in machines]
+        with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+            tasks = [(m, i, k) for m, i in zip(machines, inertias) for k in range(len(self.runs))]
+            done = list(pool.map(lambda task: self._of_run(*task), tasks))
+        out: list[Residuals | None] = []
+        for i in range(len(machines)):
+            parts = done[i * len(self.runs) : (i + 1) * len(self.runs)]
+            joined: dict[str, dict[str, list[np.ndarray]]] = {}
+            for (name, signal), values in (item for part in parts if part is not None for item in part.items()):
+                joined.setdefault(name, {}).setdefault(signal, []).append(values)
+            whole = {name: {s: np.concatenate(v) for s, v in own.items()} for name, own in joined.items()}
+            out.append(None if any(p is None for p in parts) else whole)
+        return out
+
+    def clusters(self, part: str) -> dict[str, np.ndarray]:
+        own = [seen for (name, _), seen in self.seen.items() if name == part]
+        signals = [s for i, s in enumerate(SIGNALS) if any(seen.present[i] for seen in own)]
+        return {s: np.concatenate([seen.clusters for seen in own if seen.present[SIGNALS.index(s)]]) for s in signals}
+
+    def _of_run(self, machine: Machine, inertias: np.ndarray, k: int) -> dict[tuple[str, str], np.ndarray] | None:
+        """Residuals (row,) by axis and signal of one run; None if it diverges."""
+        run = self.runs[k]
+        try:
+            setpoints = recorded_setpoints(run.trace, machine)
+            trace = simulate(
+                machine.with_feedforward(run.feedforward), setpoints, sample_period=run.trace.period, started_at=run.started_at
+            ).trace
+        except SimulationError:
+            return None
+        out = {}
+        for axis, inertia in zip(machine.axes, inertias):
+            seen = self.seen.get((axis.name, k))
+            twin = axis_run(machine, axis, replace(run, trace=trace)) if seen is not None else None
+            if seen is None or twin is None:
+                continue
+            signals, _ = _filtered(twin, mean_of(fast_loop_of(machine, axis, float(inertia)), twin, simulated_torque_weight(axis, twin)))
+            noise = self.machine.noise(self.machine.axis(axis.name))
+            quiet = float(np.sqrt(np.sum(low_pass_window(twin.cycle) ** 2)))  # factor of the filter on white noise
+            d = np.hypot(quiet * np.array([noise.position, noise.position, noise.current]), FLOOR[axis.kind])
+            scale = np.array([1.0, axis.ratio, 1.0]) / d
+            for i in np.flatnonzero(seen.present):
+                out[axis.name, SIGNALS[i]] = (seen.signals[i] - signals[i])[seen.rows] * scale[i]
+        return out
 
 
-def _filtered(run: AxisRun, current: np.ndarray | None) -> tuple[np.ndarray, tuple[bool, bool, bool]]:
+def _filtered(run: AxisRun, current: np.ndarray | None) -> tuple[np.ndarray, tuple[bool, ...]]:
     signals = (run.position, run.angle[:-1], current)
     # relative to the start of the run: a constant would disturb the filter at the ends of the run
     filled = [run.filtered(s - s[0]) + s[0] if s is not None else np.zeros(len(run.speed)) for s in signals]
-    return np.array(filled), tuple(s is not None for s in signals)  # type: ignore[return-value]
+    return np.array(filled), tuple(s is not None for s in signals)
 
 
-def _residuals(
-    machines: Sequence[Machine], runs: Sequence[MeasuredRun], seen: Mapping[str, Sequence[MeasuredAxis | None]]
-) -> list[dict[str, list[np.ndarray]] | None]:
-    """For each machine: axis -> weighted residuals in pieces of CLUSTER_S, all signals of a piece together; None if it diverges."""
-    inertias = [home_inertia_at_motor(m) for m in machines]
-    tasks = [(m, i, k) for m, i in zip(machines, inertias) for k in range(len(runs))]
-
-    def one(task: tuple[Machine, np.ndarray, int]) -> dict[str, list[np.ndarray]] | None:
-        machine, inertia, k = task
-        run = runs[k]
-        try:
-            trace = simulate(
-                machine.with_feedforward(run.feedforward), recorded_setpoints(run.trace, machine), sample_period=run.trace.period,
-                started_at=run.started_at,
-            ).trace  # fmt: skip
-        except SimulationError:
-            return None
-        twin = replace(run, trace=trace)
-        out = {}
-        for axis, j in zip(machine.axes, inertia):
-            there = seen[axis.name][k] if axis.name in seen else None
-            if there is not None and len(there.rows) > 10:
-                out[axis.name] = _pieces(machines[0], machine, axis, twin, float(j), there)
-        return out
-
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        done = list(pool.map(one, tasks))
-    out: list[dict[str, list[np.ndarray]] | None] = []
-    for i in range(len(machines)):
-        parts = done[i * len(runs) : (i + 1) * len(runs)]
-        if any(p is None for p in parts):
-            out.append(None)
-            continue
-        joined: dict[str, list[np.ndarray]] = {}
-        for part in parts:
-            for axis_name, pieces in (part or {}).items():
-                joined.setdefault(axis_name, []).extend(pieces)
-        out.append(joined)
-    return out
-
-
-def _pieces(reference: Machine, machine: Machine, axis: Axis, twin: MeasuredRun, inertia: float, there: MeasuredAxis) -> list[np.ndarray]:
-    """Weighted residuals of one axis in one run; weights from the reference machine, so that all variants share them."""
-    run = axis_run(machine, axis, twin)
-    assert run is not None
-    signals, _ = _filtered(run, mean_of(fast_loop_of(machine, axis, inertia), run, simulated_torque_weight(axis, run)))
-    rows = there.rows[there.rows < signals.shape[1]]
-    noise = reference.noise(reference.axis(axis.name))
-    quiet = float(np.sqrt(np.sum(low_pass_window(run.cycle) ** 2)))  # factor of the filter on white noise
-    scale = np.array([1.0, axis.ratio, 1.0])
-    d = np.hypot(quiet * np.array([noise.position, noise.position, noise.current]), FLOOR[axis.kind])
-    use = np.flatnonzero(there.present)
-    left = ((there.signals - signals) * scale[:, None] / d[:, None])[use][:, rows]
-    piece = max(1, round(CLUSTER_S / (ROW_STRIDE * run.cycle)))
-    return [left[:, i : i + piece] for i in range(0, len(rows), piece)]
-
-
-def _weights(pieces: Sequence[np.ndarray]) -> np.ndarray:
-    """Weights (signal, 1) that scale the residual RMS of each signal to 1 where it exceeds the noise at the start.
-
-    Otherwise unmodelled effects, such as the spring between motor and scale, would distort the parameters.
-    """
-    left = np.sqrt(np.mean(np.concatenate(pieces, axis=1) ** 2, axis=1, keepdims=True))
-    return 1.0 / np.maximum(left, 1.0)
-
-
-def _gauss_newton(
-    columns: np.ndarray, rows: np.ndarray, clusters: np.ndarray, so_far: np.ndarray, prior: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Newton change of the parameters and their standard deviations, both combined with the regression.
-
-    `so_far`: change from the regression's machine up to now; `prior`: the regression's standard deviations (infinite: none). The covariance of
-    the data comes from clusters, and the two estimates are weighted by their covariances. Huber weights limit the influence of single
-    pieces, such as an axis about to stick.
-    """
-    length = np.linalg.norm(columns, axis=0)
-    seen = (length > 0.0) & np.isfinite(length)
-    change, spread = np.zeros(columns.shape[1]), prior.copy()
-    if not seen.any():
-        return change, spread
-    scale = max(float(np.median(np.abs(rows))) * 1.48, 1e-9)
-    weight = np.minimum(1.0, 3.0 * scale / np.maximum(np.abs(rows), 1e-12))
-    x = columns[:, seen] / length[seen]
-    bread = np.linalg.pinv((x * weight[:, None]).T @ x + 1e-10 * np.eye(int(seen.sum())), hermitian=True)
-    found = -bread @ (x * weight[:, None]).T @ rows
-    left = rows + x @ found
-    _, group = np.unique(clusters, return_inverse=True)
-    scores = np.zeros((int(group.max()) + 1, int(seen.sum())))
-    np.add.at(scores, group, x * (weight * left)[:, None])
-    covariance = RELATED**2 * bread @ (scores.T @ scores) @ bread / np.outer(length[seen], length[seen])
-    information = np.linalg.pinv(covariance, hermitian=True)
-    known = 0.5 * np.where(np.isfinite(prior[seen]), prior[seen], np.inf) ** -2.0
-    information = 0.5 * information
-    joined = np.linalg.pinv(information + np.diag(known), hermitian=True)
-    change[seen] = joined @ (information @ (found / length[seen]) - known * so_far[seen])
-    spread[seen] = np.sqrt(np.diag(joined))
-    return change, spread
-
-
-def _spread_of(machine: Machine, parameters: Sequence[FreeParameter], spread: np.ndarray) -> dict[str, float]:
+def _spread_of(machine: Machine, parameters: Sequence[tuple[str, str]], spread: np.ndarray) -> dict[str, float]:
     """Standard deviations in the names and units of the parameters."""
     out: dict[str, float] = {}
-    for parameter, d in zip(parameters, spread):
-        axis = machine.axis(parameter.axis)
-        if parameter.field == "rotor_inertia_kg_m2":
-            out[f"{parameter.axis}.inertia"] = float(d) * axis.rotor_inertia_kg_m2
-        elif parameter.field == "coulomb_friction_nm":
-            out[f"{parameter.axis}.coulomb_friction"] = float(d) * axis.coulomb_friction_nm
-        elif parameter.field == "viscous_friction_nm_s_per_rad":
-            out[f"{parameter.axis}.viscous_friction"] = float(d) * axis.viscous_friction_nm_s_per_rad
-        elif parameter.field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 == 0.0:
-            out[f"{parameter.axis}.inertia"] = float(d) * (axis.moving_mass_kg or 0.0) * axis.ratio**2
-        elif parameter.field == "moving_mass_kg":
-            out[f"{parameter.axis}.gravity_torque"] = float(d) * (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio
-        elif parameter.field.startswith("body."):
-            body = next(b for b in machine.bodies if b.name == parameter.field[5:])
+    for (name, field), d in zip(parameters, map(float, spread)):
+        axis = machine.axis(name)
+        mass = axis.moving_mass_kg or 0.0
+        if field == "rotor_inertia_kg_m2":
+            out[f"{name}.inertia"] = d * axis.rotor_inertia_kg_m2
+        elif field in ("coulomb_friction_nm", "viscous_friction_nm_s_per_rad"):
+            out[f"{name}.{field.rsplit('_nm', 1)[0]}"] = d * getattr(axis, field)
+        elif field == "moving_mass_kg" and axis.rotor_inertia_kg_m2 == 0.0:
+            out[f"{name}.inertia"] = d * mass * axis.ratio**2
+        elif field == "moving_mass_kg":
+            out[f"{name}.gravity_torque"] = d * mass * machine.gravity * axis.ratio
+        elif field.startswith("body."):
+            body = next(b for b in machine.bodies if b.name == field[5:])
             x, y, z = body.centre_of_mass_m
             moments = {"moment_y": y, "moment_z": z} if body.name == "cradle" else {"table_x": x, "table_y": y, "moment_z": z}
-            for name, arm in moments.items():
-                key = f"A.{name}"
-                out[key] = math.hypot(out.get(key, 0.0), float(d) * body.mass_kg * arm)
+            for moment, arm in moments.items():
+                out[f"A.{moment}"] = math.hypot(out.get(f"A.{moment}", 0.0), d * body.mass_kg * arm)
         else:
-            scale = 1.0 if parameter.field.endswith("delay_s") else getattr(axis.loops, parameter.field)
-            out[f"{parameter.axis}.loops.{parameter.field}"] = float(d) * scale
+            out[f"{name}.loops.{field}"] = d * (1.0 if field.endswith("delay_s") else getattr(axis.loops, field))
     return out
 
 

@@ -21,11 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
 
+from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia
 from twin.identify.between_samples import FastLoop
 from twin.identify.drive_balance import mean_of, simulated_torque_weight
 from twin.machine.machine import Axis
-from twin.recordings.least_squares import regress
 
 NAMES = ("speed_gain_nm_s_per_rad", "speed_integral_time_s", "torque_feedforward")
 PASS_HZ = (1.0, 25.0)

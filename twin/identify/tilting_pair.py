@@ -17,10 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
 from twin.identify.drive_balance import MeanCurrent, Rows, sliding_rows, stacked
 from twin.machine.machine import Body, Machine
-from twin.recordings.least_squares import Fit, regress
 
 PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
 FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")

@@ -8,19 +8,25 @@ from pathlib import Path
 from typing import Any
 
 from twin.identify.result import Identification, Parameter, Range
+from twin.machine.commented import ASSUMED, BOUNDED
 from twin.machine.machine import Machine, write_machine
+
+WIDE = 0.5
+"""A value whose 95 % interval reaches further than this share of it is bounded, not identified."""
 
 
 def machine_comments(result: Identification) -> dict[str, str]:
-    """Path -> comment of each identified value: grade, interval, campaign."""
+    """Path -> comment of each changed value: grade, interval, campaign. A value that only its product or sum determines says so."""
     name = Path(result.campaign).name
     out = {}
     changed = _changed(result.before, result.machine)
     for p in result.parameters:
         if p.path in changed or (p.path and p.at_bound and result.taken(p) is not None):
             r = _final(p, result)
-            bound = ", at its bound" if p.at_bound else ""
-            out[p.path] = f"identified  95 % {r.low:.6g} .. {r.high:.6g}{bound}, campaign {name}"
+            limit = ", at its bound" if p.at_bound else ""
+            small = p.path.endswith("delay_s") or p.path.endswith("time_s")  # a delay near zero is one all the same
+            grade = BOUNDED if r.half > WIDE * abs(r.value) and not small else "identified"
+            out[p.path] = f"{grade}  95 % {r.low:.6g} .. {r.high:.6g}{limit}, campaign {name}"
     for path in changed:
         if path in out or path == "effect":
             continue
@@ -28,6 +34,8 @@ def machine_comments(result: Identification) -> dict[str, str]:
             out[path] = f"identified  from standstill, campaign {name}"
         elif "torque_constant" in path or "rotor" in path or "moving_mass" in path or path.startswith("body."):
             out[path] = f"identified  share of products with the torque constant within parameter_tolerance, campaign {name}"
+        elif path.startswith("axis.") and not path.endswith(("inductance_h", "resistance_ohm")):
+            out[path] = f"{ASSUMED}  value of the best fit; campaign {name} alone does not determine it"
         else:
             out[path] = f"identified  campaign {name}"
     return out

@@ -12,6 +12,12 @@ ASSUMED = "assumed"
 TRIED = "tried"
 """Word in the comment after a number that `twin machine new` chose so that the simulated axis follows like the recorded one."""
 
+BOUNDED = "bounded"
+"""Word in the comment after a number that a recording gives within wide bounds only; the value is one of many that fit."""
+
+GUESSED = (ASSUMED, TRIED, BOUNDED)
+"""Words after numbers that no recording determines: an effect on such a number is a calibration, not a finding."""
+
 
 def number_line(key: str, value: float, comment: str = ASSUMED) -> str:
     """`key = value  # comment` with nine significant digits, always a TOML float."""

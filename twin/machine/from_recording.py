@@ -1,13 +1,13 @@
-"""A machine from a recording alone: lumped parameters that reproduce it, without a data sheet.
+"""A lumped machine that reproduces its recording. No signal shows gain and integral time of the speed controller, so they are tried.
 
-`lumps` identifies control law and lumped parameters. No signal shows gain and integral time of the speed controller, so they are
-varied until the simulated axis follows like the recorded one. The comment of each number states its origin.
+They are varied until the simulated axis follows like the recorded one. The comment of each number states its origin.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+import functools
 import math
 from pathlib import Path
 import re
@@ -16,8 +16,7 @@ import tempfile
 import numpy as np
 
 from twin.errors import InputError, SimulationError
-from twin.machine.lumped_file import Tuning, write_lumped_machine
-from twin.machine.lumps import AxisLumps, Mechanics, lumps_of
+from twin.machine.lumped_file import AxisLumps, Mechanics, Tuning, write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
@@ -54,55 +53,56 @@ class NewMachine:
     followed: Mapping[str, Reproduction]
 
 
-def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None) -> NewMachine:
-    """Write the machine file and its model. Raises InputError if no axis moves, or if no stable machine reproduces one."""
-    if out.suffix != ".toml":
-        raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
-    model = out.with_suffix(".xml")
-    for path in (out, model):
-        if path.exists():
-            raise InputError(f"{path}: exists already; give another name or remove it")
-    campaign = read_campaign(folder)
-    runs = campaign.runs
-    names = list(dict.fromkeys(axis for run in runs for axis in run.trace.axes))
-    common = [n for n in names if all(run.trace.has(n, "setpoint") for run in runs) and any(run.trace.moves(n) for run in runs)]
-    lumps = []
-    for name in common:
-        say(f"axis {name}")
-        lumps.append(lumps_of(runs, name))
-    if not lumps:
-        raise InputError(f"{folder}: no axis moves in its runs; record a move")
-    tried = _runs_with_most_travel(runs, common)
+def write_tried_machine(
+    out: Path, lumps: Sequence[AxisLumps], runs: Sequence[MeasuredRun], source: str, say: Callable[[str], None] = lambda _text: None
+) -> NewMachine:
+    """Write the machine file and its model; `source` names the recording. Raises InputError if no stable machine reproduces an axis."""
+    tried = runs_with_most_travel(runs, [one.name for one in lumps])
     if not tried:
-        raise InputError(f"{folder}: no run has {LEAST_SAMPLES} samples; record a longer move")
-    tunings = {one.name: Tuning(max(one.law.lag, 0.5e-3), FIRST_INTEGRAL_S, one.law.delay) for one in lumps}
+        raise InputError(f"{source}: no run has {LEAST_SAMPLES} samples; record a longer move")
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
 
-        def attempt(given: Mapping[str, Tuning]) -> dict[str, Reproduction]:
+        def attempt(axes: Sequence[AxisLumps], given: Mapping[str, Tuning]) -> dict[str, Reproduction]:
             file = Path(scratch) / "machine.toml"
-            write_lumped_machine(file, lumps, given, folder.name)
-            return _reproductions(load_machine(file), tried, lumps)
+            write_lumped_machine(file, axes, given, source)
+            return _reproductions(load_machine(file), tried, axes)
 
-        tunings, followed = _tuned(attempt, tunings, lumps, say)
+        lumps = _likelier_laws(attempt, lumps)
+        tunings, followed = _tuned(functools.partial(attempt, lumps), _first_tunings(lumps), lumps, say)
     if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
         raise InputError(
-            f"{folder}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
+            f"{source}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
         )
-    write_lumped_machine(out, lumps, tunings, folder.name)
+    write_lumped_machine(out, lumps, tunings, source)
     load_machine(out)
     return NewMachine(tuple(lumps), followed)
 
 
+def _first_tunings(lumps: Sequence[AxisLumps]) -> dict[str, Tuning]:
+    return {one.name: Tuning(max(one.law.lag, 0.5e-3), FIRST_INTEGRAL_S, one.law.delay) for one in lumps}
+
+
+def _likelier_laws(
+    attempt: Callable[[Sequence[AxisLumps], Mapping[str, Tuning]], dict[str, Reproduction]], lumps: Sequence[AxisLumps]
+) -> list[AxisLumps]:
+    """Each axis with the one of its two position controllers that follows more like the recording."""
+    if not any(one.other for one in lumps):
+        return list(lumps)
+    others = [replace(one, law=one.other or one.law, other=None) for one in lumps]
+    first, second = (attempt(axes, _first_tunings(axes)) for axes in (lumps, others))
+    return [other if second[one.name].merit < first[one.name].merit else one for one, other in zip(lumps, others)]
+
+
 def reproductions_of(machine: Machine, folder: Path, lumps: Sequence[AxisLumps]) -> dict[str, Reproduction]:
     """How a machine reproduces the runs of a campaign with the most travel, by axis."""
-    return _reproductions(machine, _runs_with_most_travel(read_campaign(folder).runs, [one.name for one in lumps]), lumps)
+    return _reproductions(machine, runs_with_most_travel(read_campaign(folder).runs, [one.name for one in lumps]), lumps)
 
 
 LEAST_SAMPLES = 40
 """Fewest samples of a run that is used."""
 
 
-def _runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
+def runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
     """The runs with the most travel per second, LONGEST_TRIED_S in all; the last one is shortened."""
 
     def travel(run: MeasuredRun) -> float:
@@ -194,6 +194,8 @@ def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
     unit, factor = ("um", 1e6) if one.kind == "linear" else ("arcsec", 180.0 / math.pi * 3600.0)
     # without a recorded set point there is no following error
     share = f", {followed.gap / followed.following:.2%} of the following error" if followed.following > 1e-12 else ""
+    if followed.gap >= followed.following > 1e-12:
+        share += ": no better than the set point itself, so the assumed numbers of its control do not hold"
     text = f"axis {one.name}: position to {followed.gap * factor:.3g} {unit} RMS{share}"
     m: Mechanics | None = one.mechanics
     return text + (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 import json
 import math
 from pathlib import Path
@@ -11,15 +11,15 @@ from xml.sax.saxutils import escape
 
 from twin.documents import toml_key
 from twin.files import write_whole
-from twin.machine.commented import ASSUMED, TRIED, commented, number_line
-from twin.machine.lumps import AxisLumps
+from twin.machine.commented import ASSUMED, BOUNDED, TRIED, commented, number_line
 
 LUMP = "lump"
 BY_LOAD = "measured by the recorded external load"
 ROOM = 1.5
 """Factor from recorded to permitted speed and acceleration."""
-PEAK_ROOM = 4.0
-"""Factor from the recorded peak command to its limit. The recording need not reach the limit, and a limit set too low adds a fault."""
+PEAK_ROOM, LIMIT_ROOM = 4.0, 1.5
+"""Factors from the recorded peak command, and from the command at the permitted speed and acceleration, to its limit. The recording need
+not reach the limit, and a limit set too low adds a fault."""
 TRAVEL_ROOM_M = 2.0
 LEAST_SPEED = {"linear": 1.0, "rotary": 2.0 * math.pi}
 """Least permitted speed of an axis [m/s, rad/s], because another recording may be faster."""
@@ -27,7 +27,86 @@ SMALL_FORCE = 0.02
 """A constant force below this share of the peak command is omitted."""
 UNKNOWN_MASS = 10.0
 _COMMAND_UNIT = {"current": "A", "voltage": "V", "torque": "Nm"}
+_KIND = {"linear": "force", "rotary": "torque"}
 G = 9.81
+
+
+@dataclass(frozen=True)
+class Law:
+    """Position controller: gain [1/s], delays [s], feedforward weight. `measured`: read from the control's own signals, else assumed."""
+
+    gain: float
+    delay: float
+    feedforward: float
+    feedforward_delay: float
+    measured: bool = True
+    dsc_delay: float = 0.0
+    lag: float = 0.0  # of the speed loop
+    integral_time: float = math.nan  # of the speed controller; inf: it has none, NaN: the recording does not show it
+    speed_gain: float = 0.0  # command per m/s; 0: derived from the lag
+    mean_cycles: int = 0
+
+    @property
+    def direct(self) -> bool:
+        """True if the recorded command shows the speed controller."""
+        return self.speed_gain > 0.0
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Lumped parameters in units of the command per axis unit. `explained`: share of the command's variance that they explain."""
+
+    effort: str
+    inertia: float
+    coulomb: float
+    viscous: float
+    constant: float
+    gravity: tuple[float, float]  # factors of cos q and sin q, for rotary axes
+    explained: float
+    peak: float
+    force_per_unit: float | None = None  # N or Nm per unit of the command, if a known external load gives it
+    steady_speed: float | None = None  # the one speed of the recording: `coulomb` is then the whole friction there
+    one_way: bool = False  # `constant` is then the sum of Coulomb friction and constant force
+    largest_inertia: float | None = None  # the recording gives this bound only
+
+    @property
+    def scale(self) -> float:
+        """Factor from lumped parameters to forces; 1 if no load gives it."""
+        return self.force_per_unit or 1.0
+
+    @property
+    def forces(self) -> Mechanics:
+        """The same in N and kg or Nm and kg m2 if a known load gives the scale, else unchanged."""
+        k = self.scale
+        return replace(
+            self, inertia=k * self.inertia, coulomb=k * self.coulomb, viscous=k * self.viscous, constant=k * self.constant,
+            gravity=(k * self.gravity[0], k * self.gravity[1]), peak=k * self.peak,
+            largest_inertia=None if self.largest_inertia is None else k * self.largest_inertia,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AxisLumps:
+    """All identified data of an axis. `notes` name what could not be identified."""
+
+    name: str
+    kind: str
+    encoder: str
+    travel: tuple[float, float]
+    speed: float
+    acceleration: float
+    period: float
+    law: Law
+    mechanics: Mechanics | None
+    noise: float
+    effort_noise: float
+    notes: tuple[str, ...] = field(default=())
+    other: Law | None = None  # another position controller with the same lag
+
+    @property
+    def forces(self) -> Mechanics | None:
+        """Mechanics in N and kg or Nm and kg m2 if a known load gives the scale, else lumped; None if unknown."""
+        return self.mechanics.forces if self.mechanics else None
 
 
 @dataclass(frozen=True)
@@ -64,7 +143,7 @@ _MODEL = """<mujoco model="{name}">
 
 
 def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> list[str]:
-    period = lumps[0].period
+    period = whole_cycle(lumps[0].period)
     measured = any(one.law.measured for one in lumps)
     whole = all(one.law.direct for one in lumps)
     cycle = period if measured else _part_of(period, 2e-3)
@@ -91,6 +170,12 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
     return lines
 
 
+def whole_cycle(period: float) -> float:
+    """A recorded period as a whole number of nanoseconds in each of its speed cycles, so that the file's digits hold it exactly."""
+    count = round(period / _part_of(period, 125e-6))
+    return count * round(period / count * 1e9) * 1e-9
+
+
 def _part_of(period: float, longest: float) -> float:
     """The longest integer fraction of a period that does not exceed `longest`."""
     return period / math.ceil(period / longest - 1e-9)
@@ -110,6 +195,8 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
             f"{coulomb}, with the viscous friction at {m.steady_speed:.3g} {per}/s",
             f"{ASSUMED}: its sum with Coulomb friction is known",
         )
+    elif m and m.one_way:
+        coulomb = f"{ASSUMED}: its sum with the constant {_KIND[one.kind]} is known, and is given there; record both directions"
     lines = ["", *(f"# {note}" for note in one.notes), f"[{table}]", f'kind = "{one.kind}"']
     lines.append(commented(f'structure = "{structure}"', "no current loop: its lag is part of the speed controller"))
     if linear:
@@ -117,9 +204,10 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     lines.append(commented(f'encoder = "{one.encoder}"', "closes the position loop"))
     inertia = m.inertia if m else UNKNOWN_MASS
     lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
+    if m and m.largest_inertia is not None:
+        lump = f"{BOUNDED}: below {m.largest_inertia:.3g} {unit} per {per}/s2, {ASSUMED} half of it; record accelerations"
     low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
-    speed = max(ROOM * one.speed, LEAST_SPEED[one.kind])
-    acceleration = ROOM * max(one.acceleration, 0.1)
+    speed, acceleration = _permitted(one)
     if linear:
         weight = m.constant / G if vertical and m else inertia
         lines += [
@@ -153,6 +241,20 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     return [*lines, *_actuator(one, table), *_loops(one, tuning, table, one.mechanics.inertia if one.mechanics else inertia)]
 
 
+def _permitted(one: AxisLumps) -> tuple[float, float]:
+    """Permitted speed and acceleration of an axis."""
+    return max(ROOM * one.speed, LEAST_SPEED[one.kind]), ROOM * max(one.acceleration, 0.1)
+
+
+def _peak(one: AxisLumps, m: Mechanics) -> tuple[float, str]:
+    """Limit of the command and its comment: beyond the recorded one, and enough for what the axis is permitted."""
+    speed, acceleration = _permitted(one)
+    full = m.inertia * acceleration + m.coulomb + m.viscous * speed + abs(m.constant) + math.hypot(*m.gravity)
+    if LIMIT_ROOM * full > PEAK_ROOM * m.peak:
+        return LIMIT_ROOM * full, f"{ASSUMED}: {LIMIT_ROOM:g} times what the permitted speed and acceleration take; recorded: {m.peak:.3g}"
+    return PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"
+
+
 def _actuator(one: AxisLumps, table: str) -> list[str]:
     linear, m = one.kind == "linear", one.mechanics
     lines = [f"[{table}.actuator]"]
@@ -165,10 +267,10 @@ def _actuator(one: AxisLumps, table: str) -> list[str]:
         key = f"force_constant_n_per_{letter}" if linear else f"torque_constant_nm_per_{letter}"
         said = f"{LUMP}: everything between command and motion" if m.force_per_unit is None else BY_LOAD
         lines.append(number_line(key, m.scale, said))
-        return [*lines, number_line(f"peak_{m.effort}_{letter}", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded")]
+        return [*lines, number_line(f"peak_{m.effort}_{letter}", *_peak(one, m))]
     return [
         *lines,
-        number_line("peak_force_n" if linear else "peak_torque_nm", PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"),
+        number_line("peak_force_n" if linear else "peak_torque_nm", *_peak(one, m)),
     ]
 
 
@@ -214,7 +316,7 @@ _BODY_PART = 0.1
 def _hangs(one: AxisLumps) -> bool:
     """True if the constant force of a slide is its weight: motion both ways separates it from friction, and the inertia permits it."""
     m = one.forces
-    if m is None or one.kind != "linear" or any("one way" in note for note in one.notes):
+    if m is None or one.kind != "linear" or m.one_way:
         return False
     return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
 
@@ -264,7 +366,7 @@ def _body(one: AxisLumps, i: int, vertical: bool) -> str:
 
 def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
     lines = ["", "[measurement]                              # noise of single samples in the quietest part of the recording"]
-    lines.append(number_line("sample_period_us", lumps[0].period * 1e6, "the recorded period"))
+    lines.append(number_line("sample_period_us", whole_cycle(lumps[0].period) * 1e6, "the recorded period"))
     for kind, scale, motor in (
         ("linear", "linear_scale_noise_m", "motor_encoder_noise_m"),
         ("rotary", "rotary_encoder_noise_deg", "motor_encoder_noise_rad"),

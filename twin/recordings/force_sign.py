@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from twin.estimate.regression import solved
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.least_squares import solved
 
 BAND_HZ = 30.0
 CLEAR = 0.25

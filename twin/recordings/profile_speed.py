@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.recordings.least_squares import solved
+from twin.estimate.regression import solved
 from twin.recordings.trace import Trace
 
 SIGNAL = "velocity_setpoint"

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.estimate.regression import solved
 from twin.recordings.force_sign import force_balance
-from twin.recordings.least_squares import solved
 
 TINY = 1e-300
 WINDOWS = (1, 4, 16, 64)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from twin.recordings.least_squares import regress
+from twin.estimate.regression import regress
 
 BAND_HZ = 40.0
 SEARCH_S = 0.25

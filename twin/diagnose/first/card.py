@@ -8,12 +8,13 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from twin.diagnose.first.axis_facts import AxisFacts, Value, facts_of
+from twin.diagnose.first.axis_facts import AxisFacts, facts_of
 from twin.diagnose.first.odd import Odd, oddities
 from twin.diagnose.first.people import number, shown_effort, shown_error, shown_position
 from twin.diagnose.first.shows import can_show, cannot_show, speed_text
 from twin.files import write_json
-from twin.machine.lumps import AxisLumps
+from twin.identify.recorded_axis import Value
+from twin.machine.lumped_file import AxisLumps
 from twin.recordings.campaign import MeasuredRun
 from twin.units import AXIS_UNITS
 

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.first.axis_facts import AxisFacts, Strokes
+from twin.diagnose.first.axis_facts import AxisFacts
 from twin.diagnose.first.people import shown_effort, shown_error
+from twin.identify.recorded_axis import Strokes
 from twin.units import AXIS_UNITS
 
 LEVEL = 1e-3

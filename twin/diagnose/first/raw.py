@@ -12,7 +12,8 @@ from pathlib import Path
 
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.machine.from_recording import NewMachine, machine_from_recording
+from twin.identify.from_recording import machine_from_recording
+from twin.machine.from_recording import NewMachine
 from twin.recordings.imported import import_campaign
 from twin.recordings.mapping import read_map
 from twin.recordings.proposed import proposal_of

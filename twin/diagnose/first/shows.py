@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from twin.diagnose.first.axis_facts import EFFORTS, AxisFacts
+from twin.diagnose.first.axis_facts import AxisFacts
 from twin.diagnose.first.people import shown_speed
+from twin.identify.recorded_axis import EFFORTS
 
 GAIN_S = 0.01
 """Longest period at which gains and delays of the loops are seen [s]: a position loop of 100 1/s settles in some samples."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.recordings.least_squares import RELATED, _enough_clusters, regress, whiteness
+from twin.estimate.regression import RELATED, _enough_clusters, regress, whiteness
 
 
 def coloured(rng: np.random.Generator, n: int, memory: float) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_the_allowance_for_related_strokes_widens(monkeypatch: pytest.MonkeyPatc
     x = np.linspace(-1.0, 1.0, 100)
     y = x + np.random.default_rng(1).normal(size=100)
     allowed = regress(x[:, None], y, np.arange(100) // 10).deviations
-    monkeypatch.setattr("twin.recordings.least_squares.RELATED", 1.0)
+    monkeypatch.setattr("twin.estimate.regression.RELATED", 1.0)
     plain = regress(x[:, None], y, np.arange(100) // 10).deviations
     assert allowed / plain == pytest.approx(RELATED)
     assert RELATED > 1.05

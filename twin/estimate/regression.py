@@ -81,17 +81,22 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     found = bread @ (z.T @ y)
     residual = y - scaled @ found
     group = _enough_clusters(np.unique(clusters, return_inverse=True)[1], int(seen.sum()))
-    count = int(group.max()) + 1
-    scores = np.zeros((count, int(seen.sum())))
-    np.add.at(scores, group, z * residual[:, None])
-    meat = RELATED**2 * scores.T @ scores * count / max(count - int(seen.sum()), 1)
     index = np.ix_(np.flatnonzero(seen), np.flatnonzero(seen))
-    covariance[index] = (bread @ meat @ bread.T) / np.outer(length[seen], length[seen])
+    covariance[index] = sandwich(bread, z * residual[:, None], group) / np.outer(length[seen], length[seen])
     unknown = ~seen | one_number
     covariance[unknown, :] = covariance[:, unknown] = 0.0
     covariance[unknown, unknown] = np.inf
     values[seen] = found / length[seen]
-    return Fit(values, covariance, residual, float(np.linalg.cond(scaled)), count, seen)
+    return Fit(values, covariance, residual, float(np.linalg.cond(scaled)), int(group.max()) + 1, seen)
+
+
+def sandwich(bread: np.ndarray, scores: np.ndarray, clusters: np.ndarray) -> np.ndarray:
+    """Covariance (k, k) by clusters (row,), with the inverse information `bread` (k, k) and the score of each row (row, k)."""
+    _, group = np.unique(clusters, return_inverse=True)
+    count, k = int(group.max()) + 1, scores.shape[1]
+    sums = np.zeros((count, k))
+    np.add.at(sums, group, scores)
+    return np.asarray(RELATED**2 * bread @ (sums.T @ sums) @ bread.T * count / max(count - k, 1))
 
 
 def solved(columns: np.ndarray, y: np.ndarray) -> np.ndarray:

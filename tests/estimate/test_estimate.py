@@ -1,0 +1,118 @@
+"""Laws of the estimator on systems that it knows nothing of: blocks, batches, the most likely values, their scatter, bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from twin.estimate.evidence import mean_log_rms, predicts_better
+from twin.estimate.linearised import linearised
+from twin.estimate.problem import Free, Values, batches_of, blocks_of
+from twin.estimate.search import level_of, search
+
+
+@dataclass
+class Decays:
+    """Two records of y = a exp(-b t), noise of another size in each; `shared`: one rate for both. It counts its evaluations."""
+
+    measured: Mapping[str, np.ndarray]
+    free: Sequence[Free]
+    calls: int = 0
+
+    def residuals(self, many: Sequence[Values]) -> list[dict[str, dict[str, np.ndarray]] | None]:
+        self.calls += len(many)
+        return [self._one(x) for x in many]
+
+    def _one(self, x: Values) -> dict[str, dict[str, np.ndarray]] | None:
+        t = np.linspace(0.0, 2.0, 400)
+        out = {}
+        for part, y in self.measured.items():
+            a, b = x[part, "a"], x[part if (part, "b") in x else "both", "b"]
+            if b < -2.0:
+                return None
+            out[part] = {"y": y - a * np.exp(-b * t)}
+        return out
+
+    def clusters(self, part: str) -> dict[str, np.ndarray]:
+        return {"y": np.arange(len(self.measured[part])) // 5}
+
+
+def decays(seed: int, shared: bool = False, high: float = np.inf) -> Decays:
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0.0, 2.0, 400)
+    rates = {"one": 1.3, "two": 1.3 if shared else 0.4}
+    measured = {p: 2.0 * np.exp(-r * t) + s * rng.standard_normal(len(t)) for (p, r), s in zip(rates.items(), (0.01, 0.1))}
+    free = [Free((p, "a"), 1.0, 1e-3, (p,)) for p in measured]
+    free += [Free(("both", "b"), 0.0, 1e-3, ("one", "two"))] if shared else [Free((p, "b"), 0.0, 1e-3, (p,), high=high) for p in measured]
+    return Decays(measured, free)
+
+
+def test_numbers_that_share_a_part_form_a_block_and_one_evaluation_moves_one_number_of_each_part() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        parts = [str(k) for k in range(6)]
+        free = [Free(i, 0.0, 1.0, tuple(rng.choice(parts, rng.integers(1, 3), replace=False))) for i in range(12)]
+        blocks, batches = blocks_of(free), batches_of(free)
+        for names in ([f.name for b in blocks for f in b.free], [f.name for b in batches for f in b]):
+            assert sorted(names) == list(range(12))
+        assert all(not set(a.parts) & set(b.parts) for k, a in enumerate(blocks) for b in blocks[:k])
+        for batch in batches:
+            moved = [p for f in batch for p in f.parts]
+            assert len(moved) == len(set(moved))
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_the_intervals_contain_the_truth_as_often_as_they_say(shared: bool) -> None:
+    held = []
+    for seed in range(60):
+        end = search(decays(seed, shared))
+        assert end is not None
+        truth = {**{(p, "a"): 2.0 for p in ("one", "two")}, ("one", "b"): 1.3, ("two", "b"): 0.4, ("both", "b"): 1.3}
+        deviations = end.deviations("one") | end.deviations("two")
+        held += [abs(value - truth[name]) < 1.96 * deviations[name] for name, value in end.values.items()]
+    assert 0.90 < np.mean(held) < 0.995
+
+
+def test_blocks_are_evaluated_together_and_end_where_each_ends_alone() -> None:
+    both = decays(1)
+    end = search(both)
+    assert end is not None
+    for part in ("one", "two"):
+        alone = Decays({part: both.measured[part]}, [f for f in both.free if f.parts == (part,)])
+        own = search(alone)
+        assert own is not None
+        assert own.score(part) == pytest.approx(end.score(part), abs=1e-4)
+        assert alone.calls > 0.4 * both.calls
+
+
+def test_a_bound_holds_and_a_start_without_residuals_is_none() -> None:
+    end = search(decays(2, high=1.0))
+    assert end is not None
+    assert end.values["one", "b"] == 1.0
+    assert end.values["two", "b"] == pytest.approx(0.4, abs=0.1)
+    assert search(decays(2), {**{(p, "a"): 1.0 for p in ("one", "two")}, ("one", "b"): -3.0, ("two", "b"): 0.0}) is None
+
+
+def test_a_number_without_an_effect_has_no_interval() -> None:
+    problem = decays(4)
+    problem.free = [*problem.free, Free("idle", 0.5, 0.1, ("one",))]
+    x = {f.name: f.start for f in problem.free}
+    base = problem.residuals([x])[0]
+    assert base is not None
+    one = linearised(problem, blocks_of(problem.free), x, base, level_of(base))[0]
+    assert one is not None
+    change, covariance = one.solved(robust=True)
+    assert (change[-1], covariance[-1, -1]) == (0.0, np.inf)
+    assert np.isfinite(covariance[:-1, :-1]).all()
+    assert one.step(0.1, np.full(3, -1.0), np.full(3, 1.0))[-1] == 0.0
+
+
+def test_evidence_is_a_log_density_per_row() -> None:
+    rng = np.random.default_rng(0)
+    signals = [0.1 * rng.standard_normal(300), 5.0 * rng.standard_normal(100)]
+    assert mean_log_rms(signals) == pytest.approx(mean_log_rms([10.0 * s for s in signals]) - np.log(10.0))
+    assert predicts_better([-5.3, -5.2], [-5.0, -5.0])
+    assert not predicts_better([-5.9, -4.9], [-5.0, -5.0])

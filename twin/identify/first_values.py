@@ -1,0 +1,232 @@
+"""First values of each axis from its recording, without a data sheet: law of the control, lumped mechanics, what is assumed.
+
+command:   u(t) as in `control.command_law`                     the recorded command is that of the speed controller itself
+           w*(t) = Kv (s(t - d) - x(t)) + a f(t)                 or a speed set point w* is recorded (`position_control`)
+in drive:  `drive_position_loop`                                 the NC or the drive closes the position loop
+mechanics: u = m a + d sign(v) + b v + c - f/K                   `recorded_axis`; u: recorded current, voltage or torque; f: known load
+
+Without lead, ratio and motor data, m, d, b and c are known only in units of the command: m is the inertia over the torque constant,
+referred to the axis, in A/(m/s2) or the like. These are the lumped parameters. If a known external load is recorded, the response of
+the command gives K [N or Nm per unit of the command], which converts them to kilograms and newtons. SI; positions in m or rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import math
+from pathlib import Path
+import tempfile
+
+import numpy as np
+
+from twin.control.command_law import CommandRun, command_law
+from twin.errors import InputError
+from twin.identify.axis_run import AxisRun, axis_run
+from twin.identify.drive_position_loop import drive_position_loop
+from twin.identify.position_control import fit_position_control
+from twin.identify.recorded_axis import (
+    EFFORTS,
+    Friction,
+    Strokes,
+    Value,
+    effort_balance,
+    lags_of,
+    noise_of,
+    position_of,
+    slopes_of,
+    strokes_of,
+)
+from twin.machine.lumped_file import AxisLumps, Law, Mechanics, Tuning, write_lumped_machine
+from twin.machine.machine import Axis, Machine, load_machine
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.excitation import one_speed
+from twin.recordings.force_sign import recorded_sign
+from twin.recordings.profile_speed import PROFILE
+from twin.simulation.lanes import with_commissioned_inertia
+
+EXPLAINED = 0.5
+"""Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
+
+MOST_OF_PEAK = 2.0
+"""Largest part of the balance as a multiple of the largest recorded command."""
+
+LEAST_SAMPLES = 25
+"""Fewest samples of a run that is read."""
+
+ASSUMED_GAIN, ASSUMED_LAG_S = 50.0, 1.5e-3
+"""Position gain [1/s] and lag of the speed loop where the recording shows neither."""
+
+SHORTEST_LAG_S = 1e-3
+
+
+def first_values(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[AxisLumps]:
+    """Law and lumped parameters of the axes from all runs of a campaign. Raises InputError if no position or motion of one is recorded."""
+    outlines = {name: _outline(runs, name) for name in axes}
+    with tempfile.TemporaryDirectory(prefix="twin_first_") as scratch:
+        file = Path(scratch) / "machine.toml"
+        write_lumped_machine(file, list(outlines.values()), {n: Tuning(ASSUMED_LAG_S, 0.02, 0.0) for n in axes}, "a recording")
+        stand_in = with_commissioned_inertia(load_machine(file))
+    return [_with_law(one, runs, stand_in) for one in outlines.values()]
+
+
+def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
+    """What the recording says about an axis before its control is known; its law is assumed."""
+    own = [run for run in runs if run.trace.has(axis, "setpoint")]
+    kind = own[0].trace.kinds[axis]
+    encoder = "scale" if all(r.trace.has(axis, "position") for r in own) else "motor"
+    if kind == "rotary" and all(r.trace.has(axis, "motor_position") for r in own):
+        encoder = "motor"
+    if not all(r.trace.has(axis, "position" if encoder == "scale" else "motor_position") for r in own):
+        raise InputError(f"axis {axis}: no position is recorded in every run; leave the axis out of the campaign")
+    moved = [r for r in own if len(r.trace.time) >= LEAST_SAMPLES and np.ptp(r.trace.get(axis, "setpoint")) > 0.0]
+    if not moved:
+        raise InputError(f"axis {axis}: it moves in no run of {LEAST_SAMPLES} samples or more; record a longer move")
+    unsigned = {s for s in EFFORTS if any(recorded_sign(run, axis, s).unsigned for run in runs)}
+    effort = next((s for s in EFFORTS if s not in unsigned and all(r.trace.has(axis, s) for r in own)), "")
+    notes = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
+    notes += [PROFILE] if any(axis in run.profiles for run in runs) else []
+    if not effort:
+        notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be identified and are assumed")
+    rows = strokes_of(moved, axis)
+    found = effort_balance(moved, axis, effort, rows, kind) if effort and rows is not None else None
+    mechanics = _mechanics(found[0], rows, kind, notes) if found is not None and rows is not None else None
+    if effort and found is None:
+        notes.append(f"the motion explains none of the {effort}: mass and friction cannot be identified and are assumed")
+    paths = [r.trace.get(axis, "setpoint") for r in moved]
+    speeds, accelerations = zip(*(map(_largest, slopes_of(path, r.trace.period)) for path, r in zip(paths, moved)))
+    return AxisLumps(
+        axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
+        moved[0].trace.period, Law(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
+        min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes),
+    )  # fmt: skip
+
+
+def _largest(values: np.ndarray) -> float:
+    return float(np.abs(values).max())
+
+
+def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
+    """Lumped parameters of a balance, with physical signs; what it does not separate is one number."""
+    unknown = "mass and friction cannot be identified and are assumed"
+    if f.explained < EXPLAINED or f.against or f.inertia.value + f.inertia.half <= 0.0:
+        turned = f"the {f.effort} opposes the motion" if f.against else f"motion explains {max(f.explained, 0.0):.0%} of the {f.effort}"
+        notes.append(f"{turned}: {unknown}")
+        return None
+    largest = None
+    if not f.inertia.known or f.inertia.value < 0.0:
+        largest = f.inertia.value + f.inertia.half
+        notes.append(f"the recorded accelerations give only a bound of the inertia; it is {unknown.rsplit(' ', 1)[1]} below it")
+    one_way, unit = f.constant is None, "m" if kind == "linear" else "rad"
+    viscous = max(f.viscous.value, 0.0) if f.viscous is not None else 0.0
+    coulomb = f.coulomb.value if f.coulomb is not None else f.at_speed.value - viscous * f.speed
+    steady = None
+    if one_way:
+        direction = float(np.sign(np.sum(np.sign(rows.speed))))
+        coulomb, constant = 0.0, direction * coulomb
+        notes.append(
+            f"the axis moves one way only: Coulomb friction and constant force cannot be separated, both are given as constant {f.effort}"
+        )
+    else:
+        assert f.constant is not None
+        constant = f.constant.value
+        if f.coulomb is None:
+            steady = f.speed
+            shown = f"the axis moves at one speed, {steady:.3g} {unit}/s" if one_speed(rows.speed) else "their split is within the scatter"
+            notes.append(
+                f"{shown}: only the sum of Coulomb and viscous friction at {steady:.3g} {unit}/s is known, and is given as Coulomb friction; "
+                "record several speeds to separate them"
+            )
+    gravity = (0.0, 0.0)
+    if f.gravity is not None:
+        cosine, sine = f.gravity
+        size = math.hypot(cosine.value, sine.value)
+        if not one_way and math.hypot(cosine.half, sine.half) < size < MOST_OF_PEAK * f.peak:
+            gravity, constant = (cosine.value, sine.value), constant - cosine.value
+        else:  # as it is where the axis moved
+            constant += cosine.value * float(np.mean(np.cos(rows.position)) - 1.0) + sine.value * float(np.mean(np.sin(rows.position)))
+    force = None
+    if f.per_load is not None and f.per_load.known and f.per_load.value > 0.0:
+        force = 1.0 / f.per_load.value if f.effort != "torque" else None
+    elif f.per_load is not None:
+        notes.append(
+            f"the {f.effort} does not respond to the recorded load: the load is too small, or it is part of the {f.effort} "
+            '(then map it as signal = "injected_command")'
+        )
+    return Mechanics(
+        f.effort, 0.5 * largest if largest is not None else f.inertia.value, max(coulomb, 0.0), viscous, constant, gravity, f.explained, f.peak,
+        force, steady, one_way, largest,
+    )  # fmt: skip
+
+
+def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) -> AxisLumps:
+    """An axis with the position controller that its signals show, or with an assumed one of the recorded lag."""
+    own = [r for r in runs if r.trace.has(one.name, "setpoint") and len(r.trace.time) >= LEAST_SAMPLES]
+    if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
+        note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
+        return replace(one, law=replace(one.law, measured=False), notes=(*one.notes, note))
+    law = _direct_law(own, one) or _position_law(own, stand_in, stand_in.axis(one.name))
+    return replace(one, law=law) if law is not None else _with_lag(one, own)
+
+
+def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> Law | None:
+    """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none."""
+    effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
+    unit = {"current": "A", "voltage": "V", "torque": "Nm"}.get(effort, "")
+    where = "position" if one.encoder == "scale" else "motor_position"
+    signals = []
+    for t in (r.trace for r in runs if effort):
+        command = t.get(one.name, effort) - t.injections(one.name).get(unit, np.zeros(len(t.time)))
+        speed = t.signals.get((one.name, "velocity"))
+        signals.append(CommandRun(t.period, t.get(one.name, "setpoint"), t.get(one.name, where), speed, command))
+    found = command_law(signals)
+    if found is None:
+        return None
+    return Law(
+        found.position_gain, found.delay, found.feedforward, found.delay, integral_time=found.integral_time, speed_gain=found.speed_gain,
+        mean_cycles=found.mean_cycles,
+    )  # fmt: skip
+
+
+def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> Law | None:
+    """The law of a recorded speed set point, and where the position loop is closed; None if it follows none."""
+    seen: list[AxisRun] = []
+    for run in runs:
+        try:
+            one = axis_run(stand_in, axis, run)
+        except InputError:  # a piece of a few cycles
+            continue
+        seen += [one] if one is not None else []
+    found = fit_position_control(axis, seen, stand_in.setpoint_interpolation)
+    if isinstance(found, str):
+        return None
+    v = found.values
+    gain = v["position_gain_per_s"]
+    law = Law(gain, max(v["position_delay_s"], 0.0), v["velocity_feedforward"], max(v["feedforward_delay_s"], 0.0))
+    loop = drive_position_loop(axis, seen, gain)
+    if loop is None:
+        return law
+    return replace(law, lag=max(loop.lag_s, 0.0), dsc_delay=loop.delay_s if loop.closed_in_drive else 0.0)
+
+
+def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
+    """An axis without a recorded speed set point: a lag between set point and position, by the gain or by a delay under feedforward."""
+    rows = strokes_of(runs, one.name)
+    lags = lags_of(runs, one.name, rows)[0] if rows is not None else {}
+    flag = next(iter(lags), "")
+    shown = lags.get(flag, Value(0.0, math.inf))
+    lag = max(shown.value, SHORTEST_LAG_S)
+    delay = max(lag - ASSUMED_LAG_S, 0.0)
+    delayed = Law(ASSUMED_GAIN, delay, 1.0, delay, measured=False, lag=ASSUMED_LAG_S)
+    by_gain = Law(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=min(2e-3, 0.1 * lag))
+    size = (
+        f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
+        if shown.known
+        else f"below {1e3 * (abs(shown.value) + shown.half):.2g} ms"
+    )
+    note = (
+        "no speed set point that follows a position controller is recorded: gain and delays cannot be separated, only their sum is known, "
+        f"the lag of the position, {size if math.isfinite(shown.half) else 'unknown here'}; the gain is assumed"
+    )
+    law, other = (by_gain, None) if flag == "off" else (delayed, None) if flag else (delayed, by_gain)
+    return replace(one, law=law, other=other, notes=(*one.notes, note))

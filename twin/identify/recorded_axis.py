@@ -1,0 +1,217 @@
+"""What a recording alone says about an axis, without a model of the machine: samples in motion, lag, balance of its effort, noise.
+
+    error     s - x = lag v + k a + c                               s set point, x position, v and a speed and acceleration of s
+    effort    u = d sign(v) + b v + m a + c  (+ gravity by angle) - f/K      u current, torque or voltage, v and a of x, f known load
+
+Each is a regression on the samples in motion, with intervals whose clusters are strokes (`estimate.regression`). A stroke is a stretch
+of motion in one direction. What the recorded speeds and directions cannot separate is given as the sum that they do determine. SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.estimate.regression import Fit, regress
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.excitation import one_speed
+from twin.recordings.force_sign import low_passed
+from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise, roughness, step_of
+
+BAND_HZ = 40.0
+"""Band of the speeds and accelerations, and of the efforts that belong to them [Hz]."""
+MOVING = 0.02
+"""Share of the highest speed of the recording above which an axis moves."""
+LEAST_SAMPLES = 16
+"""Fewest samples of a run, and fewest samples in motion: twice the numbers of the largest regression and some more."""
+LEAST_TURN_RAD = 0.5
+"""Least travel of a rotary axis on which a weight that turns with it shows."""
+EFFORTS = ("current", "voltage", "torque")
+
+
+class Value(NamedTuple):
+    """A number with the half width of its 95 % interval."""
+
+    value: float
+    half: float
+
+    @property
+    def known(self) -> bool:
+        """True if the interval excludes zero."""
+        return bool(abs(self.value) > self.half)
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """Samples of an axis in motion, of all runs in a row (row,): signals, run and stroke of each. `steady` marks nearly constant speed."""
+
+    run: np.ndarray
+    stroke: np.ndarray
+    time: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    position: np.ndarray
+    steady: np.ndarray
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Balance of an effort, in its unit. `at_speed` is the sum of Coulomb and viscous friction at `speed` [m/s, rad/s].
+
+    Coulomb and viscous friction are None where only their sum is determined, the constant part where it is one number with the friction.
+    `gravity`: factors of cos q - 1 and sin q, so that the constant part is that at q = 0; `per_load`: effort per N or Nm of a known load; `against`: all signs are reversed here.
+    """
+
+    effort: str
+    speed: float
+    at_speed: Value
+    coulomb: Value | None
+    viscous: Value | None
+    inertia: Value
+    constant: Value | None
+    against: bool
+    peak: float
+    explained: float
+    """Share of the variance of the effort in motion that the regression explains."""
+    gravity: tuple[Value, Value] | None = None
+    per_load: Value | None = None
+
+
+def recorded_position(run: MeasuredRun, axis: str) -> str:
+    """The signal of the measured position of an axis: its scale, else its motor encoder; '' without one."""
+    return next((s for s in ("position", "motor_position") if run.trace.has(axis, s)), "")
+
+
+def position_of(run: MeasuredRun, axis: str) -> np.ndarray:
+    """The measured position (sample,)."""
+    return run.trace.get(axis, recorded_position(run, axis))
+
+
+def slopes_of(values: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Speed and acceleration (sample,) within BAND_HZ."""
+    speed = np.gradient(low_passed(values, period, BAND_HZ), period)
+    return speed, np.gradient(speed, period)
+
+
+def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
+    """The samples in motion; None if the axis never moves further than its noise."""
+    slopes = [slopes_of(position_of(run, axis), run.trace.period) for run in runs]
+    fastest = max(float(np.abs(v).max()) for v, _ in slopes)
+    travel = max(float(np.ptp(position_of(run, axis))) for run in runs)
+    noise = max(noise_of(position_of(run, axis)) for run in runs)
+    if fastest == 0.0 or travel < 10.0 * max(noise, step_of(position_of(runs[0], axis))):
+        return None
+    parts, count = [], 0
+    for i, (run, (v, a)) in enumerate(zip(runs, slopes)):
+        moving = np.abs(v) > MOVING * fastest
+        edge = max(2, len(v) // 200)
+        moving[:edge] = moving[-edge:] = False
+        sign = np.sign(v) * moving
+        begins = np.diff(sign, prepend=0.0) != 0
+        stroke = count + np.cumsum(begins & moving)
+        count += int((begins & moving).sum())
+        keep = np.flatnonzero(moving)
+        parts.append(
+            np.column_stack(
+                [np.full(len(keep), i), stroke[keep], run.trace.time[keep], v[keep], a[keep], position_of(run, axis)[keep], keep]
+            )
+        )
+    rows = np.concatenate(parts)
+    if len(rows) < LEAST_SAMPLES:
+        return None
+    steady = np.abs(rows[:, 4]) < 0.1 * np.abs(rows[:, 4]).max()
+    return Strokes(rows[:, 0].astype(int), rows[:, 1].astype(int), rows[:, 2], rows[:, 3], rows[:, 4], rows[:, 5], steady)
+
+
+def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndarray]) -> np.ndarray:
+    """Values of each run (sample,) at the rows (row,)."""
+    out = np.empty(len(rows.time))
+    for i, run in enumerate(runs):
+        own = rows.run == i
+        out[own] = values[i][np.searchsorted(run.trace.time, rows.time[own] - 0.5 * run.trace.period)]
+    return out
+
+
+def value_of(fit: Fit, weights: Sequence[float]) -> Value | None:
+    """A linear combination of the fitted numbers with its interval; None if the rows do not determine it."""
+    w = np.asarray(weights)
+    used = w != 0.0
+    if not np.isfinite(fit.covariance[np.ix_(used, used)]).all():
+        return None
+    return Value(
+        float(w @ fit.values), fit.quantile * float(np.sqrt(max(w @ np.where(used[:, None] & used, fit.covariance, 0.0) @ w, 0.0)))
+    )
+
+
+def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict[str, Value], np.ndarray]:
+    """Lag [s] of the position behind the set point by feedforward flag, and the error that it leaves (row,)."""
+    slopes = [slopes_of(run.trace.get(axis, "setpoint"), run.trace.period) for run in runs]
+    speed, acceleration = (at_rows(runs, rows, [s[i] for s in slopes]) for i in (0, 1))
+    error = at_rows(runs, rows, [run.trace.get(axis, "setpoint") - position_of(run, axis) for run in runs])
+    flags = np.array([run.feedforward or "" for run in runs])[rows.run]
+    lags, left = {}, np.zeros(len(error))
+    for flag in dict.fromkeys(flags.tolist()):
+        own = flags == flag
+        fit = regress(np.column_stack([speed, acceleration, np.ones_like(speed)])[own], error[own], rows.stroke[own])
+        left[own] = fit.residual
+        if (lag := value_of(fit, (1.0, 0.0, 0.0))) is not None:
+            lags[flag] = lag
+    return lags, left
+
+
+def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes, kind: str) -> tuple[Friction, np.ndarray] | None:
+    """Friction, inertia, weight and constant part of an effort, and what they leave (row,); None if the motion explains none of it."""
+    sign = np.sign(rows.speed)
+    u = at_rows(runs, rows, [low_passed(run.trace.get(axis, effort), run.trace.period, BAND_HZ) for run in runs])
+    # in one direction Coulomb friction and a constant force are one column
+    both_ways = bool((sign > 0).any() and (sign < 0).any())
+    columns = [sign, rows.speed, rows.acceleration, np.ones_like(sign) if both_ways else np.zeros_like(sign)]
+    turns = kind == "rotary" and np.ptp(rows.position) > LEAST_TURN_RAD
+    columns += [np.cos(rows.position) - 1.0, np.sin(rows.position)] if turns else []
+    loads = [sum(run.trace.loads(axis).values(), np.zeros(len(run.trace.time))) for run in runs]
+    loaded = any(np.ptp(load) > 0.0 for load in loads)
+    columns += [-at_rows(runs, rows, [low_passed(f, run.trace.period, BAND_HZ) for f, run in zip(loads, runs)])] if loaded else []
+    fit = regress(np.column_stack(columns), u, rows.stroke)
+    k = len(columns)
+
+    def number(*at: tuple[int, float]) -> Value | None:
+        weights = np.zeros(k)
+        for i, w in at:
+            weights[i] = w
+        return value_of(fit, weights.tolist())
+
+    speed = float(np.median(np.abs(rows.speed[rows.steady]))) if rows.steady.any() else float(np.median(np.abs(rows.speed)))
+    total, inertia = number((0, 1.0), (1, speed)), number((2, 1.0))
+    if total is None or inertia is None or not total.known:
+        return None
+    # in one direction a weight may outweigh friction: the sign is then not judged
+    turned = -1.0 if total.value < 0.0 and both_ways else 1.0
+    coulomb, viscous = number((0, turned)), number((1, turned))
+    split = coulomb is not None and viscous is not None and coulomb.value > coulomb.half and viscous.value > -viscous.half
+    split = split and both_ways and one_speed(rows.speed) is None
+    peak = max(float(np.abs(run.trace.get(axis, effort)).max()) for run in runs)
+    cosine, sine = (number((4, turned)), number((5, turned))) if turns else (None, None)
+    return (
+        Friction(
+            effort, speed, Value(turned * total.value, total.half), coulomb if split else None, viscous if split else None,
+            Value(turned * inertia.value, inertia.half), number((3, turned)) if both_ways else None, turned < 0.0, peak,
+            1.0 - float(np.var(fit.residual) / max(float(np.var(u)), 1e-300)),
+            (cosine, sine) if cosine is not None and sine is not None else None, number((k - 1, 1.0)) if loaded else None,
+        ),
+        turned * fit.residual,
+    )  # fmt: skip
+
+
+def noise_of(values: np.ndarray) -> float:
+    """Standard deviation of single samples in the quiet parts; of a short record from second differences in its quietest fifth."""
+    if level := quiet_noise(values)[0]:
+        return math.sqrt(level)
+    parts = [part for part in np.array_split(values, max(1, len(values) // 100)) if len(part) > 4]
+    # most samples of a coarse record equal their neighbours: their median says nothing
+    sizes = [roughness(part) or float(np.std(np.diff(part, 2))) for part in parts]
+    sizes = [size for size in sizes if size > 0.0]
+    return float(np.percentile(sizes, 20) / np.sqrt(SECOND_DIFFERENCE)) if sizes else 0.0
