@@ -10,6 +10,7 @@ from twin.cli import main
 from twin.effects.change import total_inertia
 from twin.errors import InputError
 from twin.identify.first_values import first_values
+from twin.identify.from_recording import machine_from_recording
 from twin.machine.from_recording import runs_with_most_travel
 from twin.machine.holding import holding_of
 from twin.machine.lumped_file import AxisLumps, Law, Mechanics, Tuning, write_lumped_machine
@@ -88,6 +89,44 @@ def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
     assert law.gain == pytest.approx(kv, rel=1e-3)
     assert law.delay == pytest.approx(3e-3, abs=5e-5)
     assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # holding the command for a cycle adds half a cycle of delay
+
+
+@pytest.mark.parametrize("followed", [True, False])
+def test_a_gain_is_measured_only_if_the_speed_set_point_follows_its_law(followed: bool) -> None:
+    """v* = Kv (s - x) + ds/dt is a position controller; a speed of the profile with a wave of its own is not."""
+    t = np.arange(3000) * 2e-3
+    s = 0.1 * np.sin(1.3 * t) + 0.02 * np.sin(7.0 * t)
+    x = np.interp(t - 4e-3, t, s) + 2e-5 * np.sin(30.0 * t)  # what disturbs the axis, so that its error is not that of a pure delay
+    slope = np.gradient(s, 2e-3)
+    given = 40.0 * (s - x) + slope if followed else slope * (1.0 + 0.1 * np.sin(11.0 * t))
+    signals = {("X", "setpoint"): s, ("X", "position"): x, ("X", "velocity_setpoint"): given}
+    law = first_values([MeasuredRun("run", Trace(t, signals, {"X": "linear"}), "velocity", 0.0)], ["X"])[0].law
+    assert law.measured == followed
+    assert not followed or law.gain == pytest.approx(40.0, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["coarse", "slow one way"])
+def test_what_is_written_is_accepted_by_every_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
+    """A current that the motion does not explain gives no mass; limits of speed, acceleration and command fit each other."""
+    random = np.random.default_rng(7)
+    period = 0.1007463 if kind == "coarse" else 2e-3
+    t = np.arange(270 if kind == "coarse" else 3000) * period
+    s = 0.2 * np.sin(0.8 * t) if kind == "coarse" else 0.03 * t + 1e-3 * np.sin(3.0 * t)
+    x = np.interp(t - 0.02, t, s)
+    v = np.gradient(x, period)
+    current = random.standard_normal(len(t)) if kind == "coarse" else 2.0 + 60.0 * v + 0.01 * random.standard_normal(len(t))
+    quantity = "rotary" if kind == "coarse" else "linear"
+    write_trace(
+        Trace(t, {("X", "setpoint"): s, ("X", "position"): x, ("X", "current"): current}, {"X": quantity}), tmp_path / "run.parquet"
+    )
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\n', encoding="utf-8")
+    out = tmp_path / "m.toml"
+    made = machine_from_recording(tmp_path, out).lumps[0]
+    assert (made.mechanics is None) == (kind == "coarse")
+    assert made.mechanics is None or (made.mechanics.one_way and "known, and is given there" in out.read_text(encoding="utf-8"))
+    assert main(["machine", "check", str(out)]) == 0
+    assert "impossible" not in capsys.readouterr().out
+    assert main(["gap", str(tmp_path), "--machine", str(out), "--json", str(tmp_path / "gap.json")]) in (0, 1)
 
 
 def test_gravity_turns_with_a_rotary_axis(tmp_path: Path) -> None:

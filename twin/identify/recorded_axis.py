@@ -62,7 +62,7 @@ class Strokes:
 class Friction:
     """Balance of an effort, in its unit. `at_speed` is the sum of Coulomb and viscous friction at `speed` [m/s, rad/s].
 
-    Coulomb and viscous friction are None where only their sum is determined, the constant part where it is one number with the friction.
+    Coulomb and viscous friction are None where only their sum is determined; in one direction Coulomb friction and the constant part are.
     `gravity`: factors of cos q - 1 and sin q, so that the constant part is that at q = 0; `per_load`: effort per N or Nm of a known load; `against`: all signs are reversed here.
     """
 
@@ -191,13 +191,14 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     # in one direction a weight may outweigh friction: the sign is then not judged
     turned = -1.0 if total.value < 0.0 and both_ways else 1.0
     coulomb, viscous = number((0, turned)), number((1, turned))
-    split = coulomb is not None and viscous is not None and coulomb.value > coulomb.half and viscous.value > -viscous.half
-    split = split and both_ways and one_speed(rows.speed) is None
+    several = viscous is not None and one_speed(rows.speed) is None
+    split = several and both_ways and coulomb is not None and coulomb.value > coulomb.half and viscous.value > -viscous.half  # type: ignore[union-attr]
+    slope = split or (several and not both_ways and viscous.value > viscous.half)  # type: ignore[union-attr]
     peak = max(float(np.abs(run.trace.get(axis, effort)).max()) for run in runs)
     cosine, sine = (number((4, turned)), number((5, turned))) if turns else (None, None)
     return (
         Friction(
-            effort, speed, Value(turned * total.value, total.half), coulomb if split else None, viscous if split else None,
+            effort, speed, Value(turned * total.value, total.half), coulomb if split else None, viscous if slope else None,
             Value(turned * inertia.value, inertia.half), number((3, turned)) if both_ways else None, turned < 0.0, peak,
             1.0 - float(np.var(fit.residual) / max(float(np.var(u)), 1e-300)),
             (cosine, sine) if cosine is not None and sine is not None else None, number((k - 1, 1.0)) if loaded else None,
