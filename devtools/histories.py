@@ -9,10 +9,15 @@ gets the folder of recordings and the machine file; the truth stays in the memor
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
+import json
 import math
 from pathlib import Path
+import subprocess
+import sys
+import time
 import tomllib
 from typing import Any
 
@@ -152,3 +157,107 @@ def write_history(history: History, folder: Path, signals: str = "full") -> None
     run = program(machine_tables())
     for week in range(history.weeks):
         write_week(history, week, folder, signals, run)
+
+
+def usual_size(effect: dict[str, Any]) -> float:
+    """Middle of the usual sizes of an effect on its axis, as a deviation from neutral: what a share of a size is taken of."""
+    sizes = []
+    for seed in range(40):
+        machine = machine_tables()
+        s = settings_of(machine, draw_case(0, "healthy", machine, spread=0.0).factors)
+        peaks = peaks_of(machine, draw_case(0, "healthy", machine, spread=0.0).factors, [program(machine)])
+        sizes.append(
+            abs(
+                deviation(
+                    draw_effect(
+                        effect["name"], effect["axis"], DrawContext(np.random.default_rng(seed), AXES.index(effect["axis"]), 1.0, s, *peaks)
+                    )
+                )
+            )
+        )
+    return float(np.median(sizes))
+
+
+def deviation(effect: dict[str, Any]) -> float:
+    """Size of an effect: its scored parameter as a deviation from neutral; the compliance of a spring."""
+    name = next(p for p in LIBRARY[effect["name"]].parameters if p != "mass_kg")
+    value = float(effect[name])
+    return value - 1.0 if name == "factor" else 1.0 / value if name == "stiffness" else value
+
+
+def scored(history: History, document: dict[str, Any]) -> dict[str, Any]:
+    """What a history said against the truth: false alarms, onset, cause, size, delay."""
+    weeks = {c["day"][:10]: i for i, c in enumerate(document["campaigns"])}
+    fault, changes = history.fault, document["changes"]
+    row: dict[str, Any] = {
+        "seed": history.seed,
+        "weeks": history.weeks,
+        "fault": None,
+        "alarms": [[c["effect"], c["axis"], weeks[c["alarm"][:10]]] for c in changes],
+    }
+    healthy = fault.onset if fault else history.weeks
+    row["healthy_weeks"] = healthy
+    row["false_alarms"] = sum(weeks[c["alarm"][:10]] < healthy for c in changes)
+    if fault is None:
+        return row
+    true, usual = deviation(fault.effect), usual_size(fault.effect)
+    row["fault"], row["usual_sizes"], row["growth"] = [fault.effect["name"], fault.effect["axis"], fault.onset], true / usual, fault.growth
+    shares = [abs(true) * fault.share(w) >= 0.2 * usual for w in range(history.weeks)]
+    reached = shares.index(True) if any(shares) else None
+    after = [c for c in changes if weeks[c["alarm"][:10]] >= fault.onset]
+    own = next((c for c in after if (c["effect"], c["axis"]) == (fault.effect["name"], fault.effect["axis"])), None)
+    row |= {"reached": reached, "named": own is not None, "others": len(after) - (own is not None)}
+    if after:
+        row["delay"] = weeks[after[0]["alarm"][:10]] - (fault.onset if reached is None else reached)
+        row["onset_off"] = weeks[after[0]["onset"][:10]] - (fault.onset if reached is None else reached)
+    if own is not None:
+        (_, p), *_ = own["parameters"].items()
+        said = p["value"] - 1.0 if "factor" in own["parameters"] else 1.0 / p["value"] if "stiffness" in own["parameters"] else p["value"]
+        row["size_error"] = abs(abs(said) / abs(true) - 1.0)
+    return row
+
+
+def summary(rows: list[dict[str, Any]]) -> str:
+    """The scores of several histories."""
+    faulty = [r for r in rows if r["fault"] and r["reached"] is not None]
+    found = [r for r in faulty if "delay" in r]
+    named = [r for r in faulty if r["named"]]
+    weeks, false = sum(r["healthy_weeks"] for r in rows), sum(r["false_alarms"] for r in rows)
+    return "\n".join([
+        f"{len(rows)} histories, {weeks} healthy machine-weeks: {false} false alarms; {len(faulty)} with a fault that reaches a fifth of its usual size",
+        f"alarm: {len(found)} of {len(faulty)}; within two weeks of a fifth of the usual size: {sum(r['delay'] <= 2 for r in found)}; onset off by at most two weeks: "
+        f"{sum(abs(r['onset_off']) <= 2 for r in found)}",
+        f"cause right: {len(named)} of {len(faulty)}; named besides: {sum(r['others'] for r in faulty)}; size within 15 %: {sum(r['size_error'] <= 0.15 for r in named)}",
+    ])  # fmt: skip
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--weeks", type=int, default=52)
+    parser.add_argument("--signals", default="full", choices=sorted(SIGNALS))
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    rows = []
+    for seed in range(args.seed, args.seed + args.count):
+        history, folder = draw_history(seed, args.weeks), args.out / str(seed)
+        write_history(history, folder / "weeks", args.signals)
+        start = time.perf_counter()
+        command = [sys.executable, "-m", "twin", "watch", str(folder / "weeks"), "--out", str(folder / "history")]
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+        if done.returncode == 2:
+            print(f"{seed}: {done.stderr.strip()}")
+            continue
+        rows.append(
+            scored(history, json.loads((folder / "history" / "history.json").read_text(encoding="utf-8")))
+            | {"seconds": time.perf_counter() - start}
+        )
+        print(json.dumps(rows[-1], default=float), flush=True)
+        (args.out / "scores.json").write_text(json.dumps(rows, default=float), encoding="utf-8")
+    print(summary(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

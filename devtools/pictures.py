@@ -99,6 +99,7 @@ RECIPES = (
         needs=f"the extra 'versus' and {DATA}",
         versus="out/versus/versus.png",
     ),
+    Recipe(("watch.png",), ("python examples/watch/run.py --out out/watch", "python -m devtools.pictures watch")),
     Recipe(("exam_*.svg",), ("python -m devtools.pictures exam DIR",), needs="the folder of an examination"),
 )
 """Every picture of the pages is made by the first recipe that names it."""
@@ -141,6 +142,14 @@ def exam(folder: Path) -> None:
 
     score, *_ = sections_of(json.loads((folder / "exam.json").read_text(encoding="utf-8")))
     (PICTURES / "exam_score.svg").write_text(score.figures[0].svg, encoding="utf-8")
+
+
+def watch() -> None:
+    """Sizes over time of the machine of examples/watch, from its history in out/watch."""
+    from twin.history.page import sparklines
+    from twin.report import save_png
+
+    save_png(sparklines(json.loads(Path("out/watch/history/history.json").read_text(encoding="utf-8"))), PICTURES / "watch.png", 90)
 
 
 def program() -> None:
@@ -212,7 +221,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True, dest="what")
     commands.add_parser("exam").add_argument("folder", type=Path, metavar="DIR")
-    makers = {"law": law, "program": program, "regress": regress, "surface": surface}
+    makers = {"law": law, "program": program, "regress": regress, "surface": surface, "watch": watch}
     for name in makers:
         commands.add_parser(name)
     args = parser.parse_args()

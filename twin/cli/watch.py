@@ -29,7 +29,7 @@ def carry_out(args: argparse.Namespace) -> int:
     machine, out = machine_of(args), output_folder(args.out)
     with Progress("watching", total=None) as bar:
         history, notes = watch(Path(args.folder), out, machine, progress=bar.say)
-    document = history_document(history, machine, notes)
+    document = history_document(history, machine, notes, Path(args.folder))
     write_json(document, out / "history.json", "history")
     write_history_page(document, out / "report.html")
     print(summary_text(document))

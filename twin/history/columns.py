@@ -8,7 +8,7 @@ without a small size (a limit that is reached or not) and waves locked to time h
 from __future__ import annotations
 
 import cmath
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 import itertools
 import math
@@ -107,6 +107,14 @@ def _value(p: Parameter, is_size: bool, low: float, high: float) -> list[float]:
     if p.quantity == "number":  # periods in a turn
         return [float(n) for n in range(math.ceil(low), math.floor(high) + 1)]
     return np.geomspace(low, high, WAVES).tolist()
+
+
+def waves_of(directions: Sequence[Direction], at: Iterable[int]) -> list[list[int]]:
+    """The directions `at` these places by cause and wave: sine and cosine together."""
+    found: dict[tuple[object, ...], list[int]] = {}
+    for k in at:
+        found.setdefault((directions[k].cause, directions[k].wave), []).append(k)
+    return list(found.values())
 
 
 def amplitude(theta: Sequence[float] | np.ndarray) -> float:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 import math
+from pathlib import Path
+import shlex
 from typing import Any
 
 import numpy as np
@@ -18,10 +20,10 @@ from twin.history.series import LOAD, SCATTER
 from twin.machine.machine import Machine
 
 
-def history_document(history: Judgement, machine: Machine, notes: list[str]) -> dict[str, Any]:
-    """The document."""
+def history_document(history: Judgement, machine: Machine, notes: list[str], folder: Path) -> dict[str, Any]:
+    """The document; `folder` holds the campaigns."""
     causes = causes_of(history.series)
-    changes = [change_entry(history, machine, c) for c in history.changes]
+    changes = [change_entry(history, machine, c, folder) for c in history.changes]
     several = len({axis for one in history.series for axis in one.axes}) > 1
     return {
         "machine": machine.name,
@@ -84,8 +86,8 @@ def _plain(value: float, unit: str, parameter: Any) -> str:
     return interval_text(unit, value, value, value, parameter)[0]
 
 
-def change_entry(history: Judgement, machine: Machine, change: Change) -> dict[str, Any]:
-    """A change with its days, size, rivals, forecast, and a sentence."""
+def change_entry(history: Judgement, machine: Machine, change: Change, folder: Path) -> dict[str, Any]:
+    """A change with its days, size, rivals, forecast, a sentence, and the command that diagnoses it in depth."""
     entry = entry_of(change.direction, machine, change.size.size, change.size.half())
     onset, alarm = history.rows[change.onset].day, history.rows[change.alarm].day
     text = f"{difference_text(entry, change.size.size)} since {onset:%Y-%m-%d}"
@@ -106,6 +108,8 @@ def change_entry(history: Judgement, machine: Machine, change: Change) -> dict[s
         "ambiguous_with": [cause_entry(c) for c in change.rivals],
         "forecast": ahead,
         "sentence": text,
+        "diagnose": f"twin diagnose {shlex.quote(str(folder / history.rows[-1].name))} --since "
+        f"{shlex.quote(str(folder / history.rows[max(change.onset - 1, 0)].name))} --out out/since",
     }
 
 

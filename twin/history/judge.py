@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from twin.history.change import LONGEST, Forecast, Level, evidence, forecast, level
-from twin.history.columns import Direction, amplitude
-from twin.history.series import LOAD, SCATTER, Series, constants_of, programs_of, series_of, thermometers
+from twin.history.columns import Direction, amplitude, waves_of
+from twin.history.series import LOAD, RIVAL, SCATTER, Series, constants_of, programs_of, series_of, thermometers
 from twin.history.store import Row
 
 FALSE_ALARM_WEEKS, ALARM = 1000.0, 3000.0
@@ -28,9 +28,6 @@ LEAST = 0.1
 
 LEAST_SCATTER = 0.01
 """Smallest scatter between recordings in usual sizes: load and friction act on the rest too, in ways that are not linear."""
-
-RIVAL = 0.8
-"""Share of the best cause's chi^2 from which another cause is named beside it."""
 
 RECENT = 8
 """Recordings from which a growth is carried forward."""
@@ -158,7 +155,7 @@ def _change(history: Judgement, causes: dict[Cause, Any], group: int, standing: 
     nuisances = [history.nuisance(group, warms, standing)[at] for warms in (False, True)]
     levels = [level(y, nuisances[int(warms)], since) for y, warms in zip(one.sizes[inside].T, one.warms)]
     scatter = np.array([max(found.scatter, LEAST_SCATTER) for found in levels])
-    blocks = [block for g, own in causes.values() if g == group for block in _waves(one, own)]
+    blocks = waves_of(one.directions, [k for g, own in causes.values() if g == group for k in own])
     explained = one.explained_by(blocks, np.array([found.size for found in levels]), scatter)
     best: dict[Cause, tuple[float, int, float]] = {}
     for block, (gain, theta) in zip(blocks, explained):
@@ -174,12 +171,6 @@ def _change(history: Judgement, causes: dict[Cause, Any], group: int, standing: 
         return None
     rivals = tuple(cause for cause in order[1:4] if best[cause][0] > RIVAL * gain)
     return Change(group, k, one.directions[k], onset, now, size, rivals)
-
-
-def _waves(one: Series, directions: Sequence[int]) -> list[list[int]]:
-    """The directions of one cause, sine and cosine of each wave together."""
-    waves = dict.fromkeys(one.directions[k].wave for k in directions)
-    return [[k for k in directions if one.directions[k].wave == wave] for wave in waves]
 
 
 def _resized(history: Judgement, causes: dict[Cause, Any], change: Change, standing: Sequence[Change], now: int) -> Change:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from twin.history.judge import LEAST
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import BLUE, RED, SOFT
 
@@ -34,8 +36,9 @@ def write_history_page(document: dict[str, Any], path: Path) -> None:
         )
         for axis, effects in document["axes"].items()
     ]
+    drill = [f"{c['effect'].replace('_', ' ')} on {c['axis']}, in depth: {c['diagnose']}" for c in changes]
     sections = [
-        Section("What changed", tables=[Table(("effect", "axis", "since", "alarm", "what"), rows, left=5)] if rows else [],
+        Section("What changed", items=drill, tables=[Table(("effect", "axis", "since", "alarm", "what"), rows, left=5)] if rows else [],
                 paragraphs=[f"One rule for all {rule['causes']} effects and axes: at most one false alarm in {rule['mean_recordings_between_false_alarms']:.0f} "
                             f"recordings. The evidence now is {rule['statistic']:.3g}; the alarm is at {rule['alarm_at']:.0f}."]),
         Section("Sizes over time", figures=[Figure(figure_svg(sparklines(document)), "One row an axis: the effects that moved most. Size in usual sizes of the "
@@ -64,7 +67,9 @@ def sparklines(document: dict[str, Any]) -> MplFigure:
             if onset := changed.get((effect["effect"], axis)):
                 since = [d >= onset for d in when]
                 panel.plot(np.array(when)[since], y[since], color=RED, lw=1.2)
-            panel.set_title(effect["effect"].replace("_", " "), fontsize=8)
+            panel.set_title(fill(effect["effect"].replace("_", " "), 18), fontsize=7.5)
+            low, high = panel.get_ylim()
+            panel.set_ylim(min(low, -LEAST), max(high, LEAST))
             panel.tick_params(labelsize=6.5)
             panel.set_xticks([when[0], when[-1]], [f"{when[0]:%y-%m-%d}", f"{when[-1]:%y-%m-%d}"])
             panel.grid(visible=False)
@@ -77,4 +82,4 @@ def sparklines(document: dict[str, Any]) -> MplFigure:
 def _moved(effect: dict[str, Any]) -> float:
     """How far a series moved, in its scatter."""
     y, scatter = effect["usual_sizes"], effect["scatter"]
-    return float(np.max(np.abs(y)) / scatter) if scatter > 0.0 else 0.0
+    return float(np.max(np.abs(y)) / max(np.nan_to_num(scatter), LEAST / 5.0))

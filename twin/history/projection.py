@@ -2,7 +2,7 @@
 
 Residual r (recording minus the reference twin) and responses J (row, direction) to the unit effects, both weighted by noise, enter as
 
-    G = J' P J,   b = J' P r,   q = r' P r                 P removes the zeros of the encoders
+    G = J' P J,   b = J' P r                 P removes the zeros of the encoders
 
 which is all that later questions need. A change theta of the machine moves b by G theta, whatever the twin lacks: its own fault moves b by the same
 amount in each recording of the same program and cancels in a difference. The noise of b has the covariance G.
@@ -26,24 +26,17 @@ from twin.history.columns import Direction, changed, directions_of
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 
-SEEN = 25.0
-"""Information of a unit effect [1/theta^2] below which a recording does not show it: five standard deviations of noise."""
-
 
 @dataclass(frozen=True)
 class Projection:
-    """G, b and q of one group of axes in one run, and the number of independent samples they come from."""
+    """G and b of one group of axes in one run."""
 
     axes: tuple[str, ...]
     gram: np.ndarray  # (direction, direction)
     right: np.ndarray  # (direction,)
-    square: float
-    samples: float
 
     def __add__(self, other: Projection) -> Projection:
-        return Projection(
-            self.axes, self.gram + other.gram, self.right + other.right, self.square + other.square, self.samples + other.samples
-        )
+        return Projection(self.axes, self.gram + other.gram, self.right + other.right)
 
 
 def reference_view(machine: Machine, run: MeasuredRun) -> RunView:
@@ -84,5 +77,4 @@ def projection_of(group: Group, columns: np.ndarray, residual: np.ndarray) -> Pr
     products = x.T @ x
     free = products[k + 1 :, k + 1 :] + FREE * np.eye(len(products) - k - 1)
     products = products[: k + 1, : k + 1] - products[: k + 1, k + 1 :] @ np.linalg.solve(free, products[k + 1 :, : k + 1])
-    samples = sum(float(group.credit[c.rows].sum()) / c.correlation for c in group.channels)
-    return Projection(group.axes, products[:k, :k], products[:k, k], float(products[k, k]), samples)
+    return Projection(group.axes, products[:k, :k], products[:k, k])

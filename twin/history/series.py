@@ -37,6 +37,9 @@ WARMS = ("coulomb_friction", "viscous_friction", "viscous_asymmetry", "stribeck"
 THERMOMETERS = ("viscous_friction", "coulomb_friction", "lead_error")
 """Effects by which the other axes show temperature and season."""
 
+RIVAL = 0.8
+"""Share of what the best cause explains from which another one is named beside it."""
+
 SAME_PROGRAM = 0.01
 """Relative difference of path and travel below which two recordings are of the same program."""
 
@@ -63,9 +66,8 @@ class Series:
 
     @functools.cached_property
     def seen(self) -> np.ndarray:
-        """Directions that a recording shows at a fifth of their usual size, at two standard deviations, next to all that scatters (direction,)."""
-        own, scatter = np.diag(information(self.gram, self.scatter)), self.scatter**2
-        return own / np.maximum(1.0 - scatter * own, 1e-12) > (2.0 / 0.2) ** 2
+        """Directions that a recording shows (direction,)."""
+        return seen(self.gram, self.scatter)
 
     def explained_by(self, blocks: Sequence[Sequence[int]], change: np.ndarray, scatter: np.ndarray) -> list[tuple[float, np.ndarray]]:
         """What the directions of each block explain together of a change of the sizes (direction,) [chi^2], and their sizes (block,).
@@ -81,6 +83,12 @@ class Series:
             theta = np.linalg.lstsq(inner[np.ix_(block, block)], score[list(block)], rcond=1e-9)[0]
             out.append((float(theta @ score[list(block)]), theta))
         return out
+
+
+def seen(gram: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    """Directions that show at a fifth of their usual size, at two standard deviations, next to all that scatters but themselves (direction,)."""
+    own = np.diag(information(gram, scatter))
+    return own / np.maximum(1.0 - scatter**2 * own, 1e-12) > (2.0 / 0.2) ** 2
 
 
 def scatter_of(directions: Sequence[Direction]) -> np.ndarray:

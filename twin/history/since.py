@@ -22,9 +22,9 @@ from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import DEFAULT
 from twin.diagnose.simulations import Mapper
 from twin.errors import TwinError
-from twin.history.columns import Direction, amplitude, changed, directions_of
+from twin.history.columns import Direction, amplitude, changed, directions_of, waves_of
 from twin.history.projection import Projection, groups_of, projection_of, reference_view, responses, variation
-from twin.history.series import filters, information, same_program
+from twin.history.series import RIVAL, filters, information, same_program, seen
 from twin.history.watch import program_of
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
@@ -40,12 +40,6 @@ LEAST = 0.05
 
 MOST, STEPS = 6, 4
 """Largest number of changes of a group of axes; simulations of the changes until their sizes are settled."""
-
-RIVAL = 0.8
-"""Share of the best cause's evidence from which another cause is named beside it."""
-
-SEEN = 100.0
-"""Information [1 / usual size^2] from which a cause shows: a fifth of its usual size at two standard deviations."""
 
 Cause = tuple[str, str, str]
 
@@ -122,13 +116,7 @@ class Contrast:
     @functools.cached_property
     def blocks(self) -> list[list[int]]:
         """Directions that can be seen, sine and cosine of a wave together."""
-        own = np.diag(self.information)
-        seen = own / np.maximum(1.0 - self.scatter**2 * own, 1e-12) > SEEN
-        waves: dict[tuple[object, ...], list[int]] = {}
-        for k, d in enumerate(self.directions):
-            if seen[k]:
-                waves.setdefault((d.cause, d.wave), []).append(k)
-        return list(waves.values())
+        return waves_of(self.directions, np.flatnonzero(seen(self.gram, self.scatter)).tolist())
 
     def sizes(self, change: np.ndarray, free: list[int]) -> np.ndarray:
         """Sizes of some directions together that explain a change of b best (free,)."""
@@ -279,8 +267,7 @@ def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Diff
             )
         )
     levels = _held_out(contrast, theta, explained)
-    seen = {d[b[0]].cause for b in blocks}
-    unseen = tuple(sorted({one.cause for one in d} - seen))
+    unseen = tuple(sorted({one.cause for one in d} - {d[b[0]].cause for b in blocks}))
     return Differences(
         axes, tuple(found), *levels, tuple(name for name, _, _ in contrast.groups), candidates, unseen, tuple(contrast.notes)
     )

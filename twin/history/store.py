@@ -2,7 +2,7 @@
 
     history    (key, value)                                         format, machine, directions: a history belongs to one reference
     campaign   (digest, name, day, program)                         key: the digest of the recording's files
-    projection (digest, axes, gram, right, square, samples)         `twin.history.projection`, in the order of the directions
+    projection (digest, axes, gram, right)                          `twin.history.projection`, in the order of the directions
 
 Everything else (sizes, changes, alarms) follows from these rows and is computed anew each time.
 """
@@ -29,7 +29,7 @@ FILE = "history.sqlite"
 _TABLES = (
     "CREATE TABLE IF NOT EXISTS history (key TEXT PRIMARY KEY, value TEXT)",
     "CREATE TABLE IF NOT EXISTS campaign (digest TEXT PRIMARY KEY, name TEXT, day TEXT, program TEXT)",
-    "CREATE TABLE IF NOT EXISTS projection (digest TEXT, axes TEXT, gram BLOB, right BLOB, square REAL, samples REAL, PRIMARY KEY (digest, axes))",
+    "CREATE TABLE IF NOT EXISTS projection (digest TEXT, axes TEXT, gram BLOB, right BLOB, PRIMARY KEY (digest, axes))",
 )
 
 
@@ -101,18 +101,18 @@ class Store:
                 "INSERT INTO campaign VALUES (?, ?, ?, ?)", (row.digest, row.name, row.day.isoformat(), json.dumps(row.program))
             )
             for axes, p in row.projections.items():
-                values = (row.digest, " ".join(axes), _packed(p.gram, "<f4"), _packed(p.right, "<f8"), p.square, p.samples)
-                self.connection.execute("INSERT INTO projection VALUES (?, ?, ?, ?, ?, ?)", values)
+                values = (row.digest, " ".join(axes), _packed(p.gram, "<f4"), _packed(p.right, "<f8"))
+                self.connection.execute("INSERT INTO projection VALUES (?, ?, ?, ?)", values)
 
     def rows(self) -> list[Row]:
         """All campaigns by day."""
         with self._said():
             campaigns = self.connection.execute("SELECT digest, name, day, program FROM campaign ORDER BY day, name").fetchall()
             found: dict[str, dict[tuple[str, ...], Projection]] = {}
-            for digest, axes, gram, right, square, samples in self.connection.execute("SELECT * FROM projection"):
+            for digest, axes, gram, right in self.connection.execute("SELECT * FROM projection"):
                 b = _unpacked(right, "<f8")
                 group = tuple(axes.split())
-                found.setdefault(digest, {})[group] = Projection(group, _unpacked(gram, "<f4").reshape(len(b), len(b)), b, square, samples)
+                found.setdefault(digest, {})[group] = Projection(group, _unpacked(gram, "<f4").reshape(len(b), len(b)), b)
         return [
             Row(digest, name, datetime.fromisoformat(day), tuple(json.loads(program)), found.get(digest, {}))
             for digest, name, day, program in campaigns

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.check import check_campaign
 from twin.diagnose.simulations import on_threads
-from twin.errors import TwinError
+from twin.errors import InputError, TwinError
 from twin.history.columns import Direction, directions_of
 from twin.history.dated import Dated, dated_campaigns
 from twin.history.judge import Judgement, judged
@@ -26,7 +26,7 @@ from twin.history.store import Row, Store
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 
-VERSION = 1
+VERSION = 2
 """Raised when projections are computed in another way, so that old and new ones are not mixed."""
 
 
@@ -36,7 +36,7 @@ def watch(
 ) -> tuple[Judgement, list[str]]:
     """Bring the history in `out` up to date with a folder of dated campaigns; its judgement, and notes on what was left out.
 
-    Raises InputError if nothing is dated, or the history belongs to another machine. A campaign that cannot be read is named in a note and tried again
+    Raises InputError if nothing is dated or can be judged, or the history belongs to another machine. A campaign that cannot be read is named in a note and tried again
     the next time.
     """
     dated, notes = dated_campaigns(folder)
@@ -53,6 +53,8 @@ def watch(
         rows = store.rows()
     finally:
         store.close()
+    if not rows:
+        raise InputError(f"{folder}: no campaign could be judged; {notes[-1]}")
     progress("judging")
     groups = sorted({axes for row in rows for axes in row.projections}, key=lambda axes: machine.axis_names.index(axes[0]))
     return judged(rows, {axes: directions_of(machine, axes) for axes in groups}), notes

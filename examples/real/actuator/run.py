@@ -14,7 +14,7 @@ of the first file) gives K.
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 import csv
 from pathlib import Path
@@ -24,10 +24,17 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.errors import InputError
+from twin.history.change import level
 from twin.simulation.summary import table
 
 STEADY = 0.8
 """A sample is at constant speed if the set point moves faster than this share of its highest speed."""
+
+
+CONFIDENCE = 0.999
+"""Of the interval of a change of friction; a trial is called changed if it excludes zero."""
+
+VERDICTS = ("no change", "friction more", "friction less")
 
 
 class Trial(NamedTuple):
@@ -102,6 +109,7 @@ def summary_lines(trials: dict[str, list[Trial]]) -> list[str]:
         f"calibrated on trial {first.run} with {first.load:g} kgf: {1e3 * k:.2f} mA/kgf",
         table(heading, rows, left=1),
         *friction_lines(trials),
+        *change_lines(trials),
         "backlash, wear and stiffness cannot be seen at 25 Hz with an unsigned current: the screw crosses its backlash between two samples.",
     ]
 
@@ -120,6 +128,30 @@ def friction_lines(trials: dict[str, list[Trial]]) -> list[str]:
             f"friction of {name} against {names[0]}: {', '.join(parts)}. No cause is named: a difference at some loads only does not prove one"
         )
     return out
+
+
+def change_lines(trials: dict[str, list[Trial]]) -> list[str]:
+    """Every trial against the healthy ones (first file) of its load, itself left out: a table of what was said."""
+    healthy, counts, sizes = next(iter(trials.values())), {name: Counter[str]() for name in trials}, defaultdict(list)
+    for name, several in trials.items():
+        for trial in several:
+            others = [t.by_friction for t in healthy if t.load == trial.load and t is not trial]
+            if len(others) < 3:
+                continue
+            y = np.array([*others, trial.by_friction])
+            change = level(y, np.ones((len(y), 1)), len(others))
+            certain = abs(change.size) > change.half(CONFIDENCE)
+            said = VERDICTS[0] if not certain else VERDICTS[1 if change.size > 0.0 else 2]
+            counts[name][said] += 1
+            if certain:
+                sizes[name, trial.load].append(100.0 * change.size / np.mean(others))
+    rows = [[name, *(str(counts[name][verdict]) for verdict in VERDICTS)] for name in trials]
+    found = [f"{name} at {load:g} kgf {np.mean(changes):+.0f} % ({len(changes)} trials)" for (name, load), changes in sizes.items()]
+    return [
+        "each trial against the healthy ones of its load, itself left out:",
+        table(["trials of", *VERDICTS], rows, left=1),
+        f"friction that changed for certain: {', '.join(found) or 'none'}. 'No change' means that none shows, not that there is none",
+    ]
 
 
 if __name__ == "__main__":
