@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 import json
 from pathlib import Path
+import shutil
 
 import pytest
 
@@ -74,6 +75,24 @@ def test_a_change_is_named_and_sized(
     assert document["gap"]["after"] < document["gap"]["before"]
     assert document["budget"]["rows"][0]["effect"] == effect
     assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_runs_that_are_left_out_confirm_a_change(campaigns: list[Path], reference: Path, tmp_path: Path) -> None:
+    """Two runs a campaign: each is predicted from the other, and the difference that is left is that of repetitions."""
+
+    def joined(name: str, *numbers: int) -> Path:
+        (tmp_path / name).mkdir()
+        for i, number in enumerate(numbers):
+            shutil.copy(campaigns[number] / "production.parquet", tmp_path / name / f"run_{i}.parquet")
+        runs = [f'[[run]]\nfile = "run_{i}.parquet"\nfeedforward = "velocity+torque"\n' for i in range(len(numbers))]
+        (tmp_path / name / "campaign.toml").write_text("\n".join(runs))
+        return tmp_path / name
+
+    document = since([joined("then", 0, 1), joined("now", 2, 2)], 1, reference, tmp_path / "out")
+    assert document["verdict"] == "effect"
+    assert [(e["effect"], e["axis"]) for e in document["effects"]] == [("coulomb_friction", "Y")]
+    assert document["gap"]["held_out_runs"] == ["run_0", "run_1"]
+    assert document["gap"]["after"] < 1.5 < document["gap"]["before"]
 
 
 def test_what_is_no_campaign_is_one_line(campaigns: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -134,15 +134,15 @@ class Contrast:
         return float(np.sqrt(max(theta @ self.information @ theta, 0.0) / max(kept.sum(), 1) / self.noise))
 
     def simulated(self, theta: np.ndarray, mapper: Mapper) -> np.ndarray | None:
-        """b of the changes theta, simulated, by the slopes about the reference; None if they cannot be simulated."""
+        """b of the changes theta in each run (run, direction), simulated, by the slopes about the reference; None if they cannot be simulated."""
         changes = [(self.directions[k], float(theta[k])) for k in np.flatnonzero(theta).tolist()]
-        total = np.zeros(len(theta))
+        out = []
         for _, group, columns in self.groups:
             answer = group.responses([variation(changes)], mapper=mapper)[0]
             if isinstance(answer, TwinError):
                 return None
-            total += projection_of(group, columns, answer).right
-        return total
+            out.append(projection_of(group, columns, answer).right)
+        return np.array(out)
 
     def one_run(self, i: int) -> Contrast:
         """The contrast of one run."""
@@ -223,12 +223,12 @@ def _sizes(gram: np.ndarray, right: np.ndarray, scatter: np.ndarray) -> np.ndarr
 def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Differences:
     """The causes that enter one by one, with the present simulated anew after each."""
     d, blocks, first = contrast.directions, contrast.blocks, contrast.change
-    theta, explained = np.zeros(len(d)), np.zeros(len(d))  # sizes, and the b of these changes
+    theta, explained = np.zeros(len(d)), np.zeros((len(contrast.grams), len(d)))  # sizes, and the b of these changes in each run
     alone = sorted(((contrast.evidence(first, b), b) for b in blocks), key=lambda one: -one[0])
     candidates = tuple((d[b[0]].cause, e, amplitude(contrast.sizes(first, b)), d[b[0]]) for e, b in alone)
     entered: list[tuple[list[int], float, list[tuple[Cause, float]]]] = []  # block, evidence, rivals with theirs
     while len(entered) < MOST:
-        taken, left = [k for b, _, _ in entered for k in b], first - explained
+        taken, left = [k for b, _, _ in entered for k in b], first - explained.sum(axis=0)
         before = contrast.evidence(left, taken)
         gains = [(contrast.evidence(left, [*taken, *b]) - before, b) for b in blocks if b[0] not in taken]
         gains.sort(key=lambda one: -one[0])
@@ -247,7 +247,7 @@ def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Diff
         )
         theta, explained = _resimulated(contrast, theta, explained, free, mapper)
         entered = [one for one in entered if abs(amplitude(theta[one[0]])) >= LEAST]
-    after = contrast.level(first - explained)
+    after = contrast.level(first - explained.sum(axis=0))
     free = [k for b, _, _ in entered for k in b]
     covariance = np.linalg.pinv(contrast.information[np.ix_(free, free)]) * contrast.noise * max(1.0, after**2)
     found = []
@@ -276,15 +276,15 @@ def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Diff
 def _resimulated(
     contrast: Contrast, theta: np.ndarray, explained: np.ndarray, free: list[int], mapper: Mapper
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes of the free directions after simulating the present with the changes, and the b of these changes."""
+    """Sizes of the free directions after simulating the present with the changes, and the b of these changes in each run."""
     theta = theta.copy()
     for _ in range(STEPS):
         step = np.zeros(len(theta))
-        step[free] = contrast.sizes(contrast.change - explained, free)
+        step[free] = contrast.sizes(contrast.change - explained.sum(axis=0), free)
         theta += step
         simulated = contrast.simulated(theta, mapper)
         if simulated is None:
-            return theta, explained + contrast.gram @ step
+            return theta, explained + np.array([g @ step for g in contrast.grams])
         explained = simulated
         if np.abs(step).max() < 0.01 * np.abs(theta).max():
             break
@@ -293,15 +293,12 @@ def _resimulated(
 
 def _held_out(contrast: Contrast, theta: np.ndarray, explained: np.ndarray) -> tuple[float, float]:
     """Level of the difference in each run before, and after with the sizes fitted to the other runs; RMS over runs."""
-    free, bent = np.flatnonzero(theta).tolist(), explained - contrast.gram @ theta  # what is not linear in the changes
-    levels = []
-    for i, (gram, change) in enumerate(zip(contrast.grams, contrast.changes)):
-        share = bent * (np.trace(gram) / max(np.trace(contrast.gram), 1e-300))
-        fitted = theta.copy()
+    free, levels = np.flatnonzero(theta).tolist(), []
+    for i, change in enumerate(contrast.changes):
+        own, left, step = contrast.one_run(i), change - explained[i], np.zeros(len(theta))
         if free and len(contrast.grams) > 1:
             rest = contrast.other_runs(i)
-            fitted[free] += rest.sizes(rest.change - rest.gram @ theta - (bent - share), free)
-        own = contrast.one_run(i)
-        levels.append((own.level(change), own.level(change - gram @ fitted - share)))
+            step[free] = rest.sizes(rest.change - np.delete(explained, i, axis=0).sum(axis=0), free)
+        levels.append((own.level(change), own.level(left - own.gram @ step)))
     before, after = np.sqrt(np.mean(np.square(levels), axis=0))
     return float(before), float(after)
