@@ -7,9 +7,11 @@ import json
 from pathlib import Path
 import shutil
 
+import jsonschema
 import pytest
 
 from devtools.histories import Fault, History, draw_history, machine_tables, program, write_week
+from tests.conftest import ROOT
 from twin import load_machine, write_machine
 from twin.cli.parser import main
 from twin.effects import settings_of
@@ -43,7 +45,9 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def since(campaigns: list[Path], number: int, reference: Path, out: Path) -> dict:
     assert main(["diagnose", str(campaigns[number]), "--since", str(campaigns[0]), "--machine", str(reference), "--out", str(out)]) == 0
-    return json.loads((out / "diagnosis.json").read_text())
+    document = json.loads((out / "diagnosis.json").read_text())
+    jsonschema.validate(document, json.loads((ROOT / "twin" / "report" / "schemas" / "diagnosis.json").read_text()))
+    return document
 
 
 @pytest.fixture

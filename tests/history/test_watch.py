@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 
+import jsonschema
 import pytest
 
 from devtools.histories import Fault, draw_history, machine_tables, program, write_week
@@ -45,6 +46,7 @@ def watched(weeks: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
 def test_a_backlash_raises_the_alarm_with_cause_onset_and_size(watched: tuple[Path, int]) -> None:
     out, code = watched
     document = json.loads((out / "history.json").read_text())
+    jsonschema.validate(document, json.loads((ROOT / "twin" / "report" / "schemas" / "history.json").read_text()))
     assert code == 1
     assert document["alarm"]
     (change,) = document["changes"]
