@@ -29,8 +29,11 @@ LEAST = 0.1
 LEAST_SCATTER = 0.01
 """Smallest scatter between recordings in usual sizes: load and friction act on the rest too, in ways that are not linear."""
 
+AGREES = 0.5
+"""Largest difference between the two, as a share."""
+
 RECENT = 8
-"""Recordings from which a growth is carried forward."""
+"""Recordings from which a growth is carried forward, and after which another change of the same axes can be told from it."""
 
 Cause = tuple[str, str, str]
 
@@ -110,13 +113,15 @@ def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction
                 stand[-1] = again  # more recordings show another cause of the same change
                 continue
             loudest = max(found, key=lambda cause: found[cause][0])
+            if stand and found[loudest][1] < stand[-1].onset + RECENT:
+                continue  # while a change grows, what moves with it is not told from another one
             if (change := _change(history, causes, group, stand, found[loudest][1], now)) is not None:
                 stand.append(change)
     changes = []
     for stand in standing:
         for i, change in enumerate(stand):
             last = stand[i + 1].alarm - 1 if i + 1 < len(stand) else len(rows) - 1
-            changes.append(_with_forecast(history, _resized(history, causes, change, stand[:i], last)))
+            changes.append(_until_now(history, _resized(history, causes, change, stand[:i], last), stand[:i]))
     return replace(history, changes=sorted(changes, key=lambda c: c.alarm), evidence=total)
 
 
@@ -144,7 +149,7 @@ def _evidence(
 
 def _change(history: Judgement, causes: dict[Cause, Any], group: int, standing: Sequence[Change], onset: int, now: int) -> Change | None:
     """The change of a group from the rows before `onset` to those up to `now`, by the cause that explains it best; None unless it is certainly more
-    than `LEAST`.
+    than `LEAST`, and the size that explains the group is that which the cause's own series shows.
     """
     one = history.series[group]
     inside = one.at <= now
@@ -157,17 +162,17 @@ def _change(history: Judgement, causes: dict[Cause, Any], group: int, standing: 
     scatter = np.array([max(found.scatter, LEAST_SCATTER) for found in levels])
     blocks = waves_of(one.directions, [k for g, own in causes.values() if g == group for k in own])
     explained = one.explained_by(blocks, np.array([found.size for found in levels]), scatter)
-    best: dict[Cause, tuple[float, int, float]] = {}
+    best: dict[Cause, tuple[float, int, float, float]] = {}
     for block, (gain, theta) in zip(blocks, explained):
         cause = one.directions[block[0]].cause
-        if gain > best.get(cause, (0.0, 0, 0.0))[0] and cause not in {change.cause for change in standing}:
-            best[cause] = gain, block[0], amplitude(theta)
+        if gain > best.get(cause, (0.0, 0, 0.0, 0.0))[0] and cause not in {change.cause for change in standing}:
+            best[cause] = gain, block[0], amplitude(theta), amplitude([levels[k].size for k in block])
     if not best:
         return None
     order = sorted(best, key=lambda cause: -best[cause][0])
-    gain, k, moved = best[order[0]]
-    size = replace(levels[k], size=moved)
-    if abs(moved) - size.half() < LEAST:
+    gain, k, moved, own = best[order[0]]
+    size = replace(levels[k], size=own)
+    if abs(own) - size.half() < LEAST or abs(moved - own) > AGREES * abs(own):
         return None
     rivals = tuple(cause for cause in order[1:4] if best[cause][0] > RIVAL * gain)
     return Change(group, k, one.directions[k], onset, now, size, rivals)
@@ -179,12 +184,16 @@ def _resized(history: Judgement, causes: dict[Cause, Any], change: Change, stand
     return change if again is None else replace(again, alarm=change.alarm)
 
 
-def _with_forecast(history: Judgement, change: Change, limit: float = 1.0) -> Change:
-    """The change with the day at which its size reaches `limit` [usual sizes], from its last recordings."""
+def _until_now(history: Judgement, change: Change, standing: Sequence[Change], limit: float = 1.0) -> Change:
+    """The change with its size by all recordings, and the day at which it reaches `limit` [usual sizes], from its last recordings."""
     one = history.series[change.group]
+    nuisance = history.nuisance(change.group, bool(one.warms[change.k]), standing)[one.at]
+    alike = [k for k, d in enumerate(one.directions) if (d.cause, d.wave) == (change.cause, change.direction.wave)]
+    levels = [level(one.sizes[:, k], nuisance, int(np.searchsorted(one.at, change.onset))) for k in alike]
+    size = replace(levels[0], size=amplitude([found.size for found in levels]))
     y, days = sizes_over_time(history, change.group, change.k, change.onset)
     after = np.flatnonzero(one.at >= change.onset)[-RECENT:]
-    return replace(change, forecast=forecast(days[after], y[after], limit, float(days[-1])))
+    return replace(change, size=size, forecast=forecast(days[after], y[after], limit, float(days[-1])))
 
 
 def sizes_over_time(history: Judgement, group: int, k: int, until: int | None = None) -> tuple[np.ndarray, np.ndarray]:
