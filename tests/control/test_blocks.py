@@ -13,6 +13,7 @@ from twin.control.library import BLOCKS
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.machine.sheet import sheet
+from twin.simulation.added_feedforward import pulse_in
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -55,6 +56,10 @@ def test_a_pulse_follows_its_law_and_decays_with_its_time() -> None:
     found = pulses({"amplitude": 2e-3, "decay_time": 0.015}, setpoint, output, 2e-3)
     assert found == pytest.approx(stated_pulses(setpoint, output, 2e-3, math.exp(-2.0 / 15.0)), abs=1e-15)
     assert np.count_nonzero(np.abs(found) == 2e-3) > 3
+    # the same numbers from the pulses alone, also with rounding
+    read = pulse_in(np.round(found, 9), 2e-3)
+    assert read == pytest.approx({"amplitude": 2e-3, "decay_time": 0.015}, rel=1e-3)
+    assert pulse_in(np.zeros(10), 2e-3) is None
     knees = {f"acceleration_{i}": a for i, a in ((1, 0.1), (2, 0.3), (3, 0.9))}
     found = pulses({"amplitude": 2e-3, "decay_time": 0.015, "amplitude_low": 5e-4, **knees}, setpoint, output, 2e-3)
     stated = stated_pulses(setpoint, output, 2e-3, math.exp(-2.0 / 15.0), 5e-4, tuple(4e-6 * a for a in knees.values()))

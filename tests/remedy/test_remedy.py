@@ -9,17 +9,23 @@ import jsonschema
 import numpy as np
 import pytest
 
+from tests.builders.one_axis import steady
 import twin
 from twin.cli import main
 from twin.effects import EFFECTS
 from twin.machine.machine import Machine
 from twin.remedy.advice import ADVICE, BACKLASH, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
-from twin.remedy.choose import candidates, choose
+from twin.remedy.choose import Goal, candidates, choose
 from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for
-from twin.remedy.motions import standard_motions
+from twin.remedy.margins import Asked, asked_of
+from twin.remedy.motions import slowed, standard_motions
 from twin.remedy.predict import errors_of, with_changes
+from twin.remedy.remedy import late_wave
+from twin.remedy.tool_error import tool_error
 from twin.remedy.tune_change import tuned
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 SCHEMA = Path(__file__).resolve().parents[2] / "twin" / "report" / "schemas" / "remedy.json"
 
@@ -63,7 +69,7 @@ def test_a_pulse_takes_most_of_a_quadrant_peak_and_falls_with_friction(mikron: M
 def test_what_was_changed_is_set_back_first(mikron: Machine) -> None:
     worn = planted(mikron, "loop_delay:X:delay_s=5e-4", "frame_vibration:Z:frequency_hz=30")
     motions = standard_motions(worn)
-    found = choose(worn, motions[:1], [], 3e-6)
+    found = choose(worn, motions[0], [], Goal(3e-6), Asked())
     assert [(c.axis, c.function) for c in found.changes] == [("X", SET_BACK)]
     assert found.errors[-1] < 0.2 * found.errors[0]
     assert [(r.effect, r.axis) for r in found.refused] == [("frame_vibration", "Z")]
@@ -88,6 +94,40 @@ def test_lead_and_wobble_of_a_screw_behind_a_motor_encoder(mikron: Machine) -> N
     assert np.abs(table.error(q) - exact).max() < 0.02 * np.hypot(v["sine"], v["cosine"])
 
 
+def test_half_of_a_wave_is_left_at_the_feed_that_the_page_names(mikron: Machine) -> None:
+    """A table acts through the position loop, which leaves w / sqrt(w^2 + Kv^2) of a wave."""
+    worn = planted(mikron.with_axes(["X"]), "cyclic_error:X:amplitude=6e-6,phase_rad=0.4", motor=True)
+    worn = worn.with_values({"axis.X.coulomb_friction_nm": 0.0})
+    change = tuned(Change("X", TABLE), worn, [])
+    said = late_wave(change, worn)
+    feed = float(said.split("above ")[1].split()[0]) * 1e-3 / 60.0
+    path = Setpoints(steady(feed, 1.5)[:, None], 1e-3)
+    left = []
+    for machine in (worn, change.applied(worn)):
+        trace = simulate(machine, path).trace
+        wave = (trace.get("X", "load_position") - trace.get("X", "motor_position"))[400:]
+        moved = (trace.get("X", "load_position") - trace.get("X", "setpoint"))[400:]
+        left.append(np.std(moved - np.polyval(np.polyfit(np.arange(len(moved)), moved, 1), np.arange(len(moved)))))
+        assert np.std(wave) > 2e-6
+    assert left[1] / left[0] == pytest.approx(0.5, abs=0.06)
+
+
+def test_a_slower_feed_keeps_the_path(mikron: Machine) -> None:
+    circle = standard_motions(mikron)[0]
+    slow = slowed(circle, mikron, 0.5)
+    assert slow.setpoints.duration == pytest.approx(2.0 * circle.setpoints.duration, rel=1e-3)
+    assert slow.setpoints.position[::2][:1000] == pytest.approx(circle.setpoints.position[:1000], abs=1e-9)
+
+
+def test_gains_are_not_set_back_below_the_asked_margins(mikron: Machine) -> None:
+    circle = standard_motions(mikron.with_axes(["X", "Y"]))[0]
+    for effect, refused in (("position_gain:X:factor=0.7", True), ("loop_delay:X:delay_s=5e-4", False)):
+        worn = planted(mikron.with_axes(["X", "Y"]), effect)
+        found = choose(worn, circle, [], Goal(0.5 * errors_of([worn], circle)[0].rms), asked_of(80.0, 6.0))  # type: ignore[union-attr]
+        assert (SET_BACK not in {c.function for c in found.changes}) == refused
+        assert any("80 are asked" in r.reason for r in found.refused) == refused
+
+
 def test_every_change_is_entered_or_refused_on_every_control(mikron: Machine) -> None:
     worn = planted(
         mikron,
@@ -108,6 +148,11 @@ def test_every_change_is_entered_or_refused_on_every_control(mikron: Machine) ->
         files, _ = files_for(changes, worn, control)
         assert files
         assert all(text.endswith("\n") for text in files.values())
+    shaped = Change("X", PULSE, None, {**_SIZES[PULSE], "acceleration_1": 0.2})
+    entered = {e.name.split()[0]: e.value for e in entries_of(shaped, worn, "sinumerik").entries}
+    assert (entered["MD32510"], entered["MD32550"]) == (1.0, pytest.approx(0.2))
+    assert entered["MD32530"] == entered["MD32520"]
+    assert "rises with the acceleration" in entries_of(shaped, worn, "heidenhain").refused
     gain = next(c for c in changes if c.setting is not None and c.setting.effect.name == "position_gain")
     [entry] = entries_of(gain, worn, "sinumerik").entries
     axis = worn.axis("Y")
@@ -127,8 +172,10 @@ def test_changes_add_up_on_one_axis(mikron: Machine) -> None:
 @pytest.mark.slow
 def test_the_command(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixture[str]) -> None:
     twin.write_machine(planted(mikron, "coulomb_friction:X:factor=1.5", "coulomb_friction:Y:factor=1.5"), tmp_path / "worn.toml")
-    assert main(["remedy", str(tmp_path / "worn.toml"), "--target-um", "0.7", "--out", str(tmp_path / "out")]) == 0
+    command = ["remedy", str(tmp_path / "worn.toml"), "--target-um", "0.7", "--tolerance-um", "9", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
     said = capsys.readouterr().out
+    assert "tolerance 9 um: outside now, inside after" in said
     assert "target 0.7 um reached" in said
     document = json.loads((tmp_path / "out" / "remedy.json").read_text())
     jsonschema.validate(document, json.loads(SCHEMA.read_text()))
@@ -138,4 +185,11 @@ def test_the_command(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixt
     again = twin.load_machine(tmp_path / "out" / "machine.toml")
     assert again.document["axis"]["X"]["block"]["friction_pulse"]
     assert "$MA_FRICT_COMP_CONST_MAX[0,AX1]=" in (tmp_path / "out" / "control" / "machine_data.ini").read_text()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Cause: coulomb friction of X, coulomb friction of Y" in page
+    for name in ("before", "machine"):  # what the page says replays both
+        assert f"--machine {tmp_path / 'out' / name}.toml" in page
+        again = twin.load_machine(tmp_path / "out" / f"{name}.toml")
+        judged_again = tool_error(simulate(again, twin.read_trace(tmp_path / "out" / "motion.parquet")).trace, again)
+        assert 1e6 * judged_again.rms == pytest.approx(document["before" if name == "before" else "after"], rel=0.02)
     assert main(["remedy", str(tmp_path), "--out", str(tmp_path / "no")]) == 2

@@ -12,9 +12,9 @@ from twin.cli import main
 from twin.effects import load_inertia
 from twin.machine.check import check_axis
 from twin.machine.machine import Machine
+from twin.remedy.margins import Asked, asked_of
 from twin.remedy.motions import standard_motions
-from twin.remedy.tune import Asked, Tuned, tune
-from twin.remedy.tune_report import asked_of
+from twin.remedy.tune import Tuned, tune
 
 
 def with_spring(machine: Machine, hz: float) -> Machine:
@@ -64,9 +64,9 @@ def test_delays_follow_the_loop_and_not_the_file(mikron: Machine) -> None:
 def test_a_slower_motor_keeps_its_current(mikron: Machine) -> None:
     machine = mikron.with_axes(["X", "Y"])
     free = tuned(machine, Asked())[-1]
-    limit = free.shares["X"] * machine.axis("X").motor.peak_current_a / 0.9
+    limit = free.tool.shares["X"] * machine.axis("X").motor.peak_current_a / 0.9
     short = tuned(machine.with_values({"axis.X.motor.peak_current_a": limit}), Asked())
-    assert short[-1].shares["X"] <= max(0.8, short[0].shares["X"])
+    assert short[-1].tool.shares["X"] <= max(0.8, short[0].tool.shares["X"])
     assert short[-1].machine.axis("X").loops.speed_gain_nm_s_per_rad < free.machine.axis("X").loops.speed_gain_nm_s_per_rad
 
 

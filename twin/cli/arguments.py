@@ -53,6 +53,14 @@ def add_effect(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_margins(parser: argparse.ArgumentParser) -> None:
+    """`--phase-margin-deg`, `--gain-margin-db`."""
+    parser.add_argument(
+        "--phase-margin-deg", type=positive, metavar="P", help="smallest phase margin of speed and position loop (default 40 and 50)"
+    )
+    parser.add_argument("--gain-margin-db", type=positive, default=6.0, metavar="G", help="smallest gain margin of both (default 6)")
+
+
 def add_campaign(parser: argparse.ArgumentParser) -> None:
     """`CAMPAIGN`, a folder of measured runs."""
     parser.add_argument("campaign", metavar="CAMPAIGN", type=shipped_example, help="folder with campaign.toml and traces")

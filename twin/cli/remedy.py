@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
-from twin.cli.arguments import add_effect, add_open, add_place, machine_of, open_report, positive, setpoints_of_input
+from twin.cli.arguments import add_effect, add_margins, add_open, add_place, machine_of, open_report, positive, setpoints_of_input
 from twin.errors import InputError
 from twin.files import output_folder, write_json, write_whole
 from twin.progress import Progress
@@ -27,20 +28,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--target-um", type=positive, default=5.0, metavar="T", help="RMS error at the tool point to reach [um] (default 5)"
     )
     parser.add_argument(
+        "--tolerance-um", type=positive, metavar="W", help="tolerance of the part: largest error at the tool point to stay within [um]"
+    )
+    add_margins(parser)
+    parser.add_argument(
         "--control", default="sinumerik", metavar="C", help="sinumerik (default), heidenhain, linuxcnc or isg: whose files to write"
     )
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for remedy.json, machine.toml, control/, report.html")
+    parser.add_argument(
+        "--out",
+        required=True,
+        metavar="DIR",
+        help="folder for remedy.json, machine.toml, before.toml, motion.parquet, control/, report.html",
+    )
     add_place(parser)
     add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
     """Choose, tune and predict the changes; write the files; print what to set."""
+    import numpy as np
+
     from twin.machine.machine import write_machine
+    from twin.recordings.trace import Trace, write_trace
+    from twin.remedy.choose import Goal
     from twin.remedy.control_data import CONTROLS, entries_of, files_for
-    from twin.remedy.motions import given_motion, standard_motions
+    from twin.remedy.margins import asked_of
+    from twin.remedy.motions import given_motion, slowed, standard_motions
     from twin.remedy.remedy import refusals, remedy, remedy_document, sentence
-    from twin.remedy.report import write_remedy_report
+    from twin.remedy.report import entry_text, in_short, write_remedy_report
     from twin.remedy.source import deviations_of, machine_file_of
 
     if args.control not in CONTROLS:
@@ -52,38 +67,41 @@ def carry_out(args: argparse.Namespace) -> int:
     on, elsewhere = standard[0], standard[1:]
     if args.program:
         _, trace = setpoints_of_input(Path(args.program), machine, args.place)
-        on, elsewhere = given_motion(Path(args.program).name, trace, machine), standard
+        on = given_motion(Path(args.program).name, trace, machine)
+        elsewhere = [*standard, slowed(on, machine, 0.5)]
+    goal = Goal(args.target_um * 1e-6, math.inf if args.tolerance_um is None else args.tolerance_um * 1e-6)
     out = output_folder(args.out)
     with Progress("looking for a remedy", total=None) as bar:
-        found = remedy(machine, on, elsewhere, args.target_um * 1e-6, deviations_of(document), bar.say)
+        found = remedy(machine, on, elsewhere, goal, asked_of(args.phase_margin_deg, args.gain_margin_db), deviations_of(document), bar.say)
     content = remedy_document(found)
     files, by_hand = files_for(list(found.chosen.changes), machine, args.control)
     for change, entry in zip(found.chosen.changes, content["changes"]):
-        entry["control"] = {e.name: e.value for e in entries_of(change, machine, args.control).entries}
+        entries = entries_of(change, machine, args.control).entries
+        entry["control"] = {e.name: e.value for e in entries}
+        entry["enter"] = [e._asdict() for e in entries]
     content |= {"control": args.control, "files": sorted(files), "by_hand": by_hand}
     write_json(content, out / "remedy.json", "remedy")
     write_machine(found.remedied, out / "machine.toml")
+    write_machine(machine, out / "before.toml")
+    points = on.setpoints
+    time = np.arange(len(points.position)) * points.period
+    write_trace(
+        Trace(time, {(a, "setpoint"): points.position[:, i] for i, a in enumerate(machine.axis_names)}, machine.kinds),
+        out / "motion.parquet",
+    )
     for name, text in files.items():
         write_whole(out / "control" / name, text)
-    write_remedy_report(found, content, out / "report.html")
-    print(
-        f"{on.name}: {content['before']:.2f} um RMS at the tool point now, {content['after']:.2f} um after {len(found.chosen.changes)} changes",
-        end="",
-    )
-    print(
-        f" ({content['low']:.2f} to {content['high']:.2f})" if content["high"] is not None and content["high"] > content["low"] else "",
-        end="",
-    )
-    print(f"; target {args.target_um:g} um {'reached' if found.reached else 'not reached'}")
+    write_remedy_report(found, content, document, out)
+    print("\n".join(in_short(found, content)))
     for change, entry in zip(found.chosen.changes, content["changes"]):
         print(f"  {sentence(found, change)}: {entry['before']:.2f} -> {entry['after']:.2f} um")
-        print("".join(f"    enter {name} = {value:.6g}\n" for name, value in entry["control"].items()), end="")
+        print("".join(f"    enter {text}\n" for text in map(entry_text, entry["enter"])), end="")
     print("".join(f"  by hand: {text}\n" for text in by_hand), end="")
     print("".join(f"  no setting cures {text}\n" for text in refusals(found.chosen.refused)), end="")
     print(
         "".join(f"  at the machine, {one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}\n" for one in content["at_the_machine"]),
         end="",
     )
-    print(f"written to {out}: remedy.json, machine.toml, report.html{', control/' if files else ''}")
+    print(f"written to {out}: remedy.json, machine.toml, before.toml, motion.parquet, report.html{', control/' if files else ''}")
     open_report(args, out / "report.html")
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_effect, add_open, add_place, machine_of, open_report, positive, setpoints_of_input
+from twin.cli.arguments import add_effect, add_margins, add_open, add_place, machine_of, open_report, setpoints_of_input
 from twin.files import output_folder
 from twin.progress import Progress
 
@@ -23,20 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_open(parser)
 
 
-def add_margins(parser: argparse.ArgumentParser) -> None:
-    """`--phase-margin-deg`, `--gain-margin-db`."""
-    parser.add_argument(
-        "--phase-margin-deg", type=positive, metavar="P", help="smallest phase margin of speed and position loop (default 40 and 50)"
-    )
-    parser.add_argument("--gain-margin-db", type=positive, default=6.0, metavar="G", help="smallest gain margin of both (default 6)")
-
-
 def carry_out(args: argparse.Namespace) -> int:
     """Tune; write the machine file and the page; print the table."""
     from twin.machine.machine import write_machine
+    from twin.remedy.margins import asked_of
     from twin.remedy.motions import given_motion, standard_motions
     from twin.remedy.tune import changed_numbers, tune
-    from twin.remedy.tune_report import HEADING, asked_of, mode_sentences, rows_of, write_tune_report
+    from twin.remedy.tune_report import HEADING, mode_sentences, rows_of, write_tune_report
     from twin.simulation.summary import table
 
     machine = machine_of(args)

@@ -25,6 +25,7 @@ MOST = 500
 RUN, CAMPAIGN = "run", "campaign"
 _BY_DOCUMENT = {
     "summary.json": RUN,
+    "remedy.json": "remedy",
     "diagnosis.json": "diagnosis",
     "history.json": "history",
     "compare.json": "comparison",
@@ -155,6 +156,8 @@ def _summary(kind: str, document: Mapping[str, Any]) -> str:
         if kind == "history":
             changes = "; ".join(str(c["sentence"]) for c in document["changes"]) or "no change"
             return f"{document['machine']}, {len(document['campaigns'])} recordings: {changes}"
+        if kind == "remedy" and "changes" in document:
+            return f"{document['motion']}: {document['before']:.2f} um RMS at the tool point, {document['after']:.2f} um after {len(document['changes'])} changes"
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError):
         return ""
     verdict = document.get("verdict", "")

@@ -217,6 +217,10 @@ def _next(document: Document, folder: Path) -> Section:
     corrected = shlex.quote(str(folder / "machine.toml"))
     if document["effects"] or document.get("laws"):
         words.append(f"The corrected machine is in {corrected}; simulate with it: twin run PROGRAM --machine {corrected}")
+        there = shlex.quote(str(folder))
+        words.append(
+            f"What to set in the control, what it brings and what it costs: twin remedy {there} --out {there}/remedy; its page is remedy/report.html"
+        )
     if unseen := unseen_text(document):
         words.append(
             f"Not visible in these runs and signals at usual size, and therefore not excluded: {unseen}. "

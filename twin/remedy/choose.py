@@ -1,8 +1,8 @@
 """The smallest set of changes that reaches a target: what was changed is set back before what is worn is compensated, the best change first,
-each tuned beside those before it, until nothing helps further.
+until the goal is met or nothing helps further.
 
-A change is kept only if it also helps off the motion it was tuned on: at two other feeds, and with the friction of the machine 20 % higher
-and lower. A change that makes one of these worse is refused with the numbers.
+A change is kept only if it does no harm off the motion it was tuned on: at other feeds and radii, and with the friction of the machine 20 % higher
+and lower. No change takes a current near its limit or a loop below the asked margins. What is refused is named with the numbers.
 """
 
 from __future__ import annotations
@@ -11,11 +11,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
 
+import numpy as np
+
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
+from twin.machine.check import LARGEST_SHARE
 from twin.machine.machine import Machine
 from twin.remedy.advice import ADVICE, BACKLASH, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
+from twin.remedy.margins import Asked
 from twin.remedy.predict import Motionful, errors_of, with_changes
+from twin.remedy.tool_error import ToolError
 from twin.remedy.tune_change import tuned
 
 WORTH = 0.02
@@ -33,6 +38,18 @@ class Refused:
     effect: str
     axis: str
     reason: str
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What is asked of the contour error [m]: its RMS, and its largest value."""
+
+    rms: float
+    largest: float = math.inf
+
+    def met(self, error: ToolError) -> bool:
+        """True if an error is within both."""
+        return error.rms <= self.rms and error.largest <= self.largest
 
 
 @dataclass(frozen=True)
@@ -63,60 +80,81 @@ def candidates(machine: Machine) -> tuple[list[Change], list[Refused]]:
 
 def choose(
     machine: Machine,
-    on: Sequence[Motionful],
+    on: Motionful,
     elsewhere: Sequence[Motionful],
-    target: float,
+    goal: Goal,
+    asked: Asked,
     say: Callable[[str], None] = lambda _text: None,
 ) -> Chosen:
-    """Changes of a machine that bring the RMS contour error over the motions to the target [m], or as near as they can."""
+    """Changes of a machine that bring the contour error of a motion to the goal, or as near as they can."""
     left, refused = candidates(machine)
     chosen: list[Change] = []
-    now = _rms(machine, on)
-    errors = [now]
-    reversing = {axis for motion in on for axis in _reversing(machine, motion)}
+    now = judged(machine, on)
+    errors = [now.rms]
     # what was changed, then what is displaced, then what is late
     back, placed = ([c for c in left if c.function in functions] for functions in ((SET_BACK,), (TABLE, BACKLASH)))
-    for pool in (back, placed, [c for c in left if c.function == PULSE and c.axis in reversing]):
-        while pool and now > target:
-            base = with_changes(machine, chosen)
-            say(f"tuning {len(pool)} changes beside {len(chosen)}")
-            tried = [tuned(change, base, on) for change in pool]
-            results = [_rms(change.applied(base), on) for change in tried]
-            best = min(range(len(tried)), key=lambda i: results[i])
-            if not results[best] < (1.0 - WORTH) * now:
+    for pool in (back, placed, [c for c in left if c.function == PULSE and now.peaks.get(c.axis, 0.0) > 0.0]):
+        if goal.met(now) or not pool:
+            continue
+        base = with_changes(machine, chosen)
+        say(f"tuning {len(pool)} changes beside {len(chosen)}")
+        tried = [tuned(change, base, [on]) for change in pool]
+        for change in sorted(tried, key=lambda c: judged(c.applied(base), on).rms):
+            if goal.met(now):
                 break
-            change, pool = tried[best], [c for i, c in enumerate(pool) if i != best]
-            if change.function != SET_BACK and (harm := _harm(change, base, elsewhere)):
+            base = with_changes(machine, chosen)
+            best, after, harm = _tried(change, base, on, elsewhere, asked)
+            if not after.rms < (1.0 - WORTH) * now.rms:
+                continue
+            if harm:
                 refused.append(Refused(change.setting.effect.name if change.setting else "friction", change.axis, harm))
                 continue
-            chosen.append(change)
-            now = results[best]
-            errors.append(now)
+            chosen.append(best)
+            now = after
+            errors.append(now.rms)
     return Chosen(tuple(chosen), tuple(errors), tuple(refused))
 
 
-def _rms(machine: Machine, on: Sequence[Motionful]) -> float:
-    found = [errors_of([machine], motion)[0] for motion in on]
-    return math.sqrt(sum(math.inf if e is None else e.rms**2 for e in found) / len(found))
+def judged(machine: Machine, on: Motionful) -> ToolError:
+    """The error of a machine on a motion; an infinite one where the simulation diverges."""
+    found = errors_of([machine], on)[0]
+    return ToolError(np.array([np.inf]), {}, {}) if found is None else found
 
 
-def _reversing(machine: Machine, motion: Motionful) -> list[str]:
-    """Axes with an error after a reversal on a motion."""
-    error = errors_of([machine], motion)[0]
-    return [] if error is None else [axis for axis, peak in error.peaks.items() if peak > 0.0]
+def _tried(change: Change, base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked) -> tuple[Change, ToolError, str]:
+    """A change, its error, and the harm that it does in words. A pulse that does harm at another feed gets a characteristic over acceleration."""
+    harm = _harm(change, base, on, elsewhere, asked)
+    if harm and change.function == PULSE:
+        other = tuned(change, base, [on, *elsewhere], shaped=True)
+        if not (_harm(other, base, on, elsewhere, asked)):
+            change, harm = other, ""
+    return change, judged(change.applied(base), on), harm
 
 
-def _harm(change: Change, base: Machine, elsewhere: Sequence[Motionful]) -> str:
-    """Where a change makes the error larger than without it, in words; '' if nowhere."""
-    for motion in elsewhere:
+def _harm(change: Change, base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked) -> str:
+    """Where a change makes the error larger than without it, comes near a limit or falls below a margin, in words; '' if nowhere."""
+    if change.function == SET_BACK:
+        missed = asked.missed_by(change.applied(base), change.axis) if _raises_a_gain(change.setting) else ""
+        return f"with the commissioned values {missed}: tune the loops (twin tune)" if missed else ""
+    for motion in (on, *elsewhere):
         for friction in (1.0, *FRICTIONS):
             machine = with_friction(base, change.axis, friction)
-            without, with_it = errors_of([machine, change.applied(machine)], motion)
-            if without is None or with_it is None or with_it.rms > NO_WORSE * without.rms:
-                after = "unstable" if with_it is None else f"{with_it.rms * 1e6:.2f} um"
-                before = "unstable" if without is None else f"{without.rms * 1e6:.2f} um"
-                return f"on {motion.name} with {friction:.0%} of the friction it makes {before} to {after}: it helps at one feed only"
+            without, with_it = (judged(m, motion) for m in (machine, change.applied(machine)))
+            if with_it.rms > NO_WORSE * without.rms:
+                said = [f"{e.rms * 1e6:.2f} um" if math.isfinite(e.rms) else "unstable" for e in (without, with_it)]
+                return f"on {motion.name} with {friction:.0%} of the friction it makes {said[0]} to {said[1]}: it helps at one feed only"
+            share = with_it.shares.get(change.axis, 0.0)
+            if share > max(LARGEST_SHARE, without.shares.get(change.axis, 0.0)):
+                return f"on {motion.name} the current of {change.axis} reaches {share:.0%} of its limit"
     return ""
+
+
+def _raises_a_gain(setting: Setting | None) -> bool:
+    """True if setting back a deviation makes a loop faster, which may cost margins."""
+    if setting is None:
+        return False
+    faster = {"position_gain": setting.size < 1.0, "speed_gain": setting.size < 1.0, "speed_integral_time": setting.size > 1.0}
+    return faster.get(setting.effect.name, False)
 
 
 def with_friction(machine: Machine, axis: str, factor: float) -> Machine:

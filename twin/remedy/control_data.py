@@ -26,6 +26,10 @@ POINTS_A_WAVE, POINTS_A_TURN = 16, 72
 """Points of a correction table in one wave: linear interpolation between them leaves 2 % of the wave; and in the one wave of a turning table."""
 
 
+FAR = 10.0
+"""Knees of a characteristic that never act, in units of the largest acceleration."""
+
+
 class Entry(NamedTuple):
     """One datum to enter: name on the control, new value, old value (None: unknown), unit, grade of the source."""
 
@@ -55,8 +59,9 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
         return _set_back(change, machine, control)
     if change.function == TABLE:
         return ForControl(table=correction_table(change, axis))
-    of: Callable[[dict[str, float], Axis, str], ForControl] = {PULSE: _pulse, BACKLASH: _backlash}[change.function]
-    return of(dict(change.values), axis, control)
+    of: Callable[[dict[str, float], dict[str, float], Axis, str], ForControl] = {PULSE: _pulse, BACKLASH: _backlash}[change.function]
+    old = next((dict(b.values) for b in axis.blocks if b.block.name == change.function), {})
+    return of(dict(change.values), old, axis, control)
 
 
 def _length(axis: Axis) -> tuple[str, float]:
@@ -64,8 +69,8 @@ def _length(axis: Axis) -> tuple[str, float]:
     return ("mm" if axis.kind == "linear" else "deg"), PER_SI[axis.kind]
 
 
-def _pulse(values: dict[str, float], axis: Axis, control: str) -> ForControl:
-    amplitude, decay = values["amplitude"], values["decay_time"]
+def _pulse(values: dict[str, float], old: dict[str, float], axis: Axis, control: str) -> ForControl:
+    amplitude, decay, knee = values["amplitude"], values["decay_time"], values.get("acceleration_1", 0.0)
     unit, factor = _length(axis)
     if control == "sinumerik":
         per_min = ("mm/min", 60e3) if axis.kind == "linear" else ("rev/min", 60.0 / (2.0 * math.pi))
@@ -73,16 +78,20 @@ def _pulse(values: dict[str, float], axis: Axis, control: str) -> ForControl:
             (
                 Entry("MD32490 FRICT_COMP_MODE", 1.0, None, "", "A"),
                 Entry("MD32500 FRICT_COMP_ENABLE", 1.0, None, "", "A"),
-                Entry("MD32510 FRICT_COMP_ADAPT_ENABLE", 0.0, None, "", "A"),
-                Entry("MD32520 FRICT_COMP_CONST_MAX", amplitude * per_min[1], 0.0, per_min[0], "A"),
-                Entry("MD32540 FRICT_COMP_TIME", decay, None, "s", "C"),
+                Entry("MD32510 FRICT_COMP_ADAPT_ENABLE", float(knee > 0.0), None, "", "A"),
+                Entry("MD32520 FRICT_COMP_CONST_MAX", amplitude * per_min[1], old.get("amplitude", 0.0) * per_min[1], per_min[0], "A"),
+                *_characteristic(amplitude * per_min[1], knee, per_min[0], axis),
+                Entry("MD32540 FRICT_COMP_TIME", decay, old.get("decay_time"), "s", "C"),
             )
         )
+    if knee > 0.0:
+        return ForControl(refused="the pulse rises with the acceleration of the reversal; no text in reach says how this control does that")
     if control == "heidenhain":
         # a pulse of constant speed for MP752 with the area of the decaying one
         return ForControl(
             (Entry("MP750", amplitude * decay * factor, 0.0, unit, "C"), Entry("MP752", decay * 1e3, 0.0, "ms", "C")),
-            by_hand="the pulse of this control is a rectangle of the same area: tune it by circles",
+            by_hand="the pulse of this control is a rectangle of the same area: tune it by circles; newer controls call it posCtrlRevErr and "
+            f"posCtrlRevErrTime, or compStrength = {amplitude * decay * factor:.4g} {unit} with compFFAdjust = compRefAcc = 0",
         )
     if control == "linuxcnc":
         return ForControl(
@@ -92,13 +101,25 @@ def _pulse(values: dict[str, float], axis: Axis, control: str) -> ForControl:
     return ForControl(refused="the friction compensation of this kernel is a current over speed; its units stand in no text in reach")
 
 
-def _backlash(values: dict[str, float], axis: Axis, control: str) -> ForControl:
+def _characteristic(amplitude: float, knee: float, unit: str, axis: Axis) -> tuple[Entry, ...]:
+    """Amplitude over acceleration up to its first knee; the other knees out of reach, so that the amplitude stays."""
+    if knee == 0.0:
+        return ()
+    per_s2, factor = ("m/s2", 1.0) if axis.kind == "linear" else ("rev/s2", 1.0 / (2.0 * math.pi))
+    knees = (knee, FAR * axis.max_acceleration, 2.0 * FAR * axis.max_acceleration)
+    return (
+        Entry("MD32530 FRICT_COMP_CONST_MIN", amplitude, None, unit, "A"),
+        *(Entry(f"MD325{40 + 10 * i} FRICT_COMP_ACCEL{i}", a * factor, None, per_s2, "A") for i, a in enumerate(knees, 1)),
+    )
+
+
+def _backlash(values: dict[str, float], old: dict[str, float], axis: Axis, control: str) -> ForControl:
     unit, factor = _length(axis)
-    width = values["width"] * factor
+    width, before = values["width"] * factor, old.get("width", 0.0) * factor
     name = {"sinumerik": "MD32450 BACKLASH", "heidenhain": "MP710", "linuxcnc": "BACKLASH", "isg": "getriebe[0].lose"}[control]
     if control == "isg":
-        return ForControl((Entry(name, round(width * 1e4), 0.0, "0.1 um" if axis.kind == "linear" else "0.0001 deg", "A"),))
-    return ForControl((Entry(name, width, 0.0, unit, "A"),))
+        return ForControl((Entry(name, round(width * 1e4), round(before * 1e4), "0.1 um" if axis.kind == "linear" else "0.0001 deg", "A"),))
+    return ForControl((Entry(name, width, before, unit, "A"),))
 
 
 def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
@@ -143,10 +164,17 @@ _SET_BACK: dict[str, dict[str, tuple[str, str, str, float]]] = {
         "linuxcnc": ("P", "position_gain_per_s", "1/s", 1.0),
         "isg": ("getriebe[0].kv", "position_gain_per_s", "0.01/s", 100.0),
     },
-    "velocity_feedforward": {"sinumerik": _datum("velocity_feedforward"), "linuxcnc": ("FF1", "velocity_feedforward", "1", 1.0)},
+    "velocity_feedforward": {
+        "sinumerik": _datum("velocity_feedforward"),
+        "heidenhain": ("feedForwardFactor", "velocity_feedforward", "1", 1.0),
+        "linuxcnc": ("FF1", "velocity_feedforward", "1", 1.0),
+    },
     "loop_delay": {"sinumerik": _datum("position_delay_s")},
     "speed_gain": {"sinumerik": _datum("speed_gain_nm_s_per_rad"), "heidenhain": ("MP2500", "speed_gain_nm_s_per_rad", "file unit", 1.0)},
-    "speed_integral_time": {"sinumerik": _datum("speed_integral_time_s")},
+    "speed_integral_time": {
+        "sinumerik": _datum("speed_integral_time_s"),
+        "heidenhain": ("MP2510", "speed_integral_time_s", "file unit", 1.0),
+    },
     "set_point_filter": {"sinumerik": ("MD32410 AX_JERK_TIME", "", "s", 1.0)},
     "current_filter": {"sinumerik": ("MD1201 current set point filter", "", "ms", 1e3)},
     "inertia": {"sinumerik": ("MD32650 AX_INERTIA", "", "kg m2", 1.0)},

@@ -27,6 +27,13 @@ def given_motion(name: str, trace: Trace, machine: Machine) -> Motionful:
     return motionful(name, setpoints, machine)
 
 
+def slowed(motion: Motionful, machine: Machine, override: float) -> Motionful:
+    """A motion at a share of its feed: speeds times `override`, accelerations its square, jerk its cube."""
+    points = motion.setpoints
+    times = np.arange(0.0, points.duration / override, points.period) * override
+    return motionful(f"{motion.name} at {override:.0%} of its feed", Setpoints(points.at(times), points.period), machine)
+
+
 def standard_motions(machine: Machine) -> list[Motionful]:
     """Circles of the first two axes of a kind; of a machine with one axis, the sines that it would make on them."""
     kinds = [[a for a in machine.axes if a.kind == kind] for kind in ("linear", "rotary")]

@@ -11,12 +11,17 @@ import numpy as np
 
 from twin.effects import settings_of
 from twin.machine.machine import Machine
-from twin.remedy.advice import ADVICE, SET_BACK
+from twin.remedy.advice import ADVICE, SET_BACK, TABLE
 from twin.remedy.change import Change
-from twin.remedy.choose import Chosen, Refused, choose
+from twin.remedy.choose import Chosen, Goal, Refused, choose, judged
+from twin.remedy.margins import Asked
+from twin.remedy.motions import slowed
 from twin.remedy.predict import NORMAL_95, Motionful, drawn, errors_of, with_changes
 from twin.remedy.tool_error import ToolError
 from twin.units import AXIS_UNITS
+
+OVERRIDES = (0.9, 0.75, 0.5, 0.3)
+"""Shares of the feed that are tried where the changes do not reach the goal. Friction may make a slower feed worse, so each is simulated."""
 
 Deviations = Mapping[tuple[str, str, str | None], Mapping[str, float]]
 """Standard deviations of the sizes of effects, by effect and parameter [SI]."""
@@ -33,32 +38,41 @@ class Remedy:
     machine: Machine
     remedied: Machine
     motion: str
-    target: float
+    goal: Goal
     chosen: Chosen
     before: ToolError
     after: ToolError
     alone: tuple[ToolError, ...]
     low: float
     high: float
-    drawn_before: tuple[float, float]
+    duration: float
+    """Time of the motion [s]."""
+    slower: tuple[tuple[float, ToolError], ...] = ()
+    """The last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes."""
 
     @property
     def reached(self) -> bool:
-        """True if the error after all changes is within the target."""
-        return self.after.rms <= self.target
+        """True if the error after all changes is within the goal."""
+        return self.goal.met(self.after)
+
+    @property
+    def override(self) -> tuple[float, ToolError] | None:
+        """The largest share of the feed with which the goal is reached after the changes; None if none of those tried does."""
+        return next(((share, error) for share, error in self.slower if self.goal.met(error)), None)
 
 
 def remedy(
     machine: Machine,
     on: Motionful,
     elsewhere: Sequence[Motionful],
-    target: float,
+    goal: Goal,
+    asked: Asked,
     deviations: Deviations | None = None,
     say: Callable[[str], None] = lambda _text: None,
     seed: int = 0,
 ) -> Remedy:
-    """The remedy of a machine with effects on a motion; `target` RMS contour error [m]. Tuned on all motions, kept where none gets worse."""
-    chosen = choose(machine, [on], elsewhere, target, say)
+    """The remedy of a machine with effects on a motion. Changes are tuned there, and kept where none of the motions elsewhere gets worse."""
+    chosen = choose(machine, on, elsewhere, goal, asked, say)
     remedied = with_changes(machine, chosen.changes)
     say("predicting in MuJoCo")
     variants = [machine, remedied, *(change.applied(machine) for change in chosen.changes)]
@@ -66,26 +80,32 @@ def remedy(
     before, after, alone = found[0], found[1], found[2:]
     if before is None or after is None:
         raise ArithmeticError("a machine that ran on the decoupled plant diverges in MuJoCo")
-    low, high, low_before, high_before = after.rms, after.rms, before.rms, before.rms
+    low, high = after.rms, after.rms
     if deviations:
         say("predicting with the intervals of the diagnosis")
-        others = drawn(machine, deviations, seed)
-        of_before, of_after = (errors_of(many, on) for many in (others, [with_changes(m, chosen.changes) for m in others]))
+        others = [with_changes(m, chosen.changes) for m in drawn(machine, deviations, seed)]
         # the decoupled plant differs from MuJoCo by a constant; its scatter is what counts
-        low, high = _spread(after.rms, of_after)
-        low_before, high_before = _spread(before.rms, of_before)
+        low, high = _spread(after.rms, errors_of(others, on))
+    slower: list[tuple[float, ToolError]] = []
+    if not goal.met(after):
+        say("trying a slower feed")
+        for share in OVERRIDES:
+            slower.append((share, judged(remedied, slowed(on, machine, share))))
+            if goal.met(slower[-1][1]):
+                break
     return Remedy(
         machine,
         remedied,
         on.name,
-        target,
+        goal,
         chosen,
         before,
         after,
         tuple(a for a in alone if a is not None),
         low,
         high,
-        (low_before, high_before),
+        on.setpoints.duration,
+        tuple(slower),
     )
 
 
@@ -102,12 +122,19 @@ def remedy_document(found: Remedy) -> dict[str, Any]:
     return {
         "motion": found.motion,
         "unit": "um RMS at the tool point",
-        "target_um": 1e6 * found.target if math.isfinite(found.target) else None,
+        "target_um": 1e6 * found.goal.rms,
+        "tolerance_um": 1e6 * found.goal.largest if math.isfinite(found.goal.largest) else None,
         "before": 1e6 * found.before.rms,
         "after": 1e6 * found.after.rms,
         "low": 1e6 * found.low,
         "high": 1e6 * found.high if math.isfinite(found.high) else None,
-        "largest": {"before": 1e6 * float(found.before.contour.max()), "after": 1e6 * float(found.after.contour.max())},
+        "largest": {"before": 1e6 * found.before.largest, "after": 1e6 * found.after.largest},
+        "duration_s": found.duration,
+        "slower": [
+            {"override": share, "rms": 1e6 * e.rms, "largest": 1e6 * e.largest, "more_s": found.duration * (1.0 / share - 1.0)}
+            for share, e in found.slower
+            if math.isfinite(e.rms)
+        ],
         "quadrant_peaks": {
             axis: {"before": to * before, "after": to * found.after.peaks[axis], "unit": unit}
             for axis, before in found.before.peaks.items()
@@ -131,9 +158,19 @@ def _change(found: Remedy, i: int) -> dict[str, Any]:
         "before": 1e6 * found.chosen.errors[i],
         "after": 1e6 * found.chosen.errors[i + 1],
         "alone": 1e6 * found.alone[i].rms if i < len(found.alone) else None,
-        "worse": [advice.worse] if advice.worse else [],
+        "worse": [text for text in (advice.worse, late_wave(change, found.machine)) if text],
         "grade": advice.grade,
     }
+
+
+def late_wave(change: Change, machine: Machine) -> str:
+    """At which feed half of the wave of a table is left: it acts through the position loop, which leaves w / sqrt(w^2 + Kv^2) of it; '' without."""
+    if change.function != TABLE or math.hypot(change.values["sine"], change.values["cosine"]) == 0.0:
+        return ""
+    axis = machine.axis(change.axis)
+    unit, to = AXIS_UNITS[axis.kind].speed
+    half = axis.loops.position_gain_per_s / math.sqrt(3.0) * change.values["wavelength"] / (2.0 * math.pi)
+    return f"the table acts through the position gain: above {60.0 * to * half:.3g} {unit.removesuffix('/s')}/min more than half of the wave is left"
 
 
 def sentence(found: Remedy, change: Change) -> str:

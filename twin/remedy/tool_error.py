@@ -14,22 +14,28 @@ import numpy as np
 from twin.diagnose.tool_point import LOAD
 from twin.errors import TwinError
 from twin.geometry.tool_path import contour_error, contour_of, search_window, tool_path_of
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.errors_of_run import REVERSAL_WINDOW, delayed_set_point, reversal_times
 
 
 @dataclass(frozen=True)
 class ToolError:
-    """Contour error (sample,) [m], and the largest error after a reversal of each axis, its quadrant peak [m or rad]."""
+    """Contour error (sample,) [m]; by axis the largest error after a reversal, its quadrant peak [m or rad], and the largest share of its peak current."""
 
     contour: np.ndarray
     peaks: dict[str, float]
+    shares: dict[str, float]
 
     @property
     def rms(self) -> float:
         """RMS contour error [m]."""
         return float(np.sqrt(np.mean(self.contour**2)))
+
+    @property
+    def largest(self) -> float:
+        """Largest contour error [m]."""
+        return float(self.contour.max())
 
 
 def tool_error(trace: Trace, machine: Machine) -> ToolError:
@@ -40,7 +46,17 @@ def tool_error(trace: Trace, machine: Machine) -> ToolError:
     except TwinError:
         linear = [a.name for a in machine.axes if a.kind == "linear" and trace.has(a.name, LOAD)]
         contour = _of_axes(trace, machine, linear or [a.name for a in machine.axes if trace.has(a.name, LOAD)], window)
-    return ToolError(contour, {a.name: _peak(trace, machine, a.name) for a in machine.axes if trace.has(a.name, LOAD)})
+    return ToolError(
+        contour,
+        {a.name: _peak(trace, machine, a.name) for a in machine.axes if trace.has(a.name, LOAD)},
+        {a.name: _share(trace, machine, a) for a in machine.axes if trace.has(a.name, "current") and a.motor.peak_current_a > 0.0},
+    )
+
+
+def _share(trace: Trace, machine: Machine, axis: Axis) -> float:
+    """Largest current with three standard deviations of what the speed controller makes of the noise of the speed, over the peak current."""
+    noise = axis.loops.speed_gain_nm_s_per_rad * machine.noise(axis).speed / axis.ratio / axis.motor.torque_constant_nm_per_a
+    return (float(np.abs(trace.get(axis.name, "current")).max()) + 3.0 * noise) / axis.motor.peak_current_a
 
 
 def _of_axes(trace: Trace, machine: Machine, names: list[str], window: float) -> np.ndarray:

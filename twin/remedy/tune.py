@@ -15,20 +15,19 @@ machine check`, sampled, in the home pose. Without a spring in the machine file 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import math
 
 import numpy as np
 
-from twin.control.linear import Loop
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import load_inertia, reduced_mass
 from twin.effects.elasticity import COMPLIANCE_DAMPING_RATIO
 from twin.errors import InputError
-from twin.machine.check import LARGEST_SHARE, LEAST_GAIN, LEAST_PHASE_DEG, MOST_PEAK
+from twin.machine.check import LARGEST_SHARE
 from twin.machine.loops import Margins, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
-from twin.recordings.trace import Trace
+from twin.remedy.margins import Asked
 from twin.remedy.predict import Motionful, decoupled
 from twin.remedy.tool_error import ToolError, tool_error
 from twin.simulation.errors_of_run import AxisErrors, axis_errors
@@ -41,39 +40,10 @@ SLOWER = 1.15
 """Factor on a while a current comes near its limit."""
 LAGS = np.linspace(0.0, 4e-3, 17)
 """Delays that are tried first [s]."""
-GRID = 600
-"""Frequencies on which margins are located while a gain is sought."""
 FIRST_CYCLES = 4.0
 """First guess of the small times, in speed cycles."""
 LOWEST_MODE_HZ, HIGHEST_MODE, STEP = 5.0, 0.1, 1.1
 """Modes that are tried: the highest, in periods a tick, then down by a factor."""
-
-
-@dataclass(frozen=True)
-class Asked:
-    """Smallest margins of speed and position loop: phase [deg] by loop, gain [1]."""
-
-    phase: Mapping[str, float] = field(default_factory=lambda: dict(LEAST_PHASE_DEG))
-    gain: float = LEAST_GAIN
-    peak: float = MOST_PEAK
-    """Largest gain of the closed position loop."""
-
-    def missed(self, loop: Loop, count: int = GRID) -> str:
-        """What a loop falls short of, in words; '' for nothing."""
-        m = margins_of(loop, count)
-        if not m.stable:
-            return f"the {loop.name} loop is unstable"
-        if m.phase < self.phase[loop.name]:
-            return f"the {loop.name} loop has a phase margin of {m.phase:.0f} degrees; {self.phase[loop.name]:g} are asked"
-        if m.gain < self.gain:
-            return f"the {loop.name} loop has a gain margin of {20 * math.log10(m.gain):.1f} dB; {20 * math.log10(self.gain):.1f} are asked"
-        if loop.name == "position" and m.peak > self.peak:
-            return f"the closed position loop peaks at {m.peak:.2f}; above {self.peak:g} it overshoots"
-        return ""
-
-    def missed_by(self, machine: Machine, axis: str) -> str:
-        """The same for speed and position loop of an axis."""
-        return next((text for loop in loops_of(machine, machine.axis(axis))[-2:] if (text := self.missed(loop))), "")
 
 
 @dataclass(frozen=True)
@@ -85,8 +55,6 @@ class Tuned:
     margins: dict[str, tuple[Margins, Margins]]
     errors: dict[str, AxisErrors]
     tool: ToolError
-    shares: dict[str, float]
-    """Largest share of its peak current that an axis reaches, with three standard deviations of what its speed noise makes of the gain."""
 
 
 def tune(machine: Machine, on: Motionful, asked: Asked, say: Callable[[str], None] = lambda _text: None) -> tuple[Tuned, Tuned, Tuned]:
@@ -106,7 +74,10 @@ def tune(machine: Machine, on: Motionful, asked: Asked, say: Callable[[str], Non
         tuned = _with_speed_loops(healthy, small, factors)
         tuned = _with_position_gain(tuned, min(_largest_gain(tuned, axis.name, asked) for axis in tuned.axes))
         after = _judged("tuned", _with_delays(_with_feedforward(tuned), on), on)
-        if all(after.shares[a] <= max(LARGEST_SHARE, before.shares[a]) for a in after.shares) or max(factors.values()) > SLOWEST:
+        if (
+            all(after.tool.shares[a] <= max(LARGEST_SHARE, share) for a, share in before.tool.shares.items())
+            or max(factors.values()) > SLOWEST
+        ):
             return before, _judged("symmetrical optimum", textbook, on), after
         factors = {name: SLOWER * a for name, a in factors.items()}
 
@@ -261,10 +232,4 @@ def _judged(name: str, machine: Machine, on: Motionful) -> Tuned:
         {a.name: tuple(margins_of(loop) for loop in loops_of(machine, a)[-2:]) for a in axes},  # type: ignore[misc]
         {a.name: axis_errors(trace, a) for a in axes},
         tool_error(trace, machine),
-        {a.name: _share(machine, a, trace) for a in axes if trace.has(a.name, "current") and a.motor.peak_current_a > 0.0},
     )
-
-
-def _share(machine: Machine, axis: Axis, trace: Trace) -> float:
-    noise = axis.loops.speed_gain_nm_s_per_rad * machine.noise(axis).speed / axis.ratio / axis.motor.torque_constant_nm_per_a
-    return (float(np.abs(trace.get(axis.name, "current")).max()) + 3.0 * noise) / axis.motor.peak_current_a

@@ -19,6 +19,8 @@ AMPLITUDES = (0.25, 0.5, 0.75, 1.0)
 """First amplitudes of a pulse, in units of 2 Mc r / Kp: the step of the speed set point that turns Coulomb friction round."""
 DECAYS = (0.5, 1.0, 2.0)
 """First decays of a pulse, in integral times of the speed controller: with T = Tn the answer of the torque is a step."""
+KNEES = (0.5, 1.5)
+"""First accelerations of the full amplitude, in units of the median over the reversals."""
 BEYOND = 2.0
 """Factor beyond the first numbers within which the best ones are sought: a pulse that never decays is no pulse."""
 TRIES = 24
@@ -27,17 +29,34 @@ CYCLES_IF_ENDLESS = 8.0
 """Decay in position cycles where the speed controller has no integral time."""
 
 
-def tuned(change: Change, machine: Machine, on: Sequence[Motionful]) -> Change:
-    """The change with the numbers that make the RMS contour error over the motions smallest. `machine` is without it."""
+def tuned(change: Change, machine: Machine, on: Sequence[Motionful], shaped: bool = False) -> Change:
+    """The change with the numbers that make the RMS contour error over the motions smallest. `machine` is without it.
+
+    shaped: the amplitude of a pulse rises with the acceleration of the reversal, so that it fits slow and fast ones.
+    """
     axis = machine.axis(change.axis)
     if change.function == PULSE:
-        return _best(change, machine, on, _pulses(machine, axis))
+        first = _pulses(machine, axis)
+        if shaped and (usual := _usual_acceleration(machine, axis, on)) > 0.0:
+            first = [{**pulse, "acceleration_1": knee * usual} for pulse in first for knee in KNEES]
+        return _best(change, machine, on, first)
     if change.function == BACKLASH:
         width = next((s.size for s in settings_of(machine) if s.axis == axis.name and s.effect.name == "backlash"), 0.0)
         return _best(change, machine, on, [{"width": share * width, "cycles": 1.0} for share in (0.7, 1.0, 1.3)], fixed=("cycles",))
     if change.function == TABLE:
         return replace(change, values=_correction(machine, axis))
     return change
+
+
+def _usual_acceleration(machine: Machine, axis: Axis, on: Sequence[Motionful]) -> float:
+    """Median acceleration of an axis at its reversals [m/s2, rad/s2]; 0 without one."""
+    found: list[np.ndarray] = []
+    for motion in on:
+        points, period = motion.setpoints.position[:, machine.axis_names.index(axis.name)], motion.setpoints.period
+        speed = np.diff(points) / period
+        turns = np.flatnonzero(speed[1:] * speed[:-1] < 0.0)
+        found.append(np.abs(speed[turns + 1] - speed[turns]) / period)
+    return float(np.median(every)) if len(every := np.concatenate(found)) else 0.0
 
 
 def _correction(machine: Machine, axis: Axis) -> dict[str, float]:

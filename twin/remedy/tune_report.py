@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import math
 from pathlib import Path
 
-from twin.machine.check import LEAST_PHASE_DEG
 from twin.remedy.control_data import datum_lines
-from twin.remedy.tune import Asked, Tuned, changed_numbers, mode_needed
+from twin.remedy.margins import Asked
+from twin.remedy.tune import Tuned, changed_numbers, mode_needed
 from twin.report import Section, Table, write_page
 from twin.units import AXIS_UNITS
 
@@ -21,11 +21,6 @@ WORDS = (
     "Kp of a rotary axis or a screw in Nm s/rad. Delays: of the position controller, of the feedforward. Loops: phase and gain margin. Error: RMS behind the "
     "delayed set point; quadrant: its largest value after a reversal. Current: largest share of the limit, with noise."
 )
-
-
-def asked_of(phase_deg: float | None, gain_db: float) -> Asked:
-    """The margins that a user asks for; without a phase those of `twin machine check`."""
-    return Asked(dict(LEAST_PHASE_DEG) if phase_deg is None else dict.fromkeys(LEAST_PHASE_DEG, phase_deg), 10.0 ** (gain_db / 20.0))
 
 
 def rows_of(found: Sequence[Tuned]) -> list[list[str]]:
@@ -49,7 +44,7 @@ def rows_of(found: Sequence[Tuned]) -> list[list[str]]:
                     f"{position.bandwidth:.0f} Hz" if math.isfinite(position.bandwidth) else "-",
                     f"{to * errors.without_delay_rms:.2f} {unit}",
                     "-" if peak is None else f"{to * peak:.2f} {unit}",
-                    f"{tuned.shares[name]:.0%}" if name in tuned.shares else "-",
+                    f"{tuned.tool.shares[name]:.0%}" if name in tuned.tool.shares else "-",
                 ]
             )
     return rows

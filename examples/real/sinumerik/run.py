@@ -19,9 +19,11 @@ import numpy as np
 from twin.cli.parser import show_and_run
 from twin.errors import TwinError
 from twin.identify.held_out import Division, divide_runs
-from twin.machine.machine import Machine, load_machine
+from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import Campaign, read_campaign
-from twin.simulation.added_feedforward import added_feedforward
+from twin.remedy.advice import PULSE
+from twin.remedy.change import Change
+from twin.simulation.added_feedforward import added_feedforward, pulse_in
 from twin.simulation.gap import is_moving, predict
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
@@ -52,7 +54,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
             out / "identified.json",
         )
         machine = load_machine(out / "identified" / "machine.toml")
-        print(summary_text(machine, read_campaign(out / "campaign", machine)))
+        campaign = read_campaign(out / "campaign", machine)
+        print(summary_text(machine, campaign))
+        compensated = with_recorded_pulses(machine, campaign)
+        write_machine(compensated, out / "compensated" / "machine.toml")
+        print(
+            "\nfriction compensation in the recorded feedforward: "
+            + "; ".join(f"axis {a.name}: {b.text(a.kind)}" for a in compensated.axes for b in a.blocks)
+        )
+        show_and_run(
+            "remedy",
+            out / "compensated" / "machine.toml",
+            "--program",
+            out / "campaign" / f"{campaign.runs[0].name}.parquet",
+            "--target-um",
+            "0.1",
+            "--out",
+            out / "remedy",
+        )
         if args.diagnose:
             show_and_run("diagnose", out / "campaign", "--machine", out / "identified" / "machine.toml", "--out", out / "diagnosis")
     except TwinError as error:
@@ -95,6 +114,16 @@ def summary_text(machine: Machine, campaign: Campaign) -> str:
     heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "of it in all motion", "gap of the current [A RMS]", "of its range", "residual of a pure delay", "gap at rest [um RMS]", "strongest at [Hz]"]  # fmt: skip
     said = f"\nlargest pulse of the recorded feedforward in addition to the slope of the set points: axis {', axis '.join(pulses)}"
     return "\non the held-out motion:\n" + table(heading, rows, left=1) + said
+
+
+def with_recorded_pulses(machine: Machine, campaign: Campaign) -> Machine:
+    """The machine whose control makes the pulses itself that are recorded in its feedforward, with their amplitude and decay."""
+    for run in campaign.runs:
+        fed = added_feedforward(run.trace, machine, setpoints_of(run.trace, machine).at)
+        for i, axis in enumerate(machine.axes):
+            if fed is not None and (found := pulse_in(fed[:, i], run.trace.period)) is not None:
+                machine = Change(axis.name, PULSE, values=found).applied(machine)
+    return machine
 
 
 def best_delay(division: Division, axis: str) -> float:
