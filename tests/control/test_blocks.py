@@ -60,6 +60,7 @@ def test_a_pulse_follows_its_law_and_decays_with_its_time() -> None:
     read = pulse_in(np.round(found, 9), 2e-3)
     assert read == pytest.approx({"amplitude": 2e-3, "decay_time": 0.015}, rel=1e-3)
     assert pulse_in(np.zeros(10), 2e-3) is None
+    assert pulse_in(random.standard_normal(400), 2e-3) is None
     knees = {f"acceleration_{i}": a for i, a in ((1, 0.1), (2, 0.3), (3, 0.9))}
     found = pulses({"amplitude": 2e-3, "decay_time": 0.015, "amplitude_low": 5e-4, **knees}, setpoint, output, 2e-3)
     stated = stated_pulses(setpoint, output, 2e-3, math.exp(-2.0 / 15.0), 5e-4, tuple(4e-6 * a for a in knees.values()))

@@ -121,7 +121,7 @@ def with_recorded_pulses(machine: Machine, campaign: Campaign) -> Machine:
     for run in campaign.runs:
         fed = added_feedforward(run.trace, machine, setpoints_of(run.trace, machine).at)
         for i, axis in enumerate(machine.axes):
-            if fed is not None and (found := pulse_in(fed[:, i], run.trace.period)) is not None:
+            if fed is not None and not machine.axis(axis.name).blocks and (found := pulse_in(fed[:, i], run.trace.period)) is not None:
                 machine = Change(axis.name, PULSE, values=found).applied(machine)
     return machine
 
