@@ -30,6 +30,8 @@ MACHINE = load_machine()
         ("constant_force", "X", {"force": -86.0}, True),
         ("backlash", "X", {"clearance": 8e-6}, True),
         ("backlash", "X", {"clearance": 1e-8}, False),
+        ("current_filter", "C", {"time_constant_s": 0.11e-3}, False),  # every drive needs about one cycle, 0.125 ms
+        ("current_filter", "C", {"time_constant_s": 0.2e-3}, True),
     ],
 )
 def test_plausible_sizes(effect, axis, parameters, believed):

@@ -53,8 +53,10 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True, threshold
 
 
 def within_tolerance(setting: Setting, machine: Machine) -> float:
-    """Deviation of a size that the tolerance explains; 0 if no toleranced parameter resembles the effect."""
+    """Deviation of a size that is normal: what the tolerance of a parameter explains, or what every machine has; 0 if neither resembles the effect."""
     size = setting.effect.size
+    if size.normal is not None:
+        return size.normal(machine)
     if not size.beyond_tolerance or not (size.is_factor or size.part_of):
         return 0.0
     return (

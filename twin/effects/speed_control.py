@@ -58,15 +58,23 @@ def speed_integral_time(change: Change, axis: Axis, factor: float) -> None:
     change.scale(axis, speed_integral_time_s=factor)
 
 
+def _one_cycle(machine: Machine) -> float:
+    """A drive computes and holds its voltage for about one cycle [s]; a lag of that order is no filter."""
+    return machine.current_cycle
+
+
 @effect(
     block="speed controller",
     parameters=(
-        Parameter("time_constant_s", "time", 0.0, 0.005, (0.5e-3, 1.5e-3), neutral=0.0, logarithmic=True, lag_cycle="current_cycle"),
+        Parameter(
+            "time_constant_s", "time", 0.0, 0.005, (0.5e-3, 1.5e-3), neutral=0.0, logarithmic=True, lag_cycle="current_cycle",
+            normal=_one_cycle,
+        ),
     ),
     separating_move="chirp",
     rivals="A loop delay is constant over frequency; the filter reduces the phase mainly above 100 Hz.",
     picture=Picture("The speed loop loses phase margin and rings at a reversal.", "reversal", axis="X", sizes={"time_constant_s": 1.5e-3}),
-)
+)  # fmt: skip
 def current_filter(change: Change, axis: Axis, time_constant_s: float) -> None:
     """First-order lag on the current set point.
 
