@@ -32,6 +32,13 @@ MACHINE = load_machine()
         ("backlash", "X", {"clearance": 1e-8}, False),
         ("current_filter", "C", {"time_constant_s": 0.11e-3}, False),  # every drive needs about one cycle, 0.125 ms
         ("current_filter", "C", {"time_constant_s": 0.2e-3}, True),
+        (
+            "torque_ripple",
+            "Y",
+            {"amplitude_nm": 5e-3, "periods_per_rev": 12.0},
+            False,
+        ),  # below 0.03 % of the peak torque: cogging of every motor
+        ("torque_ripple", "Y", {"amplitude_nm": 8e-3, "periods_per_rev": 12.0}, True),
     ],
 )
 def test_plausible_sizes(effect, axis, parameters, believed):

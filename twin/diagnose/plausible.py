@@ -56,7 +56,7 @@ def within_tolerance(setting: Setting, machine: Machine) -> float:
     """Deviation of a size that is normal: what the tolerance of a parameter explains, or what every machine has; 0 if neither resembles the effect."""
     size = setting.effect.size
     if size.normal is not None:
-        return size.normal(machine)
+        return size.normal(machine, machine.axis(setting.axis))
     if not size.beyond_tolerance or not (size.is_factor or size.part_of):
         return 0.0
     return (

@@ -105,7 +105,7 @@ class Parameter:
     lag_cycle: Literal["", "position_cycle", "speed_cycle", "current_cycle"] = ""
     beyond_tolerance: float = 0.0
     part_of: Callable[[Machine, Axis], float] | None = None
-    normal: Callable[[Machine], float] | None = None
+    normal: Callable[[Machine, Axis], float] | None = None
     any_size: bool = False
     judged_with: str = ""
     shown: Mapping[str, tuple[str, float]] = field(default_factory=dict)

@@ -42,11 +42,16 @@ def _ripple_of_motor(machine: Machine, axis: Axis) -> tuple[float, float]:
     return (0.04 * share, 0.3 * share)
 
 
+def _ripple_of_every_motor(machine: Machine, axis: Axis) -> float:
+    """A sixth of the smallest usual ripple, at most 0.03 % of the peak torque [Nm]."""
+    return _ripple_of_motor(machine, axis)[0] / 6.0
+
+
 @effect(
     block="mechanics",
     axes="turning motor",
     parameters=(
-        Parameter("amplitude_nm", "torque", 0.0, 10.0, _ripple_of_motor, neutral=0.0, logarithmic=True),
+        Parameter("amplitude_nm", "torque", 0.0, 10.0, _ripple_of_motor, neutral=0.0, logarithmic=True, normal=_ripple_of_every_motor),
         Parameter("periods_per_rev", "number", 0.1, 500.0, (4.0, 12.0), logarithmic=True, scan=AlongTurn()),
         Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
     ),

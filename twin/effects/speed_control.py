@@ -58,7 +58,7 @@ def speed_integral_time(change: Change, axis: Axis, factor: float) -> None:
     change.scale(axis, speed_integral_time_s=factor)
 
 
-def _one_cycle(machine: Machine) -> float:
+def _one_cycle(machine: Machine, axis: Axis) -> float:
     """A drive computes and holds its voltage for about one cycle [s]; a lag of that order is no filter."""
     return machine.current_cycle
 
