@@ -8,7 +8,6 @@ values keeps the tool axis of TLAXIS or of the GOTO before. MSYS and CSYS set th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 import math
 from pathlib import Path
 
@@ -20,10 +19,11 @@ from twin.program import apt_arcs, arcs
 from twin.program import moves as mv
 from twin.program.apt_drilling import CYCLES, PER_MINUTE, PER_REVOLUTION, Cycle, cycle_of, strokes
 from twin.program.apt_words import FREE_TEXT, NOT_SIMULATED, WITHOUT_EFFECT, is_number, listed, moves_nothing, word_and_values
-from twin.program.collect import NO_RADIUS_COMPENSATION, Collector
-from twin.program.machine_file import first_feed
+from twin.program.collect import NO_RADIUS_COMPENSATION
+from twin.program.control import KEPT, Control
+from twin.program.frames import Frame
 from twin.program.source import Source
-from twin.program.state import INCH
+from twin.program.state import INCH, State
 
 UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
 LONGEST_STATEMENT = 20_000
@@ -33,35 +33,25 @@ OFF_AXIS = 1e-3
 """Largest deviation of the axes of a frame from right angles and unit length."""
 
 
-def read_apt(path: Path, machine: Machine) -> mv.Program:
-    """Read CL data; every fault is an InputError that names line and statement."""
-    return AptReader(path, machine).read()
-
-
 class AptReader:
     """Tool, frames and feeds while statements are read."""
 
     def __init__(self, path: Path, machine: Machine) -> None:
         self.source = Source(path)
-        self.out = Collector(path, machine)
-        self.out.change_frame(replace(self.out.modes, traori=True))
-        self.unit = 1e-3
-        self.feed = math.nan
-        self.first_feed = first_feed(machine) * 1e-3
+        self.state = State(path, machine, "apt", ("system",))
+        self.state.feed_word = "FEDRAT/ before this GOTO"
+        self.control, self.out = Control(self.state), self.state.out
+        self.state.transform(True)
         self.spindle = math.nan  # rev/min
         self.turn_feed: tuple[list[str], str] | None = None  # FEDRAT per revolution, which a later SPINDL changes
-        self.rapid = False
-        self.rapid_feed = False
+        self.rapid = self.rapid_feed = False  # of the next move; of all moves
         self.axis = np.array([0.0, 0.0, 1.0])
-        self.rotation = np.eye(3)  # part frame from the frame of the data
-        self.shift = np.zeros(3)
         self.arc: tuple[np.ndarray, np.ndarray, float | None, float | None] | None = None  # centre, axis, radius [m], angle [rad]
         self.world = False  # True: points are in the part frame, independent of CSYS
         self.direction: tuple[str, np.ndarray] | None = None
         self.cycle: Cycle | None = None
         self.ended = False
         self.on_profile = False  # Creo marks that its points are not those of the tool centre
-        self.line = 0
         self.words = {
             "GOTO": self._goto, "FROM": self._from, "GODLTA": self._step, "RAPID": self._rapid, "FEDRAT": self._feed, "CIRCLE": self._circle,
             "UNITS": self._units, "UNIT": self._units, "DELAY": self._delay, "DWELL": self._delay, "FINI": self._fini, "TLAXIS": self._tool_axis,
@@ -71,15 +61,10 @@ class AptReader:
             "MCSYS": self._numbered_system,
         }  # fmt: skip
 
-    def read(self) -> mv.Program:
-        """All statements in order, checked against the machine."""
-        self.read_statements()
-        return self.out.finish()
-
     def read_statements(self) -> None:
         """Read all statements in order; `out` holds the moves."""
         for line, text in self._statements():
-            self.line = line
+            self.state.line = line
             try:
                 self._statement(text)
             except arcs.ArcError as error:
@@ -108,7 +93,7 @@ class AptReader:
         yield first, text.strip()
 
     def _fail(self, text: str) -> Exception:
-        return self.out.fail(self.line, -1, text)
+        return self.out.fail(self.state.line, -1, text)
 
     def _statement(self, text: str) -> None:
         if not text or text == "%":
@@ -121,15 +106,13 @@ class AptReader:
         if word in self.words:
             self.words[word](word, values)
         elif moves_nothing(word, values):
-            self.out.notes[f"{word}/0,0,0: a shift by zero"] = None
+            self.state.note(f"{word}/0,0,0: a shift by zero")
         elif word in NOT_SIMULATED or first in NOT_SIMULATED:
             raise self._fail(f"{word}/ is not simulated: {NOT_SIMULATED.get(word) or NOT_SIMULATED[first]}")
         elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in FREE_TEXT:
-            self.out.notes[f"{word}: understood, no effect on the motion"] = None
+            self.state.note(f"{word}: understood, no effect on the motion")
         elif "_" in word:
-            self.out.notes[f"{word}: a word of the CAM system outside the standard of CL data, assumed to have no effect on the motion"] = (
-                None
-            )
+            self.state.note(f"{word}: a word of the CAM system outside the standard of CL data, assumed to have no effect on the motion")
         else:
             hint = nearest(word, {*WITHOUT_EFFECT, *self.words})
             if not hint.startswith("did you"):
@@ -150,8 +133,7 @@ class AptReader:
     def _units(self, word: str, values: str) -> None:
         if values.strip() not in UNITS:
             raise self._fail(f"{word}/{values}: use {word}/MM or {word}/INCHES")
-        self.unit = UNITS[values.strip()]
-        self.out.set_modes(replace(self.out.modes, feed_unit=self.unit))
+        self.state.set_unit(UNITS[values.strip()], feed=True)
 
     def _machine_system(self, word: str, values: str) -> None:
         """MSYS/ origin, x axis, y axis of the frame in which the following points stand (NX)."""
@@ -174,7 +156,7 @@ class AptReader:
         if parts[:1] != ["WORLD"] or any(not is_number(v) or float(v) for v in parts[1:]):
             raise self._fail(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0")
         self.world = True
-        self.out.notes[f"{word}/WORLD: the points stand in the part frame; CSYS gives the tool axis of a GOTO without one"] = None
+        self.state.note(f"{word}/WORLD: the points stand in the part frame; CSYS gives the tool axis of a GOTO without one")
 
     def _numbered_system(self, word: str, values: str) -> None:
         """MCSYS/ NUM, n, POINT, x,y,z, VECTOR, (x axis), VECTOR, (y axis): the frame of the points that follow (DMG MORI)."""
@@ -189,10 +171,10 @@ class AptReader:
             raise self._fail(f"{word}/ is not a frame: its axes must have length 1 and be at a right angle; correct it")
         x = x / np.linalg.norm(x)
         y = y - x * (x @ y)
-        self.rotation = np.column_stack([x, y / np.linalg.norm(y), np.cross(x, y / np.linalg.norm(y))])
-        self.shift = origin * self.unit
-        if not np.allclose(self.rotation, np.eye(3), atol=1e-9) or np.any(np.abs(self.shift) > 1e-12):
-            self.out.notes[f"{word}: the points that follow stand in this frame; they are brought to the part frame"] = None
+        rotation = np.column_stack([x, y / np.linalg.norm(y), np.cross(x, y / np.linalg.norm(y))])
+        self.state.set_frames(system=Frame(rotation, np.array([*origin * self.state.unit, 0.0, 0.0])))
+        if not np.allclose(rotation, np.eye(3), atol=1e-9) or np.any(np.abs(origin * self.state.unit) > 1e-12):
+            self.state.note(f"{word}: the points that follow stand in this frame; they are brought to the part frame")
 
     def _tool_axis(self, word: str, values: str) -> None:
         self.axis = np.array(self._numbers(values, word, (3,)))
@@ -204,20 +186,18 @@ class AptReader:
         if numbers and not {"SFM", "SMM"} & set(parts):
             self.spindle = float(numbers[0])
             if self.turn_feed:
-                self.feed = self._feed_of(*self.turn_feed)
-        self.out.notes["SPINDL: the speed is used for feeds per revolution only"] = None
+                self.state.feed = self._feed_of(*self.turn_feed)
+        self.state.note("SPINDL: the speed is used for feeds per revolution only")
 
     def _compensation(self, word: str, values: str) -> None:
         if values.strip() in ("OFF", ""):
             return
         if self.on_profile:
             raise self._fail(f"{word}/{values[:30]} is not supported, since the points are those of the profile: {NO_RADIUS_COMPENSATION}")
-        self.out.notes[
-            f"{word}: the points are those of the tool centre, so the compensation is only for wear, which is assumed to be 0"
-        ] = None
+        self.state.note(f"{word}: the points are those of the tool centre, so the compensation is only for wear, which is assumed to be 0")
 
     def _part_surface(self, word: str, _values: str) -> None:
-        self.out.notes[f"{word}: understood, no effect on the motion"] = None
+        self.state.note(f"{word}: understood, no effect on the motion")
 
     def _fini(self, _word: str, _values: str) -> None:
         self.ended = True
@@ -234,7 +214,7 @@ class AptReader:
             self.rapid_feed = True
             return
         self.turn_feed = (parts, word) if set(parts) & PER_REVOLUTION.keys() else None
-        self.feed = math.nan if self.turn_feed and math.isnan(self.spindle) else self._feed_of(parts, word)
+        self.state.feed = math.nan if self.turn_feed and math.isnan(self.spindle) else self._feed_of(parts, word)
         self.rapid = self.rapid_feed = False
 
     def _feed_of(self, parts: list[str], word: str) -> float:
@@ -247,24 +227,18 @@ class AptReader:
             if math.isnan(self.spindle):
                 raise self._fail("a feed per revolution needs a spindle speed; give SPINDL/ in RPM before it, or a feed per minute")
             value *= self.spindle
-        return value if metres is None else value * metres / self.unit
+        return value if metres is None else value * metres / self.state.unit
 
     # moves
-
-    def _place(self, numbers: list[float]) -> np.ndarray:
-        return np.asarray(self.shift + self.rotation @ (np.array(numbers) * self.unit))
-
-    def _here(self) -> np.ndarray:
-        return np.array(self.out.position[:3])
 
     def _goto(self, word: str, values: str) -> None:
         numbers = self._numbers(values, word, (3, 6))
         if len(numbers) == 6:
             self.axis = np.array(numbers[3:])
         if self.cycle:
-            self._drill(self._place(numbers[:3]))
+            self._drill(np.array(numbers[:3]) * self.state.unit)
         else:
-            self._move(self._place(numbers[:3]))
+            self._move(np.array(numbers[:3]) * self.state.unit)
 
     def _from(self, word: str, values: str) -> None:
         self.rapid = True
@@ -280,32 +254,19 @@ class AptReader:
     def _step(self, word: str, values: str) -> None:
         step = self._numbers(values, word, (1, 3))
         way = np.array(step) if len(step) == 3 else step[0] * self.axis / np.linalg.norm(self.axis)
-        self._move(self._here() + self.rotation @ way * self.unit)
+        self._move(self.state.here() + way * self.state.unit)
 
     def _move(self, target: np.ndarray) -> None:
-        out = self.out
         rapid = self.rapid or self.rapid_feed
-        arc = None
-        if self.arc and not rapid:
-            arc = apt_arcs.arc_to(self._here(), target, *self.arc)
-        self._add(mv.RAPID if rapid else mv.ARC if arc else mv.LINE, target, arc, self.feed)
-        out.position[:] = [*map(float, target), math.nan, math.nan]
+        arc = apt_arcs.arc_to(self.state.here(), target, *self.arc) if self.arc and not rapid else None
+        self._add(mv.RAPID if rapid else mv.ARC if arc else mv.LINE, target, arc)
         self.rapid, self.arc = False, None
 
-    def _add(self, kind: int, target: np.ndarray, arc: apt_arcs.Arc | None, feed: float) -> None:
-        out = self.out
-        if kind != mv.RAPID and math.isnan(feed) and self.turn_feed:
+    def _add(self, kind: int, target: np.ndarray, arc: arcs.Arc | None = None) -> None:
+        if kind != mv.RAPID and math.isnan(self.state.feed) and self.turn_feed:
             self._feed_of(*self.turn_feed)
-        if kind != mv.RAPID and math.isnan(feed):
-            feed = self.first_feed / self.unit
-        if kind != mv.RAPID and math.isnan(feed):
-            raise self._fail("no feed is programmed yet; give FEDRAT/ before this GOTO, or feed_mm_min in [program] of the machine file")
-        if arc:
-            out.arcs[len(out.kinds)] = arc
-        x, y, z = map(float, self.rotation @ self.axis)
-        feed = math.inf if kind == mv.RAPID else feed
-        out.add(kind, (*map(float, target), math.nan, math.nan), (x, y, z), feed, self.line, -1)
-        out.position[:] = [*map(float, target), math.nan, math.nan]
+        x, y, z = map(float, self.axis)
+        self.control.make(self.control.move(kind, target, KEPT, (x, y, z), arc))
 
     def _circle(self, word: str, values: str) -> None:
         """CIRCLE/ centre, axis [, radius]: the arc to the next point."""
@@ -317,9 +278,9 @@ class AptReader:
         if not np.linalg.norm(normal) > 0.0:
             raise self._fail(f"{word} needs the axis of the circle as 4th to 6th value; correct it")
         self.arc = (
-            self._place(numbers[:3]),
-            self.rotation @ normal / np.linalg.norm(normal),
-            None if radius is None else radius * self.unit,
+            np.array(numbers[:3]) * self.state.unit,
+            normal / np.linalg.norm(normal),
+            None if radius is None else radius * self.state.unit,
             None if degrees is None else math.radians(degrees),
         )
 
@@ -340,12 +301,10 @@ class AptReader:
         if self.direction is None:
             raise self._fail(f"{word}/ needs the direction in which the tool leaves; give INDIRV/ before it")
         kind, given = self.direction
-        to_data = self.rotation.T
-        start = to_data @ (self._here() - self.shift)
-        direction = given if kind == "INDIRV" else given * self.unit - start
-        (centre, normal, angle), end = apt_arcs.driven_arc(values, start, direction, self.axis, self.unit)
-        arc = self.shift + self.rotation @ centre, self.rotation @ normal, angle
-        self._add(mv.ARC, self.shift + self.rotation @ end, arc, self.feed)
+        start = self.state.here()
+        direction = given if kind == "INDIRV" else given * self.state.unit - start
+        arc, end = apt_arcs.driven_arc(values, start, direction, self.axis, self.state.unit)
+        self._add(mv.ARC, end, arc)
         self.rapid, self.direction = False, None
 
     def _delay(self, word: str, values: str) -> None:
@@ -357,7 +316,7 @@ class AptReader:
                 raise self._fail(f"{word}/ in revolutions needs a spindle speed; give SPINDL/ before it")
             seconds *= 60.0 / self.spindle
         self.out.pauses[len(self.out.kinds)] = seconds
-        self.out.add(mv.DWELL, (*self.out.position[:3], math.nan, math.nan), None, math.inf, self.line, -1)
+        self.out.add(mv.DWELL, (*self.out.position[:3], *KEPT), None, math.inf, self.state.line, -1)
 
     # drilling
 
@@ -372,13 +331,15 @@ class AptReader:
             return
         if kind not in CYCLES:
             raise self._fail(f"{word}/{kind} is not simulated; let the CAM system output points (GOTO) instead")
-        self.cycle = cycle_of(kind, parts, self.unit, self.feed, lambda feed: self._feed_of(feed, word))
+        self.cycle = cycle_of(kind, parts, self.state.unit, self.state.feed, lambda feed: self._feed_of(feed, word))
         if self.cycle is None:
             raise self._fail(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance")
-        self.out.notes[f"CYCLE/{kind}: one straight stroke to the depth; pecks and dwells are omitted"] = None
+        self.state.note(f"CYCLE/{kind}: one straight stroke to the depth; pecks and dwells are omitted")
 
     def _drill(self, hole: np.ndarray) -> None:
         assert self.cycle
-        for kind, place, feed in strokes(self.cycle, hole, self.rotation @ self.axis / np.linalg.norm(self.axis)):
-            self._add(kind, place, None, feed)
-        self.rapid = False
+        feed = self.state.feed
+        for kind, place, at_feed in strokes(self.cycle, hole, self.axis / np.linalg.norm(self.axis)):
+            self.state.feed = at_feed
+            self._add(kind, place)
+        self.state.feed, self.rapid = feed, False

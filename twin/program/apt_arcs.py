@@ -15,10 +15,7 @@ import re
 
 import numpy as np
 
-from twin.program.arcs import CLOSING_TOLERANCE, ArcError
-
-Arc = tuple[np.ndarray, np.ndarray, float]
-"""Centre (3,), axis (3,) and angle > 0."""
+from twin.program.arcs import CLOSING_TOLERANCE, Arc, ArcError
 
 NO_ANGLE = 1e-9
 _PART = re.compile(r"\(?\s*(CIRCLE|LINE|PLANE)\s*/\s*([^()]*?)\s*\)?\s*(?=,\s*(?:ON|TO|PAST|TANTO|\d+\s*,\s*INTOF)\b|\s*\Z|,\s*\()", re.S)

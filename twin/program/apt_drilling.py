@@ -16,25 +16,8 @@ PER_MINUTE = {"MMPM": 1e-3, "IPM": INCH, "PERMIN": None}
 PER_REVOLUTION = {"MMPR": 1e-3, "IPR": INCH, "PERREV": None}
 """Feed units -> metre; None: the unit of the file."""
 
-CYCLES = (
-    "DRILL",
-    "DEEP",
-    "DEEP2",
-    "DEEPHL",
-    "CBORE",
-    "SPOT",
-    "BRKCHP",
-    "BRKCH2",
-    "FACE",
-    "CSINK",
-    "BORE",
-    "BORE2",
-    "REAM",
-    "SPDRL",
-    "THRU",
-    "TAP",
-    "TAPR",
-)
+_KINDS = "DRILL DEEP DEEP2 DEEPHL CBORE SPOT BRKCHP BRKCH2 FACE CSINK BORE BORE2 REAM SPDRL THRU TAP TAPR"
+CYCLES = frozenset(_KINDS.split())
 """Drilling cycles: one stroke at feed to the depth; MecSoft uses numbers for the kinds."""
 
 

@@ -22,27 +22,9 @@ WITHOUT_EFFECT = frozenset({
 })  # fmt: skip
 """Statements that have no effect here; each gives a note."""
 
+_DRIVEN = "GOFWD GOBACK GOLFT GORGT GOUP GODOWN GO TLLFT TLRGT TLON PROFIL POCKET PCKET SCON THRUST"
 NOT_SIMULATED = {
-    **dict.fromkeys(
-        [
-            "GOFWD",
-            "GOBACK",
-            "GOLFT",
-            "GORGT",
-            "GOUP",
-            "GODOWN",
-            "GO",
-            "TLLFT",
-            "TLRGT",
-            "TLON",
-            "PROFIL",
-            "POCKET",
-            "PCKET",
-            "SCON",
-            "THRUST",
-        ],
-        "let the CAM system output points (GOTO) instead",
-    ),
+    **dict.fromkeys(_DRIVEN.split(), "let the CAM system output points (GOTO) instead"),
     **dict.fromkeys(
         ("TRACUT", "COPY", "TRANS", "ORIGIN", "ROTABL", "ROTATE", "ROTHED", "TRANTO"),
         "let the CAM system output the transformed points",

@@ -18,7 +18,7 @@ from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.machine.machine import Machine
 from twin.program import moves as mv
 from twin.program.orientation import OK, choose_angles, unreachable_text
-from twin.program.place import OutsideTravel
+from twin.program.place import OutsideTravel, axes_of
 from twin.units import AXIS_UNITS, rad_from_deg
 
 DEFAULT_TOLERANCE = 10e-6
@@ -70,7 +70,7 @@ class Collector:
         self.machine = machine
         self.kinematics = kinematics_of(machine, sites_needed=False)
         home = np.clip(0.0, self.kinematics.travel[:, 0], self.kinematics.travel[:, 1])
-        self.position = [float(v) for v in home]
+        self.home, self.position = home[:3], [float(v) for v in home]
         self.modes = Modes(tool_length=self.kinematics.tool_length, spindle_tool_length=self.kinematics.tool_length)
         self.all_modes = [self.modes]
         self.kinds: list[int] = []
@@ -295,10 +295,7 @@ class Collector:
     def _check_travel(self, program: mv.Program) -> None:
         """Check every block end against the travel; the motion between block ends is checked on the set points."""
         moves = program.moves
-        axes = moves.target.copy()
-        for length in np.unique(moves.tool_length[moves.traori]):
-            rows = moves.traori & (moves.tool_length == length)
-            axes[rows, :3] = self.kinematics.with_tool_length(length).linear_axes(axes[rows, :3], axes[rows, 3:])
+        axes = np.hstack([axes_of(program), moves.target[:, 3:]])
         at_start = self.kinematics.outside_travel(program.start[None])
         hit = self.kinematics.outside_travel(axes)
         if at_start or hit:

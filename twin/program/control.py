@@ -143,7 +143,7 @@ class Control:
         if self.state.iso and feed == 0.0:
             raise WordError("the feed is 0; give F a number above 0", 1)
         if math.isnan(feed):
-            text = "no feed is programmed yet; give F (mm/min, deg/min for A and C alone) in or before this block, or feed_mm_min in [program] of the machine file"
+            text = f"no feed is programmed yet; give {self.state.feed_word}, or feed_mm_min in [program] of the machine file"
             if self.state.path.suffix.lower() == ".spf":
                 text = "no feed is programmed yet, which a call gives this subprogram; read the program that calls it"
             raise self.state.out.fail(self.state.line, self.state.block, text)

@@ -31,9 +31,7 @@ class Corners:
 
     def __init__(self, control: Control) -> None:
         self.control, self.state = control, control.state
-        self.tangent: np.ndarray | None = None
-        self.before: list[float] | None = None  # x y z before the last move that was read as a plain line
-        self.last_kind = mv.LINE
+        self.last: tuple[Move, np.ndarray] | None = None  # the last move and its start; None if it was read as a plain block
         self.every_corner = 0.0  # RNDM [m]
         self.held: Held | None = None  # RND, CHF or CHR that waits for the next move
 
@@ -43,14 +41,26 @@ class Corners:
 
     def direction(self) -> np.ndarray | None:
         """Unit vector (3,) of the motion at the end of the last move, which a tangent arc continues."""
-        way = self.tangent
         if self.held is not None:
             if self.held.move.arc is not None:
                 raise WordError("a tangent behind RND or CHF on an arc is not supported; write the corner as blocks", 1)
             way = self.held.move.point - self.held.start
-        elif way is None and self.before is not None:
-            way = self.state.here() - self.state.to_program(np.array(self.before))
-        return None if way is None or not np.linalg.norm(way) > 1e-12 else way / np.linalg.norm(way)
+        elif self.last is not None:
+            move, start = self.last
+            way = move.point - start if move.arc is None else np.cross(move.arc[1], move.point - move.arc[0])
+        else:
+            way = self._of_last_row()
+        return way / np.linalg.norm(way) if np.linalg.norm(way) > 1e-12 else None
+
+    def _of_last_row(self) -> np.ndarray:
+        """Way (3,) of the last move, which was read as a plain block or in machine coordinates; zero if it is not known."""
+        out = self.state.out
+        rows = [row for row in range(max(0, len(out.kinds) - 20), len(out.kinds)) if out.kinds[row] != mv.DWELL][-2:]
+        traori = {out.all_modes[out.mode_of[row]].traori for row in rows}
+        if not rows or out.kinds[rows[-1]] == mv.ARC or self.state.comp is not None or len(traori) > 1:
+            return np.zeros(3)
+        before = np.array(out.targets[rows[0]][:3]) if len(rows) == 2 else out.home
+        return self.state.to_program(np.array(out.targets[rows[-1]][:3])) - self.state.to_program(before)
 
     def queue(self, move: Move, corner: tuple[str, float] | None) -> None:
         """Emit a move, or hold it until the next move defines its corner; `corner`: word and size [m]."""
@@ -64,19 +74,10 @@ class Corners:
         self._go(move)
 
     def _go(self, move: Move) -> None:
-        """Emit a move; keep the direction at its end for a tangent arc."""
+        """Emit a move."""
         start = None if move.machine else self.state.here()
         self.control.make(move)
-        self.tangent, self.before, self.last_kind = None, None, move.kind
-        if start is None:
-            return
-        if move.arc is None:
-            way = move.point - start
-        else:
-            centre, normal, _ = move.arc
-            way = np.cross(normal, move.point - centre)
-        if np.linalg.norm(way) > 0.0:
-            self.tangent = way / np.linalg.norm(way)
+        self.last = None if start is None else (move, start)
 
     def release(self) -> None:
         """Emit a waiting move at full length."""

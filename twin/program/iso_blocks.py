@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 import re
 
@@ -18,7 +19,7 @@ from twin.program.expressions import Null, WordError
 from twin.program.frames import LINEAR, NO_FRAME, OTHER, ROTARY, Frame, rotation, shifted
 from twin.program.iso_lines import SEPARATOR, between_percents, message_text
 from twin.program.iso_values import IsoValues, system_name
-from twin.program.reader import Reader
+from twin.program.reader import NO_GROUP, Reader
 from twin.program.source import Unit
 from twin.program.state import Item
 from twin.program.words import NUMBER
@@ -39,7 +40,7 @@ class Block:
     w: dict[str, Item] = field(default_factory=dict)
     column: int = 1  # of the G code in hand
 
-    @property
+    @cached_property
     def codes(self) -> set[float]:
         """The G codes."""
         return {number for number, _ in self.g}
@@ -90,7 +91,7 @@ class Iso(Reader):
         self.main_seen = False
         self.values = IsoValues(self)
         letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
-        self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}(?:F({NUMBER})\s*)?;?\s*$", re.A)
+        self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{3 * NO_GROUP}(?:F({NUMBER})\s*)?;?\s*$", re.A)
         self.out.set_modes(replace(self.out.modes, feed_of_all=not linuxcnc))
         self.out.mixed_feed = (
             "F beside X Y Z with A or C: it counts X Y Z alone, as on LinuxCNC"
@@ -139,7 +140,7 @@ class Iso(Reader):
             if not (name[-1].isalpha() or (self.linuxcnc and name in POLAR)) or not name.isascii():
                 raise WordError(f"'{char}' starts no word", column)
             e.at += 1
-            if fanuc and name in AXES and (not e.peek() or e.peek() in AXES) and {28, 30} & block.codes:
+            if fanuc and name in AXES and (not e.peek() or e.peek() in AXES) and any(number in (28, 30) for number, _ in g):
                 self.state.note("G28, G30: an axis without a value goes to its reference point at once")
                 words[name] = Item(0.0, "IC", column)
                 continue

@@ -16,7 +16,7 @@ from twin.program.control import KEPT, Vector
 from twin.program.expressions import WordError
 from twin.program.flow import Frame as Call
 from twin.program.klartext_lines import VALUE, KlartextLines, KlartextValues, joined, without_number
-from twin.program.reader import ADD_CALL, Reader
+from twin.program.reader import ADD_CALL, NO_GROUP, Reader
 from twin.program.source import Unit
 from twin.program.state import Item
 from twin.program.structures import Statement
@@ -75,7 +75,7 @@ class Klartext(Reader):
         state.out.set_modes(replace(state.out.modes, workpiece_orientation=False, feed_of_all=True))
         state.out.mixed_feed = "F beside X Y Z with A B C: it counts all axes, a degree as a unit of length; M128 counts the tool tip"
         letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
-        self.plain_block = re.compile(rf"\s*(\d*)\s+L\s+((?!))?{letters}(?:R0\s*)?(?:F\s*(MAX|{NUMBER})\s*)?$", re.A)
+        self.plain_block = re.compile(rf"\s*(\d*)\s+L\s+{NO_GROUP}{letters}{3 * NO_GROUP}(?:R0\s*)?(?:F\s*(MAX|{NUMBER})\s*)?$", re.A)
 
     # ------------------------------------------------------------------ blocks
 

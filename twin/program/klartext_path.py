@@ -180,7 +180,7 @@ def polar(m: Klartext, start: np.ndarray, words: dict[str, Item], column: int, *
 def approach(m: Klartext, head: str, text: str, column: int) -> None:
     """APPR: it waits for the first element of the contour, whose direction it needs."""
     m.settle()
-    rapid, feed = m.corners.last_kind == mv.RAPID, m.state.feed
+    rapid, feed = next((k for k in reversed(m.out.kinds) if k != mv.DWELL), mv.LINE) == mv.RAPID, m.state.feed
     block, point = _soft(m, head, text, column)
     if not block.side and not head.endswith(" LT"):
         raise WordError(f"{head} needs RL or RR, which gives its side; add it", column)

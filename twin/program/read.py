@@ -19,25 +19,8 @@ from twin.program.sinumerik import sinumerik
 from twin.program.source import Source, units_of
 
 SINUMERIK_ENDINGS = (".mpf", ".spf")
-ISO_ENDINGS = (
-    ".ngc",
-    ".nc",
-    ".iso",
-    ".tap",
-    ".cnc",
-    ".gcode",
-    ".gc",
-    ".g",
-    ".ncc",
-    ".eia",
-    ".min",
-    ".ncd",
-    ".nci",
-    ".pim",
-    ".prg",
-    ".dnc",
-    ".fnc",
-)
+_OF_ISO = ".ngc .nc .iso .tap .cnc .gcode .gc .g .ncc .eia .min .ncd .nci .pim .prg .dnc .fnc"
+ISO_ENDINGS = tuple(_OF_ISO.split())
 APT = (".apt", ".cls", ".cl", ".aptsource", ".ncl", ".cldata", ".cld")
 PROGRAM_ENDINGS = (*SINUMERIK_ENDINGS, *ISO_ENDINGS, *APT)
 """Common file endings of part programs; `read_program` accepts any."""
@@ -71,7 +54,7 @@ _SINUMERIK = re.compile(
     re.M | re.I,
 )
 _APT = re.compile(r"^\s*(?:PARTNO|TOOL PATH/|GOTO\s*/|FEDRAT\s*/|LOADTL\s*/|MULTAX|SPINDL\s*/|CUTTER\s*/|FROM\s*/|UNITS\s*/|\$\$)", re.M)
-_ISO = re.compile(r"^\s*[O:]\d{2,}|\bG43\s*H|#\d+\s*=|#<|\bM98\s*P|\bG9[89]\b|\bG8[1-9]\b|\bO<|\bG5[4-9]\.1", re.M | re.I)
+_ISO_MARKS = re.compile(r"^\s*[O:]\d{2,}|\bG43\s*H|#\d+\s*=|#<|\bM98\s*P|\bG9[89]\b|\bG8[1-9]\b|\bO<|\bG5[4-9]\.1", re.M | re.I)
 _KLARTEXT = re.compile(r"^\s*\d*\s*BEGIN\s+PGM\b", re.M)
 DIN_ISO = "a HEIDENHAIN program in DIN/ISO"
 _OTHER = (
@@ -126,7 +109,7 @@ def dialect(source: Source) -> str:
     sinumerik = len(_SINUMERIK.findall(re.sub(r";(?!\s*\$PATH).*", "", code)))
     if len(_APT.findall(text)) > 2 and not re.search(r"^\s*N?\d*\s*G0?[01]\b", text, re.M):
         return "apt"
-    if ending not in (".iso",) and sinumerik > len(_ISO.findall(code)):
+    if ending not in (".iso",) and sinumerik > len(_ISO_MARKS.findall(code)):
         return "sinumerik"
     return "iso"
 

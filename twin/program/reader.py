@@ -19,6 +19,7 @@ from twin.program.machine_file import moves_no_axis
 from twin.program.source import Folder, Unit
 from twin.program.state import State
 
+NO_GROUP = "((?!))?"
 ADD_CALL = "add it, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 
 
@@ -26,7 +27,7 @@ class Reader:
     """One program under one control; a language adds its lines, values, words and calls."""
 
     plain_block: re.Pattern[str]
-    """A block of coordinates alone; its groups: number, G0 or G1, x y z A C, a tool axis in three groups or none, F."""
+    """A block of coordinates alone; its groups: number, G0 or G1, x y z A C, the tool axis, F. `NO_GROUP` stands for a word that a language lacks."""
 
     def __init__(self, path: Path, machine: Machine, language: str, unit: Unit, frames: Iterable[str]) -> None:
         self.state = State(path, machine, language, frames)
@@ -69,12 +70,9 @@ class Reader:
         match = self.plain_block.match(text)
         if not match:
             return False
-        number, g, x, y, z, a, c, *vector, f = match.groups()
+        number, g, x, y, z, a, c, i, j, k, f = match.groups()
         motion = state.motion if g is None else int(g)
-        tool_axis = None
-        if vector and vector[0] is not None:
-            tool_axis = (float(vector[0]), float(vector[1]), float(vector[2]))
-        if motion not in (0, 1) or (tool_axis is not None and not out.modes.traori):
+        if motion not in (0, 1) or (i is not None and not out.modes.traori):
             return False
         if f == "MAX":
             motion = 0
@@ -83,16 +81,18 @@ class Reader:
             state.set_feed(self.feed_word(float(f)))
         if g is not None:
             state.motion = motion
-        if x is y is z is a is c is tool_axis is None:
+        if x is y is z is a is c is i is None:
             return True
         state.line, state.block = line, int(number) if number else -1
         kind = mv.LINE if motion else mv.RAPID
         if motion and not state.feed > 0.0:
             self.control.feed_given(state.feed)
         position = out.position
-        corners.before, corners.tangent, corners.last_kind = position[:3], None, kind
+        corners.last = None
         tilt, turn = state.plain_place(x, y, z, a, c)
-        if tool_axis is not None:
+        tool_axis = None
+        if i is not None:
+            tool_axis = float(i), float(j), float(k)
             position[3] = position[4] = math.nan
         feed = state.feed if motion else math.inf
         out.add(kind, (position[0], position[1], position[2], tilt, turn), tool_axis, feed, line, state.block)

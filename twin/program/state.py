@@ -55,6 +55,7 @@ class State:
         self.out = Collector(path, machine)
         self.motion: int | None = 1
         self.feed = first_feed(machine)  # till the first F
+        self.feed_word = "F (mm/min, deg/min for A and C alone) in or before this block"
         self.override = 1.0  # OVR
         self.plane = 17
         self.absolute = True
