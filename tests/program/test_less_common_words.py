@@ -270,3 +270,54 @@ def test_a_code_of_the_machine_builder_leaves_the_words_of_the_move(read) -> Non
 def test_a_number_of_four_hundred_digits_is_refused(read) -> None:
     with pytest.raises(InputError, match="the number is too large"):
         read(f"O1\nG1 X1. F100\nM{'9' * 400}\n", "part.nc")
+
+
+def ends_of(out, row: int) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (2,) of the motion at the start and the end of a move in the plane."""
+    start, end = (np.array(out.targets[k][:3]) for k in (row - 1, row))
+    if row not in out.arcs:
+        ways = [end - start] * 2
+    else:
+        centre, normal, _ = out.arcs[row]
+        ways = [np.cross(normal, p - centre) for p in (start, end)]
+    return ways[0][:2] / np.linalg.norm(ways[0]), ways[1][:2] / np.linalg.norm(ways[1])
+
+
+def test_a_rounding_is_a_tangent_to_the_lines_and_arcs_on_both_sides(write, mikron) -> None:
+    """Random corners of lines and arcs: without a corner left, with the radius of RND, ends kept; SINUMERIK and Klartext agree."""
+    rng, rounded = np.random.default_rng(3), 0
+    for _ in range(60):
+        corner, end = rng.uniform(20, 60, 2), rng.uniform(20, 60, 2)
+        size, sizes, senses = rng.uniform(0.5, 3.0), rng.uniform(25, 60, 2), rng.integers(0, 3, 2)  # 0 line, 1 and 2 arcs
+        siemens, klartext = "G0 X0 Y0\nF500\n", "BEGIN PGM A MM\nL X+0 Y+0 FMAX\n"
+        for k, (x, y) in enumerate((corner, end)):
+            word = f"G{(1, 2, 3)[senses[k]]} X{x:.4f} Y{y:.4f}" + (f" CR={sizes[k]:.4f}" if senses[k] else "")
+            siemens += word + (f" RND={size:.4f}\n" if k == 0 else "\n")
+            arc = f" R{sizes[k]:.4f} DR{'-+'[senses[k] - 1]}" if senses[k] else ""
+            klartext += f"{'CR' if senses[k] else 'L'} X{x:+.4f} Y{y:+.4f}{arc} F500\n" + (f"RND R{size:.4f}\n" if k == 0 else "")
+        try:
+            out = understand(write(siemens, "a.mpf"), mikron)
+        except InputError as error:
+            if not any(text in str(error) for text in ("does not fit", "less than half")):
+                raise
+            continue
+        other = understand(write(klartext + "END PGM A MM\n", "a.h"), mikron)
+        assert np.allclose([t[:3] for t in out.targets], [t[:3] for t in other.targets], atol=1e-12)
+        rounded += 1
+        assert len(out.kinds) == 4
+        assert out.targets[3][:2] == pytest.approx(end * 1e-3, abs=1e-7)
+        assert np.linalg.norm(np.array(out.targets[1][:3]) - out.arcs[2][0]) == pytest.approx(size * 1e-3, abs=1e-7)
+        for row in (1, 2):
+            assert ends_of(out, row)[1] == pytest.approx(ends_of(out, row + 1)[0], abs=1e-6)
+        for row, sense in ((1, senses[0]), (3, senses[1])):
+            assert (row in out.arcs) == bool(sense)
+    assert rounded > 25
+
+
+@pytest.mark.parametrize("text", ["G1 X10 F100\nCT X20 Y10\n", "G1 X10 F100 M8\nCT X20 Y10\n", "X10 Y0 F100\nG4 F1\nCT X20 Y10\n"])
+def test_a_tangent_arc_goes_on_behind_any_line(write, mikron, text: str) -> None:
+    """Also behind a block of coordinates alone, and behind a dwell."""
+    out = understand(write(text), mikron)
+    centre, _, angle = out.arcs[len(out.kinds) - 1]
+    assert centre == pytest.approx([0.01, 0.01, 0.0])
+    assert angle == pytest.approx(np.pi / 2)

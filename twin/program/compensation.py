@@ -130,7 +130,7 @@ class Compensation:
         turn, back = _reversal(last, e, turn)
         outside = turn * self.offset < 0.0 or back
         if outside and self.corners_meet and last.centre is None and e.centre is None and abs(turn) < 0.56 * math.pi:
-            shifted.b = _meet(shifted, new, last.b)[0]
+            shifted.b = meet(shifted, new, last.b)[0]
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
         elif outside:
@@ -150,8 +150,8 @@ class Compensation:
         Rounded numbers turn tangent elements into inside corners. If these do not intersect, or only beyond their ends, the second
         begins at the end of the first, at most `GOUGE` inside the contour.
         """
-        for point in _meet(shifted, new, last.b):
-            if _holds(shifted, point) and _holds(new, point):
+        for point in meet(shifted, new, last.b):
+            if holds(shifted, point) and holds(new, point):
                 shifted.b, new.a = point, point.copy()
                 self._put(shifted, last.behind)
                 return
@@ -162,7 +162,7 @@ class Compensation:
         raise CompensationError("the tool cannot reach an inside corner without gouging; use a smaller tool or correct the contour")
 
 
-def _holds(e: Element, p: np.ndarray) -> bool:
+def holds(e: Element, p: np.ndarray) -> bool:
     """Whether a point of the curve of an element lies between its ends."""
     if e.centre is None:
         way = e.b - e.a
@@ -186,13 +186,13 @@ def _reversal(last: Element, e: Element, turn: float) -> tuple[float, bool]:
         return turn, False
     if abs(bend) < TINY:
         return turn, from_full < SMOOTH
-    others = [p for p in _meet(last, e, last.b) if float(np.hypot(*(p - last.b))) > SMOOTH]
-    if from_full < SMOOTH or any(_holds(last, p) and _holds(e, p) for p in others):
+    others = [p for p in meet(last, e, last.b) if float(np.hypot(*(p - last.b))) > SMOOTH]
+    if from_full < SMOOTH or any(holds(last, p) and holds(e, p) for p in others):
         return -math.copysign(math.pi - from_full, bend), False
     return turn, False
 
 
-def _meet(one: Element, two: Element, near: np.ndarray) -> list[np.ndarray]:
+def meet(one: Element, two: Element, near: np.ndarray) -> list[np.ndarray]:
     """Intersections of two shifted and extended elements, nearest to the corner first."""
     if one.centre is None and two.centre is None:
         u, v = one.b - one.a, two.b - two.a

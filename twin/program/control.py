@@ -339,25 +339,38 @@ class Control:
         self.state.after_compensation = stands is not None
         self.state.settle_plain()
 
+    def in_plane(self, move: Move) -> bool:
+        """Whether a move is a line, or an arc in the plane, without rotary axes."""
+        flat = move.arc is None or abs(move.arc[1][arcs.PLANES[self.state.plane][2]]) > 1.0 - 1e-9
+        return flat and move.vector is None and all(map(math.isnan, move.angles))
+
+    def element(self, move: Move, start: np.ndarray) -> Element:
+        """A move from `start` (3,) as an element of a contour in the plane."""
+        a, b, c = arcs.PLANES[self.state.plane]
+        centre, sense, turns, point = None, 0, 0, move.point
+        if move.arc is not None:
+            middle, normal, angle = move.arc
+            centre, sense, turns = middle[[a, b]], int(np.sign(normal[c])), math.ceil(angle / (2.0 * math.pi) - 1e-9) - 1
+        element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, move)
+        element.whole = centre is not None and float(np.hypot(*(element.b - element.a))) < 1e-9
+        return element
+
     def _beside(self, move: Move) -> None:
         """Queue a move of the contour for radius compensation."""
-        s, arc, start, point = self.state, move.arc, self.state.here(), move.point
+        s, start, point = self.state, self.state.here(), move.point
         assert s.comp is not None
-        a, b, c = arcs.PLANES[s.plane]
-        flat = arc is None or abs(arc[1][c]) > 1.0 - 1e-9
-        if not flat or move.vector is not None or not all(map(math.isnan, move.angles)):
+        if not self.in_plane(move):
             raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before", 1)
-        centre, sense, turns, length = None, 0, 0, float(np.linalg.norm(point - start))
-        if arc is not None:
-            centre, sense, turns = arc[0][[a, b]], int(np.sign(arc[1][c])), math.ceil(arc[2] / (2.0 * math.pi) - 1e-9) - 1
-            length = math.hypot(arc[2] * float(np.hypot(*(start[[a, b]] - centre))), point[c] - start[c])
+        element, length = self.element(move, start), float(np.linalg.norm(point - start))
+        if move.arc is not None:
+            radius = float(np.hypot(*(element.a - element.centre)))
+            length = math.hypot(move.arc[2] * radius, element.across[1] - element.across[0])
         mode = s.out.all_modes[move.mode]
         if mode.feed_mode == 93:  # G93 gives the time of the contour; the tool keeps the same speed
             s.out.set_modes(replace(s.out.modes, feed_mode=94))
             move = move._replace(feed=move.feed * length / mode.feed_unit, mode=len(s.out.all_modes) - 1)
             s.out.set_modes(mode)
-        element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, move)
-        element.whole = centre is not None and float(np.hypot(*(element.b - element.a))) < 1e-9
+            element.move = move
         s.programmed = point.copy()
         try:
             s.comp.add(element)

@@ -1,4 +1,4 @@
-"""Rounded and chamfered corners between two lines: RND, RNDM, CHF, CHR (SINUMERIK), ,R and ,C (ISO). A move waits until the next is known."""
+"""Rounded and chamfered corners between two moves: RND, RNDM, CHF, CHR (SINUMERIK), ,R and ,C (ISO). A move waits until the next is known."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
+from twin.program.compensation import CompensationError, Element, holds, meet, moved
 from twin.program.control import KEPT, Control, Move
 from twin.program.expressions import WordError
 
@@ -41,12 +42,9 @@ class Corners:
 
     def direction(self) -> np.ndarray | None:
         """Unit vector (3,) of the motion at the end of the last move, which a tangent arc continues."""
-        if self.held is not None:
-            if self.held.move.arc is not None:
-                raise WordError("a tangent behind RND or CHF on an arc is not supported; write the corner as blocks", 1)
-            way = self.held.move.point - self.held.start
-        elif self.last is not None:
-            move, start = self.last
+        last = (self.held.move, self.held.start) if self.held is not None else self.last
+        if last is not None:
+            move, start = last
             way = move.point - start if move.arc is None else np.cross(move.arc[1], move.point - move.arc[0])
         else:
             way = self._of_last_row()
@@ -64,10 +62,10 @@ class Corners:
 
     def queue(self, move: Move, corner: tuple[str, float] | None) -> None:
         """Emit a move, or hold it until the next move defines its corner; `corner`: word and size [m]."""
-        if self.every_corner and corner is None and move.kind == mv.LINE:
+        if self.every_corner and corner is None and move.kind != mv.RAPID:
             corner = "RNDM", self.every_corner
         if self.held is not None:
-            self._cut_corner(self.held, move)
+            move = self._cut_corner(self.held, move)
         if corner is not None and corner[1] > 0.0:
             self.held = Held(*corner, move._replace(point=move.point.copy()), self.state.here())
             return
@@ -88,45 +86,87 @@ class Corners:
                 raise WordError(f"a move in the plane must follow {what}; add it or remove {what}", 1)
             self._go(move)
 
-    def _cut_corner(self, held: Held, following: Move) -> None:
-        """Emit the waiting move, then the chamfer or rounding before the following one."""
+    def _cut_corner(self, held: Held, following: Move) -> Move:
+        """Emit the waiting move, then the chamfer or rounding before the following one; that one from its new start on."""
         what, size, before, start = held
         self.held = None
-        corner = before.point
-        u, v = corner - start, following.point - corner
-        lengths = float(np.linalg.norm(u)), float(np.linalg.norm(v))
-        straight = before.arc is None and following.arc is None and following.kind != mv.RAPID
-        if not straight or min(lengths) < 1e-9:
-            if what == "RNDM":
-                if following.kind != mv.RAPID and following.arc is not None:
-                    self.state.note("RNDM: a corner between a line and an arc is not rounded; write it as blocks where it is no tangent")
-                self._go(before)
-                return
-            raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)
-        u, v = u / lengths[0], v / lengths[1]
-        angle = math.acos(max(-1.0, min(1.0, float(u @ v))))
-        if angle < 1e-6:
+        if following.kind == mv.RAPID and what == "RNDM":
             self._go(before)
-            return
-        cut = (
-            size
-            if what in CUT_OFF
-            else size / (2.0 * math.cos(0.5 * angle))
-            if what == "CHF" and angle < math.pi - 1e-6
-            else size * math.tan(0.5 * angle)
-        )
-        if angle > math.pi - 1e-6 or cut > min(lengths) + 1e-9:
-            raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller", 1)
-        first, last = corner - cut * u, corner + cut * v
-        self._go(before._replace(point=first))
-        cut_off = before._replace(point=last, angles=KEPT, vector=None, machine=False)
-        if what == "CHF" or what in CUT_OFF:
-            self._go(cut_off)
+            return following
+        axis = arcs.PLANES[self.state.plane][2]
+        one, two = self.control.element(before, start), self.control.element(following, before.point)
+        ways = [float(np.hypot(*(e.b - e.a))) if e.centre is None else 1.0 for e in (one, two)]
+        if following.kind == mv.RAPID or min(ways) < 1e-9 or not (self.control.in_plane(before) and self.control.in_plane(following)):
+            if what == "RNDM":
+                self._go(before)
+                return following
+            raise WordError(f"{what} needs a move in the plane G{self.state.plane} on both sides; select the plane, or write the corner", 1)
+        t, u = one.direction(True), two.direction(False)
+        turn = math.atan2(t[0] * u[1] - t[1] * u[0], float(t @ u))
+        if abs(turn) < 1e-6:
+            self._go(before)
+            return following
+        if max(abs(before.point[axis] - start[axis]), abs(following.point[axis] - before.point[axis])) > 1e-9:
+            raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane", 1)
+        if what in ("RND", "RNDM", ",R"):
+            cut = _fillet(one, two, math.copysign(size, turn))
+        elif before.arc is None and following.arc is None:
+            cut = _chamfer(one, two, size if what in CUT_OFF else size / max(2.0 * math.cos(0.5 * turn), 1e-9))
         else:
-            normal = np.cross(u, v)
-            normal = normal / np.linalg.norm(normal)
-            centre = first + size * np.cross(normal, u)
-            axis = arcs.PLANES[self.state.plane][2]
-            if abs(abs(normal[axis]) - 1.0) > 1e-9:
-                raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane", 1)
-            self._go(cut_off._replace(kind=mv.ARC, arc=self.control.arc_about(first, last, centre, bool(normal[axis] < 0))))
+            raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)
+        if cut is None:
+            raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller", 1)
+        first, last, about = (before.point if p is None else self._in_space(p, before.point) for p in cut)
+        self._go(self._from(before, start, first))
+        round_ = None if cut[2] is None else self.control.arc_about(first, last, about, turn < 0.0)
+        self._go(before._replace(kind=mv.ARC if round_ else mv.LINE, point=last, angles=KEPT, vector=None, arc=round_, machine=False))
+        return self._from(following, last, following.point)
+
+    def _in_space(self, p: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """A point (2,) of the plane at the height of another (3,)."""
+        point = at.copy()
+        point[list(arcs.PLANES[self.state.plane][:2])] = p
+        return point
+
+    def _from(self, move: Move, start: np.ndarray, end: np.ndarray) -> Move:
+        """The move with other ends on the same line or circle."""
+        if move.arc is None:
+            return move._replace(point=end)
+        clockwise = move.arc[1][arcs.PLANES[self.state.plane][2]] < 0.0
+        return move._replace(point=end, arc=self.control.arc_about(start, end, move.arc[0], clockwise))
+
+
+Cut = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+"""Ends (2,) of a rounding or chamfer on both elements, and the centre of a rounding."""
+
+
+def _chamfer(one: Element, two: Element, cut: float) -> Cut | None:
+    """A chamfer at a distance from the corner; None if the lines are shorter."""
+    if cut > min(float(np.hypot(*(e.b - e.a))) for e in (one, two)) + 1e-9:
+        return None
+    return one.b - cut * one.direction(True), one.b + cut * two.direction(False), None
+
+
+def _fillet(one: Element, two: Element, offset: float) -> Cut | None:
+    """A rounding that is a tangent to both elements: its centre is where they meet, shifted by the radius to its side.
+
+    None if the elements are too short, or a circle is smaller than the rounding inside it.
+    """
+    try:
+        shifted = moved(one, offset), moved(two, offset)
+    except CompensationError:
+        return None
+    for centre in meet(*shifted, one.b):
+        if holds(shifted[0], centre) and holds(shifted[1], centre):
+            first, last = (_foot(e, centre) for e in (one, two))
+            return first, last, centre
+    return None
+
+
+def _foot(e: Element, p: np.ndarray) -> np.ndarray:
+    """The point (2,) of an element, or of its extension, next to another."""
+    if e.centre is None:
+        t = e.direction(False)
+        return e.a + t * float((p - e.a) @ t)
+    arm = p - e.centre
+    return e.centre + arm * float(np.hypot(*(e.b - e.centre)) / np.hypot(*arm))

@@ -54,7 +54,7 @@ def execute(m: Iso, b: Block) -> None:
     for number in b.m:
         if ISO_M.get(number, Word(ACTS, "")).kind == REFUSED:
             s.check_code("M", number, ISO_M[number], 1)
-    if m.corners.held is not None and (not b.w.keys() & set("XYZ") or codes - {1} or b.m):
+    if m.corners.held is not None and (not b.w.keys() & set("XYZ") or codes - {1, 2, 3} or b.m):
         m.corners.release()
     if call_block(m, b):
         return

@@ -61,8 +61,8 @@ def move_words(m: Iso, b: Block) -> None:
     point, angles = m.control.target(places, machine, None if machine else start)
     arc = _arc(m, b, start, point, centre) if kind == mv.ARC else None
     corner = next(((n, w.pop(n)) for n in (",R", ",C") if n in w), None)
-    if corner is not None and (kind != mv.LINE or machine or vector):
-        raise WordError(f"{corner[0]} belongs in a block with G1 that another G1 follows; move it there", corner[1].column)
+    if corner is not None and (kind == mv.RAPID or machine or vector):
+        raise WordError(f"{corner[0]} belongs in a block with G1, G2 or G3 that another one follows; move it there", corner[1].column)
     move = m.control.move(kind, point, angles, vector, arc, machine)
     m.corners.queue(move, None if corner is None else (corner[0], corner[1].value * s.unit))
     if m.modal_macro is not None and all(frame.name != "G66" for frame in m.flow.frames):  # not after moves of the macro itself

@@ -191,7 +191,7 @@ KLARTEXT: dict[str, Word[Handler]] = {
     "CC": Word(ACTS, "pole, or the last position", path.set_pole), "C": Word(ACTS, "arc about CC; DR+ counter-clockwise", path.move),
     "CP": Word(ACTS, "arc about CC by PA or IPA, with Z a helix", path.move), "CR": Word(ACTS, "arc by radius; R below 0 is more than half a circle", path.move),
     **named(ACTS, "arc that goes on as a tangent", "CT, CTP", path.move),
-    "RND": Word(ACTS, "rounds the corner between two lines", stray), "CHF": Word(ACTS, "cuts off the corner between two lines", stray),
+    "RND": Word(ACTS, "rounds the corner between lines and arcs", stray), "CHF": Word(ACTS, "cuts off the corner between two lines", stray),
     **named(ACTS, "approach on a line, at right angles, on an arc, on a line and an arc", "APPR LT, APPR LN, APPR CT, APPR LCT", path.approach),
     **named(ACTS, "departure, likewise", "DEP LT, DEP LN, DEP CT, DEP LCT", path.depart),
     "TOOL CALL": Word(ACTS, "tool change; its axis gives the plane; S, F, DL, DR", tool_call), "TOOL DEF": Word(ACTS, "L and R of a tool; alone it prepares one", tool_def),
