@@ -2,7 +2,7 @@
 
     python -m devtools.versus --out DIR [--data ../shared/data] [--only NAME ...] [--peers]
 
-Each input makes DIR/NAME.json, which a later call keeps; the table and the picture are made from these files. Methods whose library is not
+Each input makes DIR/NAME.json, method by method; a later call keeps what is there and makes table and picture. Methods whose library is not
 installed (pip install "twin[versus]") are left out and named.
 """
 
@@ -37,6 +37,8 @@ RIVALS: dict[str, Callable[[Input], Answer]] = {
     "SINDy": sindy_fit,
 }
 
+DIAGNOSE, QUICK = "twin diagnose", "twin diagnose --quick"
+
 MADE = {  # name -> kind, seed, axis
     "healthy": ("healthy", 5701, "X"),
     "one_effect": ("single", 5702, "X"),
@@ -64,20 +66,27 @@ def missing() -> dict[str, str]:
     return {m: f"{m}: {lib} is not installed" for m, lib in LIBRARY.items() if importlib.util.find_spec(lib) is None}
 
 
-def compared(one: Input, known: Known, out: Path) -> dict[str, Any]:
-    """All rows of an input."""
-    rows: dict[str, Any] = {}
+def compared(one: Input, known: Known, file: Path, work: Path, quick: bool) -> None:
+    """All rows of an input, written to `file` one by one; rows that it holds are kept."""
+    true = list(known.causes) if known.causes is not None else None
+    result: dict[str, Any] = {"text": known.text, "causes": true, "outside": known.outside, "numbers": known.numbers, "rows": {}}
+    if file.exists():
+        result["rows"] = json.loads(file.read_text(encoding="utf-8"))["rows"]
     methods: dict[str, Callable[[], Answer]] = {"machine file": lambda: Answer(one.machine, {}, "")}
     methods |= {name: lambda method=method: timed(method, one) for name, method in RIVALS.items() if name not in missing()}
-    methods |= {"twin identify": lambda: identified(one, out), "twin diagnose": lambda: diagnosed(one, out)}
+    methods |= {
+        "twin identify": lambda: identified(one, work),
+        QUICK if quick else DIAGNOSE: lambda: diagnosed(one, work, *["--quick"] * quick),
+    }
     for name, method in methods.items():
+        if name in result["rows"]:
+            continue
         try:
-            rows[name] = marked(method(), known)
+            result["rows"][name] = marked(method(), known)
         except TwinError as error:
-            rows[name] = {"failed": str(error)}
-        print(f"  {name}: {rows[name].get('gap') or rows[name]['failed']}", file=sys.stderr, flush=True)
-    true = list(known.causes) if known.causes is not None else None
-    return {"text": known.text, "causes": true, "outside": known.outside, "numbers": known.numbers, "rows": rows}
+            result["rows"][name] = {"failed": str(error)}
+        print(f"  {name}: {result['rows'][name].get('gap') or result['rows'][name]['failed']}", file=sys.stderr, flush=True)
+        file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -85,6 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the results; those that it holds are kept")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the public recordings; without it only made machines")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="only these inputs")
+    parser.add_argument("--quick", action="store_true", help="twin diagnose --quick, which searches no law")
     parser.add_argument("--peers", action="store_true", help="only the speed of simulation and planning beside that of other libraries")
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -99,11 +109,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"left out: {line}", file=sys.stderr)
     for name, make in inputs_of(args.data, args.out).items():
         file = args.out / f"{name}.json"
-        if file.exists() or (args.only and name not in args.only):
+        if args.only and name not in args.only:
             continue
         print(name, file=sys.stderr, flush=True)
-        result = compared(*make(), args.out / "work" / name)
-        file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        compared(*make(), file, args.out / "work" / name, args.quick)
     if results_in(args.out):
         draw(args.out, args.out / "versus.png")
     print(table_text(args.out))

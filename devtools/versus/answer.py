@@ -71,11 +71,13 @@ def code_lines(source: str) -> int:
 
 
 def gap_on(answer: Answer, known: Known) -> dict[str, float]:
-    """Gap on the runs left out: RMS of position [um, arcsec] and effort [A, V], and the level in times noise."""
-    gaps = {}
+    """Gap on the runs left out: RMS of position [um, arcsec] and effort [A, V], and the level in times noise, which is that of the machine file
+    given to all methods."""
+    found, gaps = answer.machine, {}
+    machine = Machine({**found.document, "measurement": known.measurement}, found.model_path, found.path)
     for run in known.held_out:
-        seen = run if answer.load is None else with_load(run, answer.machine, answer.load)
-        gaps[run.name] = gap_of(answer.machine, run, predict(answer.machine, seen, realisations=REALISATIONS))
+        seen = run if answer.load is None else with_load(run, machine, answer.load)
+        gaps[run.name] = gap_of(machine, run, predict(machine, seen, realisations=REALISATIONS))
     signals = [signal for axes in gaps.values() for one in axes.values() for signal in one.items()]
 
     def rms(*names: str) -> float:

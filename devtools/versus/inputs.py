@@ -17,6 +17,7 @@ from twin.documents import read_toml
 from twin.effects import with_effects
 from twin.effects.truth import true_machine
 from twin.exam.draw import SHIPPED_MACHINE, Case, draw_case, truth_of, write_campaign
+from twin.exam.questions import RICHNESS
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
@@ -48,12 +49,14 @@ class Input:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of an input: runs left out, numbers of the true machine ({} if unknown), true causes, one line of description."""
+    """What is known of an input: runs left out, the measuring noise of the machine file, numbers of the true machine ({} if unknown), true causes
+    (None if unknown), one line of description."""
 
     text: str
+    measurement: Mapping[str, Any]
     held_out: tuple[MeasuredRun, ...]
     numbers: dict[str, float]
-    causes: tuple[str, ...] | None  # None: unknown
+    causes: tuple[str, ...] | None
     outside: bool = False
 
 
@@ -68,8 +71,8 @@ def emps(data: Path, out: Path) -> tuple[Input, Known]:
     for part, name in (("fit", "two_thirds.toml"), ("check", "last_third.toml")):
         show_and_run("import", data / "emps" / "DATA_EMPS.mat", "--map", EMPS / name, "--out", out / part, "--no-picture")
     one = given(EMPS / "axis.toml", out / "fit")
-    published = {"inertia": 95.1089, "coulomb_friction": 20.3935, "viscous_friction": 203.5034, "constant_force": 3.1648}
-    return one, Known("the EMPS record, 16.3 s fitted, 8.3 s left out", read_campaign(out / "check", one.machine).runs, published, None)
+    published = {"inertia": 95.1089, "coulomb_friction": 20.3935, "viscous_friction": 203.5034, "constant_force": -3.1648}
+    return one, Known("EMPS", one.machine.document["measurement"], read_campaign(out / "check", one.machine).runs, published, None)
 
 
 def kr300(data: Path, out: Path) -> tuple[Input, Known]:
@@ -94,7 +97,8 @@ def kr300(data: Path, out: Path) -> tuple[Input, Known]:
         one = replace(followed, trace=followed.trace.select(["1"]), facts={k: v for k, v in followed.facts.items() if k[0] == "1"})
         runs.append(script.resampled(one))
     script.write_campaign(out / "fit", runs[:1], "KR300")
-    return given(file, out / "fit"), Known("axis 1 of the KR300 robot, A fitted, B left out", tuple(runs[1:]), {}, None)
+    one = given(file, out / "fit")
+    return one, Known("KR300, axis 1", one.machine.document["measurement"], tuple(runs[1:]), {}, None)
 
 
 STROKES = {  # run -> (stroke [m], speed [m/s]) there and back
@@ -129,8 +133,8 @@ def simulated(out: Path, changes: Mapping[str, float], effects: Sequence[Mapping
             lines.append(f'[[run]]\nfile = "{name}.parquet"\nfeedforward = "off"')
         (out / part / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     causes = tuple(str(e["name"]) for e in effects)
-    text = f"a simulated axis: {', '.join(causes) or 'no effect'}"
-    known = Known(text, read_campaign(out / "check", machine).runs, mechanics_of(true), causes)
+    text = f"simulated: {', '.join(causes) or 'no effect'}"
+    known = Known(text, machine.document["measurement"], read_campaign(out / "check", machine).runs, mechanics_of(true), causes)
     return given(EMPS / "axis.toml", out / "fit"), known
 
 
@@ -139,13 +143,16 @@ def mechanics_of(machine: Machine) -> dict[str, float]:
     return {name: value for name, value in numbers_of(machine).items() if name in MECHANICS}
 
 
-def made(kind: str, seed: int, axis: str, out: Path, runs: Sequence[str] | None = None) -> tuple[Input, Known]:
-    """One axis of a machine that the examination draws: kind as in `twin exam`, campaign of four short runs, its own runs left out.
+SHORT = ("constant_velocity", "acceleration")
 
-    `runs` keeps only the named runs of the campaign.
+
+def made(kind: str, seed: int, axis: str, out: Path, runs: Sequence[str] | None = SHORT) -> tuple[Input, Known]:
+    """One axis of a machine that the examination draws: kind as in `twin exam`, its own runs left out.
+
+    `runs` keeps only the named runs of the short campaign; None: all four.
     """
     table = read_toml(SHIPPED_MACHINE)
-    case = draw_case(seed, kind, table, axis=axis if kind in ("single", "outside") else None, run_set="short")
+    case = draw_case(seed, kind, table, axis=axis if kind in ("single", "outside") else None, richness=RICHNESS["small"], run_set="short")
     file = out / "machine.toml"
     out.mkdir(parents=True, exist_ok=True)
     write_machine(load_machine(SHIPPED_MACHINE).with_axes([axis]), file)
@@ -155,8 +162,13 @@ def made(kind: str, seed: int, axis: str, out: Path, runs: Sequence[str] | None 
     truth = truth_of(case)
     causes = tuple(e["name"] for e in (*truth["effect"], *truth["outside"]) if e["axis"] == axis)
     true = mechanics_of(true_machine(load_machine(SHIPPED_MACHINE), {"parameter": truth["parameter"]}).with_axes([axis]))
-    text = f"a made machine ({kind}), axis {axis}: {', '.join(causes) or 'no effect'}"
-    known = Known(text, read_campaign(held_out, machine).runs, true, causes, bool(truth["outside"]))
+    for effect in truth["effect"]:  # effects that are a change of one of the numbers
+        if effect["axis"] == axis and effect["name"] == "constant_force":
+            true["constant_force"] += effect["force"]
+        elif effect["axis"] == axis and effect["name"] in true and "factor" in effect:
+            true[effect["name"]] *= effect["factor"]
+    text = f"made, {axis}: {', '.join(causes[:2]) + (' and more' if len(causes) > 2 else '') or 'no effect'}"
+    known = Known(text, machine.document["measurement"], read_campaign(held_out, machine).runs, true, causes, bool(truth["outside"]))
     return given(file, fitted), known
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from twin.report import new_figure, save_png
 
-from .table import results_in
+from .table import methods_of, results_in
 
 COLOURS = {
     "machine file": "#9aa3ad",
@@ -16,8 +16,9 @@ COLOURS = {
     "SINDy": "#c23b3b",
     "twin identify": "#6aa5e8",
     "twin diagnose": "#0b3d91",
+    "twin diagnose --quick": "#0b3d91",
 }
-MARKERS = dict(zip(COLOURS, "xsv^Do*"))
+MARKERS = dict(zip(COLOURS, "xsv^Do**"))
 
 
 def draw(folder: Path, file: Path) -> None:
@@ -29,8 +30,8 @@ def draw(folder: Path, file: Path) -> None:
         for method, found in result["rows"].items():
             if "gap" in found:
                 panel.plot(found["gap"]["times_noise"], row, MARKERS[method], color=COLOURS[method], markersize=8, linestyle="none")
-    for method, colour in COLOURS.items():
-        panel.plot([], [], MARKERS[method], color=colour, linestyle="none", label=method)
+    for method in methods_of(results):
+        panel.plot([], [], MARKERS[method], color=COLOURS[method], linestyle="none", label=method)
     panel.axvline(1.0, color="#d5dae1", zorder=0)
     panel.set_xscale("log")
     panel.set_yticks(range(len(results)), [r["text"].split(";")[0] for r in results.values()])
