@@ -133,6 +133,7 @@ def _days(forecast: Forecast, first: datetime) -> dict[str, str | None]:
 def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, list[int]]]) -> dict[str, Any]:
     """Series of each axis and effect: size over time in usual sizes, scatter, smallest change that shows."""
     changed = {c.cause: c for c in history.changes}
+    causes = {c.cause: (c.group, [c.k]) for c in history.changes} | causes
     out: dict[str, Any] = {}
     for cause, (group, own) in causes.items():
         one = history.series[group]
@@ -162,7 +163,7 @@ def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, l
 
 def _not_seen(history: Judgement) -> list[dict[str, str]]:
     """Causes that these recordings do not show at a fifth of their usual size, whatever its wave."""
-    seen = causes_of(history.series)
+    seen = {*causes_of(history.series), *(c.cause for c in history.changes)}
     all_of = {d.cause for one in history.series for d in one.directions if SCATTER.get(d.setting.effect.name) != LOAD}
     return [cause_entry(cause) for cause in sorted(all_of) if cause not in seen]
 

@@ -29,6 +29,9 @@ LEAST = 0.1
 LEAST_SCATTER = 0.01
 """Smallest scatter between recordings in usual sizes: load and friction act on the rest too, in ways that are not linear."""
 
+SHOWN = 100.0
+"""Information [1 / usual size^2] from which a direction may be named: a fifth of its usual size at two standard deviations of noise."""
+
 AGREES = 0.5
 """Largest difference between the two, as a share."""
 
@@ -109,19 +112,19 @@ def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction
             total[now] += own
             if own <= ALARM:
                 continue
-            if stand and (again := _resized(history, causes, stand[-1], stand[:-1], now)).cause != stand[-1].cause:
+            if stand and (again := _resized(history, stand[-1], stand[:-1], now)).cause != stand[-1].cause:
                 stand[-1] = again  # more recordings show another cause of the same change
                 continue
             loudest = max(found, key=lambda cause: found[cause][0])
             if stand and found[loudest][1] < stand[-1].onset + RECENT:
                 continue  # while a change grows, what moves with it is not told from another one
-            if (change := _change(history, causes, group, stand, found[loudest][1], now)) is not None:
+            if (change := _change(history, group, stand, found[loudest][1], now)) is not None:
                 stand.append(change)
     changes = []
     for stand in standing:
         for i, change in enumerate(stand):
             last = stand[i + 1].alarm - 1 if i + 1 < len(stand) else len(rows) - 1
-            changes.append(_until_now(history, _resized(history, causes, change, stand[:i], last), stand[:i]))
+            changes.append(_until_now(history, _resized(history, change, stand[:i], last), stand[:i]))
     return replace(history, changes=sorted(changes, key=lambda c: c.alarm), evidence=total)
 
 
@@ -147,7 +150,7 @@ def _evidence(
     }
 
 
-def _change(history: Judgement, causes: dict[Cause, Any], group: int, standing: Sequence[Change], onset: int, now: int) -> Change | None:
+def _change(history: Judgement, group: int, standing: Sequence[Change], onset: int, now: int) -> Change | None:
     """The change of a group from the rows before `onset` to those up to `now`, by the cause that explains it best; None unless it is certainly more
     than `LEAST`, and the size that explains the group is that which the cause's own series shows.
     """
@@ -160,7 +163,9 @@ def _change(history: Judgement, causes: dict[Cause, Any], group: int, standing: 
     nuisances = [history.nuisance(group, warms, standing)[at] for warms in (False, True)]
     levels = [level(y, nuisances[int(warms)], since) for y, warms in zip(one.sizes[inside].T, one.warms)]
     scatter = np.array([max(found.scatter, LEAST_SCATTER) for found in levels])
-    blocks = waves_of(one.directions, [k for g, own in causes.values() if g == group for k in own])
+    # also causes that no alarm can come from: a torque constant is friction and inertia together
+    shown = [k for k, d in enumerate(one.directions) if SCATTER.get(d.cause[0]) != LOAD and one.gram[k, k] > SHOWN]
+    blocks = waves_of(one.directions, shown)
     explained = one.explained_by(blocks, np.array([found.size for found in levels]), scatter)
     best: dict[Cause, tuple[float, int, float, float]] = {}
     for block, (gain, theta) in zip(blocks, explained):
@@ -178,9 +183,9 @@ def _change(history: Judgement, causes: dict[Cause, Any], group: int, standing: 
     return Change(group, k, one.directions[k], onset, now, size, rivals)
 
 
-def _resized(history: Judgement, causes: dict[Cause, Any], change: Change, standing: Sequence[Change], now: int) -> Change:
+def _resized(history: Judgement, change: Change, standing: Sequence[Change], now: int) -> Change:
     """The change judged again with all recordings up to the row `now`."""
-    again = _change(history, causes, change.group, standing, change.onset, now)
+    again = _change(history, change.group, standing, change.onset, now)
     return change if again is None else replace(again, alarm=change.alarm)
 
 
