@@ -56,17 +56,15 @@ def cause_of(found: Remedy, diagnosis: Mapping[str, Any]) -> str:
         f"{s.effect.name.replace('_', ' ')} of {s.axis}"
         + (f" (probability {p:.2f})" if (p := probable.get((s.effect.name, s.axis))) else "")
         for s in settings_of(found.machine)
+        if not probable or (s.effect.name, s.axis) in probable
     ]
     return f"Cause: {', '.join(causes) or 'nothing beyond the friction that every axis has'}."
 
 
-def surety(found: Remedy) -> str:
+def surety(found: Remedy, diagnosis: Mapping[str, Any]) -> str:
     """How sure the prediction is, in one sentence."""
-    interval = (
-        "the interval comes from those of the diagnosis"
-        if found.high > found.low
-        else "no interval: the sizes of the effects are given, not measured"
-    )
+    missing = "the diagnosis gives none for these sizes" if diagnosis else "the sizes of the effects are given, not measured"
+    interval = "the interval comes from those of the diagnosis" if found.high > found.low else f"no interval: {missing}"
     return f"How sure: {interval}. Each change was also simulated at other feeds and with 20 % more and less friction, and made none of them worse."
 
 
@@ -95,7 +93,7 @@ def write_remedy_report(found: Remedy, document: dict[str, Any], diagnosis: Mapp
     sections = [
         Section(
             "In short",
-            items=[cause_of(found, diagnosis), *(f"{text[0].upper()}{text[1:]}." for text in more), surety(found), costs],
+            items=[cause_of(found, diagnosis), *(f"{text[0].upper()}{text[1:]}." for text in more), surety(found, diagnosis), costs],
             figures=[Figure(figure_svg(remedy_figure(found)), "Contour error over the path, before and after. The measured circle can refute this picture.")],
         ),
         Section(
@@ -111,7 +109,7 @@ def write_remedy_report(found: Remedy, document: dict[str, Any], diagnosis: Mapp
         Section("What gets worse", items=[f"{e['axis']} {e['function'].replace('_', ' ')}: {w}" for e in document["changes"] for w in e["worse"]] or ["Nothing is known."]),
         Section("Replay", paragraphs=["The motion before and after, in the viewer:"], items=replays),
     ]  # fmt: skip
-    write_page(folder / "report.html", f"Remedy: {found.machine.name}", f"{brings[0].upper()}{brings[1:]}.", sections)
+    write_page(folder / "report.html", f"Remedy: {found.machine.name}", f"On {brings}.", sections)
 
 
 def remedy_figure(found: Remedy) -> MplFigure:
