@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 
 from devtools.versus import answer, table
-from devtools.versus.__main__ import LIBRARY, RIVALS, compared
+from devtools.versus.__main__ import CHANGES, LIBRARY, RIVALS, SIMULATED, compared
 from devtools.versus.answer import Answer, code_lines, marked, timed
 from devtools.versus.inputs import Input, Known, simulated
 from devtools.versus.numbers import numbers_of, with_numbers
-
-CHANGES = {"inertia": 1.03, "coulomb_friction": 0.95, "viscous_friction": 1.04}
-ASYMMETRY = ({"name": "viscous_asymmetry", "axis": "X", "fraction": 0.15},)
 
 # what each method reaches on the small inputs: largest error of a number, gap left out in times noise; without and with the effect
 REACHED = {
@@ -33,7 +30,7 @@ def numbers_only(tmp_path_factory: pytest.TempPathFactory) -> tuple[Input, Known
 
 @pytest.fixture(scope="module")
 def one_effect(tmp_path_factory: pytest.TempPathFactory) -> tuple[Input, Known]:
-    return simulated(tmp_path_factory.mktemp("effect"), CHANGES, ASYMMETRY)
+    return simulated(tmp_path_factory.mktemp("effect"), CHANGES, SIMULATED["asymmetry"])
 
 
 def installed(method: str) -> Callable[[Input], Answer]:
