@@ -27,11 +27,14 @@ WAVES = 5
 
 @dataclass(frozen=True)
 class Direction:
-    """A unit effect; `phase` is 1 for the cosine of a sinusoidal effect, `unit` the deviation of its size from neutral [SI]."""
+    """A unit effect; `phase` is 1 for the cosine of a sinusoidal effect, `unit` the deviation of its size from neutral [SI], `most` the largest usual
+    size in units.
+    """
 
     setting: Setting
     phase: int
     unit: float
+    most: float
 
     @property
     def cause(self) -> tuple[str, str, str]:
@@ -71,8 +74,13 @@ def directions_of(machine: Machine, axes: tuple[str, ...]) -> list[Direction]:
                         start_at(effect, machine, axis, source, {**values, turned.name: a}).settings[0] for a in (0.0, math.pi / 2, math.pi)
                     )
                 unit = values[effect.size.name] - (effect.size.neutral or 0.0) if effect.size.is_scaled else values[effect.size.name]
-                found += [Direction(s, phase, unit) for phase, s in enumerate(settings)]
+                found += [Direction(s, phase, unit, _most(effect.size, machine, axis, unit)) for phase, s in enumerate(settings)]
     return found
+
+
+def _most(size: Parameter, machine: Machine, axis: Axis, unit: float) -> float:
+    low, high = size.usual_range(machine, axis)
+    return unit / low if size.is_spring else max(abs(end - (size.neutral or 0.0)) for end in (low, high)) / abs(unit)
 
 
 def is_watched(effect: Effect) -> bool:

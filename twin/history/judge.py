@@ -32,6 +32,9 @@ LEAST_SCATTER = 0.01
 SHOWN = 100.0
 """Information [1 / usual size^2] from which a direction may be named: a fifth of its usual size at two standard deviations of noise."""
 
+PLAUSIBLE = 2.0
+"""Largest size of a cause, in its largest usual ones."""
+
 AGREES = 0.5
 """Largest difference between the two, as a share."""
 
@@ -170,6 +173,8 @@ def _change(history: Judgement, group: int, standing: Sequence[Change], onset: i
     best: dict[Cause, tuple[float, int, float, float]] = {}
     for block, (gain, theta) in zip(blocks, explained):
         cause = one.directions[block[0]].cause
+        if abs(amplitude(theta)) > PLAUSIBLE * one.directions[block[0]].most:
+            continue
         if gain > best.get(cause, (0.0, 0, 0.0, 0.0))[0] and cause not in {change.cause for change in standing}:
             best[cause] = gain, block[0], amplitude(theta), amplitude([levels[k].size for k in block])
     if not best:
