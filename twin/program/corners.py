@@ -93,6 +93,9 @@ class Corners:
         if following.kind == mv.RAPID and what == "RNDM":
             self._go(before)
             return following
+        lines = before.arc is None and following.arc is None and following.kind != mv.RAPID
+        if lines and what not in ("RND", "RNDM", ",R"):
+            return self._chamfer(held, following)
         axis = arcs.PLANES[self.state.plane][2]
         one, two = self.control.element(before, start), self.control.element(following, before.point)
         ways = [float(np.hypot(*(e.b - e.a))) if e.centre is None else 1.0 for e in (one, two)]
@@ -108,19 +111,34 @@ class Corners:
             return following
         if max(abs(before.point[axis] - start[axis]), abs(following.point[axis] - before.point[axis])) > 1e-9:
             raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane", 1)
-        if what in ("RND", "RNDM", ",R"):
-            cut = _fillet(one, two, math.copysign(size, turn))
-        elif before.arc is None and following.arc is None:
-            cut = _chamfer(one, two, size if what in CUT_OFF else size / max(2.0 * math.cos(0.5 * turn), 1e-9))
-        else:
+        if what not in ("RND", "RNDM", ",R"):
             raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)
-        if cut is None:
+        if (cut := _fillet(one, two, math.copysign(size, turn))) is None:
             raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller", 1)
-        first, last, about = (before.point if p is None else self._in_space(p, before.point) for p in cut)
+        first, last, centre = (self._in_space(p, before.point) for p in cut)
         self._go(self._from(before, start, first))
-        round_ = None if cut[2] is None else self.control.arc_about(first, last, about, turn < 0.0)
-        self._go(before._replace(kind=mv.ARC if round_ else mv.LINE, point=last, angles=KEPT, vector=None, arc=round_, machine=False))
+        rounding = self.control.arc_about(first, last, centre, turn < 0.0)
+        self._go(before._replace(kind=mv.ARC, point=last, angles=KEPT, vector=None, arc=rounding, machine=False))
         return self._from(following, last, following.point)
+
+    def _chamfer(self, held: Held, following: Move) -> Move:
+        """Emit the waiting line, then the chamfer before the following line."""
+        what, size, before, start = held
+        ways = before.point - start, following.point - before.point
+        lengths = [float(np.linalg.norm(way)) for way in ways]
+        if min(lengths) < 1e-9:
+            raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)
+        t, u = (way / length for way, length in zip(ways, lengths))
+        turn = math.acos(max(-1.0, min(1.0, float(t @ u))))
+        cut = size if what in CUT_OFF else size / max(2.0 * math.cos(0.5 * turn), 1e-9)
+        if turn > 1e-6 and (turn > math.pi - 1e-6 or cut > min(lengths) + 1e-9):
+            raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller", 1)
+        if turn < 1e-6:
+            self._go(before)
+            return following
+        self._go(before._replace(point=before.point - cut * t))
+        self._go(before._replace(point=before.point + cut * u, angles=KEPT, vector=None, machine=False))
+        return following
 
     def _in_space(self, p: np.ndarray, at: np.ndarray) -> np.ndarray:
         """A point (2,) of the plane at the height of another (3,)."""
@@ -136,21 +154,10 @@ class Corners:
         return move._replace(point=end, arc=self.control.arc_about(start, end, move.arc[0], clockwise))
 
 
-Cut = tuple[np.ndarray, np.ndarray, np.ndarray | None]
-"""Ends (2,) of a rounding or chamfer on both elements, and the centre of a rounding."""
-
-
-def _chamfer(one: Element, two: Element, cut: float) -> Cut | None:
-    """A chamfer at a distance from the corner; None if the lines are shorter."""
-    if cut > min(float(np.hypot(*(e.b - e.a))) for e in (one, two)) + 1e-9:
-        return None
-    return one.b - cut * one.direction(True), one.b + cut * two.direction(False), None
-
-
-def _fillet(one: Element, two: Element, offset: float) -> Cut | None:
+def _fillet(one: Element, two: Element, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """A rounding that is a tangent to both elements: its centre is where they meet, shifted by the radius to its side.
 
-    None if the elements are too short, or a circle is smaller than the rounding inside it.
+    Ends (2,) on both elements, and centre. None if the elements are too short, or a circle is smaller than the rounding inside it.
     """
     try:
         shifted = moved(one, offset), moved(two, offset)

@@ -170,7 +170,7 @@ class State:
 
     def set_feed(self, value: float, column: int = 1) -> None:
         """The F word in the active units."""
-        if not 0.0 <= value < 1e9:
+        if not 0.0 <= value <= 1e9:
             raise WordError(f"F{value:g} is not a feed; give a number above 0", column)
         self.feed = value
 
