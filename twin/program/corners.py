@@ -101,6 +101,7 @@ class Corners:
         ways = [float(np.hypot(*(e.b - e.a))) if e.centre is None else 1.0 for e in (one, two)]
         if following.kind == mv.RAPID or min(ways) < 1e-9 or not (self.control.in_plane(before) and self.control.in_plane(following)):
             if what == "RNDM":
+                self.state.note("RNDM: corners outside the plane and beside rotary axes are not rounded")
                 self._go(before)
                 return following
             raise WordError(f"{what} needs a move in the plane G{self.state.plane} on both sides; select the plane, or write the corner", 1)

@@ -135,7 +135,7 @@ def cycle(m: Klartext, head: str, text: str, column: int) -> None:
     number, handler = int(head.split()[-1]), CYCLES.get(int(head.split()[-1]), drilling)
     if number < 200 and number != 13 and (not parts or re.search(r"\d", match[1])):
         raise WordError(f"CYCL DEF {number} needs a part {number}.1, and no value in {number}.0; correct it", column)
-    if number >= 200 and (parts or not re.fullmatch(rf"[^=]*?(?:\s*Q\d+\s*=\s*{VALUE})*\s*", match[1])):
+    if number >= 200 and (parts or not re.fullmatch(rf"(?:(?!Q\d)[^=])*(?:\s*Q\d+\s*=\s*{VALUE})*\s*", match[1])):
         raise WordError(f"{head} takes parameters as Q201=-10; correct them", column)
     handler(m, head, match[1] if number >= 200 else " ".join(re.sub(r"^CYCL DEF \d+\.\d+\s*", "", part) for part in parts), column)
 

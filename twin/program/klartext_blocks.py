@@ -128,14 +128,16 @@ class Klartext(Reader):
                 block.words[name] = Item(self.values.number_of(match["value"], place), "IC" if match["inc"] else "", place)
         return block
 
-    def only_words(self, head: str, text: str, column: int, names: str, hint: str = "") -> dict[str, Item]:
-        """The words of a text that takes these names alone."""
+    def only_words(self, head: str, text: str, column: int, names: str, hint: str = "", added: bool = False) -> dict[str, Item]:
+        """The words of a text that takes these names alone, and in addition (I) if `added`."""
         where = f"in {head}, which takes {names}{hint}"
         block = self.scan(text, column, where)
         words = block.pick(*names.split())
         if block.m or block.side is not None or block.sense or block.feed or block.arg or block.words:
             what = next(iter(block.words), "a word of a path block")
             raise WordError(f"{what} is not read {where}", column)
+        if not added and (increments := [name for name, item in words.items() if item.how]):
+            raise WordError(f"I{increments[0]} is not read {where}", column)
         return words
 
     def feed_word(self, value: float) -> float:

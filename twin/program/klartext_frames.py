@@ -29,7 +29,7 @@ def _in_force(m: Klartext) -> bool:
 def datum(m: Klartext, head: str, text: str, column: int) -> None:
     """Cycle 7 and TRANS DATUM AXIS: axes of a datum shift, absolute or in addition (I)."""
     state, name = m.state, "inner" if m.state.tilted else "shift"
-    words = m.only_words(head, text, column, "X Y Z A B C U V W", "; a datum table is not simulated")
+    words = m.only_words(head, text, column, "X Y Z A B C U V W", "; a datum table is not simulated", added=True)
     old = state.frames[name].shift
     new = old.copy()
     for axis, (value, how, at) in words.items():
@@ -62,7 +62,7 @@ def mirror(m: Klartext, _: str, text: str, column: int) -> None:
 
 def turn(m: Klartext, head: str, text: str, column: int) -> None:
     """Cycle 10: about the normal of the plane, absolute or in addition."""
-    words = m.only_words(head, text, column, "ROT")
+    words = m.only_words(head, text, column, "ROT", added=True)
     if not words:
         raise WordError("cycle 10 needs its angle, e.g. CYCL DEF 10.1 ROT+35", column)
     angle, before = words["ROT"].value, m.state.frames["turn"].matrix

@@ -144,7 +144,7 @@ def retract(m: Klartext, column: int) -> None:
 
 def set_pole(m: Klartext, head: str, text: str, column: int) -> None:
     """CC with its coordinates in the plane, or at the last position."""
-    words = m.only_words(head, text, column, "X Y Z")
+    words = m.only_words(head, text, column, "X Y Z", added=True)
     a, b, across = arcs.PLANES[m.state.plane]
     if LINEAR[across] in words:
         raise WordError(f"{LINEAR[across]} does not lie in the plane of CC", column)
