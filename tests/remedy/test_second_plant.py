@@ -25,6 +25,7 @@ ENTERED = {
     "backlash value": ("Y", BACKLASH, {"width": 12e-6, "cycles": 3.0}),
     "backlash value of a table": ("C", BACKLASH, {"width": 1e-4, "cycles": 1.0}),
     "table": ("X", TABLE, {"slope": 80.0, "origin": 0.01, "sine": 4e-6, "cosine": 3e-6, "wavelength": 0.01}),
+    "table of a geared axis": ("C", TABLE, {"slope": 0.0, "origin": 0.0, "sine": 4e-5, "cosine": -3e-5, "wavelength": np.pi / 45.0}),
     "table of a turn": ("C", TABLE, {"slope": 0.0, "origin": 0.0, "sine": 4e-5, "cosine": -3e-5, "wavelength": 2.0 * np.pi}),
 }  # fmt: skip
 

@@ -197,9 +197,15 @@ def correction_table(change: Change, axis: Axis) -> ErrorTable:
     """The points of a correction: two for a slope alone, else POINTS_A_WAVE a wave over the travel; one turn of a rotary axis repeats."""
     v = change.values
     wave = math.hypot(v["sine"], v["cosine"]) > 0.0
-    turn = axis.kind == "rotary" and wave and math.isclose(v["wavelength"], 2.0 * math.pi)
+    waves = 2.0 * math.pi / v["wavelength"]
+    turn = (
+        axis.kind == "rotary"
+        and wave
+        and math.isclose(waves, round(waves), rel_tol=1e-9)
+        and (round(waves) == 1 or not all(map(math.isfinite, axis.travel)))
+    )
     low, high = (0.0, 2.0 * math.pi) if turn or not all(map(math.isfinite, axis.travel)) else axis.travel
-    count = POINTS_A_TURN + 1 if turn else max(2, math.ceil((high - low) / v["wavelength"] * POINTS_A_WAVE) + 1) if wave else 2
+    count = max(math.ceil((high - low) / v["wavelength"] * POINTS_A_WAVE), POINTS_A_TURN if turn else 1) + 1 if wave else 2
     q = np.linspace(low, high, count)
     k = 2.0 * math.pi / v["wavelength"]
     error = 1e-6 * v["slope"] * (q - v["origin"]) + v["sine"] * np.sin(k * q) + v["cosine"] * np.cos(k * q)

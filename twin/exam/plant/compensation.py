@@ -126,7 +126,7 @@ def switch_on(s: Settings, change: Mapping[str, Any]) -> None:
         number = {name: p[f"{name}_{unit}"] * angle for name in ("origin", "sine", "cosine", "wavelength")}
         axis = s.machine["axis"][change["axis"]]
         low, high = axis["travel_m"] if s.linear[k] else (0.0, 2.0 * math.pi)
-        count = (math.ceil((high - low) / number["wavelength"] * POINTS_A_WAVE) if s.linear[k] else POINTS_A_TURN) + 1
+        count = max(math.ceil((high - low) / number["wavelength"] * POINTS_A_WAVE), 1 if s.linear[k] else POINTS_A_TURN) + 1
         x = np.linspace(low, high, count)
         w = 2.0 * math.pi / number["wavelength"]
         error = p["slope_ppm"] * 1e-6 * (x - number["origin"]) + number["sine"] * np.sin(w * x) + number["cosine"] * np.cos(w * x)
