@@ -20,15 +20,15 @@ from twin.simulation.run import simulate
 
 def carried_out(path: str, *arguments: object) -> None:
     """Run an example as a user does, and expect that it ends well."""
-    before = sys.argv
-    sys.argv = [path, *map(str, arguments)]
+    before = sys.argv, sys.path
+    sys.argv, sys.path = [path, *map(str, arguments)], [str((ROOT / path).parent), *sys.path]
     try:
         runpy.run_path(str(ROOT / path), run_name="__main__")
         code: object = 0
     except SystemExit as ended:
         code = ended.code
     finally:
-        sys.argv = before
+        sys.argv, sys.path = before
     assert not code
 
 

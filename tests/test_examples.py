@@ -32,7 +32,7 @@ def is_run(example: Path, text: str) -> bool:
         folder = re.escape(example.parent.relative_to(EXAMPLES).as_posix())
         return re.search(rf"{folder}/run|{re.escape(example.parent.name)}[\"'] ?/ ?[\"']run", text) is not None
     stem, name = re.escape(example.stem), re.escape(example.name)
-    return re.search(rf"(?<![\w-]){name}(?![\w])|[\"']{stem}[\"']", text) is not None
+    return re.search(rf"(?<![\w-]){name}(?![\w])|[\"']{stem}[\"']|from [\w.]*\b{stem} import", text) is not None
 
 
 @pytest.mark.parametrize("example", [f.relative_to(EXAMPLES).as_posix() for f in runnable()])

@@ -41,7 +41,6 @@ ALLOWED = {
     "machine/machine.py": {"read_text": 1},  # a machine file that is loaded already: its comments
     "machine/model_file.py": {"open": 1, "parse": 1, "read_bytes": 1},  # the one reader of XML of models
     "machine/sinumerik.py": {"read_text": 1},  # an archive that the command names
-    "program/iso.py": {"parse": 1},  # a word of a program, no file
     "program/source.py": {"open": 1},  # programs that the command names, and subprograms in their folder
     "program/read.py": {"open": 1},  # programs that the command names
     "recordings/formats/by_content.py": {"open": 1},  # the first bytes of a recording that the command names

@@ -69,7 +69,7 @@ def test_a_fault_is_named_sized_and_dated_next_to_them() -> None:
         (change,) = judge(history(seed, faulty)).changes
         assert change.cause[:2] == (effect, axis)
         assert abs(change.onset - 18) <= 1
-        assert change.alarm <= 21
+        assert change.alarm_row <= 21
         assert abs(change.size.size - size) < 0.15 * abs(size)
 
 

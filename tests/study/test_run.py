@@ -374,7 +374,7 @@ def test_everything_is_written_and_the_best_machine_is_the_best(tmp_path: Path, 
     told = capsys.readouterr().out
     assert "idle has no effect on any response" in told
     assert "largest influence: mass" in told
-    assert re.search(r"with variant \d: mass \d+\.?\d* kg, idle 0\.\d+ m$", told, re.MULTILINE)
+    assert re.search(r"with variant \d: mass \d+\.?\d* kg, idle \d+\.?\d* mm$", told, re.MULTILINE)
     document = json.loads((out / "study.json").read_text(encoding="utf-8"))
     table = pyarrow.parquet.read_table(out / "table.parquet")
     assert table.column_names[:3] == ["variant", "mass", "idle"]

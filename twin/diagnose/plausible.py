@@ -55,8 +55,8 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True, threshold
 def within_tolerance(setting: Setting, machine: Machine) -> float:
     """Deviation of a size that is normal: what the tolerance of a parameter explains, or what every machine has; 0 if neither resembles the effect."""
     size = setting.effect.size
-    if size.normal is not None:
-        return size.normal(machine, machine.axis(setting.axis))
+    if size.normal_size is not None:
+        return size.normal_size(machine, machine.axis(setting.axis))
     if not size.beyond_tolerance or not (size.is_factor or size.part_of):
         return 0.0
     return (

@@ -312,10 +312,8 @@ def _retuned(diagnosis: Diagnosis, document: Document) -> Section:
         f"The prior keeps them near the tolerance of \u00b1{tolerance:.2g} %; they are normal differences between machines, not effects."
     ]
     if document["normal"]:
-        kinds = {"transmission_compliance": "an elastic drive train"}
-        said = [
-            f"{kinds.get(n['name'], 'slip before break-away')} on axis {n['axis']} ({_stiffness(diagnosis, n)})" for n in document["normal"]
-        ]
+        kinds = {"elasticity": "an elastic drive train", "slip": "slip before break-away"}
+        said = [f"{kinds[EFFECTS[n['name']].normal]} on axis {n['axis']} ({_stiffness(diagnosis, n)})" for n in document["normal"]]
         words.append(f"Normal imperfections of the corrected machine, too small to count as effects: {listed(said)}.")
     return Section("Re-tuned parameters, deviation from the machine file", words, tables=[Table(("", *quantities), rows)])
 

@@ -80,7 +80,7 @@ class Parameter:
     Plausibility in a diagnosis:
     beyond_tolerance   multiple of the machine's parameter tolerance above which a deviation is an effect
     part_of            reference value of the tolerance for a size that is not a factor [its unit]
-    normal             largest size that every machine may have [its unit]
+    normal_size        largest size that every machine may have [its unit]
     any_size           any size is plausible, even far outside the usual range
     judged_with        name of another parameter; the product of both is compared with the usual sizes
 
@@ -105,7 +105,7 @@ class Parameter:
     lag_cycle: Literal["", "position_cycle", "speed_cycle", "current_cycle"] = ""
     beyond_tolerance: float = 0.0
     part_of: Callable[[Machine, Axis], float] | None = None
-    normal: Callable[[Machine, Axis], float] | None = None
+    normal_size: Callable[[Machine, Axis], float] | None = None
     any_size: bool = False
     judged_with: str = ""
     shown: Mapping[str, tuple[str, float]] = field(default_factory=dict)

@@ -51,7 +51,7 @@ def _ripple_of_every_motor(machine: Machine, axis: Axis) -> float:
     block="mechanics",
     axes="turning motor",
     parameters=(
-        Parameter("amplitude_nm", "torque", 0.0, 10.0, _ripple_of_motor, neutral=0.0, logarithmic=True, normal=_ripple_of_every_motor),
+        Parameter("amplitude_nm", "torque", 0.0, 10.0, _ripple_of_motor, neutral=0.0, logarithmic=True, normal_size=_ripple_of_every_motor),
         Parameter("periods_per_rev", "number", 0.1, 500.0, (4.0, 12.0), logarithmic=True, scan=AlongTurn()),
         Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
     ),

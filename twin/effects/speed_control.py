@@ -68,7 +68,7 @@ def _one_cycle(machine: Machine, axis: Axis) -> float:
     parameters=(
         Parameter(
             "time_constant_s", "time", 0.0, 0.005, (0.5e-3, 1.5e-3), neutral=0.0, logarithmic=True, lag_cycle="current_cycle",
-            normal=_one_cycle,
+            normal_size=_one_cycle,
         ),
     ),
     separating_move="chirp",

@@ -89,7 +89,7 @@ def _plain(value: float, unit: str, parameter: Any) -> str:
 def change_entry(history: Judgement, machine: Machine, change: Change, folder: Path) -> dict[str, Any]:
     """A change with its days, size, rivals, forecast, a sentence, and the command that diagnoses it in depth."""
     entry = entry_of(change.direction, machine, change.size.size, change.size.half())
-    onset, alarm = history.rows[change.onset].day, history.rows[change.alarm].day
+    onset, alarm = history.rows[change.onset].day, history.rows[change.alarm_row].day
     text = f"{difference_text(entry, change.size.size)} since {onset:%Y-%m-%d}"
     if change.rivals:
         text += f"; could also be {listed([effect_title(cause_entry(c)) for c in change.rivals])}"

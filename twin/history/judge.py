@@ -52,7 +52,7 @@ class Change:
     k: int
     direction: Direction
     onset: int
-    alarm: int
+    alarm_row: int
     size: Level
     rivals: tuple[Cause, ...] = ()
     forecast: Forecast | None = None
@@ -126,9 +126,9 @@ def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction
     changes = []
     for stand in standing:
         for i, change in enumerate(stand):
-            last = stand[i + 1].alarm - 1 if i + 1 < len(stand) else len(rows) - 1
+            last = stand[i + 1].alarm_row - 1 if i + 1 < len(stand) else len(rows) - 1
             changes.append(_until_now(history, _resized(history, change, stand[:i], last), stand[:i]))
-    return replace(history, changes=sorted(changes, key=lambda c: c.alarm), evidence=total)
+    return replace(history, changes=sorted(changes, key=lambda c: c.alarm_row), evidence=total)
 
 
 def _evidence(
@@ -191,7 +191,7 @@ def _change(history: Judgement, group: int, standing: Sequence[Change], onset: i
 def _resized(history: Judgement, change: Change, standing: Sequence[Change], now: int) -> Change:
     """The change judged again with all recordings up to the row `now`."""
     again = _change(history, change.group, standing, change.onset, now)
-    return change if again is None else replace(again, alarm=change.alarm)
+    return change if again is None else replace(again, alarm_row=change.alarm_row)
 
 
 def _until_now(history: Judgement, change: Change, standing: Sequence[Change], limit: float = 1.0) -> Change:

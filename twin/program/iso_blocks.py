@@ -115,11 +115,11 @@ class Iso(Reader):
             self.parameter_lines = "G11" not in body
             return
         if body.strip():
-            self.carry_out(self.parse(body))
+            self.carry_out(self.words_of(body))
         for message in messages:
             self.out.messages.append(message_text(message, self.values.number_of))
 
-    def parse(self, text: str) -> Block:
+    def words_of(self, text: str) -> Block:
         """The words of a block; assigned variables are set after the block is read."""
         block, later = Block(), []
         g, m, words, e, fanuc = block.g, block.m, block.w, self.values.expression(text), not self.linuxcnc
