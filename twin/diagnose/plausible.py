@@ -35,7 +35,7 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True, threshold
         return False
     smallest = t.smallest_size if cut and setting.effect.block not in CONTROL_BLOCKS else t.smallest_set_size
     neutral = size.neutral or 0.0
-    within = within_tolerance(setting, machine)
+    within = normal_deviation(setting, machine)
     if size.any_size:
         return not math.isfinite(neutral) or abs(value - neutral) > within
     if size.is_factor:
@@ -52,7 +52,7 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True, threshold
     return max(smallest * low, within) < abs(value) < t.largest_size * high
 
 
-def within_tolerance(setting: Setting, machine: Machine) -> float:
+def normal_deviation(setting: Setting, machine: Machine) -> float:
     """Deviation of a size that is normal: what the tolerance of a parameter explains, or what every machine has; 0 if neither resembles the effect."""
     size = setting.effect.size
     if size.normal_size is not None:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.diagnose.fit import fit_effects, relinearised_tuning
-from twin.diagnose.plausible import is_plausible, within_tolerance
+from twin.diagnose.plausible import is_plausible, normal_deviation
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState, is_cut
 from twin.errors import TwinError
@@ -69,5 +69,5 @@ def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:
         if free.parameter is size:
             value = size.deviation(setting.size)
             half = 1.96 * float(deviation) * free.unit * (value if free.logarithmic else 1.0)
-            determined[free.setting] = value - half > within_tolerance(setting, machine)
+            determined[free.setting] = value - half > normal_deviation(setting, machine)
     return determined

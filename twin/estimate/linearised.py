@@ -49,7 +49,7 @@ class Linearised:
             rows = np.vstack([r, np.sqrt(damping) * np.eye(len(length))])
             target = np.concatenate([-(q.T @ self.residual), np.zeros(len(length))])
             out[seen] = lsq_linear(rows, target, (low[seen] * length, high[seen] * length), method="bvls").x / length
-        return np.clip(out, low, high)
+        return out
 
     def solved(self, robust: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Change (k,) to the least squares and its covariance (k, k), by clusters; `robust`: with Huber's weights.

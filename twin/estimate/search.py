@@ -65,8 +65,8 @@ def search(problem: Problem, start: Values | None = None, steps: int = STEPS, sa
     score = [_score(base, b) for b in blocks]
     damping = [FIRST_DAMPING] * len(blocks)
     still = set(range(len(blocks)))
+    linear = linearised(problem, blocks, x, base, level_of(base))
     for step in range(steps):
-        linear = linearised(problem, blocks, x, base, level_of(base))
         for _ in range(TRIALS):
             trial = dict(x)
             for i in still:
@@ -87,9 +87,10 @@ def search(problem: Problem, start: Values | None = None, steps: int = STEPS, sa
             break
         if say:
             say(step + 1)
+        linear = linearised(problem, blocks, x, base, level_of(base))
         if not still:
             break
-    return Solution(problem, x, base, tuple(blocks), tuple(score), tuple(linearised(problem, blocks, x, base, level_of(base))))
+    return Solution(problem, x, base, tuple(blocks), tuple(score), tuple(linear))
 
 
 def level_of(base: Residuals) -> Callable[[str, str], float]:

@@ -77,7 +77,8 @@ class Series:
         prior = information(self.gram, self.scatter)
         moved = change * np.diag(prior)
         right = moved + self.gram @ (self.scatter**2 * moved)  # b from the scores w'b
-        inner, score = information(self.gram, scatter), filters(self.gram, scatter).T @ right
+        w = filters(self.gram, scatter)
+        inner, score = self.gram @ w, w.T @ right
         out = []
         for block in blocks:
             theta = np.linalg.lstsq(inner[np.ix_(block, block)], score[list(block)], rcond=1e-9)[0]
@@ -114,8 +115,9 @@ def series_of(rows: Sequence[Row], axes: tuple[str, ...], directions: Sequence[D
     scatter, sizes = scatter_of(directions), []
     for i in at:
         p = rows[i].projections[axes]
-        own = np.diag(information(p.gram, scatter))
-        sizes.append(filters(p.gram, scatter).T @ p.right / np.where(own > 0.0, own, np.inf))
+        w = filters(p.gram, scatter)
+        own = np.diag(p.gram @ w)
+        sizes.append(w.T @ p.right / np.where(own > 0.0, own, np.inf))
     gram = np.mean([rows[i].projections[axes].gram for i in at], axis=0)
     return Series(axes, directions, at, np.array(sizes), gram)
 

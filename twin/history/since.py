@@ -111,7 +111,7 @@ class Contrast:
 
     @functools.cached_property
     def information(self) -> np.ndarray:
-        return information(self.gram, self.scatter)
+        return np.asarray(self.gram @ self.filters)
 
     @functools.cached_property
     def blocks(self) -> list[list[int]]:

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from twin.diagnose.check import check_campaign
 from twin.diagnose.simulations import on_threads
 from twin.errors import InputError, TwinError
-from twin.history.columns import Direction, directions_of
+from twin.history.columns import directions_of
 from twin.history.dated import Dated, dated_campaigns
 from twin.history.judge import Judgement, judged
 from twin.history.projection import Projection, groups_of, projected, reference_view
@@ -42,7 +42,8 @@ def watch(
     dated, notes = dated_campaigns(folder)
     store = Store(out, reference_of(machine))
     try:
-        new = [one for one in dated if one.digest not in store.digests()]
+        known = store.digests()
+        new = [one for one in dated if one.digest not in known]
         with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
             for number, one in enumerate(new):
                 progress(f"{one.name} ({number + 1} of {len(new)})")
@@ -88,10 +89,6 @@ def program_of(runs: Sequence[MeasuredRun]) -> tuple[float, ...]:
 
 def reference_of(machine: Machine) -> str:
     """Digest of all that the projections depend on: the machine and the directions."""
-    names = [d.name for axis in machine.axis_names for d in _directions(machine, axis)]
+    names = [d.name for axis in machine.axis_names for d in directions_of(machine, (axis,))]
     content = json.dumps([VERSION, machine.document, names], sort_keys=True, default=str)
     return hashlib.sha256(content.encode()).hexdigest()
-
-
-def _directions(machine: Machine, axis: str) -> list[Direction]:
-    return directions_of(machine, (axis,))
