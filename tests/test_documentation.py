@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 import re
 import tomllib
@@ -78,3 +79,15 @@ def test_pictures_exist() -> None:
     for page in PAGES:
         for picture in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
             assert (page.parent / Path(picture)).is_file(), f"{page.name}: {picture}"
+
+
+def test_setup_looks_for_nothing_that_it_does_not_install() -> None:
+    """scripts/setup finds an installation incomplete if a module of its lists is no dependency: the commands of the README then end before they begin."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lists = re.findall(r'^\s*needs="(.*)"$', (ROOT / "scripts" / "setup").read_text(encoding="utf-8"), re.MULTILINE)
+    runtime, tests = (words.replace("$needs", "").split() for words in lists)
+    providers = packages_distributions()
+    for modules, asked in ((runtime, project["dependencies"]), (tests, project["optional-dependencies"]["dev"])):
+        names = {re.split(r"[^\w.-]", line, maxsplit=1)[0].lower().replace("_", "-") for line in asked}
+        alone = [m for m in modules if not any(p.lower().replace("_", "-") in names for p in providers.get(m, []))]
+        assert alone == []
