@@ -1,4 +1,4 @@
-"""Figures of docs/surface.md: speed against plain numpy, the paper's parts, and the influence of their geometry.
+"""Figures of docs/results.md and docs/paper.md: speed against plain numpy, the paper's parts, and the influence of their geometry.
 
     python devtools/measure_surface.py                    everything, about two minutes
     python devtools/measure_surface.py --only speed       kernels alone; --only parts, --only geometry

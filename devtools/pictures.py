@@ -4,7 +4,7 @@ python devtools/pictures.py exam DIR       docs/results.md, from the folder that
 python devtools/pictures.py program        docs/programs.md: feed over the path, error budget
 python devtools/pictures.py regress        docs/regression.md: a failed case
 python devtools/pictures.py law            docs/laws.md: a friction that no effect describes, measured; a minute
-python devtools/pictures.py surface        docs/surface.md: the paper's three parts; about two minutes
+python devtools/pictures.py surface        docs/paper.md: the paper's three parts; about two minutes
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The worked studies of docs/study.md: runs them and prints their numbers, with closed forms.
+"""The worked studies of docs/worked_studies.md: runs them and prints their numbers, with closed forms.
 
 python devtools/worked_studies.py [--studies FOLDER] [--only NAME]     into FOLDER (default out/studies), resumed where they are there
 """

@@ -19,7 +19,7 @@ CONFIDENCE = 0.95
 
 RELATED = 1.1
 """Factor on the interval widths, because strokes of one run share unmodelled effects (cogging, pre-sliding, drive-train modes).
-Calibrated on campaigns drawn for this purpose (docs/identify.md)."""
+Calibrated on campaigns drawn for this purpose (docs/identify_theory.md)."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ ROW_STRIDE = 4
 ITERATIONS = 4
 
 LAW_DEVIATION = 0.004
-"""Relative standard deviation of the missing mean due to errors of the saw-tooth model: two masses, fixed damping (docs/identify.md)."""
+"""Relative standard deviation of the missing mean due to errors of the saw-tooth model: two masses, fixed damping (docs/identify_theory.md)."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ REMEMBERED_S = 0.4
 """Rows within this time of a current limit are not used: the high-pass spreads the error of the clipped current so far."""
 
 LAW_DEVIATION = 0.002
-"""Relative standard deviation of gain and integral time due to the remaining error of the law (docs/identify.md)."""
+"""Relative standard deviation of gain and integral time due to the remaining error of the law (docs/identify_theory.md)."""
 
 
 @dataclass(frozen=True)
