@@ -11,6 +11,7 @@ import numpy as np
 from twin import load_machine
 from twin.history.columns import Direction, directions_of
 from twin.history.judge import Judgement, judged
+from twin.history.limits import Limit
 from twin.history.projection import Projection
 from twin.history.series import LOAD, SCATTER
 from twin.history.store import Row
@@ -82,6 +83,9 @@ def test_a_growing_fault_is_one_change_with_a_forecast() -> None:
     ahead = change.forecast
     assert ahead is not None
     assert ahead.earliest <= (17 + 25) * 7.0 <= ahead.latest
+    (change,) = judged(history(5, growing), directions(), lambda _direction, _size: Limit(2.0, "twice")).changes
+    assert change.forecast is not None
+    assert change.forecast.earliest <= (17 + 50) * 7.0 <= change.forecast.latest
 
 
 def test_a_judgement_follows_from_the_rows_alone() -> None:

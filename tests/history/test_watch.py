@@ -6,6 +6,7 @@ from dataclasses import replace
 import json
 import os
 from pathlib import Path
+import re
 import shutil
 import subprocess
 import sys
@@ -72,6 +73,25 @@ def test_nothing_is_judged_twice(watched: tuple[Path, int], weeks: Path, monkeyp
         document["changes"] = [{key: value for key, value in change.items() if key != "diagnose"} for change in document["changes"]]
     assert first["changes"] == second["changes"]
     assert any("counts once" in note for note in second["notes"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--limit", "backlash:X:clearance=10um"], "beyond the given limit"),
+        (["--limit", "backlash:X:clearance=0.1mm"], "since 2026-03-02$"),
+        (["--tolerance-um", "4"], "beyond 4 um at the tool point"),
+        (["--tolerance-um", "40"], "since 2026-03-02$"),
+    ],
+)
+def test_a_limit_is_a_size_or_a_tolerance_of_the_part(
+    watched: tuple[Path, int], weeks: Path, tmp_path: Path, options: list[str], said: str
+) -> None:
+    """A play of 12 um displaces the tool by half of it to either side, and by a little more where the scale overshoots."""
+    out = shutil.copytree(watched[0], tmp_path / "history")
+    assert main(["watch", str(weeks), "--out", str(out), *options]) == 1
+    (change,) = json.loads((out / "history.json").read_text())["changes"]
+    assert re.search(said, change["sentence"]), change["sentence"]
 
 
 def test_an_unreadable_campaign_is_named_and_the_others_are_judged(

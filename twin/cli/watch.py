@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_machine, add_open, machine_of, open_report
+from twin.cli.arguments import add_machine, add_open, machine_of, open_report, positive
 from twin.files import output_folder, write_json
 from twin.progress import Progress
 
@@ -17,18 +17,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", required=True, metavar="HISTORY", help="folder for history.sqlite, history.json, report.html; run again, it continues"
     )
+    parser.add_argument(
+        "--tolerance-um", type=positive, metavar="W", help="a growing change is a fault where it alone moves the tool by this much [um]"
+    )
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        metavar="NAME:AXIS:PARAMETER=VALUE",
+        help="a growing effect is a fault at this size, e.g. backlash:X:clearance=15um (repeatable; default: its usual size)",
+    )
     add_open(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
     """Judge what is new, write the history, print what changed; exit code 1 on an alarm."""
+    from twin.effects.setting import parse_setting
     from twin.history.document import history_document, summary_text
     from twin.history.page import write_history_page
     from twin.history.watch import watch
 
     machine, out = machine_of(args), output_folder(args.out)
+    limits = [parse_setting(text, machine, "--limit") for text in args.limit]
+    tolerance = None if args.tolerance_um is None else args.tolerance_um * 1e-6
     with Progress("watching", total=None) as bar:
-        history, notes = watch(Path(args.folder), out, machine, progress=bar.say)
+        history, notes = watch(Path(args.folder), out, machine, limits=limits, tolerance=tolerance, progress=bar.say)
     document = history_document(history, machine, notes, Path(args.folder))
     write_json(document, out / "history.json", "history")
     write_history_page(document, out / "report.html")

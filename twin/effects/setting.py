@@ -122,9 +122,9 @@ def settings_of(machine: Machine) -> tuple[Setting, ...]:
     return settings
 
 
-def parse_setting(text: str, machine: Machine) -> Setting:
+def parse_setting(text: str, machine: Machine, option: str = "--effect") -> Setting:
     """A Setting from the command line: 'backlash:X:clearance=15e-6,contact_stiffness=6e9'; a value may have a unit (15um)."""
-    where = f"--effect {text}"
+    where = f"{option} {text}"
     parts = text.split(":", 2)
     if len(parts) < 2:
         raise InputError(f"{where}: write NAME:AXIS:PARAMETER=VALUE[,PARAMETER=VALUE], e.g. backlash:X:clearance=15e-6")

@@ -93,9 +93,11 @@ def change_entry(history: Judgement, machine: Machine, change: Change, folder: P
     text = f"{difference_text(entry, change.size.size)} since {onset:%Y-%m-%d}"
     if change.rivals:
         text += f"; could also be {listed([effect_title(cause_entry(c)) for c in change.rivals])}"
-    ahead = None if change.forecast is None else _days(change.forecast, history.rows[0].day)
-    if ahead is not None:
-        text += f"; at this rate its usual size as a fault is reached on {ahead['day'] or 'no near day'}"
+    ahead = None if change.forecast is None else _days(change, change.forecast, history.rows[0].day)
+    if abs(change.size.size) >= change.limit.size:
+        text += f"; beyond {change.limit.text}"
+    elif ahead is not None:
+        text += f"; at this rate {change.limit.text} is reached on {ahead['day'] or 'no near day'}"
     return {
         **entry,
         "usual_sizes": {
@@ -118,12 +120,12 @@ def cause_entry(cause: Cause) -> dict[str, str]:
     return {"effect": effect, "axis": axis, **({"from_axis": source} if source else {})}
 
 
-def _days(forecast: Forecast, first: datetime) -> dict[str, str | None]:
+def _days(change: Change, forecast: Forecast, first: datetime) -> dict[str, str | None]:
     def day(after: float) -> str | None:
         return (first + timedelta(days=after)).date().isoformat() if math.isfinite(after) else None
 
     return {
-        "limit": "usual size of the effect",
+        "limit": change.limit.text,
         "day": day(forecast.day),
         "earliest": day(forecast.earliest),
         "latest": day(forecast.latest),

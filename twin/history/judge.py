@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.history.change import LONGEST, Forecast, Level, evidence, forecast, level
 from twin.history.columns import Direction, amplitude, waves_of
+from twin.history.limits import USUAL, Limit, LimitOf, usual
 from twin.history.series import LOAD, RIVAL, SCATTER, Series, constants_of, programs_of, series_of, thermometers
 from twin.history.store import Row
 
@@ -56,6 +57,7 @@ class Change:
     size: Level
     rivals: tuple[Cause, ...] = ()
     forecast: Forecast | None = None
+    limit: Limit = USUAL
 
     @property
     def cause(self) -> Cause:
@@ -100,8 +102,8 @@ def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
     return found
 
 
-def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction]]) -> Judgement:
-    """The judgement of all recordings by day."""
+def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction]], limit_of: LimitOf = usual) -> Judgement:
+    """The judgement of all recordings by day; growing changes are carried forward to their limits."""
     series = [s for axes, own in directions.items() if (s := series_of(rows, axes, own)) is not None]
     constants = constants_of(programs_of(rows)) if rows else np.zeros((0, 0))
     history = Judgement(rows, series, constants, [thermometers(series, one, len(rows)) for one in series])
@@ -127,7 +129,7 @@ def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction
     for stand in standing:
         for i, change in enumerate(stand):
             last = stand[i + 1].alarm_row - 1 if i + 1 < len(stand) else len(rows) - 1
-            changes.append(_until_now(history, _resized(history, change, stand[:i], last), stand[:i]))
+            changes.append(_until_now(history, _resized(history, change, stand[:i], last), stand[:i], limit_of))
     return replace(history, changes=sorted(changes, key=lambda c: c.alarm_row), evidence=total)
 
 
@@ -194,8 +196,8 @@ def _resized(history: Judgement, change: Change, standing: Sequence[Change], now
     return change if again is None else replace(again, alarm_row=change.alarm_row)
 
 
-def _until_now(history: Judgement, change: Change, standing: Sequence[Change], limit: float = 1.0) -> Change:
-    """The change with its size by all recordings, and the day at which it reaches `limit` [usual sizes], from its last recordings."""
+def _until_now(history: Judgement, change: Change, standing: Sequence[Change], limit_of: LimitOf) -> Change:
+    """The change with its size by all recordings, and the day at which it reaches its limit, from its last recordings."""
     one = history.series[change.group]
     nuisance = history.nuisance(change.group, bool(one.warms[change.k]), standing)[one.at]
     alike = [k for k, d in enumerate(one.directions) if (d.cause, d.wave) == (change.cause, change.direction.wave)]
@@ -203,7 +205,8 @@ def _until_now(history: Judgement, change: Change, standing: Sequence[Change], l
     size = replace(levels[0], size=amplitude([found.size for found in levels]))
     y, days = sizes_over_time(history, change.group, change.k, change.onset)
     after = np.flatnonzero(one.at >= change.onset)[-RECENT:]
-    return replace(change, size=size, forecast=forecast(days[after], y[after], limit, float(days[-1])))
+    limit = limit_of(change.direction, size.size)
+    return replace(change, size=size, limit=limit, forecast=forecast(days[after], y[after], limit.size, float(days[-1])))
 
 
 def sizes_over_time(history: Judgement, group: int, k: int, until: int | None = None) -> tuple[np.ndarray, np.ndarray]:

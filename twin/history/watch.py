@@ -17,10 +17,12 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.check import check_campaign
 from twin.diagnose.simulations import on_threads
+from twin.effects import Setting
 from twin.errors import InputError, TwinError
 from twin.history.columns import directions_of
 from twin.history.dated import Dated, dated_campaigns
 from twin.history.judge import Judgement, judged
+from twin.history.limits import limits_of
 from twin.history.projection import Projection, groups_of, projected, reference_view
 from twin.history.store import Row, Store
 from twin.machine.machine import Machine
@@ -32,9 +34,18 @@ VERSION = 2
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def watch(
-    folder: Path, out: Path, machine: Machine, *, threads: int | None = None, progress: Callable[[str], None] = lambda _: None
+    folder: Path,
+    out: Path,
+    machine: Machine,
+    *,
+    limits: Sequence[Setting] = (),
+    tolerance: float | None = None,
+    threads: int | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Judgement, list[str]]:
     """Bring the history in `out` up to date with a folder of dated campaigns; its judgement, and notes on what was left out.
+
+    A growing change is carried forward to its size in `limits`, or to `tolerance` [m] at the tool point, or to the usual size of its effect.
 
     Raises InputError if nothing is dated or can be judged, or the history belongs to another machine. A campaign that cannot be read is named in a note and tried again
     the next time.
@@ -58,7 +69,8 @@ def watch(
         raise InputError(f"{folder}: no campaign could be judged; {notes[-1]}")
     progress("judging")
     groups = sorted({axes for row in rows for axes in row.projections}, key=lambda axes: machine.axis_names.index(axes[0]))
-    return judged(rows, {axes: directions_of(machine, axes) for axes in groups}), notes
+    limit_of = limits_of(machine, limits, tolerance, lambda: dated[-1].runs(machine))
+    return judged(rows, {axes: directions_of(machine, axes) for axes in groups}, limit_of), notes
 
 
 def row_of(one: Dated, machine: Machine, pool: ThreadPoolExecutor) -> Row:
