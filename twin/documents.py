@@ -34,7 +34,7 @@ LARGEST_NUMBER = 1e100
 
 def read_toml(path: Path, what: str = "a valid TOML file") -> dict[str, Any]:
     """Read a TOML file. Every fault raises an InputError of one line that names the file."""
-    return toml_of(_text(path, LARGEST_TOML_BYTES, what), str(path), what)
+    return toml_of(read_text(path, what), str(path), what)
 
 
 def toml_of(text: str, where: str, what: str = "a valid TOML file") -> dict[str, Any]:
@@ -53,7 +53,7 @@ def toml_of(text: str, where: str, what: str = "a valid TOML file") -> dict[str,
 
 def read_json(path: Path, what: str = "a valid JSON file", largest: int = LARGEST_JSON_BYTES) -> Any:
     """Read a JSON file. Every fault raises an InputError of one line that names the file."""
-    text = _text(path, largest, what)
+    text = read_text(path, what, largest)
     try:
         document = json.loads(text)
     except RecursionError:
@@ -147,7 +147,8 @@ def outer_file(name: object, folder: Path, where: str) -> Path:
     return folder / name
 
 
-def _text(path: Path, largest: int, what: str) -> str:
+def read_text(path: Path, what: str, largest: int = LARGEST_TOML_BYTES) -> str:
+    """The text of a file of at most `largest` bytes. Raises InputError, naming `what` it should be."""
     try:
         if not path.is_file():
             raise InputError(f"{path}: no such file; give its path")

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+import tomllib
+
 import numpy as np
 import pytest
 
+from twin.cli.parser import main
 from twin.errors import InputError
+from twin.machine.machine import Machine
+from twin.remedy.advice import BACKLASH, PULSE, TABLE
+from twin.remedy.change import Change
+from twin.remedy.control_data import files_for
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
+from twin.remedy.files.existing import Existing, existing, lines_of
 from twin.remedy.files.table import ErrorTable
 
 # LinuxCNC: the documentation's table of type 0, one of type 1, and the one in the comment of the source
@@ -151,10 +160,6 @@ def test_the_old_table_of_heidenhain() -> None:
     table = heidenhain.old_table(text, "Y", "Z")
     at = np.array([-0.981808, -0.965424, -0.940848, -0.924464])
     assert table.error(at) == pytest.approx([-30e-6, -75e-6, -100e-6, -110e-6], abs=1e-9)
-    assert heidenhain.spacing_for(7e-3) == pytest.approx(4.096e-3)
-    heidenhain.check_slope(table)
-    with pytest.raises(InputError, match="1/64"):
-        heidenhain.check_slope(ErrorTable("Y", np.array([0.0, 0.016384]), np.array([0.0, 3e-4]), np.array([0.0, 3e-4])))
 
 
 def test_a_file_that_the_control_saved_is_filled() -> None:
@@ -196,3 +201,73 @@ def test_what_a_format_cannot_hold_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=words):
             make()
+
+
+LEAD = {"slope": 80.0, "origin": 0.01, "sine": 0.0, "cosine": 0.0, "wavelength": 0.01}
+WAVE = {**LEAD, "sine": 4e-6, "cosine": -3e-6}
+
+
+@pytest.mark.parametrize(
+    ("control", "changes"),
+    [
+        ("sinumerik", {"Y": (TABLE, WAVE), "X": (BACKLASH, {"width": 8e-6, "cycles": 1.0}), "C": (PULSE, {"amplitude": 1e-3, "decay_time": 0.02})}),
+        ("linuxcnc", {"Y": (TABLE, LEAD), "C": (BACKLASH, {"width": 4e-5, "cycles": 1.0})}),
+        ("heidenhain", {"C": (BACKLASH, {"width": 4e-5, "cycles": 1.0})}),
+        ("isg", {"Y": (TABLE, LEAD)}),
+    ],
+)  # fmt: skip
+def test_what_a_remedy_writes_is_shown_as_the_same_blocks(
+    control: str, changes: dict[str, tuple[str, dict[str, float]]], mikron: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`twin machine show --control-file` prints the tables of a machine file that the changes would write into it."""
+    own = [Change(axis, function, values=values) for axis, (function, values) in changes.items()]
+    files, _ = files_for(own, mikron, control)
+    named = []
+    for name, text in files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        if not name.endswith("_comp.ini"):
+            named += ["--control-file", f"{'Y=' * name.endswith('.comp')}{tmp_path / name}"]
+    assert main(["machine", "show", *named, "--comp-file-type", "1"]) == 0
+    shown = tomllib.loads("\n".join(line for line in capsys.readouterr().out.splitlines() if line.startswith("[") or "=" in line))
+    for change in own:
+        expected = change.table(mikron)
+        found = shown["axis"][change.axis]["block"][change.function]
+        scale = 1e-7 if control == "isg" else 2e-8  # a file counts in 0.1 um or less
+        assert found.keys() == expected.keys()
+        for key, value in expected.items():
+            assert found[key] == pytest.approx(
+                value, rel=2e-3, abs=0.02 * abs(WAVE["sine"]) if key.startswith(("sine", "cosine")) else scale
+            )
+
+
+def test_existing_files_name_their_axis_or_are_refused(mikron: Machine, tmp_path: Path) -> None:
+    def found(text: str, name: str = "") -> list[Existing]:
+        path = tmp_path / "given"
+        path.write_text(text, encoding="utf-8")
+        return existing(f"{name}{path}", mikron)
+
+    [direction] = found(compensation := "0 0 0\n100 -0.002 0.003\n", "X=")
+    assert direction.table is not None
+    assert any("differ by" in line for line in lines_of(direction))
+    [cross] = found(
+        sinumerik.cec_file(ErrorTable("X", np.array([0.0, 0.1]), np.zeros(2), np.zeros(2), "Z"), "linear", {"X": "AX1", "Z": "AX3"})
+    )
+    assert "no block of the machine file corrects that" in lines_of(cross)[-1]
+    [old] = found("0 Z-990      Y+0\n1 Z-973.616  Y-0.06\n", "Y=")
+    assert old.axis.name == "Y"
+    for text, words in (
+        (compensation, "write AXIS="),
+        ("N32450 $MA_BACKLASH[0,AX9]=0.01", "AX9"),
+        ("[JOINT_0]\nP = 3\n", "holds no compensation"),
+    ):
+        with pytest.raises(InputError, match=words):
+            found(text)
+
+
+def test_a_saved_table_is_filled_by_a_remedy(mikron: Machine) -> None:
+    saved = "BEGIN PITCH_Y.COM\nNR  AXISPOS   BACKLASH  Y\n0   -100.0    +0.0000   +0.0000\n1   +0.0      +0.0000   +0.0000\n[END]\n"
+    change = Change("Y", TABLE, values=LEAD)
+    files, notes = files_for([change], mikron, "heidenhain", [saved.replace(" Y\n", " X\n"), saved])
+    assert files["Y.COM"].splitlines()[2].split() == ["0", "-100.0", "-0.0088", "-0.0088"]
+    assert not notes
+    assert "--saved" in files_for([change], mikron, "heidenhain")[1][0]

@@ -37,6 +37,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     show = actions.add_parser("show", help="print the data sheet")
     show.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
     show.add_argument("--sinumerik", action="store_true", help="print it as machine data of a SINUMERIK 840D with 611D drives")
+    show.add_argument(
+        "--control-file",
+        action="append",
+        default=[],
+        metavar="[AXIS=]FILE",
+        help="print what a file of the control compensates already, as tables of a machine file: archive, EEC, CEC, ini, .comp, .lis, "
+        "parameter list (repeatable)",
+    )
+    show.add_argument(
+        "--comp-file-type", type=int, choices=(0, 1), default=0, help="COMP_FILE_TYPE of LinuxCNC compensation files (default 0)"
+    )
     show.set_defaults(action=_show)
 
 
@@ -111,6 +122,13 @@ def _show(args: argparse.Namespace) -> int:
     from twin.machine.sheet import sheet, sinumerik_sheet
 
     machine = machine_of(args)
+    if args.control_file:
+        from twin.remedy.files.existing import existing, lines_of
+
+        for file in args.control_file:
+            for found in existing(file, machine, args.comp_file_type):
+                print("\n".join(lines_of(found)))
+        return 0
     print(sinumerik_sheet(machine) if args.sinumerik else sheet(machine))
     return 0
 

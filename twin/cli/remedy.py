@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from twin.cli.arguments import add_effect, add_margins, add_open, add_place, machine_of, open_report, positive, setpoints_of_input
+from twin.documents import read_text
 from twin.errors import InputError
 from twin.files import output_folder, write_json, write_whole
 from twin.progress import Progress
@@ -33,6 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_margins(parser)
     parser.add_argument(
         "--control", default="sinumerik", metavar="C", help="sinumerik (default), heidenhain, linuxcnc or isg: whose files to write"
+    )
+    parser.add_argument(
+        "--saved",
+        action="append",
+        default=[],
+        metavar="FILE.COM",
+        help="HEIDENHAIN: a correction file that the control saved, to be filled",
     )
     parser.add_argument(
         "--out",
@@ -69,12 +77,13 @@ def carry_out(args: argparse.Namespace) -> int:
         _, trace = setpoints_of_input(Path(args.program), machine, args.place)
         on = given_motion(Path(args.program).name, trace, machine)
         elsewhere = [*standard, slowed(on, machine, 0.5)]
+    saved = [read_text(Path(file), "a .COM file of the control") for file in args.saved]
     goal = Goal(args.target_um * 1e-6, math.inf if args.tolerance_um is None else args.tolerance_um * 1e-6)
     out = output_folder(args.out)
     with Progress("looking for a remedy", total=None) as bar:
         found = remedy(machine, on, elsewhere, goal, asked_of(args.phase_margin_deg, args.gain_margin_db), deviations_of(document), bar.say)
     content = remedy_document(found)
-    files, by_hand = files_for(list(found.chosen.changes), machine, args.control)
+    files, by_hand = files_for(list(found.chosen.changes), machine, args.control, saved)
     for change, entry in zip(found.chosen.changes, content["changes"]):
         entries = entries_of(change, machine, args.control).entries
         entry["control"] = {e.name: e.value for e in entries}

@@ -45,7 +45,11 @@ BACKLASH_VALUE = register(
         (
             Number(
                 "width", "width_m", "width_deg", Key(-10.0, 10.0),
-                {"sinumerik": ("MD32450 BACKLASH", "mm, deg", 1e-3), "linuxcnc": ("BACKLASH", "mm, deg", 1e-3)},
+                {
+                    "sinumerik": ("MD32450 BACKLASH", "mm, deg", 1e-3),
+                    "heidenhain": ("MP710", "mm, deg", 1e-3),
+                    "linuxcnc": ("BACKLASH", "mm, deg", 1e-3),
+                },
             ),
             Number("cycles", "cycles", "cycles", positive()),
         ),

@@ -37,7 +37,8 @@ class Number:
     name            name for the laws, which get it in SI at the axis
     linear, rotary  key in the machine file on a linear and on a rotary axis, with its unit at the end
     bounds          bounds in the unit of the key
-    data            control -> (name, unit, factor from this unit to that of the key), for its files: {"sinumerik": ("MD32540", "s", 1.0)}
+    data            control -> (name, unit, factor from this unit to that of the key on a linear axis; on a rotary one they agree), for its files:
+                    {"sinumerik": ("MD32540", "s", 1.0)}
     """
 
     name: str

@@ -6,7 +6,8 @@ of `twin.remedy.files` and of the manuals named there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
@@ -212,8 +213,8 @@ def correction_table(change: Change, axis: Axis) -> ErrorTable:
     return ErrorTable(axis.name, q, error, error, modulo=turn)
 
 
-def files_for(changes: list[Change], machine: Machine, control: str) -> tuple[dict[str, str], list[str]]:
-    """(file name -> text, sentences on what must be done by hand) of all changes on a control."""
+def files_for(changes: list[Change], machine: Machine, control: str, saved: Sequence[str] = ()) -> tuple[dict[str, str], list[str]]:
+    """(file name -> text, sentences on what must be done by hand) of all changes on a control; `saved`: texts of .COM files that it saved."""
     names = list(machine.axis_names)
     entries: list[tuple[str, Entry]] = []
     files: dict[str, str] = {}
@@ -231,7 +232,7 @@ def files_for(changes: list[Change], machine: Machine, control: str) -> tuple[di
                 )
                 table = correction_table(replace(change, values={**change.values, "sine": 0.0, "cosine": 0.0}), machine.axis(change.axis))
             try:
-                files |= _table_files(table, kind, control, names.index(change.axis))
+                files |= _table_files(table, kind, control, names.index(change.axis), saved)
             except InputError as error:
                 notes.append(str(error))
     if entries:
@@ -239,7 +240,7 @@ def files_for(changes: list[Change], machine: Machine, control: str) -> tuple[di
     return files, notes
 
 
-def _table_files(table: ErrorTable, kind: str, control: str, number: int) -> dict[str, str]:
+def _table_files(table: ErrorTable, kind: str, control: str, number: int, saved: Sequence[str]) -> dict[str, str]:
     if control == "sinumerik":
         return {f"{table.axis}_EEC.INI": sinumerik.eec_file(table, kind)}
     if control == "linuxcnc":
@@ -250,7 +251,10 @@ def _table_files(table: ErrorTable, kind: str, control: str, number: int) -> dic
         }
     if control == "isg":
         return {f"{table.axis}.lis": isg.list_of(table, kind, number + 1)}
-    raise InputError(f"axis {table.axis}: HEIDENHAIN tables are filled only into a .COM file that the control saved")
+    for text in saved:
+        with contextlib.suppress(InputError):  # of another axis
+            return {f"{table.axis}.COM": heidenhain.filled(text, table, kind)}
+    raise InputError(f"axis {table.axis}: HEIDENHAIN tables are filled only into a .COM file that the control saved: give it with --saved")
 
 
 def _data_file(entries: list[tuple[str, Entry]], control: str, names: list[str]) -> dict[str, str]:

@@ -1,8 +1,8 @@
 """HEIDENHAIN: parameters as a list to enter by hand, and old correction tables (TNC 306 and its kind).
 
-An old table holds the error of one axis over the position of another, at distances of 2^n um (grade A); empty lines are interpolated, and
-neighbours may differ by 1/64 of the distance. No literal .COM file of the NCK controls was in reach, so none is made up: its columns are
-filled into a file that the control saved (`filled`).
+An old table holds the error of one axis over the position of another, at distances of 2^n um (grade A); empty lines are
+interpolated. No literal .COM file of the NCK controls was in reach, so none is made up: its columns are filled into a file that the control
+saved (`filled`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,6 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.remedy.files.table import PER_SI, ErrorTable
-
-LARGEST_SLOPE = 1.0 / 64.0
-"""Largest difference of neighbours over their distance in an old table."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +59,6 @@ def old_table(text: str, corrected: str, over: str) -> ErrorTable:
         raise InputError(f"correction table of axis {corrected}: two or more values are needed")
     values = np.interp(at, at[known], found[known]) * 1e-3
     return ErrorTable(corrected, at * 1e-3, values, values, input_axis=over)
-
-
-def spacing_for(distance: float) -> float:
-    """The distance of the points of an old table [m]: the power of two in um at or below the wanted one."""
-    return float(2.0 ** math.floor(math.log2(distance * 1e6)) * 1e-6)
-
-
-def check_slope(table: ErrorTable) -> None:
-    """Raises InputError if neighbours of an old table differ too much."""
-    slopes = np.abs(np.diff(table.forward)) / np.diff(table.positions)
-    if float(slopes.max()) > LARGEST_SLOPE:
-        raise InputError(f"axis {table.axis}: neighbours differ by more than 1/64 of their distance; the control refuses the table")
 
 
 def filled(saved: str, table: ErrorTable, kind: str) -> str:

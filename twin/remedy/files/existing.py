@@ -1,0 +1,165 @@
+"""Compensations that a control holds already, read from its own files: error tables over position, and numbers of blocks of a machine file.
+
+    E(q) = slope (q - origin) + sine sin(k q) + cosine cos(k q) + what is left          the block `position_correction` holds the first three
+
+The content tells the format: SINUMERIK archives, EEC and CEC; LinuxCNC ini and compensation files; HEIDENHAIN parameter lists and old tables;
+ISG lists. A LinuxCNC compensation file and an old HEIDENHAIN table name no axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import math
+from pathlib import Path
+import re
+
+import numpy as np
+
+from twin.control.library import BLOCKS
+from twin.control.number import si_from_key
+from twin.documents import read_text
+from twin.errors import InputError
+from twin.machine.machine import Axis, Machine
+from twin.remedy.advice import TABLE
+from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
+from twin.remedy.files.table import PER_SI, ErrorTable
+
+DEFAULTS = {"cycles": 1.0}
+"""Numbers of blocks that no file of a control holds: a play is worked off in one cycle."""
+
+
+@dataclass(frozen=True)
+class Existing:
+    """What a file holds for one axis: a table, or numbers of blocks [SI at the axis]."""
+
+    axis: Axis
+    table: ErrorTable | None = None
+    blocks: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+def existing(file: str, machine: Machine, kind: int = 0) -> list[Existing]:
+    """What 'FILE', or 'AXIS=FILE', holds; `kind` of a LinuxCNC compensation file. Raises InputError for a file of another kind."""
+    name, separator, rest = file.partition("=")
+    given, path = (name, Path(rest)) if separator and name in machine.axis_names else ("", Path(file))
+    text = read_text(path, "a file of a control")
+
+    def own(axis: str = given) -> Axis:
+        if not axis:
+            raise InputError(f"{path}: it names no axis; write AXIS={path}")
+        return _axis(given or axis, machine, path)
+
+    if found := re.search(r"\$AA_ENC_COMP(?:_\w+)?\[[^\]]*?(\w+)\s*\]", text):
+        axis = own(found[1])
+        return [Existing(axis, sinumerik.eec_table(text, axis.kind))]
+    if found := re.search(r"\$AN_CEC_OUTPUT_AXIS\[\d+\]\s*=\s*\(?(\w+)", text):
+        return [Existing(_axis(t.axis, machine, path), t) for _, t in sinumerik.cec_tables(text, own(found[1]).kind)]
+    if "kw.ssfk." in text:
+        number = re.search(r"kopf\.achs_nr\s+(\d+)", text)
+        axis = own(f"AX{number[1]}" if number else given)
+        return [Existing(axis, isg.table_of(text, axis.name, axis.kind))]
+    data = {
+        "sinumerik": {(f"MD{n}", a): v for (n, a), v in sinumerik.machine_data(text).items()},
+        "heidenhain": heidenhain.parameters_of(text),
+        "linuxcnc": {(k, f"AX{j + 1}"): _number(v) for j, keys in linuxcnc.ini_values(text).items() for k, v in keys.items()},
+    }
+    if control := next((c for c, values in data.items() if values), None):
+        return _blocks(data[control], control, machine, path)
+    axis = own()
+    if re.search(rf"^\s*\d+\s+\w+[-+.\d]+\s+{axis.name}[-+.\d]", text, re.M):
+        over = re.search(r"^\s*\d+\s+([A-Z])[-+.\d]", text, re.M)
+        return [Existing(axis, heidenhain.old_table(text, axis.name, over[1] if over else axis.name))]
+    return [Existing(axis, linuxcnc.table_of(text, axis.name, axis.kind, kind))]
+
+
+def _axis(name: str, machine: Machine, path: Path) -> Axis:
+    """The axis of a control's name: 'X', 'X1', or 'AX1', the first one."""
+    number = re.fullmatch(r"AX(\d+)", name)
+    if number and 0 < int(number[1]) <= len(machine.axes):
+        return machine.axes[int(number[1]) - 1]
+    known = next((n for n in (name, name.rstrip("0123456789")) if n in machine.axis_names), None)
+    if known is None:
+        raise InputError(f"{path}: axis {name} is not one of {', '.join(machine.axis_names)}; write AXIS={path}")
+    return machine.axis(known)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _blocks(data: dict[tuple[str, str], float], control: str, machine: Machine, path: Path) -> list[Existing]:
+    """The blocks whose first number a control's data hold and that are switched on."""
+    out: dict[str, Existing] = {}
+    for (datum, axis), _ in data.items():
+        own = _axis(axis, machine, path)
+        for block in BLOCKS.values():
+            values = {n.name: DEFAULTS[n.name] for n in block.numbers if n.name in DEFAULTS}
+            for n in block.numbers:
+                name, _, factor = n.data.get(control, ("", "", 1.0))
+                value = data.get((name.split(" ")[0], axis), 0.0)
+                if name and math.isfinite(value) and value != 0.0:
+                    values[n.name] = value * (factor if own.kind == "linear" else 1.0) * si_from_key(n.key(own.kind))
+            first = block.numbers[0]
+            if first.name in values and first.data.get(control, ("",))[0].split(" ")[0] == datum:
+                out.setdefault(own.name, Existing(own)).blocks[block.name] = values
+    if not out:
+        raise InputError(f"{path}: holds no compensation that is switched on; give a file with {', '.join(_known(control))} or a table")
+    return list(out.values())
+
+
+def _known(control: str) -> list[str]:
+    return sorted({n.data[control][0].split(" ")[0] for b in BLOCKS.values() for n in b.numbers[:1] if control in n.data})
+
+
+def correction_of(table: ErrorTable, axis: Axis) -> tuple[dict[str, float], float]:
+    """Numbers of the block `position_correction` that a table holds [SI], and the RMS of what they leave.
+
+    The wave is that of a turn of the motor or of the axis, whichever leaves less.
+    """
+    q, error = table.positions, 0.5 * (table.forward + table.backward)
+    turns = [2.0 * np.pi * axis.ratio, *([2.0 * np.pi] if axis.kind == "rotary" else [])]
+    best: tuple[dict[str, float], float] | None = None
+    for wave in [w for w in turns if 4.0 * float(np.diff(q).max()) <= w] or [math.inf]:
+        k = 2.0 * np.pi / wave
+        columns = np.column_stack([np.ones(len(q)), q, np.sin(k * q), np.cos(k * q)])[:, : 4 if k else 2]
+        (offset, slope, *waves), *_ = np.linalg.lstsq(columns, error, rcond=1e-9)
+        left = float(np.sqrt(np.mean((error - columns @ [offset, slope, *waves]) ** 2)))
+        sine, cosine = waves or (0.0, 0.0)
+        origin = -offset / slope if slope else 0.0
+        values = {"slope": 1e6 * slope, "origin": origin, "sine": sine, "cosine": cosine, "wavelength": wave if k else turns[0]}
+        if best is None or left < best[1]:
+            best = {name: float(v) for name, v in values.items()}, left
+    assert best is not None
+    return best
+
+
+def lines_of(found: Existing) -> list[str]:
+    """What was read in words, and the tables to enter in the machine file."""
+    axis, lines, blocks = found.axis, [], dict(found.blocks)
+    unit, to = ("um", 1e6) if axis.kind == "linear" else ("arcsec", 3600.0 * 180.0 / math.pi)
+    if (table := found.table) is not None:
+        q, way = table.positions * PER_SI[axis.kind], "by direction" if table.by_direction else "one for both directions"
+        own, left = correction_of(table, axis)
+        both = np.concatenate([table.forward, table.backward])
+        over = f" over axis {table.input_axis}" if table.input_axis not in ("", table.axis) else ""
+        lines.append(
+            f"{axis.name}: {len(q)} points from {q[0]:.6g} to {q[-1]:.6g} {'mm' if axis.kind == 'linear' else 'deg'}{over}, {way}; "
+            f"the axis goes {both.min() * to:.4g} to {both.max() * to:.4g} {unit} too far"
+        )
+        if over:
+            return [*lines, "  from another axis: no block of the machine file corrects that"]
+        lines.append(f"  as a slope and a wave: {left * to:.3g} {unit} RMS left, and a constant, which a reference removes")
+        if table.by_direction:
+            play = float(np.mean(table.backward - table.forward))
+            lines.append(f"  the directions differ by {play * to:.4g} {unit} on average: a backlash value")
+            blocks["backlash_value"] = {"width": play, **DEFAULTS}
+        blocks[TABLE] = own
+    for name, values in blocks.items():
+        lines.append(f"[axis.{axis.name}.block.{name}]")
+        for n in BLOCKS[name].numbers:
+            if n.name in values:
+                key = n.key(axis.kind)
+                lines.append(f"{key} = {float(f'{values[n.name] / si_from_key(key):.9g}')!r}")
+    return lines
