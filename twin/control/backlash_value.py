@@ -34,7 +34,7 @@ def shifted_by_direction(parameters, state, signals, axis):  # type: ignore[no-u
     x[axis, X_SETPOINT] += s[0]
 
 
-def _constants(values: Values, cycles: Cycles) -> list[float]:
+def _constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
     return [0.5 * values["width"], abs(values["width"]) / max(round(values["cycles"]), 1)]
 
 

@@ -65,9 +65,11 @@ class Block:
     numbers    its numbers
     stage      stage of the loop at which `law` is called (`loop_terms`: SETPOINT, SPEED, DRIVE, CURRENT, VOLTAGE)
     law        compiled term with its own state; None for a set point filter
-    constants  parameters of the term from the numbers and the cycles
+    constants  parameters of the term from the numbers, the cycles and the position gain [1/s]
     kernel     weights of a set point filter at the last position cycles, newest first, with the sum 1
     recorded   what the block adds to its output, evaluated over recorded signals: (values, set point, output, cycle [s]) -> (sample,)
+    linear     what the block adds to the output of the position controller for the error, a transfer function: polynomials in 1/z of the position
+               cycle, of equal length, for the margins
     replaces   recorded signals whose unexplained part this block makes itself, so that a simulation must not add it again
     """
 
@@ -76,9 +78,10 @@ class Block:
     numbers: tuple[Number, ...]
     stage: int = -1
     law: Any = None
-    constants: Callable[[Values, Cycles], list[float]] = lambda _values, _cycles: []
+    constants: Callable[[Values, Cycles, float], list[float]] = lambda _values, _cycles, _gain: []
     kernel: Callable[[Values, Cycles], np.ndarray] | None = None
     recorded: Callable[[Values, np.ndarray, np.ndarray, float], np.ndarray] | None = None
+    linear: Callable[[Values, Cycles], tuple[np.ndarray, np.ndarray]] | None = None
     replaces: tuple[str, ...] = ()
 
     def __hash__(self) -> int:

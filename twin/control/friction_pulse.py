@@ -83,7 +83,7 @@ def _over_cycle(values: Values, cycle: float) -> list[float]:
     return [values["amplitude"], math.exp(-cycle / values["decay_time"]), values.get("amplitude_low", 0.0), *characteristic]
 
 
-def _constants(values: Values, cycles: Cycles) -> list[float]:
+def _constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
     return _over_cycle(values, cycles.position_cycle)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +77,22 @@ def with_controller(name: str, period: float, plant: tuple[np.ndarray, np.ndarra
     wide = block_diag(a, 1.0)
     wide[:n, n:] = b
     return Loop(name, period, wide, np.vstack([gain * b, [[integral]]]), np.hstack([c, [[0.0]]]))
+
+
+def with_transfer(plant: Loop, gain: float, added: Sequence[tuple[np.ndarray, np.ndarray]]) -> Loop:
+    """A plant with a P controller and further transfer functions beside it: polynomials in 1/z of equal length, numerator and denominator."""
+    from scipy.signal import tf2ss  # slow to import
+
+    a, b, c, direct = plant.a, plant.b, plant.c, gain
+    into = np.zeros((len(a), 1))
+    for numerator, denominator in added:
+        own, entry, out, through = tf2ss(numerator, denominator)
+        direct += float(through[0, 0])
+        a = np.block([[a, np.vstack([plant.b @ out, np.zeros((len(a) - len(plant.a), len(own)))])], [np.zeros((len(own), len(a))), own]])
+        into = np.vstack([into, entry])
+        c = np.hstack([c, np.zeros((1, len(own)))])
+    b = np.vstack([b * direct, into[len(plant.a) :]])
+    return Loop(plant.name, plant.period, a, b, c)
 
 
 def closed(loop: Loop) -> tuple[np.ndarray, np.ndarray]:

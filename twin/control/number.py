@@ -35,6 +35,7 @@ _SUFFIX_TO_SI = {
     "_rev_per_s2": 2.0 * math.pi,
     "_rev_per_s3": 2.0 * math.pi,
     "_m_per_min": 1.0 / 60.0,
+    "_deg_s": math.pi / 180.0,
     "_deg": math.pi / 180.0,
     "_us": 1e-6,
 }

@@ -29,7 +29,7 @@ def moved_by_correction(parameters, state, signals, axis):  # type: ignore[no-un
     x[axis, X_SETPOINT] = q - error + s[0]
 
 
-def _constants(values: Values, cycles: Cycles) -> list[float]:
+def _constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
     return [values["slope"] * 1e-6, values["origin"], values["sine"], values["cosine"], 2.0 * math.pi / values["wavelength"]]
 
 

@@ -25,7 +25,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from twin.control.current_controller import winding_model
 from twin.control.drive_position_loop import closed_in_drive
-from twin.control.linear import GRID, Loop, closed, held, padded, sampled, with_controller
+from twin.control.linear import GRID, Loop, closed, held, padded, sampled, with_controller, with_transfer
 from twin.control.speed_controller import with_reference_model, with_seen_speed
 from twin.effects import load_inertia, settings_of
 from twin.errors import InputError
@@ -119,8 +119,9 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
         a, b, row = closed_in_drive(axis.loops.dsc_delay_s / machine.speed_cycle, cycles, a, b, position)
         loops.append(Loop("position", machine.speed_cycle, a, b * axis.loops.position_gain_per_s, row[None]))
         return loops
-    a, b = held(a, b, cycles)
-    loops.append(Loop("position", machine.position_cycle, a, b * axis.loops.position_gain_per_s, position[None]))
+    loop = Loop("position", machine.position_cycle, *held(a, b, cycles), position[None])
+    added = [b.block.linear(b.values, machine) for b in axis.blocks if b.block.linear is not None]
+    loops.append(with_transfer(loop, axis.loops.position_gain_per_s, [one for one in added if one[0].any()]))
     return loops
 
 

@@ -157,9 +157,8 @@ def _with_blocks(actual: Change) -> Change:
     for axis in actual.machine.axes:
         for order, listed in enumerate(axis.blocks, start=-len(axis.blocks)):
             if listed.block.law is not None:
-                actual.add_term(
-                    listed.block.law, listed.block.stage, axis, listed.block.constants(listed.values, actual.machine), order=order
-                )
+                constants = listed.block.constants(listed.values, actual.machine, axis.loops.position_gain_per_s)
+                actual.add_term(listed.block.law, listed.block.stage, axis, constants, order=order)
     return actual
 
 

@@ -101,8 +101,7 @@ def _blocks(data: dict[tuple[str, str], float], control: str, machine: Machine, 
                 value = data.get((name.split(" ")[0], axis), 0.0)
                 if name and math.isfinite(value) and value != 0.0:
                     values[n.name] = value * (factor if own.kind == "linear" else 1.0) * si_from_key(n.key(own.kind))
-            first = block.numbers[0]
-            if first.name in values and first.data.get(control, ("",))[0].split(" ")[0] == datum:
+            if any(n.name in values and n.data.get(control, ("",))[0].split(" ")[0] == datum for n in block.numbers):
                 out.setdefault(own.name, Existing(own)).blocks[block.name] = values
     if not out:
         raise InputError(f"{path}: holds no compensation that is switched on; give a file with {', '.join(_known(control))} or a table")
@@ -110,7 +109,7 @@ def _blocks(data: dict[tuple[str, str], float], control: str, machine: Machine, 
 
 
 def _known(control: str) -> list[str]:
-    return sorted({n.data[control][0].split(" ")[0] for b in BLOCKS.values() for n in b.numbers[:1] if control in n.data})
+    return sorted({n.data[control][0].split(" ")[0] for b in BLOCKS.values() for n in b.numbers if control in n.data})
 
 
 def correction_of(table: ErrorTable, axis: Axis) -> tuple[dict[str, float], float]:

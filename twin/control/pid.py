@@ -1,0 +1,86 @@
+"""What LinuxCNC's `pid` has beside P and FF1: integral, derivative, further feedforward, dead band and limits.
+
+    every Tp:   e' = e without the dead band, within the largest error            e = s - x
+                E += e' Tp, unless the output stands at its limit in this direction; within the largest integral
+                u = P e' + I E + D (e' - e'(k-1)) / Tp + FF0 s + FF1 s' + FF2 s'' + FF3 s'''      differences over a cycle
+                w* = u, within the largest output
+
+P and FF1 are `position_gain_per_s` and `velocity_feedforward` of the axis; a limit of 0 is none. LinuxCNC sends each set point at once: give no
+delays. Source: LinuxCNC, `pid.c` (grade A).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.control.block import Block, Cycles, Number, Values, register
+from twin.control.number import Key, not_negative
+from twin.simulation.loop_terms import SPEED, X_FOLLOWING_ERROR, X_SETPOINT, X_SPEED_SETPOINT, arrays, term
+
+I_GAIN, D_GAIN, FF0, FF2, FF3, DEAD, MOST_ERROR, MOST_INTEGRAL, MOST_OUTPUT, P_GAIN, CYCLE = range(11)
+RUNNING, INTEGRAL, LAST_ERROR, LAST, SLOPE, CURVATURE, AT_LIMIT = range(7)
+
+
+@term
+def pid_beside_p(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """w* of the P controller becomes that of `pid`; parameters and state: the names above."""
+    p, s, x = arrays(parameters, state, signals)
+    e, setpoint = x[axis, X_FOLLOWING_ERROR], x[axis, X_SETPOINT]
+    kept = math.copysign(max(abs(e) - p[DEAD], 0.0), e)
+    if p[MOST_ERROR] > 0.0:
+        kept = min(max(kept, -p[MOST_ERROR]), p[MOST_ERROR])
+    if s[RUNNING] == 0.0:
+        s[RUNNING], s[LAST_ERROR], s[LAST] = 1.0, kept, setpoint
+    if kept * s[AT_LIMIT] <= 0.0:
+        s[INTEGRAL] += kept * p[CYCLE]
+        if p[MOST_INTEGRAL] > 0.0:
+            s[INTEGRAL] = min(max(s[INTEGRAL], -p[MOST_INTEGRAL]), p[MOST_INTEGRAL])
+    slope = (setpoint - s[LAST]) / p[CYCLE]
+    curvature = (slope - s[SLOPE]) / p[CYCLE]
+    jerk = (curvature - s[CURVATURE]) / p[CYCLE]
+    u = x[axis, X_SPEED_SETPOINT] + p[P_GAIN] * (kept - e)
+    u += p[I_GAIN] * s[INTEGRAL] + p[D_GAIN] * (kept - s[LAST_ERROR]) / p[CYCLE]
+    u += p[FF0] * setpoint + p[FF2] * curvature + p[FF3] * jerk
+    s[LAST_ERROR], s[LAST], s[SLOPE], s[CURVATURE], s[AT_LIMIT] = kept, setpoint, slope, curvature, 0.0
+    if p[MOST_OUTPUT] > 0.0 and abs(u) > p[MOST_OUTPUT]:
+        s[AT_LIMIT] = math.copysign(1.0, u)
+        u = s[AT_LIMIT] * p[MOST_OUTPUT]
+    x[axis, X_SPEED_SETPOINT] = u
+
+
+def _constants(values: Values, cycles: Cycles, gain: float) -> list[float]:
+    return [*(values.get(n.name, 0.0) for n in NUMBERS), gain, cycles.position_cycle]
+
+
+def _linear(values: Values, cycles: Cycles) -> tuple[np.ndarray, np.ndarray]:
+    """I Tp / (1 - z^-1) + D (1 - z^-1) / Tp, inside the dead band's ends and the limits."""
+    i, d, cycle = values.get("integral", 0.0), values.get("derivative", 0.0), cycles.position_cycle
+    if i == 0.0:
+        return np.array([d / cycle, -d / cycle]), np.array([1.0, 0.0])
+    return np.array([i * cycle + d / cycle, -2.0 * d / cycle, d / cycle]), np.array([1.0, -1.0, 0.0])
+
+
+def _number(name: str, key: str, rotary: str, datum: tuple[str, str, float], bounds: Key | None = None) -> Number:
+    return Number(name, key, rotary, bounds or not_negative(required=False), {"linuxcnc": datum})
+
+
+_ANY = Key(-1e6, 1e6, required=False)
+NUMBERS = (
+    _number("integral", "integral_gain_per_s2", "integral_gain_per_s2", ("I", "1/s2", 1.0)),
+    _number("derivative", "derivative_gain", "derivative_gain", ("D", "1", 1.0)),
+    _number("feedforward_0", "position_feedforward_per_s", "position_feedforward_per_s", ("FF0", "1/s", 1.0), _ANY),
+    _number("feedforward_2", "acceleration_feedforward_s", "acceleration_feedforward_s", ("FF2", "s", 1.0), _ANY),
+    _number("feedforward_3", "jerk_feedforward_s2", "jerk_feedforward_s2", ("FF3", "s2", 1.0), _ANY),
+    _number("dead_band", "dead_band_m", "dead_band_deg", ("DEADBAND", "mm, deg", 1e-3)),
+    _number("largest_error", "largest_error_m", "largest_error_deg", ("MAX_ERROR", "mm, deg", 1e-3)),
+    _number("largest_integral", "largest_integral_m_s", "largest_integral_deg_s", ("MAX_ERROR_I", "mm s, deg s", 1e-3)),
+    _number("largest_output", "largest_output_m_per_s", "largest_output_deg_per_s", ("MAX_OUTPUT", "mm/s, deg/s", 1e-3)),
+)
+
+PID = register(
+    Block(
+        "pid", "integral, derivative, further feedforward, dead band and limits of LinuxCNC's pid", NUMBERS, SPEED, pid_beside_p, _constants, linear=_linear
+    )
+)  # fmt: skip
