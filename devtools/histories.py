@@ -1,6 +1,6 @@
 """Sealed histories: a machine recorded week by week on the second plant, with everyday background, seasons, tools and workpieces; some have one fault.
 
-    python -m devtools.histories --count 10 --seed 100 --out FOLDER      draw, watch and score; prints a table
+    python -m devtools.histories --count 10 --seed 100 --out FOLDER      draw, watch and score; prints a table; goes on where it was stopped
 
 Each week is one short recording of the same production program. Temperature (a season and the weather of the week) changes the friction of all
 axes, each by its own coefficient; the tool changes the mass on Z, the workpiece the mass on the table; friction also scatters by itself. The twin
@@ -21,6 +21,7 @@ import time
 import tomllib
 from typing import Any
 
+from matplotlib.figure import Figure
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -30,6 +31,7 @@ from twin.exam.paths import DEG, MARGIN, limits_of, path_of, together
 from twin.exam.plant.effects import LIBRARY, DrawContext, draw_effect
 from twin.exam.plant.parameters import AXES, settings_of
 from twin.exam.programme import TestRun
+from twin.report.figure import AMBER, BLUE, RED, SOFT, new_figure, save_png
 
 FAULTS = ("backlash", "coulomb_friction", "viscous_friction", "stribeck", "transmission_compliance", "cyclic_error", "position_gain",
           "speed_gain", "torque_constant", "lead_error", "constant_force", "viscous_asymmetry")  # fmt: skip
@@ -231,6 +233,25 @@ def summary(rows: list[dict[str, Any]]) -> str:
     ])  # fmt: skip
 
 
+def delays(rows: list[dict[str, Any]]) -> Figure:
+    """Weeks between a fifth of the usual size and the alarm, over the final size; faults without an alarm in red at the top."""
+    figure, [[panel]] = new_figure(1, 1, height=3.4)
+    faulty = [r for r in rows if r["fault"] and r["reached"] is not None]
+    top = max([8.0, *(r["delay"] + 2.0 for r in faulty if "delay" in r)])
+    for growing, colour, label in ((False, BLUE, "at once"), (True, AMBER, "growing")):
+        own = [r for r in faulty if "delay" in r and (r["growth"] > 0) is growing]
+        panel.scatter(
+            [abs(r["usual_sizes"]) for r in own], [r["delay"] for r in own], color=colour, label=f"{label}: {len(own)}", alpha=0.7
+        )
+    missed = [abs(r["usual_sizes"]) for r in faulty if "delay" not in r]
+    panel.scatter(missed, [top] * len(missed), color=RED, marker="x", label=f"no alarm: {len(missed)}")
+    panel.axhline(2.0, color=SOFT, lw=1.0, ls="--")
+    panel.set_xlabel("final size of the fault [usual sizes]")
+    panel.set_ylabel("alarm after a fifth\nof the usual size [weeks]")
+    panel.legend(loc="upper right")
+    return figure
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=10)
@@ -238,9 +259,13 @@ def main() -> int:
     parser.add_argument("--weeks", type=int, default=52)
     parser.add_argument("--signals", default="full", choices=sorted(SIGNALS))
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--picture", type=Path, help="write the delays over the sizes to this picture")
     args = parser.parse_args()
-    rows = []
+    done = args.out / "scores.json"
+    rows = json.loads(done.read_text(encoding="utf-8")) if done.is_file() else []
     for seed in range(args.seed, args.seed + args.count):
+        if any(row["seed"] == seed for row in rows):
+            continue
         history, folder = draw_history(seed, args.weeks), args.out / str(seed)
         write_history(history, folder / "weeks", args.signals)
         start = time.perf_counter()
@@ -254,8 +279,10 @@ def main() -> int:
             | {"seconds": time.perf_counter() - start}
         )
         print(json.dumps(rows[-1], default=float), flush=True)
-        (args.out / "scores.json").write_text(json.dumps(rows, default=float), encoding="utf-8")
+        done.write_text(json.dumps(rows, default=float), encoding="utf-8")
     print(summary(rows))
+    if args.picture:
+        save_png(delays(rows), args.picture)
     return 0
 
 
