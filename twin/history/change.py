@@ -86,6 +86,10 @@ class Level:
     free: int
     scatter: float
 
+    def times(self, factor: float) -> Level:
+        """The same in other units."""
+        return Level(factor * self.size, abs(factor) * self.error, self.free, abs(factor) * self.scatter)
+
     def half(self, confidence: float = 0.95) -> float:
         """Half the interval."""
         return float(stats.t.ppf(0.5 + 0.5 * confidence, max(self.free, 1)) * self.error)

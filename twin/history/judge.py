@@ -7,7 +7,7 @@ The change then stands: the other directions of its group are judged next to it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -43,6 +43,14 @@ RECENT = 8
 """Recordings from which a growth is carried forward, and after which another change of the same axes can be told from it."""
 
 Cause = tuple[str, str, str]
+
+SizeOf = Callable[[Direction, tuple[str, ...], float], float]
+"""(direction, axes of its group, size by its slope) -> its size."""
+
+
+def as_shown(_direction: Direction, _axes: tuple[str, ...], size: float) -> float:
+    """The size by the slope."""
+    return size
 
 
 @dataclass(frozen=True)
@@ -102,8 +110,10 @@ def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
     return found
 
 
-def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction]], limit_of: LimitOf = usual) -> Judgement:
-    """The judgement of all recordings by day; growing changes are carried forward to their limits."""
+def judged(
+    rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction]], limit_of: LimitOf = usual, size_of: SizeOf = as_shown
+) -> Judgement:
+    """The judgement of all recordings by day; `size_of` simulates the changes, which are carried forward to their limits."""
     series = [s for axes, own in directions.items() if (s := series_of(rows, axes, own)) is not None]
     constants = constants_of(programs_of(rows)) if rows else np.zeros((0, 0))
     history = Judgement(rows, series, constants, [thermometers(series, one, len(rows)) for one in series])
@@ -129,7 +139,7 @@ def judged(rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction
     for stand in standing:
         for i, change in enumerate(stand):
             last = stand[i + 1].alarm_row - 1 if i + 1 < len(stand) else len(rows) - 1
-            changes.append(_until_now(history, _resized(history, change, stand[:i], last), stand[:i], limit_of))
+            changes.append(_until_now(history, _resized(history, change, stand[:i], last), stand[:i], limit_of, size_of))
     return replace(history, changes=sorted(changes, key=lambda c: c.alarm_row), evidence=total)
 
 
@@ -196,7 +206,7 @@ def _resized(history: Judgement, change: Change, standing: Sequence[Change], now
     return change if again is None else replace(again, alarm_row=change.alarm_row)
 
 
-def _until_now(history: Judgement, change: Change, standing: Sequence[Change], limit_of: LimitOf) -> Change:
+def _until_now(history: Judgement, change: Change, standing: Sequence[Change], limit_of: LimitOf, size_of: SizeOf) -> Change:
     """The change with its size by all recordings, and the day at which it reaches its limit, from its last recordings."""
     one = history.series[change.group]
     nuisance = history.nuisance(change.group, bool(one.warms[change.k]), standing)[one.at]
@@ -205,8 +215,10 @@ def _until_now(history: Judgement, change: Change, standing: Sequence[Change], l
     size = replace(levels[0], size=amplitude([found.size for found in levels]))
     y, days = sizes_over_time(history, change.group, change.k, change.onset)
     after = np.flatnonzero(one.at >= change.onset)[-RECENT:]
-    limit = limit_of(change.direction, size.size)
-    return replace(change, size=size, limit=limit, forecast=forecast(days[after], y[after], limit.size, float(days[-1])))
+    factor = size_of(change.direction, one.axes, size.size) / size.size if size.size else 1.0
+    limit = limit_of(change.direction, factor * size.size)
+    ahead = forecast(days[after], factor * y[after], limit.size, float(days[-1]))
+    return replace(change, size=size.times(factor), limit=limit, forecast=ahead)
 
 
 def sizes_over_time(history: Judgement, group: int, k: int, until: int | None = None) -> tuple[np.ndarray, np.ndarray]:

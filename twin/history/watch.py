@@ -24,6 +24,7 @@ from twin.history.dated import Dated, dated_campaigns
 from twin.history.judge import Judgement, judged
 from twin.history.limits import limits_of
 from twin.history.projection import Projection, groups_of, projected, reference_view
+from twin.history.sized import sizes_on
 from twin.history.store import Row, Store
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
@@ -70,7 +71,9 @@ def watch(
     progress("judging")
     groups = sorted({axes for row in rows for axes in row.projections}, key=lambda axes: machine.axis_names.index(axes[0]))
     limit_of = limits_of(machine, limits, tolerance, lambda: dated[-1].runs(machine))
-    return judged(rows, {axes: directions_of(machine, axes) for axes in groups}, limit_of), notes
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        size_of = sizes_on(dated[-1].runs(machine), machine, on_threads(pool))
+        return judged(rows, {axes: directions_of(machine, axes) for axes in groups}, limit_of, size_of), notes
 
 
 def row_of(one: Dated, machine: Machine, pool: ThreadPoolExecutor) -> Row:
