@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, MutableMapping, Sequence
+
 import tomlkit
 
+from twin.documents import toml_key, toml_text
+from twin.machine.keys import DIRECT
 from twin.machine.machine import Machine
+from twin.machine.parameters import field_key, file_from_typed
 
 ASSUMED = "assumed"
 """Word in the comment after a number that `twin machine new` assumed."""
@@ -19,10 +24,49 @@ GUESSED = (ASSUMED, TRIED, BOUNDED)
 """Words after numbers that no recording determines: an effect on such a number is a calibration, not a finding."""
 
 
+Numbers = dict[str, tuple[float, str]]
+"""Number of an axis -> its value and comment. A number is a field of `Axis` with its value in SI, or a key of the file below the axis."""
+
+
+def head_lines(about: Sequence[str], name: str, model: str, tolerance: tuple[float, str], axes: Sequence[str]) -> list[str]:
+    """Beginning of a machine file: `about` it in comments, and the keys before its first table."""
+    return [
+        *(f"# {line}" for line in about),
+        "",
+        f"name = {toml_text(name)}",
+        f"model = {toml_text(model)}",
+        "gravity_m_per_s2 = 9.81",
+        number_line("parameter_tolerance", *tolerance),
+        f"axis_order = [{', '.join(map(toml_text, axes))}]",
+        "",
+    ]
+
+
+def axis_lines(
+    name: str, drive: str, words: Mapping[str, Sequence[str]], numbers: Numbers, given: MutableMapping[str, float], source: str
+) -> list[str]:
+    """`[axis.NAME]` and the tables below it, each with its `words` (table -> lines) before its numbers.
+
+    `given` are values by key of the file from the file `source`, which take the place of the numbers and are removed.
+    """
+    tables = {part: list(lines) for part, lines in words.items()}
+    for field, (value, comment) in numbers.items():
+        key = field_key(field, drive)
+        part, _, leaf = key.rpartition(".")
+        number = value if isinstance(value, int) else file_from_typed(leaf, value)
+        if key == field and drive == "direct":
+            leaf = DIRECT.get(leaf, leaf)
+        if key in given:
+            number, comment = given.pop(key), f"from {source}"
+        tables.setdefault(part, []).append(number_line(leaf, number, comment))
+    axis = f"axis.{toml_key(name)}"
+    return ["", *(line for part, lines in tables.items() for line in (f"[{axis}.{part}]" if part else f"[{axis}]", *lines))]
+
+
 def number_line(key: str, value: float, comment: str = ASSUMED) -> str:
-    """`key = value  # comment` with nine significant digits, always a TOML float."""
-    number = f"{float(value):.9g}"
-    return commented(f"{key} = {number if any(c in number for c in '.en') else number + '.0'}", comment)
+    """`key = value  # comment` with nine significant digits, a TOML float unless the value is an int."""
+    number = f"{value:.9g}"
+    return commented(f"{key} = {number if isinstance(value, int) or any(c in number for c in '.en') else number + '.0'}", comment)
 
 
 def commented(text: str, comment: str) -> str:

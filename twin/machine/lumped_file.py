@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-import json
 import math
 from pathlib import Path
 from xml.sax.saxutils import escape
 
-from twin.documents import toml_key
 from twin.files import write_whole
-from twin.machine.commented import ASSUMED, BOUNDED, TRIED, commented, number_line
+from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
+from twin.machine.keys import EFFORTS, speed_gains
 
 LUMP = "lump"
 BY_LOAD = "measured by the recorded external load"
@@ -27,7 +26,6 @@ SMALL_FORCE = 0.02
 """A constant force below this share of the peak command is omitted."""
 UNKNOWN_MASS = 10.0
 _COMMAND_UNIT = {"current": "A", "voltage": "V", "torque": "Nm"}
-_KIND = {"linear": "force", "rotary": "torque"}
 G = 9.81
 
 
@@ -148,19 +146,16 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
     whole = all(one.law.direct for one in lumps)
     cycle = period if measured else _part_of(period, 2e-3)
     speed = cycle if whole else _part_of(cycle, 125e-6)
+    about = (
+        f"Machine of the recording {source}, made by: twin machine new --from-recording",
+        "There is no data sheet. 'lump' marks a lumped parameter: referred to the axis, in units of the recorded command, with a torque",
+        "constant of 1 in place of torque constant, gear and lead. Only ratios between lumped parameters are meaningful, not their values.",
+        "'measured' comes from the recording alone. 'tried' was chosen so that the simulated axis follows like the recorded one.",
+        f"'{ASSUMED}' is an assumption: replace it if you know better.",
+    )
+    tolerance = (0.05, f"{ASSUMED}; tolerance of the lumped parameters between recordings")
     lines = [
-        f"# Machine of the recording {source}, made by: twin machine new --from-recording",
-        "# There is no data sheet. 'lump' marks a lumped parameter: referred to the axis, in units of the recorded command, with a torque",
-        "# constant of 1 in place of torque constant, gear and lead. Only ratios between lumped parameters are meaningful, not their values.",
-        "# 'measured' comes from the recording alone. 'tried' was chosen so that the simulated axis follows like the recorded one.",
-        f"# '{ASSUMED}' is an assumption: replace it if you know better.",
-        "",
-        f"name = {json.dumps(out.stem)}",
-        f"model = {json.dumps(model.name)}",
-        f"gravity_m_per_s2 = {G}",
-        f"parameter_tolerance = 0.05                 # {ASSUMED}; tolerance of the lumped parameters between recordings",
-        f"axis_order = [{', '.join(json.dumps(one.name) for one in lumps)}]",
-        "",
+        *head_lines(about, out.stem, model.name, tolerance, [one.name for one in lumps]),
         "[control]",
         number_line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
         number_line("position_cycle_us", cycle * 1e6, "the recorded cycle" if measured else ASSUMED),
@@ -183,62 +178,58 @@ def _part_of(period: float, longest: float) -> float:
 
 def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     linear, m = one.kind == "linear", one.forces
-    known = m is not None and m.force_per_unit is not None
-    table = f"axis.{toml_key(one.name)}"
-    unit = ("N" if linear else "Nm") if known else _COMMAND_UNIT[m.effort] if m else "Nm"
-    per = "m" if linear else "rad"
-    lumped = BY_LOAD if known else LUMP
-    structure = "P/P" if math.isinf(one.law.integral_time) else "P/PI"
-    coulomb, viscous = (f"{lumped}: {unit}", f"{lumped}: {unit} per {per}/s") if m else (ASSUMED, ASSUMED)
-    if m and m.steady_speed:
-        coulomb, viscous = (
-            f"{coulomb}, with the viscous friction at {m.steady_speed:.3g} {per}/s",
-            f"{ASSUMED}: its sum with Coulomb friction is known",
-        )
-    elif m and m.one_way:
-        coulomb = f"{ASSUMED}: its sum with the constant {_KIND[one.kind]} is known, and is given there; record both directions"
-    lines = ["", *(f"# {note}" for note in one.notes), f"[{table}]", f'kind = "{one.kind}"']
-    lines.append(commented(f'structure = "{structure}"', "no current loop: its lag is part of the speed controller"))
-    if linear:
-        lines.append(commented('drive = "direct"', "lead and motor are unknown: all numbers refer to the axis"))
-    lines.append(commented(f'encoder = "{one.encoder}"', "closes the position loop"))
+    per, drive = ("m", "direct") if linear else ("rad", "gear")
+    unit = _COMMAND_UNIT[m.effort] if m else "Nm"
+    lumped = LUMP
+    if m and m.force_per_unit is not None:
+        unit, lumped = "N" if linear else "Nm", BY_LOAD
     inertia = m.inertia if m else UNKNOWN_MASS
     lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
     if m and m.largest_inertia is not None:
         lump = f"{BOUNDED}: below {m.largest_inertia:.3g} {unit} per {per}/s2, {ASSUMED} half of it; record accelerations"
-    low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
     speed, acceleration = _permitted(one)
+    numbers = {
+        "max_velocity": (speed, f"{ASSUMED}; recorded: {60.0 * one.speed / (1.0 if linear else 2.0 * math.pi):.3g}"),
+        "max_acceleration": (acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
+        "max_jerk": (50.0 * acceleration, ASSUMED),
+    }
+    words = [*(f"# {note}" for note in one.notes), f'kind = "{one.kind}"']
+    structure = "P/P" if math.isinf(one.law.integral_time) else "P/PI"
+    words.append(commented(f'structure = "{structure}"', "no current loop: its lag is part of the speed controller"))
+    encoder = commented(f'encoder = "{one.encoder}"', "closes the position loop")
     if linear:
+        low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
+        travel = commented(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel plus {TRAVEL_ROOM_M:g} m at each end")
+        words += [commented('drive = "direct"', "lead and motor are unknown: all numbers refer to the axis"), encoder, travel]
         weight = m.constant / G if vertical and m else inertia
-        lines += [
-            commented(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel plus {TRAVEL_ROOM_M:g} m at each end"),
-            number_line("max_velocity_m_per_min", 60.0 * speed, f"{ASSUMED}; recorded: {60.0 * one.speed:.3g}"),
-            number_line("max_acceleration_m_per_s2", acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
-            number_line("max_jerk_m_per_s3", 50.0 * acceleration),
-            number_line("moving_mass_kg", weight, f"{lump}; from its weight" if vertical else lump),
-        ]
+        numbers["moving_mass_kg"] = weight, f"{lump}; from its weight" if vertical else lump
         if vertical:
-            lines.append(number_line("rotor_mass_kg", inertia - weight, f"{lump}; inertia without weight"))
-        lines += [
-            number_line("coulomb_friction_n", m.coulomb if m else 0.02 * inertia, coulomb),
-            number_line("viscous_friction_n_s_per_m", m.viscous if m else 0.02 * inertia, viscous),
-        ]
+            numbers["rotor_inertia_kg_m2"] = inertia - weight, f"{lump}; inertia without weight"
     else:
-        turn = 2.0 * math.pi
-        lines += [
-            commented('travel_deg = "endless"', ASSUMED),
-            number_line("max_velocity_rev_per_min", 60.0 * speed / turn, f"{ASSUMED}; recorded: {60.0 * one.speed / turn:.3g}"),
-            number_line("max_acceleration_rev_per_s2", acceleration / turn, f"{ASSUMED}: {ROOM:g} times the recorded"),
-            number_line("max_jerk_rev_per_s3", 50.0 * acceleration / turn),
-            number_line("gear_ratio", 1.0, "the gear is unknown: all numbers refer to the axis"),
-            number_line(
-                "rotor_and_gear_inertia_kg_m2", inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} are in the model"
-            ),
-            number_line("coulomb_friction_nm", m.coulomb if m else 0.02 * inertia, coulomb),
-            number_line("viscous_friction_nm_s_per_rad", m.viscous if m else 0.02 * inertia, viscous),
-        ]
-    lines += [] if vertical else _constant(one, unit)
-    return [*lines, *_actuator(one, table), *_loops(one, tuning, table, one.mechanics.inertia if one.mechanics else inertia)]
+        words += [encoder, commented('travel_deg = "endless"', ASSUMED)]
+        numbers["ratio"] = 1.0, "the gear is unknown: all numbers refer to the axis"
+        numbers["rotor_inertia_kg_m2"] = inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} are in the model"
+    numbers |= _friction(m, inertia, lumped, unit, per)
+    if m and not vertical and abs(m.constant) >= SMALL_FORCE * m.peak:
+        said = f"{lumped}: {unit}; one recording cannot separate weight, counterbalance and one-way friction"
+        numbers["constant_torque_nm"] = m.constant, said
+    numbers |= _actuator(one) | _loops(one, tuning, one.mechanics.inertia if one.mechanics else inertia)
+    command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
+    return axis_lines(one.name, drive, {"": words, "actuator": [command]}, numbers, {}, "")
+
+
+def _friction(m: Mechanics | None, inertia: float, lumped: str, unit: str, per: str) -> Numbers:
+    """Coulomb and viscous friction; a sum that the recording does not separate stands in one of them."""
+    if m is None:
+        return dict.fromkeys(("coulomb_friction_nm", "viscous_friction_nm_s_per_rad"), (0.02 * inertia, ASSUMED))
+    coulomb, viscous = f"{lumped}: {unit}", f"{lumped}: {unit} per {per}/s"
+    if m.steady_speed:
+        coulomb = f"{coulomb}, with the viscous friction at {m.steady_speed:.3g} {per}/s"
+        viscous = f"{ASSUMED}: its sum with Coulomb friction is known"
+    elif m.one_way:
+        constant = "force" if per == "m" else "torque"
+        coulomb = f"{ASSUMED}: its sum with the constant {constant} is known, and is given there; record both directions"
+    return {"coulomb_friction_nm": (m.coulomb, coulomb), "viscous_friction_nm_s_per_rad": (m.viscous, viscous)}
 
 
 def _permitted(one: AxisLumps) -> tuple[float, float]:
@@ -255,58 +246,40 @@ def _peak(one: AxisLumps, m: Mechanics) -> tuple[float, str]:
     return PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"
 
 
-def _actuator(one: AxisLumps, table: str) -> list[str]:
-    linear, m = one.kind == "linear", one.mechanics
-    lines = [f"[{table}.actuator]"]
+def _actuator(one: AxisLumps) -> Numbers:
+    """Constant and limit of the command."""
+    m = one.mechanics
     if m is None:
-        peak = 20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1)
-        return [*lines, 'command = "torque"', number_line("peak_force_n" if linear else "peak_torque_nm", peak)]
-    lines.append(commented(f'command = "{m.effort}"', "as recorded"))
-    letter = {"current": "a", "voltage": "v"}.get(m.effort)
-    if letter:
-        key = f"force_constant_n_per_{letter}" if linear else f"torque_constant_nm_per_{letter}"
-        said = f"{LUMP}: everything between command and motion" if m.force_per_unit is None else BY_LOAD
-        lines.append(number_line(key, m.scale, said))
-        return [*lines, number_line(f"peak_{m.effort}_{letter}", *_peak(one, m))]
-    return [
-        *lines,
-        number_line("peak_force_n" if linear else "peak_torque_nm", *_peak(one, m)),
-    ]
+        return {"actuator.peak_torque_nm": (20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1), ASSUMED)}
+    effort = EFFORTS[m.effort]
+    said = f"{LUMP}: everything between command and motion" if m.force_per_unit is None else BY_LOAD
+    constant = {f"actuator.{effort.constant}": (m.scale, said)} if effort.constant else {}
+    return {**constant, f"actuator.{effort.peak}": _peak(one, m)}
 
 
-def _loops(one: AxisLumps, tuning: Tuning, table: str, inertia: float) -> list[str]:
-    law, linear = one.law, one.kind == "linear"
-    letter = {"current": "a", "voltage": "v"}.get(one.mechanics.effort if one.mechanics else "")
-    per = "m" if linear else "rad"
-    key = f"speed_gain_{letter}_s_per_{per}" if letter else "speed_gain_n_s_per_m" if linear else "speed_gain_nm_s_per_rad"
+def _loops(one: AxisLumps, tuning: Tuning, inertia: float) -> Numbers:
+    """Gains and delays; a speed gain is given per unit of the command."""
+    law = one.law
+    known = speed_gains(one.mechanics.effort if one.mechanics else "torque")
+    gain = next(key for key, _, at_axis in reversed(known) if one.kind == "linear" or not at_axis)
     said = "measured" if law.measured else ASSUMED
-    lines = [
-        f"[{table}.loops]",
-        number_line("position_gain_per_s", law.gain, said),
-        number_line(
-            key,
-            law.speed_gain or inertia / tuning.lag,
-            "measured" if law.speed_gain else f"{TRIED}: {LUMP} over a lag of {tuning.lag * 1e3:.3g} ms",
-        ),
-    ]
+    tried = f"{TRIED}: {LUMP} over a lag of {tuning.lag * 1e3:.3g} ms"
+    numbers: dict[str, tuple[float, str]] = {
+        "position_gain_per_s": (law.gain, said),
+        gain: (law.speed_gain, "measured") if law.speed_gain else (inertia / tuning.lag, tried),
+    }
     if math.isnan(law.integral_time):
-        lines.append(number_line("speed_integral_time_s", tuning.integral, TRIED))
+        numbers["speed_integral_time_s"] = tuning.integral, TRIED
     elif math.isfinite(law.integral_time):
-        lines.append(number_line("speed_integral_time_s", law.integral_time, "measured"))
+        numbers["speed_integral_time_s"] = law.integral_time, "measured"
     if law.mean_cycles:
-        lines.append(
-            commented(f"speed_mean_cycles = {law.mean_cycles}", "measured: the speed is a difference of positions this many cycles apart")
-        )
-    lines += [
-        number_line("velocity_feedforward", law.feedforward, said),
-        number_line("position_delay_s", tuning.delay, said),
-        number_line("feedforward_delay_s", law.feedforward_delay if law.measured else tuning.delay, said),
-    ]
+        numbers["speed_mean_cycles"] = law.mean_cycles, "measured: the speed is a difference of positions this many cycles apart"
+    numbers["velocity_feedforward"] = law.feedforward, said
+    numbers["position_delay_s"] = tuning.delay, said
+    numbers["feedforward_delay_s"] = law.feedforward_delay if law.measured else tuning.delay, said
     if law.dsc_delay:
-        lines.append(
-            number_line("dsc_delay_s", law.dsc_delay, "measured: the drive closes the position loop and gets the command this late")
-        )
-    return lines
+        numbers["dsc_delay_s"] = law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"
+    return {f"loops.{key}": number for key, number in numbers.items()}
 
 
 _BODY_PART = 0.1
@@ -319,21 +292,6 @@ def _hangs(one: AxisLumps) -> bool:
     if m is None or one.kind != "linear" or m.one_way:
         return False
     return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
-
-
-def _constant(one: AxisLumps, unit: str) -> list[str]:
-    """The constant load of an axis that is not vertical."""
-    m = one.forces
-    if m is None or abs(m.constant) < SMALL_FORCE * m.peak:
-        return []
-    key = "constant_force_n" if one.kind == "linear" else "constant_torque_nm"
-    return [
-        number_line(
-            key,
-            m.constant,
-            f"{LUMP if m.force_per_unit is None else BY_LOAD}: {unit}; one recording cannot separate weight, counterbalance and one-way friction",
-        )
-    ]
 
 
 def _body(one: AxisLumps, i: int, vertical: bool) -> str:

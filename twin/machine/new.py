@@ -16,10 +16,9 @@ import mujoco
 import numpy as np
 
 from twin.control.structures import STRUCTURES
-from twin.documents import toml_key, toml_text
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.machine.commented import ASSUMED, commented, number_line
+from twin.machine.commented import ASSUMED, Numbers, axis_lines, commented, head_lines, number_line
 from twin.machine.machine import load_machine
 from twin.machine.model_file import check_mjcf, copy_model
 from twin.machine.model_limits import compiled_spec, refuse_singular
@@ -77,7 +76,7 @@ def new_machine(
     lines = _head(model, beside, facts, structure, control_cycles(data.get("", {})))
     for fact in facts:
         known = plain_values(data[fact.name], kinds[fact.name]) if fact.name in data else {}
-        lines += _axis(fact, structure, MachineData(known, machine_data.name if machine_data else ""))
+        lines += _axis(fact, structure, known, machine_data.name if machine_data else "")
         left += [f"{d.label} of {fact.name}" for d in DATA[kinds[fact.name]] if d.key in known]
     lines += _measurement(facts)
     write_whole(out, "\n".join(lines) + "\n")
@@ -141,20 +140,16 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
         "position_cycle_us": POSITION_CYCLE_S * 1e6,
         **cycles,
     }
-    names = ", ".join(toml_text(f.name) for f in facts)
+    about = (
+        f"Machine file of {model.name}, begun by: twin machine new",
+        "'assumed' marks a number that was assumed so that the machine runs: replace it by a value of the data sheet or your own measurement,",
+        "and state its source there. For missing, impossible or unusual values run:  twin machine check FILE",
+        "Units are part of the keys. Numbers from the model hold with all joints at zero.",
+    )
+    tolerance = (0.01, f"{ASSUMED}; tolerance of the parameters below")
     lines = [
-        f"# Machine file of {model.name}, begun by: twin machine new",
-        "# 'assumed' marks a number that was assumed so that the machine runs: replace it by a value of the data sheet or your own measurement,",
-        "# and state its source there. For missing, impossible or unusual values run:  twin machine check FILE",
-        "# Units are part of the keys. Numbers from the model hold with all joints at zero.",
-        "",
-        f"name = {toml_text(beside.stem)}",
-        f"model = {toml_text(beside.name)}",
-        "gravity_m_per_s2 = 9.81",
-        f"parameter_tolerance = 0.01                 # {ASSUMED}; tolerance of the parameters below",
-        f"axis_order = [{names}]",
-        "",
-        "[control]                                  # cycles of the controllers",
+        *head_lines(about, beside.stem, beside.name, tolerance, [f.name for f in facts]),
+        commented("[control]", "cycles of the controllers"),
     ]
     for key, value in values.items():
         if key == "current_cycle_us" and key != actuator.cycle:
@@ -163,119 +158,75 @@ def _head(model: Path, beside: Path, facts: list[JointFacts], structure: str, cy
     return lines
 
 
-@dataclass
-class MachineData:
-    """Plain values of an axis from machine data of the file `source`. `line` removes what it uses; the rest has no place in the file."""
-
-    values: dict[str, float]
-    source: str
-
-    def line(self, key: str, number: float, comment: str = ASSUMED) -> str:
-        """Line of a key, with the value of the machine data if there is one, else with this number and comment."""
-        if key in self.values:
-            number, comment = self.values.pop(key), f"from {self.source}"
-        return number_line(key.rpartition(".")[2], number, comment)
-
-
-def _axis(f: JointFacts, structure: str, data: MachineData) -> list[str]:
-    """Tables of one axis."""
-    speed, acceleration, _ = _motion(f)
-    ratio = _ratio(f, data.values)
+def _axis(f: JointFacts, structure: str, given: dict[str, float], source: str) -> list[str]:
+    """Tables of one axis. `given`: values by key from machine data of the file `source`; those that the axis uses are removed."""
+    speed = f.limits.speed or (0.5 if f.linear else 2.0)
+    acceleration = 2.0 if f.linear else 5.0
+    ratio = _ratio(f, given)
     load = f.inertia * ratio**2
     rotor = _round(load)
     friction = f.limits.friction or 0.03 * f.inertia * acceleration
     damping = f.limits.damping or 0.03 * f.inertia * acceleration / speed
     needed = (abs(f.weight) + friction + damping * speed) * ratio + (load + rotor) * acceleration / ratio
     peak = f.limits.effort * ratio if f.limits.effort else SPARE_CURRENT * needed
-    of_model = "from the model" if f.limits.friction or f.limits.damping else ASSUMED
-    lines = ["", f"[axis.{toml_key(f.name)}]", f'kind = "{"linear" if f.linear else "rotary"}"', f'structure = "{structure}"']
-    lines += [_travel_line(f, data), *_motion_lines(f, ratio, rotor, data)]
-    lines += [
-        number_line("coulomb_friction_nm", _round(friction * ratio), f"{of_model}, at the motor"),
-        number_line("viscous_friction_nm_s_per_rad", _round(damping * ratio**2), f"{of_model}, at the motor"),
-        *_drive(f, structure, peak, speed / ratio, data),
-        *_loops(f, structure, load + rotor, data),
-    ]
-    if data.values.get("commissioned.inertia_kg_m2"):  # 0 on a control without one
-        lines += [f"[axis.{toml_key(f.name)}.commissioned]", data.line("commissioned.inertia_kg_m2", 0.0)]
-    return lines
+    of_model = f"{'from the model' if f.limits.friction or f.limits.damping else ASSUMED}, at the motor"
+    screw = f'{ASSUMED}; a linear motor: drive = "direct" and the keys of docs/own_machine.md'
+    numbers: Numbers = {
+        "max_velocity": (speed, "from the model" if f.limits.speed else ASSUMED),
+        "max_acceleration": (acceleration, ASSUMED),
+        "max_jerk": (20.0 * acceleration, ASSUMED),
+        "ratio": (ratio, screw if f.linear else f"{ASSUMED}; motor turns per turn of the axis"),
+        **({"moving_mass_kg": (f.mass, "all that this axis moves, from the model")} if f.linear else {}),
+        "rotor_inertia_kg_m2": (rotor, f"{ASSUMED}: as much as the load"),
+        "coulomb_friction_nm": (_round(friction * ratio), of_model),
+        "viscous_friction_nm_s_per_rad": (_round(damping * ratio**2), of_model),
+    }
+    ideal = STRUCTURES[structure].actuator.table == "actuator"
+    command = commented('command = "torque"', "what the speed controller commands: torque, current or voltage")
+    words = {
+        "": [f'kind = "{"linear" if f.linear else "rotary"}"', f'structure = "{structure}"', _travel_line(f, given, source)],
+        **({"actuator": [command]} if ideal else {}),
+    }
+    numbers |= _drive(f, ideal, peak, speed / ratio, given.get("motor.torque_constant_nm_per_a", 1.0)) | _loops(structure, load + rotor)
+    if "loops.dsc_delay_s" in given:
+        numbers["loops.dsc_delay_s"] = 0.0, ASSUMED
+    if given.get("commissioned.inertia_kg_m2"):  # 0 on a control without one
+        numbers["commissioned_inertia"] = 0.0, ASSUMED
+    return axis_lines(f.name, "screw" if f.linear else "gear", words, numbers, given, source)
 
 
-def _motion_lines(f: JointFacts, ratio: float, rotor: float, data: MachineData) -> list[str]:
-    """Limits of motion, ratio and masses."""
-    speed, acceleration, jerk = _motion(f)
-    turn = 2.0 * math.pi
-    of_speed = "from the model" if f.limits.speed else ASSUMED
-    if f.linear:
-        screw = f'{ASSUMED}; a linear motor: drive = "direct" and the keys of docs/own_machine.md'
-        return [
-            data.line("max_velocity_m_per_min", speed * 60.0, of_speed),
-            data.line("max_acceleration_m_per_s2", acceleration),
-            data.line("max_jerk_m_per_s3", jerk),
-            data.line("screw_lead_m_per_rev", ratio * turn, screw),
-            number_line("moving_mass_kg", f.mass, "all that this axis moves, from the model"),
-            number_line("rotor_and_screw_inertia_kg_m2", rotor, f"{ASSUMED}: as much as the load"),
-        ]
-    return [
-        data.line("max_velocity_rev_per_min", speed * 60.0 / turn, of_speed),
-        data.line("max_acceleration_rev_per_s2", acceleration / turn),
-        data.line("max_jerk_rev_per_s3", jerk / turn),
-        data.line("gear_ratio", 1.0 / ratio, f"{ASSUMED}; motor turns per turn of the axis"),
-        number_line("rotor_and_gear_inertia_kg_m2", rotor, f"{ASSUMED}: as much as the load"),
-    ]
-
-
-def _drive(f: JointFacts, structure: str, peak: float, motor_speed: float, data: MachineData) -> list[str]:
-    """The motor, or the ideal actuator of a structure without a current loop. `peak` torque [Nm], highest `motor_speed` [rad/s]."""
+def _drive(f: JointFacts, ideal: bool, peak: float, motor_speed: float, constant: float) -> Numbers:
+    """The motor, or an `ideal` actuator. `peak` torque [Nm], highest `motor_speed` [rad/s], torque `constant` [Nm/A]."""
     of_peak = "from the model's effort" if f.limits.effort else f"{ASSUMED}: {SPARE_CURRENT:g} times full acceleration"
-    if STRUCTURES[structure].actuator.table == "actuator":
-        return [
-            f"[axis.{toml_key(f.name)}.actuator]",
-            'command = "torque"                         # what the speed controller commands: torque, current or voltage',
-            number_line("peak_torque_nm", _round(peak), of_peak),
-        ]
-    constant = data.values.get("motor.torque_constant_nm_per_a", 1.0)
+    if ideal:
+        return {"actuator.peak_torque_nm": (_round(peak), of_peak)}
     emf = _round(constant / math.sqrt(3.0))
-    return [
-        f"[axis.{toml_key(f.name)}.motor]",
-        data.line("motor.torque_constant_nm_per_a", constant),
-        number_line("back_emf_v_s_per_rad", emf, f"{ASSUMED}: torque constant / sqrt(3)"),
-        number_line("resistance_ohm", 0.5),
-        number_line("inductance_h", 5e-3),
-        data.line("motor.peak_current_a", _round(peak / constant), of_peak),
-        number_line("bus_limit_v", _round(max(300.0, 1.5 * emf * motor_speed))),
-    ]
+    return {
+        "motor.torque_constant_nm_per_a": (constant, ASSUMED),
+        "motor.back_emf_v_s_per_rad": (emf, f"{ASSUMED}: torque constant / sqrt(3)"),
+        "motor.resistance_ohm": (0.5, ASSUMED),
+        "motor.inductance_h": (5e-3, ASSUMED),
+        "motor.peak_current_a": (_round(peak / constant), of_peak),
+        "motor.bus_limit_v": (_round(max(300.0, 1.5 * emf * motor_speed)), ASSUMED),
+    }
 
 
-def _loops(f: JointFacts, structure: str, inertia: float, data: MachineData) -> list[str]:
+def _loops(structure: str, inertia: float) -> Numbers:
     """Gains, feedforward and delays for an inertia at the motor [kg m2]."""
-    speed_gain = _round(2.0 * math.pi * SPEED_LOOP_HZ * inertia)
-    lines = [
-        f"[axis.{toml_key(f.name)}.loops]",
-        data.line("loops.position_gain_per_s", POSITION_GAIN),
-        data.line("loops.speed_gain_nm_s_per_rad", speed_gain, f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz"),
-    ]
+    gain = _round(2.0 * math.pi * SPEED_LOOP_HZ * inertia), f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz"
+    numbers = {"position_gain_per_s": (POSITION_GAIN, ASSUMED), "speed_gain_nm_s_per_rad": gain}
     if STRUCTURES[structure].integral:
-        lines.append(data.line("loops.speed_integral_time_s", INTEGRAL_S))
+        numbers["speed_integral_time_s"] = INTEGRAL_S, ASSUMED
     if STRUCTURES[structure].actuator.loops:
-        lines += [
-            data.line("loops.current_gain_v_per_a", _round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"),
-            data.line("loops.current_integral_time_s", 5e-3 / 0.5, f"{ASSUMED}: L / R"),
-        ]
-    lines += [
-        data.line("loops.velocity_feedforward", 1.0, f"{ASSUMED}; weight, 0 switches off"),
-        data.line("loops.torque_feedforward", 0.0, f"{ASSUMED}; weight, 0 switches off"),
-        data.line("loops.position_delay_s", 0.0, f"{ASSUMED}; balances feedforward against the speed loop"),
-        number_line("feedforward_delay_s", 0.0),
-    ]
-    return [*lines, *([data.line("loops.dsc_delay_s", 0.0)] if "loops.dsc_delay_s" in data.values else [])]
-
-
-def _motion(f: JointFacts) -> tuple[float, float, float]:
-    """Assumed speed, acceleration and jerk of an axis."""
-    speed = f.limits.speed or (0.5 if f.linear else 2.0)
-    acceleration = 2.0 if f.linear else 5.0
-    return speed, acceleration, 20.0 * acceleration
+        numbers["current_gain_v_per_a"] = _round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"
+        numbers["current_integral_time_s"] = 5e-3 / 0.5, f"{ASSUMED}: L / R"
+    numbers |= {
+        "velocity_feedforward": (1.0, f"{ASSUMED}; weight, 0 switches off"),
+        "torque_feedforward": (0.0, f"{ASSUMED}; weight, 0 switches off"),
+        "position_delay_s": (0.0, f"{ASSUMED}; balances feedforward against the speed loop"),
+        "feedforward_delay_s": (0.0, ASSUMED),
+    }
+    return {f"loops.{key}": number for key, number in numbers.items()}
 
 
 def _ratio(f: JointFacts, known: Mapping[str, float]) -> float:
@@ -285,11 +236,10 @@ def _ratio(f: JointFacts, known: Mapping[str, float]) -> float:
     return known.get("screw_lead_m_per_rev", 0.010) / (2.0 * math.pi) if f.linear else 0.01
 
 
-def _travel_line(f: JointFacts, data: MachineData) -> str:
+def _travel_line(f: JointFacts, known: dict[str, float], source: str) -> str:
     key, factor = ("travel_m", 1.0) if f.linear else ("travel_deg", 180.0 / math.pi)
-    known = data.values
     if f"{key}.0" in known and f"{key}.1" in known:
-        return commented(f"{key} = [{known.pop(key + '.0'):.9g}, {known.pop(key + '.1'):.9g}]", f"from {data.source}")
+        return commented(f"{key} = [{known.pop(key + '.0'):.9g}, {known.pop(key + '.1'):.9g}]", f"from {source}")
     if f.travel is not None:
         return commented(f"{key} = [{f.travel[0] * factor:.9g}, {f.travel[1] * factor:.9g}]", "from the model")
     return commented("travel_m = [-0.5, 0.5]", ASSUMED) if f.linear else commented('travel_deg = "endless"', "the model has no limit")

@@ -105,6 +105,11 @@ def parameter(field: str) -> Parameter:
     return _BY_FIELD[field]
 
 
+def field_key(field: str, drive: str) -> str:
+    """Key below `[axis.N]` of a typed field for this drive; any other text is a key itself."""
+    return _BY_FIELD[field].key(drive) if field in _BY_FIELD else field
+
+
 def key_of(field: str, kind: str) -> str:
     """Key below `[axis.N]` of a field for a screw (linear) or gear (rotary) axis: 'motor.resistance_ohm'."""
     return parameter(field).key("screw" if kind == "linear" else "gear")
