@@ -48,11 +48,8 @@ class Judged:
     holds: bool
 
 
-def judge(result: Identification, truth: Machine, products: Sequence[str] = (), refined: bool = False) -> list[Judged]:
-    """Compare with the true machine: products with the torque constant for the axes in `products`, values for the others.
-
-    `refined` uses the parameter values after re-simulation, where there are any.
-    """
+def judge(result: Identification, truth: Machine, products: Sequence[str] = ()) -> list[Judged]:
+    """Compare with the true machine: products with the torque constant for the axes in `products`, values for the others."""
     pair = tilting_pair.pair_numbers(truth)
     of_pair = dict(zip("AC", pair))
     out = []
@@ -74,8 +71,8 @@ def judge(result: Identification, truth: Machine, products: Sequence[str] = (), 
             true = float(pair[tilting_pair.PAIR.index(p.name)])
         if true is None:
             true = getattr(axis.loops, p.name)
-        found: Range = p.refined if refined and p.refined is not None else p.value
-        if p.product and p.axis in products and not refined:
+        found: Range = p.value
+        if p.product and p.axis in products:
             found = p.estimate
             true *= result.before.axis(p.axis).motor.torque_constant_nm_per_a / axis.motor.torque_constant_nm_per_a
         scale = 1.0 if group == "delays" else abs(true)

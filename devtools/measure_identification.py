@@ -1,10 +1,10 @@
 """Accuracy of the identification on machines with known parameters: recorded, drawn on a plant richer than the twin, and a measured axis.
 
-    python devtools/measure_identification.py recorded ../shared/campaigns/healthy --refine
-    python devtools/measure_identification.py drawn --cases 30 --seed 9000 --refine --keep out/drawn
+    python devtools/measure_identification.py recorded ../shared/campaigns/healthy
+    python devtools/measure_identification.py drawn --cases 30 --seed 9000 --keep out/drawn
     python devtools/measure_identification.py emps ../shared/data/emps/DATA_EMPS.mat
 
-With --refine both routes are scored, regression and re-simulation. With --keep campaigns and scores stay in that folder: an interrupted
+With --keep campaigns and scores stay in that folder: an interrupted
 study continues there, and --again identifies the kept campaigns again.
 recorded: campaigns with a truth.toml; for X, Y and C products with the torque constant are scored, because the data determine only these.
 drawn: all parameters up to 30 % off, torque constants known to 0.1 %, feedforward weights and delays of the control also off, measuring
@@ -31,7 +31,6 @@ from examples.emps.single_axis import NAMES, fit_single_axis, read_emps, refine_
 from twin.effects.truth import true_machine
 from twin.exam.draw import SHIPPED_MACHINE, Case, draw_case, truth_of, truth_toml, write_campaign
 from twin.identify.campaign_fit import identify_campaign
-from twin.identify.result import Identification
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.simulation.summary import table
@@ -72,18 +71,6 @@ def truth_machine(machine: Machine, truth: Path) -> Machine:
     return actual
 
 
-Routes = dict[str, list[Judged]]
-"""Route ('regression', 'refined') -> its judgements."""
-
-
-def routes_of(result: Identification, truth: Machine, products: tuple[str, ...] = ()) -> Routes:
-    """Scores of both routes of an identification; the second only if it was taken."""
-    out = {"regression": judge(result, truth, products)}
-    if any(p.refined is not None for p in result.parameters):
-        out["refined"] = judge(result, truth, products, refined=True)
-    return out
-
-
 def draw(seed: int, folder: Path) -> None:
     """Draw a campaign into `folder` unless it exists."""
     if not (folder / "truth.toml").is_file():
@@ -92,28 +79,27 @@ def draw(seed: int, folder: Path) -> None:
         (folder / "truth.toml").write_text(truth_toml(truth_of(case)), encoding="utf-8")
 
 
-def drawn(seed: int, folder: Path, refine: bool) -> tuple[Routes, dict[str, float], list[str]]:
+def drawn(seed: int, folder: Path) -> tuple[list[Judged], dict[str, float], list[str]]:
     """Score one drawn campaign; the tolerance of the machine file is the spread of the draw."""
     draw(seed, folder)
     machine = load_machine().with_values({"parameter_tolerance": SPREAD})
-    result = identify_campaign(machine, read_campaign(folder, machine), refine=refine, gaps=False, torque_constant_tolerance=KNOWN)
-    return routes_of(result, truth_machine(machine, folder / "truth.toml")), result.seconds, [str(f) for f in result.findings]
+    result = identify_campaign(machine, read_campaign(folder, machine), refine=False, gaps=False, torque_constant_tolerance=KNOWN)
+    return judge(result, truth_machine(machine, folder / "truth.toml")), result.seconds, [str(f) for f in result.findings]
 
 
-def judged_case(seed: int, folder: Path, refine: bool, again: bool) -> tuple[Routes, str]:
+def judged_case(seed: int, folder: Path, again: bool) -> tuple[list[Judged], str]:
     """Scores of one case and a summary line; scores in `folder` are reused unless `again`."""
-    kept = folder / ("judged_refined.json" if refine else "judged.json")
+    kept = folder / "judged.json"
     if again or not kept.is_file():
-        routes, seconds, findings = drawn(seed, folder, refine)
-        outside = {name: ", ".join(f"{j.axis}.{j.name}" for j in judged if not j.holds) or "-" for name, judged in routes.items()}
+        judged, seconds, findings = drawn(seed, folder)
+        outside = ", ".join(f"{j.axis}.{j.name}" for j in judged if not j.holds) or "-"
         told = (
-            f"{seed}: {', '.join(f'{k} {v:.0f} s' for k, v in seconds.items())}; "
-            f"{'; '.join(f'outside by {k}: {v}' for k, v in outside.items())}; findings: {'; '.join(findings) or '-'}"
+            f"{seed}: {', '.join(f'{k} {v:.0f} s' for k, v in seconds.items())}; outside: {outside}; findings: {'; '.join(findings) or '-'}"
         )
-        document = {"routes": {name: [asdict(j) for j in judged] for name, judged in routes.items()}, "told": told}
+        document = {"judged": [asdict(j) for j in judged], "told": told}
         kept.write_text(json.dumps(document), encoding="utf-8")
     document = json.loads(kept.read_text(encoding="utf-8"))
-    return {name: [Judged(**j) for j in judged] for name, judged in document["routes"].items()}, document["told"]
+    return [Judged(**j) for j in document["judged"]], document["told"]
 
 
 def error_text(j: Judged) -> str:
@@ -122,25 +108,23 @@ def error_text(j: Judged) -> str:
     return f"{factor * j.error:.3f} +- {factor * j.half:.3f} {unit}{'' if j.holds else '  outside'}"
 
 
-def recorded(folders: Sequence[Path], refine: bool) -> Routes:
-    """Identify recorded campaigns, print every parameter, return the scores by route."""
-    machine, pooled = load_machine(), {}
+def recorded(folders: Sequence[Path]) -> list[Judged]:
+    """Identify recorded campaigns, print every parameter, return the scores."""
+    machine, pooled = load_machine(), []
     for folder in folders:
         campaign = read_campaign(folder, machine)
         before = resource.getrusage(resource.RUSAGE_SELF)
-        result = identify_campaign(machine, campaign, refine=refine, gaps=refine)
+        result = identify_campaign(machine, campaign, refine=False, gaps=False)
         after = resource.getrusage(resource.RUSAGE_SELF)
         length = sum(r.trace.time[-1] - r.trace.time[0] for r in campaign.runs)
         print(
             f"{folder.name}, {length:.0f} s of {len(campaign.runs)} runs: after {', '.join(f'{k} {v:.1f} s' for k, v in result.seconds.items())}; "
             f"processor {after.ru_utime - before.ru_utime:.1f} s user, {after.ru_stime - before.ru_stime:.1f} s system; "
-            f"route chosen: {result.chosen}; findings: {'; '.join(map(str, result.findings)) or 'none'}"
+            f"findings: {'; '.join(map(str, result.findings)) or 'none'}"
         )
-        routes = routes_of(result, truth_machine(machine, folder / "truth.toml"), products=("X", "Y", "C"))
-        rows = [[js[0].axis, js[0].name, *map(error_text, js)] for js in zip(*routes.values())]
-        print(table(["axis", "parameter", *(f"{name}: error +- half interval" for name in routes)], rows, left=2))
-        for name, judged in routes.items():
-            pooled.setdefault(name, []).extend(judged)
+        judged = judge(result, truth_machine(machine, folder / "truth.toml"), products=("X", "Y", "C"))
+        print(table(["axis", "parameter", "error +- half interval"], [[j.axis, j.name, error_text(j)] for j in judged], left=2))
+        pooled += judged
     return pooled
 
 
@@ -185,29 +169,23 @@ def main() -> int:
     parser.add_argument("inputs", nargs="*", type=Path, metavar="CAMPAIGN or FILE")
     parser.add_argument("--cases", type=int, default=30)
     parser.add_argument("--seed", type=int, default=9000)
-    parser.add_argument("--refine", action="store_true")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for drawn campaigns and scores")
     parser.add_argument("--again", action="store_true", help="identify kept campaigns again")
     args = parser.parse_args()
     if args.what == "emps":
         return emps(args.inputs)
-    pooled: Routes = {}
+    pooled: list[Judged] = []
     if args.what == "recorded":
-        pooled = recorded(args.inputs, args.refine)
+        pooled = recorded(args.inputs)
     else:
         for seed in range(args.seed, args.seed + args.cases):
             with tempfile.TemporaryDirectory() as scratch:
-                routes, told = judged_case(seed, args.keep / str(seed) if args.keep else Path(scratch), args.refine, args.again)
-            for name, judged in routes.items():
-                pooled.setdefault(name, []).extend(judged)
+                judged, told = judged_case(seed, args.keep / str(seed) if args.keep else Path(scratch), args.again)
+            pooled += judged
             print(told, flush=True)
-    missed = False
-    for name, judged in pooled.items():
-        rows = summary(judged)
-        print(f"\n{name}")
-        print(table(HEADING, rows))
-        missed |= any(row[-1] for row in rows)
-    return 1 if missed else 0
+    rows = summary(pooled)
+    print(table(HEADING, rows))
+    return int(any(row[-1] for row in rows))
 
 
 if __name__ == "__main__":

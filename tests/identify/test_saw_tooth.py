@@ -40,7 +40,7 @@ def test_step_response_ends_at_the_step(mikron: Machine) -> None:
     assert speed[-1, -1] == pytest.approx(1.0, abs=1e-6)
     assert current[-1, -1] == pytest.approx(0.0, abs=1e-4)
     # what the current did made the speed: torque constant x mean current = inertia x speed
-    assert loop.torque_constant * current.sum() * loop.tick == pytest.approx(loop.inertia, rel=2e-3)
+    assert loop.axis.motor.torque_constant_nm_per_a * current.sum() * loop.tick == pytest.approx(loop.inertia, rel=2e-3)
 
 
 def test_a_soft_drive_train_tends_to_the_rigid_one(mikron: Machine) -> None:
@@ -53,14 +53,15 @@ def test_a_soft_drive_train_tends_to_the_rigid_one(mikron: Machine) -> None:
 def test_inductance_and_load_are_read_off_the_saw_tooth(mikron: Machine, factor: float) -> None:
     rng = np.random.default_rng(0)
     true = replace(fast_loop_of(mikron, mikron.axis("X"), 0.0086), load=0.0018, mode=2 * np.pi * 190.0)
-    true = replace(true, inductance=factor * true.inductance)
+    inductance, resistance = true.winding
+    true = true.with_winding(factor * inductance, resistance)
     steps = (np.cumsum(rng.standard_normal(5000)) * 0.05, np.zeros(5000))
     kernels = ripples(true, 2)
     noise = (0.04, 0.0126)
     seen = [convolved(kernels[q][0], steps[0]) + noise[q] * rng.standard_normal(5000) for q in (0, 1)]
-    start = replace(true, inductance=true.inductance / factor)
+    start = true.with_winding(inductance, resistance)
     fit = fit_fast_loop(start, 2, sawtooth_of([steps], [seen[0]], [seen[1]], [np.ones(5000, bool)], noise), start)
-    assert fit.loop.inductance == pytest.approx(true.inductance, rel=0.02)
+    assert fit.loop.winding[0] == pytest.approx(true.winding[0], rel=0.02)
     assert missing_mean(fit.loop, 2)[0].sum() == pytest.approx(missing_mean(true, 2)[0].sum(), abs=4.0 * fit.mean_deviation)
     assert fit.misfit == pytest.approx(1.0, abs=0.3)
 

@@ -1,4 +1,4 @@
-"""Identification of known machines: recorded, drawn 30 % off on a richer plant, refined by simulation, planned."""
+"""Identification of known machines: recorded, drawn 30 % off on a richer plant, fitted in closed loop, planned."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from devtools.identification_score import LIMITS, Judged
-from tests.builders.identify_campaigns import QUICK, campaign, recorded, usual_runs
+from tests.builders.identify_campaigns import QUICK, campaign, recorded, usual_runs, with_signal
 from tests.builders.script import script
 from tests.conftest import ROOT, SHARED
 from twin.cli import main
@@ -66,37 +66,52 @@ def test_a_recorded_machine(study: ModuleType, mikron: Machine) -> None:
 @pytest.mark.slow
 def test_a_machine_thirty_percent_off_with_a_richer_plant(study: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.exam.draw.programme", lambda machine, seed: [r for r in programme(machine, seed) if r.name in FEW])
-    routes, _, findings = study.drawn(5001, tmp_path, refine=False)
-    judged = routes["regression"]
+    judged, _, findings = study.drawn(5001, tmp_path)
     assert not findings
     assert len(judged) == 55
     check(judged)
 
 
-def test_refinement_closes_the_gap_and_keeps_what_is_known(mikron: Machine, tmp_path: Path) -> None:
-    """X 4 % off in friction, 3 % in inertia: the re-simulated machine is within noise of the measured one."""
+def test_the_regression_closes_the_gap_and_writes_what_it_found(mikron: Machine, tmp_path: Path) -> None:
+    """X 4 % off in friction, 3 % in inertia: the identified machine is within noise of the measured one, and nothing is left to fit in closed loop."""
     machine = mikron.with_axes(["X"]).with_values({"parameter_tolerance": 0.05})
     axis = machine.axis("X")
     true = machine.with_axis("X", coulomb_friction_nm=1.04 * axis.coulomb_friction_nm, rotor_inertia_kg_m2=1.03 * axis.rotor_inertia_kg_m2)
     runs = [*usual_runs(true), recorded(true, "check", QUICK, "velocity+torque", 7)]
     result = identify_campaign(machine, campaign(runs), torque_constant_tolerance=0.0)
-    for stage in ("regression", "refined"):
-        for signal, gap in result.gaps[stage]["X"].items():
-            assert gap["rms"] < 1.25 * gap["noise"], (stage, signal)
-    assert result.gaps["before"]["X"]["current"]["rms"] > 1.5 * result.gaps["refined"]["X"]["current"]["rms"]
+    assert "refined" not in result.gaps
+    for signal, gap in result.gaps["regression"]["X"].items():
+        assert gap["rms"] < 1.25 * gap["noise"], signal
+    assert result.gaps["before"]["X"]["current"]["rms"] > 1.5 * result.gaps["regression"]["X"]["current"]["rms"]
     coulomb = result.parameter("X", "coulomb_friction")
-    assert coulomb.refined is not None
-    assert coulomb.refined.value == pytest.approx(1.04 * axis.coulomb_friction_nm, rel=0.005)
+    assert coulomb.value.value == pytest.approx(1.04 * axis.coulomb_friction_nm, rel=0.005)
     # the file that is written says so, and loads
     write_identified(result, tmp_path / "x.toml")
     again = load_machine(tmp_path / "x.toml")
-    chosen = coulomb.refined if result.chosen == "refined" else coulomb.value
-    assert again.axis("X").coulomb_friction_nm == pytest.approx(chosen.value, rel=1e-4)  # the product at the split torque constant
+    assert again.axis("X").coulomb_friction_nm == pytest.approx(coulomb.value.value, rel=1e-4)  # the product at the split torque constant
     for path, comment in machine_comments(result).items():
         assert comment.startswith(("identified", "bounded")), path
     text = (tmp_path / "x.toml").read_text()
     assert "[identified]" in text
     assert "identified  95 %" in text
+
+
+def test_a_position_controller_without_its_output_is_fitted_in_closed_loop(mikron: Machine) -> None:
+    """No speed set point is recorded: gain, delay and feedforward follow from the position, and only these are fitted."""
+    machine = mikron.with_axes(["X"])
+    true = machine.with_axis("X", position_gain_per_s=44.0, position_delay_s=2.4e-3, velocity_feedforward=0.96)
+    runs = [with_signal(run, "X", "velocity_setpoint", None) for run in usual_runs(true)]
+    result = identify_campaign(machine, campaign(runs), torque_constant_tolerance=0.0)
+    assert result.chosen == "refined"
+    loops = result.machine.axis("X").loops
+    assert loops.position_gain_per_s == pytest.approx(44.0, rel=0.01)
+    assert loops.position_delay_s == pytest.approx(2.4e-3, abs=5e-5)
+    assert loops.velocity_feedforward == pytest.approx(0.96, abs=0.005)
+    for name, value in (("position_gain_per_s", 44.0), ("velocity_feedforward", 0.96)):
+        found = result.parameter("X", name).refined
+        assert found is not None
+        assert found.low < value < found.high
+    assert result.parameter("X", "inertia").refined is None
 
 
 def test_the_command_writes_machine_file_report_and_json(mikron: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

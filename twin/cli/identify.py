@@ -12,7 +12,7 @@ from twin.files import output_file, write_json
 from twin.progress import Steps
 
 STEPS = 14
-"""Approximate number of steps of an identification with refinement, for the progress bar."""
+"""Approximate number of steps of an identification, for the progress bar."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", metavar="FILE.html", help="report (default: beside the machine file)")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
     add_open(parser)
-    parser.add_argument("--no-refine", action="store_true", help="regression only, without re-simulation")
+    parser.add_argument("--no-refine", action="store_true", help="regression only, without the fit in closed loop")
     parser.add_argument(
         "--torque-constant-within",
         type=float,

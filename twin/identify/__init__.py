@@ -13,6 +13,6 @@ The direct route, block by block:
     parameters          table of the identified parameters                 products           splits products with torque constants
     drive_position_loop position loop in the NC or in the drive            noise              measuring noise from standstill
     held_out            training and held-out motion, gap on the latter    delivered          commanded against delivered effort
-The second route: refine (drives with a current loop), drive_fit (lumped drives, every sample).
+What they leave open: drive_fit, in closed loop on every sample (lumped drives; position controllers whose output is not recorded).
 choice: which values the machine file gets.
 """

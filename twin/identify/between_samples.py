@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 import math
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.optimize import least_squares
 
+from twin.control.current_controller import winding_model
+from twin.control.linear import closed, padded, sampled, with_controller
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 
@@ -36,49 +37,46 @@ DAMPING_RATIO = 0.05
 
 @dataclass(frozen=True)
 class FastLoop:
-    """Parameters that shape the current within a cycle, at the motor: gains of the control, winding, two masses.
+    """What shapes the current within a cycle: the control and winding of `axis`, and two masses behind them.
 
-    `inertia` is the total inertia, `load` the part behind the spring [kg m2]; `mode` [rad/s] = sqrt(stiffness / load).
+    `inertia` is the total inertia at the motor, `load` the part behind the spring [kg m2]; `mode` [rad/s] = sqrt(stiffness / load).
     """
 
-    speed_gain: float
-    integral_time: float
-    control_torque_constant: float
-    torque_constant: float
-    current_gain: float
-    current_integral_time: float
-    back_emf: float
-    resistance: float
-    inductance: float
-    inertia: float
-    load: float
-    mode: float
-    damping: float
+    axis: Axis
     tick: float
     cycle_ticks: int
-    held: bool = False  # a command without current loop is constant within a cycle, so its samples are its mean
+    inertia: float
+    load: float = 0.0
+    mode: float = math.inf
+    damping: float = DAMPING_RATIO
+
+    @property
+    def held(self) -> bool:
+        """A command without current loop is constant within a cycle, so its samples are its mean."""
+        return not self.axis.actuator.electrical
+
+    @property
+    def winding(self) -> tuple[float, float]:
+        """Inductance [H] and resistance [ohm]."""
+        return self.axis.motor.inductance_h, self.axis.motor.resistance_ohm
+
+    def with_winding(self, inductance: float, resistance: float) -> FastLoop:
+        """The loop with another winding."""
+        return replace(self, axis=replace(self.axis, motor=replace(self.axis.motor, inductance_h=inductance, resistance_ohm=resistance)))
+
+    def mechanics(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """From torque to motor speed: a, b and the row of the speed. States: speed of motor and load, deflection."""
+        load = min(self.load, 0.95 * self.inertia)
+        if load <= 0.02 * self.inertia or self.mode > RIGID_RAD_PER_S:
+            return np.zeros((1, 1)), np.array([[1.0 / self.inertia]]), np.ones(1)
+        k, d, m = load * self.mode**2, 2.0 * self.damping * load * self.mode, self.inertia - load
+        a = np.array([[-d / m, d / m, -k / m], [d / load, -d / load, k / load], [1.0, -1.0, 0.0]])
+        return a, np.array([[1.0 / m], [0.0], [0.0]]), np.array([1.0, 0.0, 0.0])
 
 
 def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
     """The fast loop with the values of the machine file; `inertia` [kg m2] at the motor."""
-    return FastLoop(
-        speed_gain=axis.loops.speed_gain_nm_s_per_rad,
-        integral_time=axis.loops.speed_integral_time_s,
-        control_torque_constant=axis.commissioned_torque_constant,
-        torque_constant=axis.motor.torque_constant_nm_per_a,
-        current_gain=axis.loops.current_gain_v_per_a,
-        current_integral_time=axis.loops.current_integral_time_s,
-        back_emf=axis.motor.back_emf_v_s_per_rad,
-        resistance=axis.motor.resistance_ohm,
-        inductance=axis.motor.inductance_h,
-        inertia=inertia,
-        load=0.0,
-        mode=math.inf,
-        damping=DAMPING_RATIO,
-        tick=machine.base_tick,
-        cycle_ticks=round(machine.position_cycle / machine.base_tick),
-        held=not axis.actuator.electrical,
-    )
+    return FastLoop(axis, machine.base_tick, round(machine.position_cycle / machine.base_tick), inertia)
 
 
 DIVERGED = 1e100
@@ -89,43 +87,20 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     """Current [A] and motor speed [rad/s], each (cycle, tick), after a unit step of the speed set point [rad/s] and of the torque
     feedforward [Nm].
 
-    The law is that of twin.simulation.cascade without its limits; between ticks the winding and the two masses are solved exactly.
+    Made of the linear models of the control blocks, which have no limits; every controller samples at each tick.
     """
-    h = loop.tick
-    load = min(loop.load, 0.95 * loop.inertia)
-    rigid = load <= 0.02 * loop.inertia or loop.mode > RIGID_RAD_PER_S
-    # motor speed, load speed, deflection under torque
-    if rigid:
-        a, b = np.zeros((3, 3)), np.array([1.0 / loop.inertia, 0.0, 0.0])
-    else:
-        k, d = load * loop.mode**2, 2.0 * loop.damping * load * loop.mode
-        m = loop.inertia - load
-        a = np.array([[-d / m, d / m, -k / m], [d / load, -d / load, k / load], [1.0, -1.0, 0.0]])
-        b = np.array([1.0 / m, 0.0, 0.0])
-    exact = expm(np.block([[a, b[:, None]], [np.zeros((1, 4))]]) * h)
-    decay = math.exp(-loop.resistance * h / loop.inductance)
-    mean_decay = (1.0 - decay) * loop.inductance / (loop.resistance * h)
-    # one tick is linear in z = (masses 3, speed integral, current integral, current) and the two inputs: advance with matrices
-    n = 6
-    e = -np.eye(1, n, 0)[0]
-    wanted = loop.speed_gain * e + np.eye(1, n, 3)[0]
-    wanted_input = np.array([loop.speed_gain, 1.0])
-    error = wanted / loop.control_torque_constant - np.eye(1, n, 5)[0]
-    error_input = wanted_input / loop.control_torque_constant
-    volt = loop.current_gain * error + np.eye(1, n, 4)[0]
-    volt_input = loop.current_gain * error_input
-    final, final_input = (volt - loop.back_emf * np.eye(1, n, 0)[0]) / loop.resistance, volt_input / loop.resistance
-    mean = final * (1.0 - mean_decay) + mean_decay * np.eye(1, n, 5)[0]
-    matrix, inputs = np.zeros((n, n)), np.zeros((n, 2))
-    matrix[:3, :3] = exact[:3, :3]
-    matrix[:3] += np.outer(exact[:3, 3] * loop.torque_constant, mean)
-    inputs[:3] = np.outer(exact[:3, 3] * loop.torque_constant, final_input * (1.0 - mean_decay))
-    matrix[3] = np.eye(1, n, 3)[0] + loop.speed_gain * h / loop.integral_time * e
-    inputs[3, 0] = loop.speed_gain * h / loop.integral_time
-    matrix[4] = np.eye(1, n, 4)[0] + loop.current_gain * h / loop.current_integral_time * error
-    inputs[4] = loop.current_gain * h / loop.current_integral_time * error_input
-    matrix[5] = final * (1.0 - decay) + decay * np.eye(1, n, 5)[0]
-    inputs[5] = final_input * (1.0 - decay)
+    loops, h, kt = loop.axis.loops, loop.tick, loop.axis.commissioned_torque_constant
+    a, b, speed = loop.mechanics()
+    a, b, current = winding_model(loop.axis.motor, a, b, speed)
+    gain = loops.current_gain_v_per_a
+    a, b = closed(with_controller("current", h, (*sampled(a, b, h), current), gain, gain * h / loops.current_integral_time_s))
+    fed = b / kt
+    speed = padded(np.insert(speed, 0, 0.0), len(a))
+    gain = loops.speed_gain_nm_s_per_rad / kt
+    matrix, b = closed(with_controller("speed", h, (a, b, speed[None]), gain, gain * h / loops.speed_integral_time_s))
+    n = len(matrix)
+    inputs = np.hstack([b, np.vstack([fed, np.zeros((n - len(fed), 1))])])
+    rows = np.array([padded(current[0], n), padded(speed, n)])
     # first the states at the ticks of one cycle from its initial state, then cycle by cycle
     ticks = loop.cycle_ticks
     free, forced = np.empty((ticks + 1, n, n)), np.zeros((ticks + 1, n, 2))
@@ -138,10 +113,11 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
         starts[c + 1] = free[ticks] @ starts[c] + forced[ticks]
         if not np.abs(starts[c + 1]).max() < DIVERGED:
             raise InputError(
-                f"a speed loop with a gain of {loop.speed_gain:.3g} Nm s/rad on {loop.inertia:.3g} kg m2 is unstable; correct the machine file"
+                f"a speed loop with a gain of {loops.speed_gain_nm_s_per_rad:.3g} Nm s/rad on {loop.inertia:.3g} kg m2 is unstable; "
+                "correct the machine file"
             )
-    seen = np.einsum("tij,cjk->kict", free[:ticks, [0, 5]], starts) + forced[:ticks, [0, 5]].transpose(2, 1, 0)[:, :, None]
-    return [(seen[k, 1], seen[k, 0]) for k in range(2)]
+    seen = np.einsum("ri,tij,cjk->krct", rows, free[:ticks], starts) + np.einsum("ri,tik->krt", rows, forced[:ticks])[:, :, None]
+    return [(seen[k, 0], seen[k, 1]) for k in range(2)]
 
 
 def convolved(kernel: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -263,16 +239,10 @@ def fit_fast_loop(loop: FastLoop, samples_per_cycle: int, seen: Sawtooth, refere
     scatter = [COLOURED * math.sqrt(max(rest / seen.count, 1.0)) for rest in seen.rest]
 
     def changed(x: np.ndarray) -> FastLoop:
-        values = {
-            "inductance": reference.inductance * math.exp(x[0]),
-            "resistance": reference.resistance * math.exp(x[1]),
-            "inertia": loop.inertia,
-        }
-        if elastic:
-            values["load"] = reference.load * math.exp(x[2])
-            values["mode"] = reference.mode * math.exp(x[3])
-            values["damping"] = reference.damping * math.exp(x[4])
-        return replace(reference, **values)  # type: ignore[arg-type]
+        factor = np.exp(np.pad(x, (0, 5 - free)))
+        inductance, resistance = reference.winding
+        train = {"load": reference.load * factor[2], "mode": reference.mode * factor[3], "damping": reference.damping * factor[4]}
+        return replace(reference.with_winding(inductance * factor[0], resistance * factor[1]), inertia=loop.inertia, **train)
 
     def residual(x: np.ndarray) -> np.ndarray:
         kernels = ripples(changed(x), samples_per_cycle)
@@ -283,7 +253,7 @@ def fit_fast_loop(loop: FastLoop, samples_per_cycle: int, seen: Sawtooth, refere
         return np.column_stack([(residual(x + 1e-3 * e) - residual(x - 1e-3 * e)) / 2e-3 for e in np.eye(free)])
 
     bound = np.log([3.0, 3.0, 1.2, 1.1, 4.0][:free])
-    at = [math.log(loop.inductance / reference.inductance), math.log(loop.resistance / reference.resistance)]
+    at = [math.log(now / before) for now, before in zip(loop.winding, reference.winding)]
     if elastic:
         at += [math.log(getattr(loop, n) / getattr(reference, n)) for n in ("load", "mode", "damping")]
     start = np.clip(at, -0.99 * bound, 0.99 * bound)

@@ -1,4 +1,4 @@
-"""Identify a machine from a campaign: prepare the signals, regress, split products, refine by re-simulation, judge on held-out motion."""
+"""Identify a machine from a campaign: prepare the signals, regress, split products, fit drives in closed loop, judge on held-out motion."""
 
 from __future__ import annotations
 
@@ -18,17 +18,14 @@ from twin.identify.delivered import delivered_effort
 from twin.identify.direct import Direct, Runs, direct_route
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
-from twin.identify.drive_residuals import has_ideal_actuator
 from twin.identify.findings import Finding
 from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs
 from twin.identify.parameters import (
     LOOP_BOUNDS,
     implausible_currents,
     parameters_of,
-    prior_deviations,
     unidentified,
     with_drives,
-    with_refined,
 )
 from twin.identify.position_control import NOT_RECORDED
 from twin.identify.products import split_machine, split_products
@@ -57,7 +54,7 @@ def identify_campaign(
     `torque_constant_tolerance`: relative half width within which the torque constants are known (default: the machine file's
     parameter_tolerance). `progress` is called with the name of each step when it begins. With `gaps` the result is judged on the held-out
     motion; its `refused` then gives the reason if no machine file may be written. Without `gaps` the result is the machine of the regression,
-    even after a refinement. Raises InputError if the recording lacks the signals.
+    even after a fit in closed loop. Raises InputError if the recording lacks the signals.
     """
     say = progress or (lambda _text: None)
     clock: dict[str, float] = {}
@@ -99,9 +96,9 @@ def identify_campaign(
     clock["regression"] = time.perf_counter() - started
     stages = {"regression": found}
     if refine:
-        refined, parameters, said = _resimulated(found, division, recording.axis_runs, direct, parameters, against, say)
+        refined, parameters, said = _resimulated(found, division, direct, parameters, against, say)
         findings += said
-        clock["re-simulation"] = time.perf_counter() - started
+        clock["closed loop"] = time.perf_counter() - started
         if refined is not None:
             stages["refined"] = refined
     findings += unidentified(machine, parameters)
@@ -155,46 +152,18 @@ def _simulated(machine: Machine, division: Division) -> Runs | None:
 
 
 def _resimulated(
-    found: Machine,
-    division: Division,
-    axis_runs: Runs,
-    direct: Direct,
-    parameters: list[Parameter],
-    against: dict[str, Finding],
-    say: Callable[[str], None],
+    found: Machine, division: Division, direct: Direct, parameters: list[Parameter], against: dict[str, Finding], say: Callable[[str], None]
 ) -> tuple[Machine | None, list[Parameter], list[Finding]]:
-    """Both closed-loop fits: axes with a current loop by `refine`, axes with an ideal actuator by `drive_fit`.
-
-    Returns the machine (None if no fit succeeded), the parameters, and findings about fits that failed.
-    """
-    from twin.identify.refine import refined_machine
-
+    """The closed-loop fit: its machine (None if it changed nothing), the parameters, and a finding if it failed."""
     training = division.training()
-    runs = [division.runs[i] for i in training]
-    part = division.part(axis_runs, fitted=True)
-    measured = {a: [seen[i] for i in training] for a, seen in part.items()}
-    machine, said = found, []
-    if any(not has_ideal_actuator(a) for a in found.axes):
-        say("refinement by re-simulation")
-        try:
-            refined = refined_machine(found, runs, measured, direct.current, prior_deviations(found, parameters), say)
-            machine = refined.machine
-            parameters = with_refined(parameters, machine, refined.deviations)
-        except SimulationError as error:
-            said.append(Finding("", "", f"re-simulation could not refine the parameters: {error}"))
-            return None, parameters, said
-    if any(has_ideal_actuator(a) for a in found.axes):
-        say("drives in closed loop")
-        rows = {a: [division.fitted[a][i] for i in training] for a in found.axis_names}
-        known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop} | direct.unexcited
-        try:
-            fits = fit_drives(machine, runs, rows, known, say, skipped=against)
-            machine = fits.machine
-            parameters = with_drives(parameters, found, fits)
-        except SimulationError as error:
-            said.append(Finding("", "", f"drives not fitted in closed loop: {error}"))
-            return None if machine is found else machine, parameters, said
-    return machine, parameters, said
+    rows = {a: [division.fitted[a][i] for i in training] for a in found.axis_names}
+    known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop} | direct.unexcited
+    say("drives in closed loop")
+    try:
+        fits = fit_drives(found, [division.runs[i] for i in training], rows, known, say, skipped=against)
+    except SimulationError as error:
+        return None, parameters, [Finding("", "", f"drives not fitted in closed loop: {error}")]
+    return fits.machine if fits.axes else None, with_drives(parameters, found, fits), []
 
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
@@ -264,8 +233,8 @@ def with_identified_control(machine: Machine, direct: Direct) -> Machine:
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
         mean = direct.current.get(axis.name)
         if mean is not None and axis.actuator.electrical and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
-            values[f"axis.{axis.name}.motor.inductance_h"] = mean.fit.loop.inductance
-            values[f"axis.{axis.name}.motor.resistance_ohm"] = mean.fit.loop.resistance
+            names = (f"axis.{axis.name}.motor.{n}" for n in ("inductance_h", "resistance_ohm"))
+            values.update(zip(names, mean.fit.loop.winding))
     ways = {p.interpolation for p in direct.position.values()}
     if len(ways) == 1 and ways != {machine.setpoint_interpolation}:
         values["control.setpoint_interpolation"] = ways.pop()

@@ -1,7 +1,8 @@
-"""Fit of a drive in closed loop: lumped inertia, friction, constant force, gains of the speed loop and the delay of its position loop.
+"""Fit of an axis in closed loop: lumped inertia, friction, constant force, gains of the speed loop and the delay of its position loop.
 
 For axes whose speed controller commands an ideal actuator (structures P/PI and P/P): a machine without a data sheet, a laboratory axis.
-The values may be lumped: inertia and friction divided by the torque constant. The whole loop is simulated on the recorded set points and
+The values may be lumped: inertia and friction divided by the torque constant. Of a drive with a current loop it fits the position controller
+where no speed set point is recorded. The whole loop is simulated on the recorded set points and
 compared with every sample of the training rows, including short moves, reversals and the ringing of the speed loop (`estimate.search`). Each
 axis is a block, so one simulation perturbs one value of every axis. Intervals come from clusters of a tenth of a second.
 """
@@ -42,9 +43,9 @@ def fit_drives(
     say: Callable[[str], None] | None = None,
     skipped: Collection[str] = (),
 ) -> DriveFits:
-    """Fit all axes without a current loop on their `rows` (run, (sample,) bool); loop values in `known` (axis, field) are kept.
+    """Fit all axes on their `rows` (run, (sample,) bool); loop values in `known` (axis, field) are kept.
 
-    Axes in `skipped` and axes without recorded motion and command are not fitted.
+    Axes with nothing free, axes in `skipped` and axes without recorded motion and command are not fitted.
     """
     step = None if say is None else lambda k: say(f"drive fit step {k}")  # type: ignore[misc]
     work = DriveResiduals(machine, runs, rows, known, skipped)

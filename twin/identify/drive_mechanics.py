@@ -73,7 +73,10 @@ def with_mechanics(
     asked = [
         n
         for n, s in best.items()
-        if folds[n] and _is_open(machine, n) and (_has_position(s, n) or follows_recorded_path(machine.axis(n), runs))
+        if folds[n]
+        and "inertia" in s.problem.fields[n]
+        and _is_open(machine, n)
+        and (_has_position(s, n) or follows_recorded_path(machine.axis(n), runs))
     ]
     left_out = _scores_left_out(recording, folds, {n: best[n] for n in asked})
     for slip, frequencies in ((True, ()), (False, FREQUENCIES_HZ), (True, FREQUENCIES_HZ)):

@@ -1,7 +1,9 @@
 """The problem of the closed-loop drive fit: its free numbers, and what the simulated axes leave of the recorded signals.
 
-It covers axes whose speed controller commands an ideal actuator (structures P/PI and P/P). Position and command are compared. If the
-controller gains are unknown, only the command is compared, because the following error then depends on the gains of the file.
+Of an axis whose speed controller commands an ideal actuator (structures P/PI and P/P) mechanics and gains are free. Position and command are
+compared. If the controller gains are unknown, only the command is compared, because the following error then depends on the gains of the file.
+The regression finds all values of an axis with a current loop; only gain, delay and feedforward of its position controller are free here, where
+no speed set point is recorded.
 """
 
 from __future__ import annotations
@@ -32,10 +34,10 @@ from twin.simulation.two_encoders import BOTH
 
 CLUSTER_S = 0.1
 
-TIMES = ("dsc_delay_s", "speed_reference_time_s")
+TIMES = ("dsc_delay_s", "speed_reference_time_s", "position_delay_s")
 """Times that are fitted directly, because they may be zero. Of all other values but the force, the logarithm is fitted."""
 
-STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "speed_reference_time_s": 1e-4}
+STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "speed_reference_time_s": 1e-4, "position_delay_s": 2e-5}
 """Steps of the difference quotient other than RELATIVE_STEP: force as a share of the peak command, delays in seconds."""
 
 RELATIVE_STEP = 0.02
@@ -65,18 +67,13 @@ class DriveFit:
     unidentified: tuple[str, ...] = ()
 
 
-def has_ideal_actuator(axis: Axis) -> bool:
-    """Does the axis have no current loop, so that its values may be lumped?"""
-    return not axis.actuator.electrical
-
-
 def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
     """Does the position of a simulated axis depend on its mechanics rather than on assumed gains?
 
     The gains of a drive with an integrating speed controller (P/PI) can be identified only if its speed set point is recorded; without it
     they are assumed and the position is not informative. The gains of a P/P structure are known.
     """
-    tried = has_ideal_actuator(axis) and axis.has_speed_integral and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
+    tried = not axis.actuator.electrical and axis.has_speed_integral and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
     return not (tried and any(r.trace.has(axis.name, axis.effort) for r in runs))
 
 
@@ -99,8 +96,9 @@ class DriveResiduals:
         skipped: Collection[str],
     ) -> None:
         self.machine, self.runs = machine, runs
-        self.names = [a.name for a in machine.axes if has_ideal_actuator(a) and a.name not in skipped and self._is_seen(a)]
-        self.fields = {n: self._fields_of(machine.axis(n), known) for n in self.names}
+        fields = {a.name: self._fields_of(a, known) for a in machine.axes if a.name not in skipped and self._is_seen(a)}
+        self.fields = {n: own for n, own in fields.items() if own}
+        self.names = list(self.fields)
         self.free = [self._free(n, f) for n in self.names for f in self.fields[n]]
         self.used = {(n, s): [r & self._counts(run, n, s) for run, r in zip(runs, rows[n])] for n in self.names for s in self.signals(n)}
         self.setpoints = [recorded_setpoints(r.trace, machine) for r in runs]
@@ -133,8 +131,13 @@ class DriveResiduals:
         )
 
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
+        speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)
+        if axis.actuator.electrical:
+            fed = any("velocity" in (r.feedforward or "velocity") for r in self.runs)
+            control = ["position_gain_per_s", "position_delay_s", *(["velocity_feedforward"] if fed else [])]
+            return [] if speed_recorded else control
         fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
-        if axis.has_speed_integral and any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs):
+        if axis.has_speed_integral and speed_recorded:
             fields += ["speed_gain_nm_s_per_rad", "speed_integral_time_s"]
             fields += [f for f in ("speed_reference_time_s", "drive_torque_feedforward") if getattr(axis.loops, f) > 0.0]
         if axis.loops.dsc_delay_s > 0.0:
@@ -162,8 +165,8 @@ class DriveResiduals:
         if field_name == "constant_force":
             listed = [e for e in self.machine.effects if e.get("name") == "constant_force" and e.get("axis") == name]
             return axis.constant_force + sum(float(e["force"]) for e in listed)
-        if hasattr(axis.loops, field_name):
-            return float(getattr(axis.loops, field_name))
+        if hasattr(axis.loops, field_name):  # a weight of 0 becomes 1 where a run has the feedforward on
+            return float(getattr(axis.loops, field_name)) or float(field_name == "velocity_feedforward")
         value, peak = float(getattr(axis, field_name)), self._peak(name)
         if field_name in (SLIP, *MODE):
             return value

@@ -1,4 +1,4 @@
-"""Figures of the identification report: friction law, inertia, table gravity, residuals and their whiteness."""
+"""Figures of the identification report: friction law, table gravity, residuals and their whiteness, gap. None where there is nothing to show."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from twin.estimate.regression import whiteness
 from twin.identify.axis_run import slides_above
 from twin.identify.direct import Balance
-from twin.identify.drive_balance import ROW_STRIDE, Rows
+from twin.identify.drive_balance import ROW_STRIDE
 from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.result import Identification
 from twin.machine.machine import Axis, Machine
@@ -34,24 +34,17 @@ def _shown(result: Identification, *names: str) -> list[Axis]:
     return [a for a in result.before.axes if balance_of(result, a.name) is not None and all((a.name, n) in known for n in names)]
 
 
-def _parts(machine: Machine, balance: Balance, axis: str) -> tuple[Rows, dict[str, np.ndarray], np.ndarray]:
-    """Rows of an axis' motor, its measured torque split into inertia, friction and rest [Nm at the motor], and the residual."""
-    rows = balance.rows[axis]
-    scale = machine.axis(axis).ratio if len(balance.rows) > 1 else 1.0
-    share = rows.columns * balance.fit.values * scale
-    names = list(balance.names)
-    suffix = f"_{axis}" if len(balance.rows) > 1 else ""
-    friction = [names.index(f"coulomb{suffix}"), names.index(f"viscous{suffix}")]
-    inertia = [names.index(f"inertia{suffix}")]
-    rest = [i for i in range(len(names)) if i not in friction + inertia]
-    parts = {k: share[:, i].sum(axis=1) for k, i in (("inertia", inertia), ("friction", friction), ("rest", rest))}
-    return rows, parts, rows.y * scale - share.sum(axis=1)
+def _residual(machine: Machine, balance: Balance, axis: str, with_friction: bool = False) -> np.ndarray:
+    """(row,) What the balance leaves of the torque of an axis' motor [Nm]; `with_friction` without subtracting friction."""
+    rows, paired = balance.rows[axis], len(balance.rows) > 1
+    friction = [n.format(f"_{axis}" if paired else "") for n in ("coulomb{}", "viscous{}")]
+    kept = np.array([with_friction and n in friction for n in balance.names])
+    return (rows.y - rows.columns @ np.where(kept, 0.0, balance.fit.values)) * (machine.axis(axis).ratio if paired else 1.0)
 
 
 def friction_points(machine: Machine, balance: Balance, axis: str, count: int = 14) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Speed [rad/s], friction torque [Nm] and its standard deviation at constant speeds, averaged over rows of equal speed and direction."""
-    rows, parts, residual = _parts(machine, balance, axis)
-    friction = parts["friction"] + residual
+    rows, friction = balance.rows[axis], _residual(machine, balance, axis, with_friction=True)
     steady = np.abs(rows.acceleration) < STEADY * max(float(np.abs(rows.acceleration).max()), 1e-9)
     speed, torque = rows.speed[steady], friction[steady]
     points = []
@@ -68,11 +61,13 @@ def friction_points(machine: Machine, balance: Balance, axis: str, count: int = 
     return tuple(np.array(c) for c in zip(*points)) if points else (np.zeros(0),) * 3  # type: ignore[return-value]
 
 
-def friction_figure(result: Identification) -> Any:
+def friction_figure(result: Identification) -> Any | None:
     """Friction against speed for every axis: points of constant speed, identified law with 95 % band, law of the file before."""
     axes = _shown(result, "coulomb_friction", "viscous_friction")
-    columns = min(3, max(len(axes), 1))
-    figure, panels = new_figure(max(-(-len(axes) // columns), 1), columns, height=2.9)
+    if not axes:
+        return None
+    columns = min(3, len(axes))
+    figure, panels = new_figure(-(-len(axes) // columns), columns, height=2.9)
     for panel, axis in zip(panels.ravel(), axes):
         balance = balance_of(result, axis.name)
         assert balance is not None
@@ -98,62 +93,25 @@ def friction_figure(result: Identification) -> Any:
         panel.set_ylabel(f"friction at the motor [{coulomb.unit}]")
     for panel in panels.ravel()[len(axes) :]:
         panel.axis("off")
-    if axes:
-        figure.legend(*panels.ravel()[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    return figure
-
-
-def inertia_figure(result: Identification) -> Any:
-    """Torque minus friction and gravity against acceleration; the slope is the inertia."""
-    axes = _shown(result, "inertia")
-    columns = min(3, max(len(axes), 1))
-    figure, panels = new_figure(max(-(-len(axes) // columns), 1), columns, height=2.8)
-    for panel, axis in zip(panels.ravel(), axes):
-        balance = balance_of(result, axis.name)
-        assert balance is not None
-        rows, parts, residual = _parts(result.before, balance, axis.name)
-        torque = parts["inertia"] + residual
-        step = max(1, len(torque) // 1500)
-        p = result.parameter(axis.name, "inertia")
-        colour = hexadecimal(axis_colour(axis.name))
-        panel.plot(rows.acceleration[::step], torque[::step], ".", ms=2.2, color=colour, alpha=0.6, rasterized=True)
-        ends = np.array([rows.acceleration.min(), rows.acceleration.max()])
-        panel.plot(ends, p.estimate.value * ends, color=INK, lw=1.1, label="identified")
-        panel.plot(ends, p.before * ends, color=SOFT, lw=1.0, ls="--", label="machine file before")
-        half = 100.0 * p.estimate.half / p.estimate.value
-        direct = p.unit == "kg"
-        value_text = f"{p.estimate.value:.4g} kg" if direct else f"{1e3 * p.estimate.value:.4g} g m²"
-        panel.set_title(f"{axis.name}: {value_text} ± {half:.2g} %")
-        panel.set_xlabel(f"acceleration of the motor [{'m' if direct else 'rad'}/s²]")
-        panel.set_ylabel("force for it [N]" if direct else "torque for it [Nm]")
-    for panel in panels.ravel()[len(axes) :]:
-        panel.axis("off")
-    if axes:
-        panels.ravel()[0].legend(loc="upper left", frameon=False, fontsize=8)
+    figure.legend(*panels.ravel()[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
 def gravity_figure(result: Identification) -> Any | None:
-    """Gravity torque of the tilting table over its angle for two positions of C; None without a table."""
+    """Gravity torque of the tilting table over its angle for two positions of C, and its first moments."""
     balance = result.direct.balance.get("A C")
     if balance is None:
         return None
-    machine = result.before
-    rows = balance.rows["A"]
-    names = list(balance.names)
-    index = [names.index(n) for n in ("moment_y", "moment_z", "table_x", "table_y")]
-    gravity = rows.columns[:, index] @ balance.fit.values[index]
-    residual = rows.y - rows.columns @ balance.fit.values
+    rows, axis = balance.rows["A"], result.before.axis("A")
+    index = [balance.names.index(n) for n in FIRST_MOMENTS]
+    of_y, of_z, of_x, of_c = balance.fit.values[index]
+    gravity = rows.y - rows.columns @ np.where(np.isin(np.arange(len(balance.names)), index), 0.0, balance.fit.values)
     figure, panels = new_figure(1, 2, height=3.2)
-    colour = hexadecimal(axis_colour("A"))
-    low, high = machine.axis("A").travel
-    angle = np.linspace(low, high, 120)
-    v = balance.fit.values
-    left = panels[0, 0]
-    step = max(1, len(gravity) // 1500)
+    left, right = panels[0]
+    colour, step = hexadecimal(axis_colour("A")), max(1, len(gravity) // 1500)
     left.plot(
         deg_from_rad(1.0) * rows.position[::step],
-        (gravity + residual)[::step],
+        gravity[::step],
         ".",
         ms=2.2,
         color=colour,
@@ -161,22 +119,13 @@ def gravity_figure(result: Identification) -> Any | None:
         rasterized=True,
         label="measured, all C",
     )
-    g = machine.gravity
+    angle = np.linspace(*axis.travel, 120)
     for c, style in ((0.0, "-"), (np.pi, "--")):
-        y = v[index[0]] + v[index[2]] * np.sin(c) + v[index[3]] * np.cos(c)
-        left.plot(
-            deg_from_rad(1.0) * angle,
-            g * (y * np.cos(angle) - v[index[1]] * np.sin(angle)),
-            color=INK,
-            lw=1.2,
-            ls=style,
-            label=f"law, C = {deg_from_rad(c):.0f}°",
-        )
-    left.set_xlabel("angle of A [deg]")
-    left.set_ylabel("gravity torque on A [Nm]")
-    left.set_title("Gravity of the tilting table over its angle")
+        y = of_y + of_x * np.sin(c) + of_c * np.cos(c)
+        law = result.before.gravity * (y * np.cos(angle) - of_z * np.sin(angle))
+        left.plot(deg_from_rad(1.0) * angle, law, color=INK, lw=1.2, ls=style, label=f"law, C = {deg_from_rad(c):.0f}°")
+    left.set(xlabel="angle of A [deg]", ylabel="gravity torque on A [Nm]", title="Gravity of the tilting table over its angle")
     left.legend(frameon=False, fontsize=8)
-    right = panels[0, 1]
     shown = [p for p in result.parameters if p.name in FIRST_MOMENTS and p.before]
     for k, p in enumerate(shown):
         off, half = (100.0 * v / abs(p.before) for v in (p.estimate.value - p.before, p.estimate.half))
@@ -186,8 +135,7 @@ def gravity_figure(result: Identification) -> Any | None:
     right.set_xlim(-0.5, len(shown) - 0.2)
     right.margins(y=0.15)
     right.set_xticks(range(len(shown)), [p.name.replace("_", " ") for p in shown])
-    right.set_ylabel("off the machine file [%]")
-    right.set_title("First moments with 95 % interval")
+    right.set(ylabel="off the machine file [%]", title="First moments with 95 % interval")
     return figure
 
 
@@ -195,15 +143,17 @@ LABEL_CHARACTERS = 120
 """Number of small characters that fit above the residuals."""
 
 
-def residual_figure(result: Identification) -> Any:
+def residual_figure(result: Identification) -> Any | None:
     """Residual of each balance row by row, and its autocorrelation with the band of white noise."""
     axes = _shown(result)
+    if not axes:
+        return None
     apart_ms = 1e3 * ROW_STRIDE * result.before.position_cycle
     figure, panels = new_figure(len(axes), 2, height=1.6, width=11.0, gridspec_kw={"width_ratios": [3, 1.4]})
     for (trace, white), axis in zip(panels, axes):
         balance = balance_of(result, axis.name)
         assert balance is not None
-        rows, _, residual = _parts(result.before, balance, axis.name)
+        rows, residual = balance.rows[axis.name], _residual(result.before, balance, axis.name)
         colour = hexadecimal(axis_colour(axis.name))
         trace.plot(1e3 * residual, lw=0.5, color=colour)
         edges = np.flatnonzero(rows.run[1:] != rows.run[:-1]) + 1
@@ -228,14 +178,15 @@ def residual_figure(result: Identification) -> Any:
     return figure
 
 
+def shared_signals(result: Identification) -> list[tuple[str, str]]:
+    """(axis, signal) that all stages were compared in."""
+    stages = list(result.gaps.values())
+    return [(a, s) for a, signals in stages[0].items() for s in signals if all(s in g.get(a, {}) for g in stages)] if stages else []
+
+
 def gap_figure(result: Identification) -> Any | None:
     """Gap over noise on held-out motion, before and after, by axis and signal."""
-    if not result.gaps:
-        return None
-    stages = list(result.gaps)
-    keys = [
-        (a, s) for a, signals in result.gaps[stages[0]].items() for s in signals if all(s in g.get(a, {}) for g in result.gaps.values())
-    ]
+    keys, stages = shared_signals(result), list(result.gaps)
     if not keys:
         return None
     figure, panels = new_figure(1, 1, height=3.0)
@@ -243,7 +194,7 @@ def gap_figure(result: Identification) -> Any | None:
     looks = {
         "before": (SOFT, "machine file before"),
         "regression": ("#0b5394", "regression"),
-        "refined": ("#2e8b57", "refined"),
+        "refined": ("#2e8b57", "in closed loop"),
         "control": ("#8a6d00", "control only"),
     }
     for k, stage in enumerate(stages):

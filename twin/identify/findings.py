@@ -133,13 +133,12 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     from twin.identify.speed_control import regressors
 
     loop = fast_loop_of(machine, axis, control_inertia(axis))
-    kt = loop.control_torque_constant
     columns, y = regressors(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
     kp = axis.loops.speed_gain_nm_s_per_rad
     left = y - columns[:, :2] @ np.array([kp, kp / axis.loops.speed_integral_time_s])
     t = columns[:, 2]
     power = float(t @ t)
-    return float(t @ left) / power if np.sqrt(power / len(t)) > 0.2 * kt else None
+    return float(t @ left) / power if np.sqrt(power / len(t)) > 0.2 * axis.commissioned_torque_constant else None
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ def identify(
 ) -> Identification:
     """Friction, inertia, gravity, gains and delays of a machine from its own traces, each with a 95 % interval.
 
-    `campaign` is a campaign or its folder; `machine` the machine to start from. `refine` re-simulates in MuJoCo after the regression.
+    `campaign` is a campaign or its folder; `machine` the machine to start from. `refine` fits in closed loop what the regression leaves open.
     In the result, `parameters` are in SI and `machine` is the identified machine. Raises InputError if the runs lack the needed signals.
     """
     machine = machine or load_machine()

@@ -1,4 +1,4 @@
-"""The table of identified parameters, each with intervals from the regression, from re-simulation and from the held-out motion."""
+"""The table of identified parameters, each with intervals from the regression, from the fit in closed loop and from the held-out motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twin.identify.products import Split, is_vertical
 from twin.identify.result import Parameter, Range
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD, parameter
-from twin.machine.toleranced import TOLERANCED, inertia_of, path_of
+from twin.machine.toleranced import TOLERANCED, path_of
 from twin.simulation.plant_spec import home_inertia_at_motor
 
 LOOP_BOUNDS = {"position_delay_s": (0.0, 0.1), "feedforward_delay_s": (0.0, 0.1)}
@@ -132,34 +132,6 @@ def _rows_of(machine: Machine, axis: Axis, inertia: float, paired: bool) -> list
     return out
 
 
-def with_refined(parameters: Sequence[Parameter], refined: Machine, deviations: dict[str, float]) -> list[Parameter]:
-    """The parameters with their refined values, taken from the refined machine."""
-    inertia = home_inertia_at_motor(refined)
-    pair = tilting_pair.pair_numbers(refined) if tilting_pair.has_pair(refined) else np.zeros(10)
-    out = []
-    for p in parameters:
-        axis = refined.axis(p.axis)
-        value = {
-            "inertia": float(inertia[refined.axis_names.index(p.axis)]),
-            "coulomb_friction": axis.coulomb_friction_nm,
-            "viscous_friction": axis.viscous_friction_nm_s_per_rad,
-            "gravity_torque": (axis.moving_mass_kg or 0.0) * refined.gravity * axis.ratio if p.name == "gravity_torque" else 0.0,
-        }.get(p.name)
-        if p.name in tilting_pair.PAIR:
-            value = float(pair[tilting_pair.PAIR.index(p.name)])
-        key = f"{p.axis}.{p.name}"
-        d = deviations.get(key)
-        if d is None and f"{p.axis}.loops.{p.name}" in deviations:
-            value, d = getattr(axis.loops, p.name), deviations[f"{p.axis}.loops.{p.name}"]
-        if value is not None and d is not None:
-            # Re-simulation keeps the torque constant of the split, so its uncertainty is added as for the regression's value. If the two
-            # routes disagree on the same data, one of the models is incomplete: the difference is added as one standard deviation.
-            split = math.sqrt(max(p.value.half**2 - p.estimate.half**2, 0.0)) if p.product else 0.0
-            p = replace(p, refined=_around(value, math.hypot(1.96 * d, split, 1.96 * (value - p.value.value))))
-        out.append(p)
-    return out
-
-
 def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFits) -> list[Parameter]:
     """The parameters with the values of the closed-loop drive fit, including those that the regression could not identify.
 
@@ -220,30 +192,6 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
                 out.append(Parameter(name, label, unit, start, around, around, is_product, math.nan, False, in_file, None, around))
             else:
                 out[known] = replace(out[known], refined=around)
-    return out
-
-
-def prior_deviations(machine: Machine, parameters: Sequence[Parameter]) -> dict[tuple[str, str], float]:
-    """Standard deviations of the regression in the units of the refinement's free parameters: relative, delays in seconds."""
-    out: dict[tuple[str, str], float] = {}
-    for p in parameters:
-        d = p.estimate.half / 1.96
-        relative = d / abs(p.estimate.value) if p.estimate.value else math.inf
-        axis = machine.axis(p.axis)
-        if p.name == "inertia":
-            # the refinement changes the total inertia through the rotor's
-            rotor = axis.rotor_inertia_kg_m2
-            out[p.axis, TOLERANCED[inertia_of(axis)]] = d / rotor if rotor > 0.0 else relative
-        elif p.name in FRICTIONS:
-            out[p.axis, TOLERANCED[p.name]] = relative
-        elif p.name == "gravity_torque" and axis.rotor_inertia_kg_m2 > 0.0:
-            out[p.axis, TOLERANCED["moving_mass"]] = relative
-        elif p.name == "moment_z":
-            out[p.axis, "body.cradle"] = relative
-        elif p.name == "table_x":
-            out[p.axis, "body.workpiece"] = relative
-        elif hasattr(axis.loops, p.name):
-            out[p.axis, p.name] = d if p.name.endswith("delay_s") else relative
     return out
 
 

@@ -66,7 +66,7 @@ FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_de
 
 @dataclass(frozen=True)
 class PositionControl:
-    """Values of NAMES with their fit, residual RMS of v* [axis units a second], and the feedforward weight of each run.
+    """Values of NAMES with their fit, and the residual RMS of v* [axis units a second].
 
     `interpolation`: 'cubic' or 'linear' between the NC's set points; `from_recorded_feedforward`: f is a recorded signal.
     """
@@ -76,7 +76,6 @@ class PositionControl:
     quantile: float
     condition: float
     residual_rms: float
-    weight_by_run: dict[str, float]
     interpolation: str = "cubic"
     from_recorded_feedforward: bool = False
 
@@ -111,9 +110,7 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     values = dict(zip(NAMES, x.tolist()))
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, fit.deviations, apart)}
-    return PositionControl(
-        values, deviations, fit.quantile, fit.condition, float(np.sqrt(np.mean(fit.residual**2))), law.weights(x), law.way, law.recorded
-    )
+    return PositionControl(values, deviations, fit.quantile, fit.condition, float(np.sqrt(np.mean(fit.residual**2))), law.way, law.recorded)
 
 
 def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
@@ -253,31 +250,19 @@ class _Law:
     def _delay_of_feedforward(self) -> float:
         """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined."""
         tp = self.runs[0].cycle
-        grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
-        left = np.zeros(len(grid))
-        power = 0.0
-        for run in self.runs:
-            f = run.velocity_feedforward
-            if f is None:
-                continue
-            use = self.usable(run)
-            power += float(np.sum(f[use] ** 2))
-            for k, d in enumerate(grid):
-                t = run.start - d
-                e = f - (self.read(run, t) - self.read(run, t - tp)) / tp
-                left[k] += float(np.sum(np.minimum(np.abs(e[use]), 0.1 * (np.abs(f[use]).max() if use.any() else 0.0)) ** 2))
-        return float(grid[int(np.argmin(left))]) if power > 0.0 and left.min() < 0.01 * power else self.axis.loops.feedforward_delay_s
+        known = [(r, r.velocity_feedforward, self.usable(r)) for r in self.runs if r.velocity_feedforward is not None]
 
-    def weights(self, x: np.ndarray) -> dict[str, float]:
-        """Feedforward weight of each run with the other values fixed: about 0 or a_v; NaN if the axis hardly moves."""
-        out = {}
-        for run in self.runs:
-            assert run.speed_setpoint is not None
-            error, slope = self.error(run, x[2]), self.fed(run, x[3])
-            power = float(slope @ slope)
-            left = run.speed_setpoint * self.axis.ratio - x[0] * error
-            out[run.run] = float(slope @ left / power) if power > 1e-5 * len(slope) * self.axis.max_velocity**2 else math.nan
-        return out
+        def left(delay: float) -> float:
+            squares = 0.0
+            for run, f, use in known:
+                t = run.start - delay
+                e = (f - (self.read(run, t) - self.read(run, t - tp)) / tp)[use]
+                squares += float(np.sum(np.minimum(np.abs(e), 0.1 * np.abs(f[use]).max(initial=0.0)) ** 2))
+            return squares
+
+        best = min((np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE).tolist(), key=left)
+        power = sum(float(np.sum(f[use] ** 2)) for _, f, use in known)
+        return best if left(best) < 0.01 * power else self.axis.loops.feedforward_delay_s
 
 
 def linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.ndarray, np.ndarray]:

@@ -2,54 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 import math
 from pathlib import Path
+from typing import Any
 
 from twin.identify import figures
-from twin.identify.result import Identification, Parameter, Range
+from twin.identify.result import Identification, Range
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.stamp import made_line
 
-CAPTIONS = {
-    "friction": "Friction against speed in both directions. Points: measured torque at constant speed minus inertia and gravity. Line and band: "
-    "the law Fc sign(v) + Fv v with its 95 % interval.",
-    "inertia": "Torque minus friction and gravity against acceleration, below 20 Hz. The current is the mean over a position cycle.",
-    "gravity": "Gravity torque of the table, and its first moments.",
-    "residuals": "Residual of the torque balance, run after run, and its autocorrelation. The filter alone correlates rows up to 50 ms apart. Longer correlation is why the intervals come from whole strokes.",
-    "gap": "Simulated against measured on held-out motion.",
-}
+DRAWN: dict[str, tuple[str, Callable[[Identification], Any], str]] = {
+    "friction": (
+        "Friction", figures.friction_figure,
+        "Friction against speed in both directions. Points: measured torque at constant speed minus inertia and gravity. Line and band: "
+        "the law Fc sign(v) + Fv v with its 95 % interval.",
+    ),
+    "gravity": ("Tilting table", figures.gravity_figure, "Gravity torque of the table, and its first moments."),
+    "residuals": (
+        "Residuals", figures.residual_figure,
+        "Residual of the torque balance, run after run, and its autocorrelation. The filter alone correlates rows up to 50 ms apart. Longer "
+        "correlation is why the intervals come from whole strokes.",
+    ),
+    "gap": ("Gap before and after", figures.gap_figure, "Simulated against measured on held-out motion."),
+}  # fmt: skip
+"""Section of each figure, what draws it (None: nothing to show), and its caption."""
 
 
 def write_report(result: Identification, path: str | Path) -> list[Path]:
     """Write the page and, beside it, each figure as PNG; returns all paths."""
     path = Path(path)
-    drawn = {
-        "friction": figures.friction_figure(result) if result.direct.balance else None,
-        "inertia": figures.inertia_figure(result) if result.direct.balance else None,
-        "gravity": figures.gravity_figure(result),
-        "residuals": figures.residual_figure(result) if result.direct.balance else None,
-        "gap": figures.gap_figure(result),
-    }
-    files = [path]
-    pictures = {}
-    for name, figure in drawn.items():
+    files, sections = [path], [_summary(result)]
+    for name, (title, draw, caption) in DRAWN.items():
+        figure = draw(result)
         if figure is not None:
-            png = path.with_name(f"{path.stem}_{name}.png")
-            save_png(figure, png)
-            files.append(png)
-            pictures[name] = Figure(figure_svg(figure), CAPTIONS[name])
-    sections = [_summary(result)]
-    for title, names in (
-        ("Friction", ("friction",)),
-        ("Inertia", ("inertia",)),
-        ("Tilting table", ("gravity",)),
-        ("Residuals", ("residuals",)),
-    ):
-        shown = [pictures[n] for n in names if n in pictures]
-        if shown:
-            sections.append(Section(title, figures=shown))
-    sections.append(_parameters(result))
-    sections.append(_gap(result, pictures.get("gap")))
+            files.append(path.with_name(f"{path.stem}_{name}.png"))
+            save_png(figure, files[-1])
+        pictures = [Figure(figure_svg(figure), caption)] if figure is not None else []
+        if name == "gap":
+            sections += [_parameters(result), _gap(result, title, pictures)]
+        elif pictures:
+            sections.append(Section(title, figures=pictures))
     sections += [_caveats(result), _signals(result)]
     axes = ", ".join(a.name for a in result.before.axes)
     lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}."
@@ -64,10 +57,10 @@ SHOWN = 12
 def _summary(result: Identification) -> Section:
     """What was written, which values changed, and the remaining gap."""
     if any(p.refined for p in result.parameters):
-        route = {"refined": "the re-simulation", "control": "the position controllers alone"}.get(result.chosen, result.chosen)
+        route = {"refined": "the fit in closed loop", "control": "the position controllers alone"}.get(result.chosen, result.chosen)
         chosen = f"{route}: for each axis, those with the smallest gap on held-out motion"
     else:
-        chosen = "the regression, without re-simulation"
+        chosen = "the regression"
     moved = _moved(result)
     if moved:
         count = "1 value of the old machine file lies" if len(moved) == 1 else f"{len(moved)} values of the old machine file lie"
@@ -123,51 +116,30 @@ WIDER_INTERVAL = 20.0
 
 
 def _parameters(result: Identification) -> Section:
-    heading = [
-        "axis",
-        "parameter",
-        "unit",
-        "before",
-        "value",
-        "95 %",
-        "product",
-        "95 %",
-        "re-simulated",
-        "95 %",
-        "held out",
-        "condition",
-        "at bound",
-    ]
-    rows, marked = [], set()  # type: ignore[var-annotated]
+    rows: list[dict[str, str]] = []
+    marked = set()
     for p in result.parameters:
         judges = p.held_out is not None and p.held_out.half < WIDER_INTERVAL * p.estimate.half
         off = judges and p.held_out is not None and (p.held_out.low > p.estimate.high or p.held_out.high < p.estimate.low)
         if off or p.at_bound:
             marked.add(len(rows))
+        product = p.estimate if p.product else None
         rows.append(
-            [
-                p.axis,
-                p.name.replace("_", " "),
-                p.unit,
-                f"{p.before:.4g}",
-                _number(p.value),
-                _half(p.value),
-                _number(p.estimate) if p.product else "",
-                _half(p.estimate) if p.product else "",
-                _number(p.refined),
-                _half(p.refined),
-                _held_out_cell(p),
-                f"{p.condition:.0f}" if math.isfinite(p.condition) else "",
-                "yes" if p.at_bound else "",
-            ]
-        )
+            {
+                "axis": p.axis, "parameter": p.name.replace("_", " "), "unit": p.unit, "before": f"{p.before:.4g}",
+                "value": _number(p.value), "95 %": _half(p.value), "product": _number(product), "95 % of the product": _half(product),
+                "in closed loop": _number(p.refined), "95 % in closed loop": _half(p.refined),
+                "held out": f"{_number(p.held_out)} {_half(p.held_out)}".strip(),
+                "condition": f"{p.condition:.0f}" if math.isfinite(p.condition) else "", "at bound": "yes" if p.at_bound else "",
+            }
+        )  # fmt: skip
     note = (
         "Product: the value at the machine file's torque constant, as determined by current and motion. Value: after the split. Marked rows: the interval "
         "from held-out motion does not overlap, or the value lies at its bound. Condition: condition number of the scaled regressors."
     )
-    shown_columns = [i for i in range(len(heading)) if i < 6 or any(row[i] for row in rows)]
-    heading, rows = [heading[i] for i in shown_columns], [[row[i] for i in shown_columns] for row in rows]
-    return Section("Parameters before and after", [note], tables=[Table(heading, rows, left=3, marked=frozenset(marked))])
+    shown = [h for i, h in enumerate(rows[0] if rows else ()) if i < 6 or any(row[h] for row in rows)]
+    table = Table(shown, [[row[h] for h in shown] for row in rows], left=3, marked=frozenset(marked))
+    return Section("Parameters before and after", [note], tables=[table])
 
 
 def _number(r: Range | None) -> str:
@@ -184,30 +156,15 @@ def _half(r: Range | None) -> str:
     return f"± {100 * r.half / abs(r.value):.2g} %" if abs(r.value) > 20.0 * r.half else r.interval.replace("+-", "±")
 
 
-def _held_out_cell(p: Parameter) -> str:
-    return f"{_number(p.held_out)} {_half(p.held_out)}" if p.held_out else ""
-
-
-def _gap(result: Identification, picture: Figure | None) -> Section:
+def _gap(result: Identification, title: str, pictures: Sequence[Figure]) -> Section:
+    if not result.gaps:
+        return Section(title, ["Not simulated."])
+    stages = list(result.gaps)
     rows = []
-    if result.gaps:
-        stages = list(result.gaps)
-        for axis, signals in result.gaps[stages[0]].items():
-            for signal, g in signals.items():
-                if not all(signal in result.gaps[s].get(axis, {}) for s in stages):
-                    continue
-                rows.append(
-                    [
-                        axis,
-                        signal,
-                        str(g["unit"]),
-                        *(f"{result.gaps[s][axis][signal]['rms']:.4g}" for s in stages),
-                        f"{result.gaps[stages[-1]][axis][signal]['noise']:.4g}",
-                    ]
-                )
-        table = [Table(["axis", "signal", "unit", *stages, "noise alone"], rows, left=3)]
-        return Section("Gap before and after", figures=[picture] if picture else [], tables=table)
-    return Section("Gap before and after", ["Not simulated."])
+    for axis, signal in figures.shared_signals(result):
+        gaps = [result.gaps[s][axis][signal] for s in stages]
+        rows.append([axis, signal, gaps[0]["unit"], *(f"{g['rms']:.4g}" for g in gaps), f"{gaps[-1]['noise']:.4g}"])
+    return Section(title, figures=pictures, tables=[Table(["axis", "signal", "unit", *stages, "noise alone"], rows, left=3)])
 
 
 def _signals(result: Identification) -> Section:

@@ -43,7 +43,7 @@ class Parameter:
     """One identified number.
 
     `estimate`: result of the regression; with `product` it equals value x (file's Kt / true Kt). `value`: after the split of the products.
-    `held_out`: the same regression on held-out motion. `refined`: result of the re-simulation.
+    `held_out`: the same regression on held-out motion. `refined`: result of the fit in closed loop.
     """
 
     axis: str

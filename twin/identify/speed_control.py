@@ -38,14 +38,12 @@ LAW_DEVIATION = 0.002
 
 @dataclass(frozen=True)
 class SpeedControl:
-    """Values of NAMES, their standard deviations, and the torque weight of each run."""
+    """Values of NAMES and their standard deviations."""
 
     values: dict[str, float]
     deviations: dict[str, float]
     quantile: float
     condition: float
-    residual_rms: float  # A
-    weight_by_run: dict[str, float]
 
 
 def fit_speed_control(
@@ -68,7 +66,6 @@ def fit_speed_control(
     ]
     if not kept or not axis.actuator.electrical:  # the closed-loop fit finds the controller of an ideal actuator
         return None
-    kt = loop.control_torque_constant
     rows, y, clusters, instruments = [], [], [], []
     for k, (run, current, twin) in enumerate(kept):
         columns, values = regressors(axis, loop, run, current, delay)
@@ -84,35 +81,15 @@ def fit_speed_control(
         clusters.append((run.strokes + 100_000 * k)[use])
         instruments.append(free[use])
     fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters), np.vstack(instruments))
-    kp, ki, a_t, lag = fit.values * law_factors(axis, known, [z for _, _, z in kept])
+    kp, ki, a_t, _ = fit.values * law_factors(axis, known, [z for _, _, z in kept])
     if kp <= 0.0 or ki <= 0.0:
         return None
     d = fit.deviations
     tn = kp / ki
     spread = tn * np.sqrt((d[0] / kp) ** 2 + (d[1] / ki) ** 2 - 2.0 * fit.covariance[0, 1] / (kp * ki)) if fit.seen[1] else np.inf
-    weights = {}
-    for run, current, _ in kept:
-        columns, values = regressors(axis, loop, run, current, delay)
-        left = values - columns[:, [0, 1, 3]] @ np.array([kp, ki, lag])
-        power = float(columns[:, 2] @ columns[:, 2])
-        weights[run.run] = float(columns[:, 2] @ left / power) if np.sqrt(power / len(left)) > 0.05 * kt else float("nan")
-    return SpeedControl(
-        dict(zip(NAMES, (float(kp), float(tn), float(a_t)))),
-        dict(
-            zip(
-                NAMES,
-                (
-                    float(np.hypot(d[0], LAW_DEVIATION * kp)),
-                    float(np.hypot(spread, LAW_DEVIATION * tn)),
-                    float(d[2]) if fit.seen[2] else float("inf"),
-                ),
-            )
-        ),
-        fit.quantile,
-        fit.condition,
-        float(np.sqrt(np.mean(fit.residual**2))) / kt,
-        weights,
-    )
+    deviations = (np.hypot(d[0], LAW_DEVIATION * kp), np.hypot(spread, LAW_DEVIATION * tn), d[2] if fit.seen[2] else np.inf)
+    found = dict(zip(NAMES, map(float, (kp, tn, a_t))))
+    return SpeedControl(found, dict(zip(NAMES, map(float, deviations))), fit.quantile, fit.condition)
 
 
 def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | None]) -> np.ndarray:
@@ -143,7 +120,7 @@ LAW_HOLDS = 0.15
 
 def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
     """Filtered columns e, E, T_ff at weight 1, kt di/dt (cycle, 4) and kt i (cycle,)."""
-    tp, kt = run.cycle, loop.control_torque_constant
+    tp, kt = run.cycle, axis.commissioned_torque_constant
     assert run.speed_setpoint is not None
     turned = np.diff(run.angle)
     # the control sums speeds sampled at the beginning of its ticks, so the sum is half a tick early while the axis accelerates
@@ -157,10 +134,10 @@ def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, de
     feedforward = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / tp**2 / axis.ratio
     # lag of the current loop's integrator behind the voltage: s / (1 + Tni s), trapezoidal rule
     change = np.gradient(current, tp)
-    voltage = loop.inductance * np.gradient(change, tp) + loop.resistance * change + loop.back_emf * run.acceleration
-    tni = loop.current_integral_time
+    motor, tni = loop.axis.motor, axis.loops.current_integral_time_s
+    voltage = motor.inductance_h * np.gradient(change, tp) + motor.resistance_ohm * change + motor.back_emf_v_s_per_rad * run.acceleration
     share = tp / (2.0 * tni + tp)
-    behind = tni / loop.current_gain * lfilter([share, share], [1.0, 2.0 * share - 1.0], voltage)
+    behind = tni / axis.loops.current_gain_v_per_a * lfilter([share, share], [1.0, 2.0 * share - 1.0], voltage)
     sos = butter(2, PASS_HZ, btype="bandpass", fs=1.0 / tp, output="sos")
 
     def f(values: np.ndarray) -> np.ndarray:
