@@ -119,7 +119,7 @@ WRITES = {
     "files.py": {"mkdir": 3, "unlink": 2, "TemporaryDirectory": 1, "TemporaryFile": 1},  # this is the one way
     "history/store.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
     "identify/first_values.py": {"TemporaryDirectory": 1},  # scratch files
-    "machine/from_recording.py": {"TemporaryDirectory": 1},  # scratch files
+    "identify/from_recording.py": {"TemporaryDirectory": 1},  # scratch files
     "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 4},  # its own scratch files
     "recordings/imported.py": {"TemporaryDirectory": 1, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/proposed.py": {"TemporaryDirectory": 1},  # scratch files

@@ -48,7 +48,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     write_trace(strokes().trace, folder / "strokes.parquet")
     (folder / "campaign.toml").write_text('[[run]]\nfile = "strokes.parquet"\n', encoding="utf-8")
     out = Path(folder / "made.toml")
-    machine_from_recording(folder, out)
+    machine_from_recording(folder, out, identified=False)
     assert "with the viscous friction at" in out.read_text(encoding="utf-8")
     return load_machine(out)
 

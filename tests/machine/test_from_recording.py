@@ -10,8 +10,7 @@ from twin.cli import main
 from twin.effects.change import total_inertia
 from twin.errors import InputError
 from twin.identify.first_values import first_values
-from twin.identify.from_recording import machine_from_recording
-from twin.machine.from_recording import runs_with_most_travel
+from twin.identify.from_recording import machine_from_recording, runs_with_most_travel
 from twin.machine.holding import holding_of
 from twin.machine.lumped_file import AxisLumps, Law, Mechanics, Tuning, write_lumped_machine
 from twin.machine.machine import Machine, load_machine, write_machine
@@ -120,7 +119,7 @@ def test_what_is_written_is_accepted_by_every_command(tmp_path: Path, capsys: py
     )
     (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\n', encoding="utf-8")
     out = tmp_path / "m.toml"
-    made = machine_from_recording(tmp_path, out).lumps[0]
+    made = machine_from_recording(tmp_path, out, identified=False).lumps[0]
     assert (made.mechanics is None) == (kind == "coarse")
     assert made.mechanics is None or (made.mechanics.one_way and "known, and is given there" in out.read_text(encoding="utf-8"))
     assert main(["machine", "check", str(out)]) == 0

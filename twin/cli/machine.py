@@ -76,15 +76,14 @@ def _new(args: argparse.Namespace) -> int:
 
 
 def _from_recording(args: argparse.Namespace, out: Path) -> int:
-    from twin.identify.from_recording import identified_from_recording
-    from twin.machine.from_recording import reproduction_text
+    from twin.identify.from_recording import machine_from_recording, reproduction_text
 
     if args.structure or args.sinumerik:
         raise InputError(
             "twin machine new --from-recording: structure and numbers come from the recording; omit --structure and --sinumerik"
         )
     with Progress("reproducing the recording") as bar:
-        made = identified_from_recording(Path(args.from_recording), out, bar.say)
+        made = machine_from_recording(Path(args.from_recording), out, bar.say)
     print(f"written: {out} and {out.with_suffix('.xml').name} with {len(made.lumps)} {'axis' if len(made.lumps) == 1 else 'axes'}")
     for one in made.lumps:
         print(f"  {reproduction_text(one, made.followed[one.name])}")

@@ -92,7 +92,7 @@ def identify_campaign(
     findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
     for one in (delivered_effort(axis, recording.runs) for axis in machine.axes):
         if one is not None:
-            (findings if one.off else notes).append(Finding("", one.axis, one.text()))
+            (findings if one.off else notes).append(Finding(one.text(), one.axis))
     clock["regression"] = time.perf_counter() - started
     stages = {"regression": found}
     if refine:
@@ -162,7 +162,7 @@ def _resimulated(
     try:
         fits = fit_drives(found, [division.runs[i] for i in training], rows, known, say, skipped=against)
     except SimulationError as error:
-        return None, parameters, [Finding("", "", f"drives not fitted in closed loop: {error}")]
+        return None, parameters, [Finding(f"drives not fitted in closed loop: {error}")]
     return fits.machine if fits.axes else None, with_drives(parameters, found, fits), []
 
 
@@ -181,7 +181,7 @@ def known_load_findings(machine: Machine, direct: Direct) -> list[Finding]:
                     f"the {effort} does not react to the recorded disturbance, so it already contains it; "
                     'map it as signal = "injected_command"'
                 )
-                out.append(Finding("", name, text))
+                out.append(Finding(text, name))
     return out
 
 
@@ -192,24 +192,23 @@ def position_control_findings(machine: Machine, direct: Direct) -> tuple[list[Fi
         unit, factor = AXIS_UNITS[axis.kind].speed
         reason = direct.unfitted.get(axis.name, "")
         if reason and reason != NOT_RECORDED:
-            findings.append(Finding("", axis.name, f"position controller not identified: {reason}; the machine file's values are kept"))
+            findings.append(Finding(f"position controller not identified: {reason}; the machine file's values are kept", axis.name))
         found = direct.position.get(axis.name)
         if found is not None:
             rms = found.residual_rms * factor
             notes.append(
-                Finding("", axis.name, f"position controller: residual of its law {rms:.2g} {unit} RMS of the recorded speed set point")
+                Finding(f"position controller: residual of its law {rms:.2g} {unit} RMS of the recorded speed set point", axis.name)
             )
         if found is not None and found.interpolation != machine.setpoint_interpolation:
             way = {"linear": "a straight line", "cubic": "a cubic spline"}[found.interpolation]
-            notes.append(Finding("", axis.name, f"the control interpolates set points between the NC's cycles with {way}"))
+            notes.append(Finding(f"the control interpolates set points between the NC's cycles with {way}", axis.name))
         loop = direct.drive_loop.get(axis.name)
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
-            notes.append(Finding("", axis.name, loop.evidence(unit, factor)))
+            notes.append(Finding(loop.evidence(unit, factor), axis.name))
             notes.append(
                 Finding(
-                    "",
-                    axis.name,
                     f"lag of the speed loop behind its set point: {1e3 * loop.lag_s:.2f} ms (+-{1.96e3 * loop.lag_deviation:.2f} ms)",
+                    axis.name,
                 )
             )
     return findings, notes

@@ -91,10 +91,10 @@ def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mappin
             stage = min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / GROWN_GAP))
             best.update(dict.fromkeys(group, stage))
         elif moved := [a for a in group if any(not isinstance(t, str) and a in t for t in tables.values())]:
-            findings += [Finding("", a, _why(a, scores, unstable, tables)) for a in moved]
+            findings += [Finding(_why(a, scores, unstable, tables), a) for a in moved]
     moving = {a for t in tables.values() if not isinstance(t, str) for a in t}
     if isinstance(start, str):
-        findings.append(Finding("", "", f"the machine file before cannot follow the recorded set points ({start})"))
+        findings.append(Finding(f"the machine file before cannot follow the recorded set points ({start})"))
     if not best and stages:
         reasons = "; ".join(str(f) for f in findings) or next(
             (t for t in tables.values() if isinstance(t, str)), "no axis moves in the held-out motion"

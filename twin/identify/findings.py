@@ -6,7 +6,7 @@ that the campaign cannot identify, it names the run that would.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,11 +33,11 @@ SIGNALS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One remark: run and axis ('' for all), and a text that says what to do."""
+    """One remark: a text that says what to do, axis and run ('' for all)."""
 
-    run: str
-    axis: str
     text: str
+    axis: str = ""
+    run: str = ""
 
     def __str__(self) -> str:
         where = " ".join(w for w in (f"run {self.run}" if self.run else "", f"axis {self.axis}" if self.axis else "") if w)
@@ -50,13 +50,13 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
     for axis in machine.axes:
         recorded = [r for r in runs if axis.name in r.trace.axes]
         if not recorded:
-            out.append(Finding("", axis.name, "no run contains this axis; the machine file's values are kept. Record it"))
+            out.append(Finding("no run contains this axis; the machine file's values are kept. Record it", axis.name))
             continue
         if any(axis.name in r.profiles for r in recorded):
-            out.append(Finding("", axis.name, PROFILE))
+            out.append(Finding(PROFILE, axis.name))
         for signal, cost in _signals_of(axis).items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):
-                out.append(Finding("", axis.name, f"no {signal} in any run: cannot identify {cost}; record {axis.name}.{signal}"))
+                out.append(Finding(f"no {signal} in any run: cannot identify {cost}; record {axis.name}.{signal}", axis.name))
     return out
 
 
@@ -80,39 +80,24 @@ def checked_flags(
     flags: list[str | None] = []
     out = []
     for i, run in enumerate(runs):
-        velocity, torque = [], []
-        for axis in machine.axes:
-            r = axis_runs[axis.name][i]
-            if r is None:
-                continue
-            weight = _velocity_weight(axis, r)
-            if weight is not None:
-                velocity.append(weight)
-            weight = _torque_weight(machine, axis, r)
-            if weight is not None:
-                torque.append(weight)
+        recorded = [(axis, r) for axis in machine.axes if (r := axis_runs[axis.name][i]) is not None]
+        shown: dict[str, float] = {}
+        for word, weight_of in (("velocity", _velocity_weight), ("torque", _torque_weight)):
+            weights = [w for axis, r in recorded if (w := weight_of(machine, axis, r)) is not None]
+            if weights:
+                shown[word] = float(np.median(weights))
         stated = run.feedforward
-        seen_velocity = float(np.median(velocity)) if velocity else None
-        seen_torque = float(np.median(torque)) if torque else None
-        has_velocity = "velocity" in (stated or "velocity") if seen_velocity is None else seen_velocity > 0.5
-        has_torque = "torque" in (stated or "velocity+torque") if seen_torque is None else seen_torque > 0.5
-        seen = ("velocity+torque" if has_torque else "velocity") if has_velocity else "off"
-        if seen_velocity is None and seen_torque is None:
-            seen = stated  # type: ignore[assignment]
+        velocity, torque = (shown[w] > 0.5 if w in shown else w in (stated or "velocity+torque") for w in ("velocity", "torque"))
+        seen = (("velocity+torque" if torque else "velocity") if velocity else "off") if shown else stated
         if stated is not None and seen != stated:
-            shown = ", ".join(f"{n} {w:.2f}" for n, w in (("velocity", seen_velocity), ("torque", seen_torque)) if w is not None)
-            out.append(
-                Finding(
-                    run.name,
-                    "",
-                    f"campaign.toml has feedforward '{stated}', but the signals show '{seen}' (weights: {shown}); '{seen}' is used, correct the file",
-                )
-            )
+            weights_text = ", ".join(f"{word} {weight:.2f}" for word, weight in shown.items())
+            text = f"campaign.toml has feedforward '{stated}', but the signals show '{seen}' (weights: {weights_text}); '{seen}' is used, correct the file"
+            out.append(Finding(text, "", run.name))
         flags.append(seen)
     return flags, out
 
 
-def _velocity_weight(axis: Axis, run: AxisRun) -> float | None:
+def _velocity_weight(_machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     """Weight of the velocity feedforward in one run with the machine file's gain and delays; None if the axis hardly moves."""
     if run.velocity_feedforward is not None and np.ptp(run.angle) * axis.ratio > 1e-5:
         return 1.0 if np.ptp(run.velocity_feedforward) > 0.0 else 0.0  # the feedforward itself is recorded
@@ -220,73 +205,36 @@ SHIFT_RATIO = 0.2
 """A shift is accepted if it reduces the residual below this fraction. Gains and delays that differ from the file leave more."""
 
 
-def coverage(axis: Axis, runs: Sequence[AxisRun]) -> list[Finding]:
-    """Findings about parameters of an axis that its runs do not excite, with the run that would."""
-    name = axis.name
-    if not runs or max(np.ptp(r.angle) for r in runs) < 0.2 * slides_above(axis):
-        return [
-            Finding(
-                "",
-                name,
-                "never moves: friction, inertia and delays cannot be identified; run it there and back at three speeds ('twin plan')",
-            )
-        ]
+def coverage(axis: Axis, runs: Sequence[AxisRun]) -> Iterator[str]:
+    """What the runs of an axis do not excite, with the run that would."""
+    least = slides_above(axis)
+    if not runs or max(np.ptp(r.angle) for r in runs) < 0.2 * least:
+        yield "never moves: friction, inertia and delays cannot be identified; run it there and back at three speeds ('twin plan')"
+        return
     sliding = np.concatenate([r.speed[r.sliding] for r in runs])
     if len(sliding) == 0:
-        return [
-            Finding(
-                "",
-                name,
-                f"never slides faster than {slides_above(axis):g} {'m' if axis.drive == 'direct' else 'rad'}/s at the motor: the friction law cannot be identified; add constant speeds ('twin plan')",
-            )
-        ]
-    out = []
-    share = float(np.mean(sliding > 0))
-    if share < 0.02 or share > 0.98:
-        out.append(
-            Finding("", name, "moves in one direction only: Coulomb friction and constant force cannot be separated; add the return move")
-        )
+        unit = "m" if axis.drive == "direct" else "rad"
+        yield f"never slides faster than {least:g} {unit}/s at the motor: the friction law cannot be identified; add constant speeds ('twin plan')"
+        return
+    if not 0.02 <= float(np.mean(sliding > 0)) <= 0.98:
+        yield "moves in one direction only: Coulomb friction and constant force cannot be separated; add the return move"
     if one_speed(sliding) is not None:
-        out.append(
-            Finding(
-                "",
-                name,
-                "too narrow a range of speeds to identify viscous friction well: Coulomb friction holds with the file's viscous friction at this speed; "
-                "add constant speeds up to rapid ('twin plan')",
-            )
+        yield (
+            "too narrow a range of speeds to identify viscous friction well: Coulomb friction holds with the file's viscous friction at this speed; "
+            "add constant speeds up to rapid ('twin plan')"
         )
     if hardly_accelerates(axis, runs):
-        out.append(Finding("", name, "hardly accelerates: inertia cannot be identified; add accelerated moves ('twin plan')"))
+        yield "hardly accelerates: inertia cannot be identified; add accelerated moves ('twin plan')"
     limited = sum(float(r.limited.sum() * r.cycle) for r in runs)
     if limited > 0.0:
-        out.append(
-            Finding(
-                "",
-                name,
-                f"current at its limit or clipped, or another channel clipped, for {limited * 1e3:.0f} ms: these parts are not used",
-            )
-        )
+        yield f"current at its limit or clipped, or another channel clipped, for {limited * 1e3:.0f} ms: these parts are not used"
     for signal in dict.fromkeys(s for r in runs for s in r.clipped):
         seconds = sum(r.clipped.get(signal, 0.0) for r in runs)
-        stated = (
-            f"{signal} stays at its largest value for {seconds * 1e3:.0f} ms while the axis moves on: clipped; record it with a wider range"
-        )
-        out.append(Finding("", name, stated))
-    return out
+        yield f"{signal} stays at its largest value for {seconds * 1e3:.0f} ms while the axis moves on: clipped; record it with a wider range"
 
 
 ABOVE_PEAK = 3.0
 """A recorded current above this multiple of the motor's peak current is implausible."""
-
-
-def _unsigned_reason(run: MeasuredRun, axis: Axis) -> str:
-    """Why the recorded force of an axis has no usable sign, or ''."""
-    if recorded_sign(run, axis.name, axis.effort).unsigned:
-        return (
-            f"{axis.effort} is recorded without its sign: not used, so mass and friction cannot be identified; "
-            f"record {axis.name}.{axis.effort} with its sign"
-        )
-    return ""
 
 
 def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], Finding]:
@@ -299,19 +247,25 @@ def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str
     for axis in machine.axes:
         if axis.name not in run.trace.axes or np.ptp(run.trace.get(axis.name, "setpoint")) < 1e-5:
             continue
+        texts: dict[str, str] = {}
+        own = {s: v for (a, s), v in run.trace.signals.items() if a == axis.name}
         for signal in ("position", "motor_position", "velocity", "velocity_setpoint", axis.effort):
-            if run.trace.has(axis.name, signal) and np.ptp(run.trace.get(axis.name, signal)) == 0.0:
-                text = f"{signal} never changes while the set point moves: not used; check the recording of this channel"
-                out[axis.name, signal] = Finding(run.name, axis.name, text)
-        own = {s: v for (a, s), v in run.trace.signals.items() if a == axis.name and (a, s) not in out}
-        for doubt in contradictions(axis.name, own, run.trace.period, axis.kind):
-            if doubt.known:
-                out[axis.name, doubt.signal] = Finding(run.name, axis.name, f"{doubt.text}; {doubt.signal} is not used")
-        if (axis.name, axis.effort) not in out and (text := _unsigned_reason(run, axis)):
-            out[axis.name, axis.effort] = Finding(run.name, axis.name, text)
+            if signal in own and np.ptp(own[signal]) == 0.0:
+                texts[signal] = f"{signal} never changes while the set point moves: not used; check the recording of this channel"
+        moving = {s: v for s, v in own.items() if s not in texts}
+        texts |= {
+            d.signal: f"{d.text}; {d.signal} is not used" for d in contradictions(axis.name, moving, run.trace.period, axis.kind) if d.known
+        }
+        if axis.effort not in texts and recorded_sign(run, axis.name, axis.effort).unsigned:
+            texts[axis.effort] = (
+                f"{axis.effort} is recorded without its sign: not used, so mass and friction cannot be identified; "
+                f"record {axis.name}.{axis.effort} with its sign"
+            )
         peak, unit = axis.motor.peak_current_a, axis.effort_unit
-        largest = float(np.abs(run.trace.get(axis.name, axis.effort)).max()) if run.trace.has(axis.name, axis.effort) else 0.0
+        largest = float(np.abs(own[axis.effort]).max()) if axis.effort in own else 0.0
         if largest > ABOVE_PEAK * peak:
-            text = f"{axis.effort} up to {largest:.4g} {unit}, the motor's peak is {peak:g} {unit}: not used; check the unit of the column"
-            out[axis.name, axis.effort] = Finding(run.name, axis.name, text)
+            texts[axis.effort] = (
+                f"{axis.effort} up to {largest:.4g} {unit}, the motor's peak is {peak:g} {unit}: not used; check the unit of the column"
+            )
+        out |= {(axis.name, signal): Finding(text, axis.name, run.name) for signal, text in texts.items()}
     return out

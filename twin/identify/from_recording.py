@@ -1,26 +1,69 @@
-"""A machine from a recording alone, identified: lumped parameters and tried gains are the start, the closed-loop fit of `twin identify` decides.
+"""A machine from a recording alone: lumped parameters and tried gains are the start, the closed-loop fit of `twin identify` decides.
 
-An axis keeps its first values where the fit does not predict the held-out motion better, and where the recording does not show them.
+No signal shows gain and integral time of the speed controller, so they are tried until the simulated axis follows like the recorded one. The comment
+of each number states its origin. An axis keeps its first values where the fit does not predict the held-out motion better, and where the recording
+does not show them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+import functools
+import math
 from pathlib import Path
+import re
+import tempfile
 
-from twin.errors import InputError, TwinError
+import numpy as np
+
+from twin.errors import InputError, SimulationError, TwinError
 from twin.files import write_whole
 from twin.identify.campaign_fit import identify_campaign
 from twin.identify.first_values import first_values
 from twin.identify.write import write_identified
-from twin.machine.from_recording import NewMachine, reproductions_of, write_tried_machine
-from twin.machine.machine import load_machine
-from twin.recordings.campaign import read_campaign
+from twin.machine.lumped_file import AxisLumps, Tuning, write_lumped_machine
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import MeasuredRun, read_campaign
+from twin.simulation.gap import predict
+
+LONGEST_TRIED_S = 8.0
+"""Longest recorded time on which speed controllers are tried [s]."""
+LAG_FACTORS = (0.6, 0.8, 1.25, 1.6)
+INTEGRAL_TIMES_S = (0.004, 0.01, 0.03, 0.1, 0.4)
+DELAY_STEPS_S = (-1.5e-3, -0.5e-3, 0.5e-3, 1.5e-3, 4e-3)
+FIRST_INTEGRAL_S = 0.02
 
 
-def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None) -> NewMachine:
-    """Write the first machine file and its model. Raises InputError if no axis moves, or if no stable machine reproduces one."""
+@dataclass(frozen=True)
+class Reproduction:
+    """How the machine reproduces an axis, SI: RMS gap of the position, RMS following error, RMS gap of the command and its range."""
+
+    gap: float
+    following: float
+    effort_gap: float = math.nan
+    effort_range: float = math.nan
+
+    @property
+    def merit(self) -> float:
+        """Measure that the trials minimise."""
+        position = self.gap / max(self.following, 1e-12)
+        return position + (0.3 * self.effort_gap / self.effort_range if self.effort_range > 0.0 else 0.0)
+
+
+@dataclass(frozen=True)
+class NewMachine:
+    """A machine that was written: the identified axes, and how well they reproduce the recording."""
+
+    lumps: tuple[AxisLumps, ...]
+    followed: Mapping[str, Reproduction]
+
+
+def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None, identified: bool = True) -> NewMachine:
+    """Write the machine file and its model; without `identified` the first values.
+
+    Raises InputError if no axis moves, or if no stable machine reproduces one.
+    """
     if out.suffix != ".toml":
         raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
     for path in (out, out.with_suffix(".xml")):
@@ -32,22 +75,160 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     if not common:
         raise InputError(f"{folder}: no axis moves in its runs; record a move")
     say("laws of the controls")
-    return write_tried_machine(out, first_values(runs, common), runs, folder.name, say)
+    lumps = first_values(runs, common)
+    tried = runs_with_most_travel(runs, common)
+    if not tried:
+        raise InputError(f"{folder.name}: no run has {LEAST_SAMPLES} samples; record a longer move")
+    with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
+
+        def attempt(axes: Sequence[AxisLumps], given: Mapping[str, Tuning]) -> dict[str, Reproduction]:
+            file = Path(scratch) / "machine.toml"
+            write_lumped_machine(file, axes, given, folder.name)
+            return _reproductions(load_machine(file), tried, axes)
+
+        lumps = _likelier_laws(attempt, lumps)
+        tunings, followed = _tuned(functools.partial(attempt, lumps), _first_tunings(lumps), lumps, say)
+    if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
+        raise InputError(
+            f"{folder.name}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
+        )
+    write_lumped_machine(out, lumps, tunings, folder.name)
+    made = NewMachine(tuple(lumps), followed)
+    return _identified(made, folder, out, tried, say) if identified else made
 
 
-def identified_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None) -> NewMachine:
-    """Write the machine file and its model. Raises InputError as `machine_from_recording` does."""
-    made = machine_from_recording(folder, out, say)
+def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[MeasuredRun], say: Callable[[str], None]) -> NewMachine:
+    """The machine after identification, if it reproduces the recording better; else the file stays as it is."""
     first, text = load_machine(out), out.read_text(encoding="utf-8")
     try:
         result = identify_campaign(first, read_campaign(folder, first), progress=say)
         if result.refused:
             return made
         write_identified(result, out)
-        followed = reproductions_of(load_machine(out), folder, made.lumps)
+        followed = _reproductions(load_machine(out), tried, made.lumps)
     except TwinError:  # the first machine is what this recording gives
         followed = {}
     if not followed or sum(one.merit for one in followed.values()) > sum(one.merit for one in made.followed.values()):
         write_whole(out, text)
         return made
     return replace(made, followed=followed)
+
+
+def _first_tunings(lumps: Sequence[AxisLumps]) -> dict[str, Tuning]:
+    return {one.name: Tuning(max(one.law.lag, 0.5e-3), FIRST_INTEGRAL_S, one.law.delay) for one in lumps}
+
+
+def _likelier_laws(
+    attempt: Callable[[Sequence[AxisLumps], Mapping[str, Tuning]], dict[str, Reproduction]], lumps: Sequence[AxisLumps]
+) -> list[AxisLumps]:
+    """Each axis with the one of its two position controllers that follows more like the recording."""
+    if not any(one.other for one in lumps):
+        return list(lumps)
+    others = [replace(one, law=one.other or one.law, other=None) for one in lumps]
+    first, second = (attempt(axes, _first_tunings(axes)) for axes in (lumps, others))
+    return [other if second[one.name].merit < first[one.name].merit else one for one, other in zip(lumps, others)]
+
+
+LEAST_SAMPLES = 40
+"""Fewest samples of a run that is used."""
+
+
+def runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:
+    """The runs with the most travel per second, LONGEST_TRIED_S in all; the last one is shortened."""
+
+    def travel(run: MeasuredRun) -> float:
+        return sum(float(np.abs(np.diff(run.trace.get(a, "setpoint"))).sum()) for a in axes) / (run.trace.time[-1] - run.trace.time[0])
+
+    out, total = [], 0.0
+    for run in sorted((run for run in runs if len(run.trace.time) >= LEAST_SAMPLES), key=travel, reverse=True):
+        count = min(len(run.trace.time), int((LONGEST_TRIED_S - total) / run.trace.period))
+        if count < LEAST_SAMPLES:
+            break
+        trace = replace(run.trace, time=run.trace.time[:count], signals={k: v[:count] for k, v in run.trace.signals.items()})
+        out.append(replace(run, trace=trace.select(axes)))
+        total += count * run.trace.period
+    return out
+
+
+def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, Reproduction]:
+    """Gap of each axis; infinite if the simulation diverges."""
+    rows: dict[str, list[np.ndarray]] = {one.name: [] for one in lumps}
+    for run in runs:
+        try:
+            simulated = predict(machine, run, realisations=1).trace
+        except SimulationError as lost_one:
+            lost = re.search(r"axis (\S+)", str(lost_one))
+            named = {lost[1]} if lost else set(rows)
+            return {one.name: Reproduction(math.inf if one.name in named else math.nan, 1.0) for one in lumps}
+        skip = len(run.trace.time) // 20
+        for one in lumps:
+            where = "position" if one.encoder == "scale" else "motor_position"
+            measured = run.trace.get(one.name, where)
+            off = simulated.get(one.name, where) - measured
+            error = run.trace.get(one.name, "setpoint") - measured
+            effort = one.mechanics.effort if one.mechanics else ""
+            command = run.trace.get(one.name, effort) if effort else np.zeros_like(off)
+            force_off = simulated.get(one.name, effort) - command if effort else np.zeros_like(off)
+            rows[one.name].append(np.column_stack([off - off.mean(), error - error.mean(), force_off, command])[skip:])
+    out = {}
+    for name, parts in rows.items():
+        off, error, force_off, command = np.concatenate(parts).T
+        out[name] = Reproduction(_rms(off), _rms(error), _rms(force_off), float(np.ptp(command)))
+    return out
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _tuned(
+    attempt: Callable[[Mapping[str, Tuning]], dict[str, Reproduction]],
+    tunings: dict[str, Tuning],
+    lumps: Sequence[AxisLumps],
+    say: Callable[[str], None],
+) -> tuple[dict[str, Tuning], dict[str, Reproduction]]:
+    """Speed controller of each axis by trial. All axes are tried at once, since their gaps are independent."""
+    best = attempt(tunings)
+    for _ in range(4):  # a speed controller may be too stiff for its cycles
+        if all(math.isfinite(one.gap) for one in best.values()):
+            break
+        tunings = {n: replace(t, lag=1.8 * t.lag) if not math.isfinite(best[n].gap) else t for n, t in tunings.items()}
+        best = attempt(tunings)
+    kept = dict(tunings)
+    shown = {one.name for one in lumps if one.law.direct}
+    unmeasured = {one.name for one in lumps if not one.law.measured}
+
+    def trial(change: Callable[[Tuning], Tuning], of: set[str]) -> None:
+        nonlocal best, kept
+        if not of:
+            return
+        given = {n: change(t) if n in of else t for n, t in kept.items()}
+        found = attempt(given)
+        for name in of:
+            if math.isfinite(found[name].gap) and not found[name].merit >= best[name].merit:
+                kept, best = {**kept, name: given[name]}, {**best, name: found[name]}
+
+    adjustable = {one.name for one in lumps} - shown
+    for _ in range(2):
+        say("trying speed controllers")
+        for integral in INTEGRAL_TIMES_S:
+            trial(lambda t, v=integral: replace(t, integral=v), adjustable)  # type: ignore[misc]
+        for factor in LAG_FACTORS:
+            trial(lambda t, v=factor: replace(t, lag=v * t.lag), adjustable)  # type: ignore[misc]
+        for step in DELAY_STEPS_S:
+            trial(lambda t, v=step: replace(t, delay=max(t.delay + v, 0.0)), unmeasured)  # type: ignore[misc]
+    return kept, best
+
+
+def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
+    """One line that states how well the machine reproduces an axis."""
+    unit, factor = ("um", 1e6) if one.kind == "linear" else ("arcsec", 180.0 / math.pi * 3600.0)
+    # without a recorded set point there is no following error
+    share = f", {followed.gap / followed.following:.2%} of the following error" if followed.following > 1e-12 else ""
+    if followed.gap >= followed.following > 1e-12:
+        share += ": no better than the set point itself, so the assumed numbers of its control do not hold"
+    text = f"axis {one.name}: position to {followed.gap * factor:.3g} {unit} RMS{share}"
+    m = one.mechanics
+    return text + (
+        f"; {m.effort} to {followed.effort_gap / followed.effort_range:.1%} of its range" if m and followed.effort_range > 0.0 else ""
+    )

@@ -150,12 +150,6 @@ def _of_rows(machine: Machine, run: MeasuredRun, prediction: Prediction, axis: s
     return gap_of(machine, replace(run, trace=cut(run.trace)), Prediction(cut(prediction.trace), scatter)).get(axis, {})
 
 
-def score(signals: Mapping[str, Mapping[str, float | str]]) -> float:
-    """Geometric mean of gap over noise of the signals of one axis; infinite without signals."""
-    ratios = [math.log(max(float(g["rms"]) / max(float(g["noise"]), 1e-12), 0.1)) for g in signals.values()]
-    return math.exp(float(np.mean(ratios))) if ratios else math.inf
-
-
 def gap_or_reason(machine: Machine, division: Division) -> Table | str:
     """The gap on held-out rows, or one line with the reason why the simulation failed."""
     try:

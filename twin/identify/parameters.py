@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 import math
 
@@ -11,13 +11,16 @@ import numpy as np
 from twin.identify import tilting_pair
 from twin.identify.direct import Direct
 from twin.identify.drive_fit import DriveFits
-from twin.identify.drive_residuals import MODE, RANGES, SLIP, TIMES
+from twin.identify.drive_position_loop import DrivePositionLoop
+from twin.identify.drive_residuals import MODE, RANGES, TIMES
 from twin.identify.findings import Finding
+from twin.identify.position_control import PositionControl
 from twin.identify.products import Split, is_vertical
 from twin.identify.result import Parameter, Range
+from twin.identify.speed_control import SpeedControl
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD, parameter
-from twin.machine.toleranced import TOLERANCED, path_of
+from twin.machine.toleranced import TOLERANCED, field_value, path_of
 from twin.simulation.plant_spec import home_inertia_at_motor
 
 LOOP_BOUNDS = {"position_delay_s": (0.0, 0.1), "feedforward_delay_s": (0.0, 0.1)}
@@ -31,168 +34,116 @@ def parameters_of(machine: Machine, direct: Direct, other: Direct, splits: dict[
 
     `direct` is the regression on the training rows, `other` that on the held-out rows (empty: none).
     """
-    out: list[Parameter] = []
-    inertias = home_inertia_at_motor(machine)
-    for k, axis in enumerate(machine.axes):
-        out += _control(axis, direct, other)
-        out += _mechanics(machine, axis, float(inertias[k]), direct, other, splits)
-    return out
+    return [p for axis in machine.axes for part in (_control, _mechanics) for p in part(machine, axis, direct, other, splits)]
 
 
-def units_of(axis: Axis) -> tuple[str, str, str]:
-    """Units of inertia, Coulomb friction and viscous friction of an axis: at the motor, or at the axis of a direct drive."""
-    inertia, coulomb, viscous = (parameter(SPREAD[name]).unit(axis.drive) for name in ("rotor_inertia", *FRICTIONS))
-    return inertia, coulomb, viscous
+def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
+    """Unit of a parameter, its value in the machine file, and its path there; '' if the file does not have it as one number."""
+    inertia, force = (parameter(SPREAD[n]).unit(axis.drive) for n in ("rotor_inertia", "coulomb_friction"))
+    if name in FRICTIONS:
+        return parameter(SPREAD[name]).unit(axis.drive), field_value(axis, name), machine.in_file(path_of(axis, name), 0.0)[0]
+    if name == "inertia":
+        return inertia, float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]), ""
+    if name == "gravity_torque":
+        return force, (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio, ""
+    if name == "constant_torque":
+        return force, axis.constant_torque_nm, machine.in_file(f"axis.{axis.name}.constant_torque_nm", 0.0)[0]
+    if name in tilting_pair.PAIR:
+        unit = "kg m" if name in FIRST_MOMENTS else "kg m2"
+        return unit, float(tilting_pair.pair_numbers(machine)[tilting_pair.PAIR.index(name)]), ""
+    p, in_loops = parameter(name), hasattr(axis.loops, name)
+    key = f"loops.{name}" if in_loops else p.key(axis.drive)
+    return p.unit(axis.drive), float(getattr(axis.loops if in_loops else axis, name)), machine.in_file(f"axis.{axis.name}.{key}", 0.0)[0]
 
 
-def _around(value: float, half: float) -> Range:
-    return Range(value, value - half, value + half)
-
-
-def _control(axis: Axis, direct: Direct, other: Direct) -> list[Parameter]:
+def _control(machine: Machine, axis: Axis, direct: Direct, other: Direct, splits: dict[str, Split]) -> Iterator[Parameter]:
     """Position and speed controller of one axis."""
-    out = []
-    for blocks, others in ((direct.position, other.position), (direct.speed, other.speed)):
-        block, check = blocks.get(axis.name), others.get(axis.name)
+    for block, check in (
+        (direct.position.get(axis.name), other.position.get(axis.name)),
+        (direct.speed.get(axis.name), other.speed.get(axis.name)),
+        *([(direct.drive_loop[axis.name], other.drive_loop.get(axis.name))] if axis.name in direct.drive_loop else []),
+    ):
         for name, value in block.values.items() if block is not None else ():
-            assert block is not None
-            half = block.deviations[name] * block.quantile
-            if not math.isfinite(half):
+            estimate, aside = _range_of(block, name), _range_of(check, name)
+            if estimate is None:
                 continue
             low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
-            aside = None
-            if check is not None and math.isfinite(check.deviations[name]):
-                aside = _around(check.values[name], check.deviations[name] * check.quantile)
-            out.append(
-                Parameter(
-                    axis.name, name, parameter(name).unit(axis.drive), getattr(axis.loops, name), _around(value, half),
-                    _around(float(np.clip(value, low, high)), half), False, block.condition, not low <= value <= high,
-                    f"axis.{axis.name}.loops.{name}", aside,
-                )
-            )  # fmt: skip
-    loop, check_loop = direct.drive_loop.get(axis.name), other.drive_loop.get(axis.name)
-    if loop is not None and loop.closed_in_drive:
-        aside = (
-            _around(check_loop.delay_s, 1.96 * check_loop.delay_deviation)
-            if check_loop is not None and check_loop.closed_in_drive
-            else None
-        )
-        around = _around(loop.delay_s, 1.96 * loop.delay_deviation)
-        path = f"axis.{axis.name}.loops.dsc_delay_s"
-        out.append(Parameter(axis.name, "dsc_delay_s", "s", axis.loops.dsc_delay_s, around, around, False, 1.0, False, path, aside))
-    return out
+            bounded = Range.around(float(np.clip(value, low, high)), estimate.half)
+            unit, before, path = _about(machine, axis, name)
+            condition = getattr(block, "condition", 1.0)
+            yield Parameter(axis.name, name, unit, before, estimate, bounded, False, condition, bounded.value != value, path, aside)
 
 
-def _mechanics(machine: Machine, axis: Axis, inertia: float, direct: Direct, other: Direct, splits: dict[str, Split]) -> list[Parameter]:
-    """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A. `inertia` is the machine file's."""
+def _range_of(block: PositionControl | SpeedControl | DrivePositionLoop | None, name: str) -> Range | None:
+    """A value of a block with its interval; None if it was not identified."""
+    if block is None or not math.isfinite(block.deviations.get(name, math.inf)):
+        return None
+    return Range.around(block.values[name], block.deviations[name] * block.quantile)
+
+
+def _mechanics(machine: Machine, axis: Axis, direct: Direct, other: Direct, splits: dict[str, Split]) -> Iterator[Parameter]:
+    """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A."""
     key = next((k for k in direct.balance if axis.name in k.split()), None)
     if key is None:
-        return []
+        return
     balance, check = direct.balance[key], other.balance.get(key)
     kt_log, kt_sd = splits[key].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0)) if key in splits else (0.0, 0.0)
-    out = []
-    for inner, name, unit, factor, before in _rows_of(machine, axis, inertia, paired=key == "A C"):
+    for inner, name, factor in _names_of(machine, axis, paired=key == "A C"):
         i = balance.names.index(inner)
-        if not balance.fit.seen[i] or not math.isfinite(balance.fit.deviations[i]):
+        found, aside = (
+            Range.around(float(b.fit.values[i] * factor), float(b.fit.deviations[i] * b.fit.quantile * factor))
+            if b is not None and b.fit.seen[i] and math.isfinite(b.fit.deviations[i])
+            else None
+            for b in (balance, check)
+        )
+        if found is None:
             continue
-        value, half = (float(x * factor) for x in (balance.fit.values[i], balance.fit.deviations[i] * balance.fit.quantile))
-        aside = None
-        if check is not None and check.fit.seen[i] and math.isfinite(check.fit.deviations[i]):
-            aside = _around(*(float(x * factor) for x in (check.fit.values[i], check.fit.deviations[i] * check.fit.quantile)))
         # the value is the product at the most probable torque constant; the uncertainty of that constant is added
-        split = value * math.exp(kt_log)
-        path = path_of(axis, name) if name in FRICTIONS else ""
-        out.append(
-            Parameter(
-                axis.name, name, unit, before, _around(value, half), _around(split, math.hypot(half, 1.96 * kt_sd * abs(split))),
-                True, balance.fit.condition, bool(path) and split <= 0.0, machine.in_file(path, 0.0)[0] if path else "", aside,
-            )
-        )  # fmt: skip
-    return out
+        split = found.value * math.exp(kt_log)
+        value = Range.around(split, math.hypot(found.half, 1.96 * kt_sd * abs(split)))
+        unit, before, path = _about(machine, axis, name)
+        at_bound = name in FRICTIONS and split <= 0.0
+        yield Parameter(axis.name, name, unit, before, found, value, True, balance.fit.condition, at_bound, path, aside)
 
 
-def _rows_of(machine: Machine, axis: Axis, inertia: float, paired: bool) -> list[tuple[str, str, str, float, float]]:
-    """Name in the fit, name, unit, factor from the fit's unit to that of the table, value of the machine file."""
+def _names_of(machine: Machine, axis: Axis, paired: bool) -> list[tuple[str, str, float]]:
+    """Name in the fit, name, and factor from the fit's unit: the values of the tilting pair are at the axes, those of a single axis at the motor."""
     r = axis.ratio
-    # the values of the tilting pair are at the axes, those of a single axis at the motor
     suffix, once, twice = (f"_{axis.name}", r, r * r) if paired else ("", 1.0, 1.0)
-    mass, force, damping = units_of(axis)
-    out = [
-        (f"inertia{suffix}", "inertia", mass, twice, inertia),
-        (f"coulomb{suffix}", "coulomb_friction", force, once, axis.coulomb_friction_nm),
-        (f"viscous{suffix}", "viscous_friction", damping, twice, axis.viscous_friction_nm_s_per_rad),
-    ]
-    if paired and axis.name == "A":
-        numbers = dict(zip(tilting_pair.PAIR, tilting_pair.pair_numbers(machine)))
-        out += [(n, n, "kg m" if n in FIRST_MOMENTS else "kg m2", 1.0, float(numbers[n])) for n in tilting_pair.PAIR[2:]]
-    elif not paired and is_vertical(machine, axis.name):
-        out.append(("gravity", "gravity_torque", force, 1.0, (axis.moving_mass_kg or 0.0) * machine.gravity * r))
-    elif not paired:
-        out.append(("gravity", "constant_torque", force, 1.0, axis.constant_torque_nm))
-    return out
+    names = [("inertia", "inertia", twice), ("coulomb", "coulomb_friction", once), ("viscous", "viscous_friction", twice)]
+    out = [(f"{inner}{suffix}", name, factor) for inner, name, factor in names]
+    if not paired:
+        return [*out, ("gravity", "gravity_torque" if is_vertical(machine, axis.name) else "constant_torque", 1.0)]
+    return [*out, *((n, n, 1.0) for n in tilting_pair.PAIR[2:])] if axis.name == "A" else out
 
 
 def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFits) -> list[Parameter]:
-    """The parameters with the values of the closed-loop drive fit, including those that the regression could not identify.
+    """The parameters with the values of the closed-loop fit, including those that the regression could not identify.
 
-    Values that the drive fit could not identify are skipped.
+    Values that the fit could not identify are skipped.
     """
-    out = list(parameters)
-    inertias = dict(zip(before.axis_names, home_inertia_at_motor(before)))
-    for name, fit in fits.axes.items():
-        axis = before.axis(name)
-        r = axis.ratio
-        turned = axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * r * r
-        carried = (
-            float(inertias[name]) - turned
-        )  # inertia of the model's bodies: it is not in the machine file, so the fit does not change it
-        mass, force, damping = units_of(axis)
-        rows = {
-            "inertia": ("inertia", mass, float(inertias[name]), 1.0, ""),
-            TOLERANCED["coulomb_friction"]: (
-                "coulomb_friction",
-                force,
-                axis.coulomb_friction_nm,
-                1.0,
-                path_of(axis, "coulomb_friction"),
-            ),
-            TOLERANCED["viscous_friction"]: (
-                "viscous_friction",
-                damping,
-                axis.viscous_friction_nm_s_per_rad,
-                1.0,
-                path_of(axis, "viscous_friction"),
-            ),
-            "constant_force": ("constant_torque", force, axis.constant_torque_nm, r, f"axis.{name}.constant_torque_nm"),
-        }
-        for own in (SLIP, *MODE):
-            p = parameter(own)
-            rows[own] = (own, p.unit(axis.drive), float(getattr(axis, own)), 1.0, f"axis.{name}.{p.key(axis.drive)}")
+    out = {(p.axis, p.name): p for p in parameters}
+    names = {TOLERANCED[name]: name for name in FRICTIONS} | {"constant_force": "constant_torque"}
+    for axis_name, fit in fits.axes.items():
+        axis = before.axis(axis_name)
         for field, value in fit.values.items():
             if field in fit.unidentified or not math.isfinite(fit.deviations[field]):
                 continue
-            label, unit, start, factor, path = rows.get(field) or (
-                field,
-                parameter(field).unit(axis.drive),
-                float(getattr(axis.loops, field)),
-                1.0,
-                f"axis.{name}.loops.{field}",
-            )
+            name = names.get(field, field)
+            unit, start, path = _about(before, axis, name)
+            factor = axis.ratio if field == "constant_force" else 1.0
             half = 1.96 * fit.deviations[field] * factor
-            around = _around(value * factor, half)
+            around = Range.around(value * factor, half)
             if field not in ("constant_force", *TIMES):  # positive values: the interval is that of the logarithm
                 wide = math.exp(min(half / abs(value * factor), 5.0))
                 around = Range(value * factor, value * factor / wide, min(value * factor * wide, RANGES.get(field, (0.0, math.inf))[1]))
-            if field == "inertia":
+            if field == "inertia":  # that of the model's bodies is not in the machine file, so the fit does not change it
+                carried = start - axis.rotor_inertia_kg_m2 - (axis.moving_mass_kg or 0.0) * axis.ratio**2
                 around = Range(*(v + carried for v in (around.value, around.low, around.high)))
-            known = next((i for i, p in enumerate(out) if (p.axis, p.name) == (name, label)), None)
-            if known is None:
-                is_product = field in rows and field not in MODE
-                in_file = before.in_file(path, 0.0)[0] if path else ""
-                out.append(Parameter(name, label, unit, start, around, around, is_product, math.nan, False, in_file, None, around))
-            else:
-                out[known] = replace(out[known], refined=around)
-    return out
+            is_product = not hasattr(axis.loops, field) and field not in MODE
+            new = Parameter(axis_name, name, unit, start, around, around, is_product, math.nan, False, path)
+            out[axis_name, name] = replace(out.get((axis_name, name), new), refined=around)
+    return list(out.values())
 
 
 WIDE_INTERVAL = 0.1
@@ -229,7 +180,7 @@ def implausible_currents(direct: Direct) -> dict[str, Finding]:
                 i = next(k for k, n in enumerate(balance.names) if n in (name, f"{name}_{axis}"))
                 if fit.seen[i] and fit.values[i] + fit.quantile * fit.deviations[i] < 0.0:
                     text = f"the current gives a negative {quantity}, so it contradicts the motion and is not used; check the sign of the column"
-                    out[axis] = Finding("", axis, text)
+                    out[axis] = Finding(text, axis)
     return out
 
 
@@ -244,9 +195,9 @@ def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Find
                 scale = abs(p.before) or abs(p.estimate.value)
                 if p.estimate.half > WIDE_INTERVAL * scale > 0.0:
                     label = f"{name} only within {100 * p.estimate.half / scale:.0f} %; add {cure} ('twin plan')"
-                    out.append(Finding("", axis.name, label))
+                    out.append(Finding(label, axis.name))
             elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)
             ):
-                out.append(Finding("", axis.name, f"no run identifies {name}; add {cure} ('twin plan')"))
+                out.append(Finding(f"no run identifies {name}; add {cure} ('twin plan')", axis.name))
     return out

@@ -61,10 +61,10 @@ def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
     for item in skews or ():
         if item.signal in correct.get(item.axis, {}):
             text = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); corrected"
-            findings.append(Finding("", item.axis, text))
+            findings.append(Finding(text, item.axis))
     for axis in machine.axes:
         seen = [r for r in axis_runs[axis.name] if r is not None]
-        findings += coverage(axis, seen)
+        findings += [Finding(text, axis.name) for text in coverage(axis, seen)]
     return Recording(runs, axis_runs, findings, skews or [])
 
 
@@ -78,7 +78,7 @@ def _usable(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], li
     for run in campaign.runs:
         length = float(run.trace.time[-1] - run.trace.time[0])
         if length < SHORT_S:
-            findings.append(Finding(run.name, "", f"only {length:.3g} s long: not used; record at least {SHORT_S:g} s"))
+            findings.append(Finding(f"only {length:.3g} s long: not used; record at least {SHORT_S:g} s", "", run.name))
             continue
         unusable = unusable_channels(machine, run)
         findings += unusable.values()

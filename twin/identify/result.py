@@ -21,6 +21,11 @@ class Range:
     low: float
     high: float
 
+    @classmethod
+    def around(cls, value: float, half: float) -> Range:
+        """A symmetric interval."""
+        return cls(value, value - half, value + half)
+
     @property
     def half(self) -> float:
         """Half width."""

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.identify.from_recording import machine_from_recording
-from twin.machine.from_recording import NewMachine
+from twin.identify.from_recording import NewMachine, machine_from_recording
 from twin.recordings.imported import import_campaign
 from twin.recordings.mapping import read_map
 from twin.recordings.proposed import proposal_of
@@ -78,7 +77,7 @@ def machine_of_campaign(
         return file, None
     for path in (file, file.with_suffix(".xml")):
         path.unlink(missing_ok=True)
-    return file, machine_from_recording(campaign, file, progress)
+    return file, machine_from_recording(campaign, file, progress, identified=False)
 
 
 def is_stale(made: Path, sources: Sequence[Path]) -> bool:
