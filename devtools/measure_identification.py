@@ -30,7 +30,7 @@ from devtools.identification_score import HEADING, Judged, judge, summary
 from examples.emps.single_axis import NAMES, fit_single_axis, read_emps, refine_single_axis, residual_shapes, resimulate
 from twin.effects.truth import true_machine
 from twin.exam.draw import SHIPPED_MACHINE, Case, draw_case, truth_of, truth_toml, write_campaign
-from twin.identify.campaign_fit import identify_campaign
+from twin.identify.identify import identify
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.simulation.summary import table
@@ -83,7 +83,7 @@ def drawn(seed: int, folder: Path) -> tuple[list[Judged], dict[str, float], list
     """Score one drawn campaign; the tolerance of the machine file is the spread of the draw."""
     draw(seed, folder)
     machine = load_machine().with_values({"parameter_tolerance": SPREAD})
-    result = identify_campaign(machine, read_campaign(folder, machine), refine=False, gaps=False, torque_constant_tolerance=KNOWN)
+    result = identify(read_campaign(folder, machine), machine, refine=False, gaps=False, torque_constant_tolerance=KNOWN)
     return judge(result, truth_machine(machine, folder / "truth.toml")), result.seconds, [str(f) for f in result.findings]
 
 
@@ -114,7 +114,7 @@ def recorded(folders: Sequence[Path]) -> list[Judged]:
     for folder in folders:
         campaign = read_campaign(folder, machine)
         before = resource.getrusage(resource.RUSAGE_SELF)
-        result = identify_campaign(machine, campaign, refine=False, gaps=False)
+        result = identify(campaign, machine, refine=False, gaps=False)
         after = resource.getrusage(resource.RUSAGE_SELF)
         length = sum(r.trace.time[-1] - r.trace.time[0] for r in campaign.runs)
         print(

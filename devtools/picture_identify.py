@@ -13,7 +13,7 @@ import tempfile
 
 from devtools.measure_identification import KNOWN, SPREAD, draw
 from twin.identify import figures
-from twin.identify.campaign_fit import identify_campaign
+from twin.identify.identify import identify
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
 from twin.report import save_png
@@ -30,7 +30,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = args.keep / str(args.seed) if args.keep else Path(scratch)
         draw(args.seed, folder)
-        result = identify_campaign(machine, read_campaign(folder, machine), torque_constant_tolerance=KNOWN, progress=print)
+        result = identify(read_campaign(folder, machine), machine, torque_constant_tolerance=KNOWN, progress=print)
     for name, figure in (
         ("friction", figures.friction_figure(result)),
         ("table", figures.gravity_figure(result)),

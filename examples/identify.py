@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from twin.exam.draw import SIGNALS, Case, columns_of, draw_case, simulate
 from twin.exam.plant.parameters import AXES
 from twin.exam.programme import TestRun
-from twin.identify.campaign_fit import identify_campaign
+from twin.identify.identify import identify
 from twin.identify.plan import Plan, plan_campaign, write_plan
 from twin.identify.report import write_report
 from twin.identify.write import write_identified
@@ -64,7 +64,7 @@ def main() -> None:
     record(case, plan, args.axes, args.out / "recordings", document)
 
     campaign = read_campaign(args.out / "recordings", machine)
-    result = identify_campaign(machine, campaign, refine=False, torque_constant_tolerance=0.0)
+    result = identify(campaign, machine, refine=False, torque_constant_tolerance=0.0)
     write_identified(result, args.out / "machine.toml")
     files = write_report(result, args.out / "machine.html")
 

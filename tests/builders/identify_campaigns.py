@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.identify.plan import move
+from twin.geometry.scurve import jerk_limited_move, sample_times, time_of_move
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.trace import Trace
@@ -61,6 +61,12 @@ def usual_runs(machine: Machine, seed: int = 0, *, short: bool = False) -> list[
         recorded(machine, "quick_off", quick, "off", seed + 1),
         recorded(machine, "quick", quick, "velocity+torque", seed + 2),
     ]
+
+
+def move(distance: float, speed: float, acceleration: float, jerk: float, period: float) -> np.ndarray:
+    """Jerk-limited rest-to-rest move from 0 (sample,)."""
+    lasts = time_of_move(distance, speed, acceleration, jerk)
+    return jerk_limited_move(distance, speed, acceleration, jerk, sample_times(lasts, period))
 
 
 def with_signal(run: MeasuredRun, axis: str, signal: str, values: np.ndarray | None) -> MeasuredRun:

@@ -10,8 +10,8 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, usual_runs
 from tests.builders.other_structures import write_slides
-from twin.identify.campaign_fit import identify_campaign
 from twin.identify.choice import _assembled
+from twin.identify.identify import identify
 from twin.identify.write import machine_comments
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -40,7 +40,7 @@ def test_the_noise_of_an_axis_that_is_commanded_a_torque_and_records_its_current
 
 def test_a_value_at_its_bound_that_was_not_taken_has_no_comment(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"])
-    result = identify_campaign(machine, campaign(usual_runs(machine, short=True)), refine=False, gaps=False)
+    result = identify(campaign(usual_runs(machine, short=True)), machine, refine=False, gaps=False)
     at_bound = replace(result, machine=machine, parameters=tuple(replace(p, at_bound=True) for p in result.parameters))
     assert machine_comments(at_bound)
     assert not machine_comments(replace(at_bound, stage_of={}))

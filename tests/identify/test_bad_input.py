@@ -12,7 +12,7 @@ from tests.builders.identify_campaigns import ONE_WAY, SHORT_LADDER, campaign, p
 from twin.cli import main
 from twin.errors import InputError
 from twin.identify.axis_run import axis_run
-from twin.identify.campaign_fit import identify_campaign
+from twin.identify.identify import identify
 from twin.identify.result import Identification
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -35,7 +35,7 @@ def good(machine: Machine, runs: list[MeasuredRun]) -> Identification:
 
 
 def identified(machine: Machine, runs: list[MeasuredRun]) -> Identification:
-    return identify_campaign(machine, campaign(runs), refine=False, gaps=False)
+    return identify(campaign(runs), machine, refine=False, gaps=False)
 
 
 def said(result: Identification) -> str:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import campaign, recorded, with_signal
-from twin.identify.campaign_fit import identify_campaign
 from twin.identify.delivered import delivered_effort
+from twin.identify.identify import identify
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
@@ -53,5 +53,5 @@ def test_identification_reports_a_delivered_effort_that_differs_from_its_command
     run = recorded(machine, "strokes", 0.05 * (1.0 - np.cos(4.0 * np.arange(2400) * 1e-3)), "velocity", 0)
     current = run.trace.get("X", "current")
     asked = with_signal(run, "X", "current_setpoint", current / 0.9)
-    result = identify_campaign(machine, campaign([asked]), refine=False, gaps=False)
+    result = identify(campaign([asked]), machine, refine=False, gaps=False)
     assert any("delivered current = 0.9 " in str(f) for f in result.findings)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import PERIOD, SHORT_QUICK, campaign
-from twin.identify.campaign_fit import known_load_findings
 from twin.identify.direct import direct_route
 from twin.identify.from_recording import machine_from_recording
+from twin.identify.identify import known_load_findings
 from twin.identify.recording import prepare_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun

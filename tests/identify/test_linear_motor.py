@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import campaign, on_a_linear_motor, usual_runs
-from twin.identify.campaign_fit import identify_campaign
+from twin.identify.identify import identify
 from twin.machine.machine import Machine
 
 
@@ -13,7 +13,7 @@ def test_a_linear_motor_without_commissioned_mass_is_identified(mikron: Machine)
     axis = file.axis("X")
     assert (axis.drive, axis.rotor_inertia_kg_m2, axis.commissioned_inertia) == ("direct", 0.0, None)
     true = file.with_axis("X", coulomb_friction_nm=1.1 * axis.coulomb_friction_nm)
-    found = identify_campaign(file, campaign(usual_runs(true, short=True)), refine=False, gaps=False)
+    found = identify(campaign(usual_runs(true, short=True)), file, refine=False, gaps=False)
     x = found.machine.axis("X")
     assert x.coulomb_friction == pytest.approx(1.1 * axis.coulomb_friction, rel=0.03)
     assert x.moving_mass_kg == pytest.approx(axis.moving_mass_kg, rel=0.02)

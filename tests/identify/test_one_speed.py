@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import campaign, path
-from twin.identify.campaign_fit import identify_campaign
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import machine_from_recording
+from twin.identify.identify import identify
 from twin.identify.recording import prepare_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -56,7 +56,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 def test_one_speed_gives_the_sum_of_the_frictions(made: Machine) -> None:
     axis = made.axis("X")
     assert axis.coulomb_friction + SPEED * axis.viscous_friction == pytest.approx(SUM, rel=0.05)
-    found = identify_campaign(made, campaign([strokes()]), gaps=False)
+    found = identify(campaign([strokes()]), made, gaps=False)
     refined = found.machine.axis("X")
     assert refined.coulomb_friction + SPEED * refined.viscous_friction == pytest.approx(SUM, rel=0.05)
     assert found.machine.axis("X").moving_mass_kg == axis.moving_mass_kg

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from tests.builders.identify_campaigns import campaign, usual_runs
-from twin.identify.campaign_fit import identify_campaign
 from twin.identify.drive_balance import ROW_STRIDE
 from twin.identify.figures import residual_figure
+from twin.identify.identify import identify
 from twin.identify.plan import _check_runs, _table_runs
 from twin.machine.machine import Machine
 from twin.simulation.setpoints import check_travel
@@ -30,7 +30,7 @@ def test_the_table_turns_within_its_travel(mikron: Machine, axis: str, travel: o
 
 def test_the_residual_axis_uses_the_spacing_of_the_rows(mikron: Machine) -> None:
     machine = mikron.with_axes(["X"])
-    result = identify_campaign(machine, campaign(usual_runs(machine)), refine=False, gaps=False)
+    result = identify(campaign(usual_runs(machine)), machine, refine=False, gaps=False)
     for cycle in (machine.position_cycle, 0.5 * machine.position_cycle):
         trace, white = residual_figure(replace(result, before=machine.with_values({"control.position_cycle_us": cycle * 1e6}))).axes
         assert trace.get_xlabel() == f"rows where the axis slides, {ROW_STRIDE * cycle * 1e3:g} ms apart"

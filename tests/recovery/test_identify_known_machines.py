@@ -21,7 +21,7 @@ from tests.builders.script import script
 from tests.conftest import ROOT, SHARED
 from twin.cli import main
 from twin.exam.programme import programme
-from twin.identify.campaign_fit import identify_campaign
+from twin.identify.identify import identify
 from twin.identify.plan import Plan, _acceleration_runs, _check_runs, _predict, plan_campaign, write_plan
 from twin.identify.write import machine_comments, write_identified
 from twin.machine.machine import Machine, load_machine
@@ -57,7 +57,7 @@ def test_a_recorded_machine(study: ModuleType, mikron: Machine) -> None:
     whole = study.read_campaign(folder, mikron)
     few = replace(whole, runs=tuple(run for run in whole.runs if run.name in FEW))
     assert len(few.runs) == len(FEW)
-    result = identify_campaign(mikron, few, refine=False, gaps=False)
+    result = identify(few, mikron, refine=False, gaps=False)
     assert not result.findings
     assert all(result.tolerance_holds.values())
     check(study.judge(result, study.truth_machine(mikron, folder / "truth.toml"), products=("X", "Y", "C")))
@@ -78,7 +78,7 @@ def test_the_regression_closes_the_gap_and_writes_what_it_found(mikron: Machine,
     axis = machine.axis("X")
     true = machine.with_axis("X", coulomb_friction_nm=1.04 * axis.coulomb_friction_nm, rotor_inertia_kg_m2=1.03 * axis.rotor_inertia_kg_m2)
     runs = [*usual_runs(true), recorded(true, "check", QUICK, "velocity+torque", 7)]
-    result = identify_campaign(machine, campaign(runs), torque_constant_tolerance=0.0)
+    result = identify(campaign(runs), machine, torque_constant_tolerance=0.0)
     assert "refined" not in result.gaps
     for signal, gap in result.gaps["regression"]["X"].items():
         assert gap["rms"] < 1.25 * gap["noise"], signal
@@ -101,7 +101,7 @@ def test_a_position_controller_without_its_output_is_fitted_in_closed_loop(mikro
     machine = mikron.with_axes(["X"])
     true = machine.with_axis("X", position_gain_per_s=44.0, position_delay_s=2.4e-3, velocity_feedforward=0.96)
     runs = [with_signal(run, "X", "velocity_setpoint", None) for run in usual_runs(true)]
-    result = identify_campaign(machine, campaign(runs), torque_constant_tolerance=0.0)
+    result = identify(campaign(runs), machine, torque_constant_tolerance=0.0)
     assert result.chosen == "refined"
     loops = result.machine.axis("X").loops
     assert loops.position_gain_per_s == pytest.approx(44.0, rel=0.01)
@@ -153,7 +153,7 @@ def test_a_contradicted_tolerance_keeps_the_torque_constants(mikron: Machine) ->
     true = machine.with_axis(
         "X", coulomb_friction_nm=1.2 * axis.coulomb_friction_nm, viscous_friction_nm_s_per_rad=0.8 * axis.viscous_friction_nm_s_per_rad
     )
-    result = identify_campaign(machine, campaign(usual_runs(true)), refine=False, gaps=False)
+    result = identify(campaign(usual_runs(true)), machine, refine=False, gaps=False)
     assert result.tolerance_holds == {"X": False}
     coulomb = result.parameter("X", "coulomb_friction")
     assert coulomb.value.value == pytest.approx(1.2 * axis.coulomb_friction_nm, rel=0.01)
@@ -186,7 +186,7 @@ def test_a_planned_campaign_keeps_limits_and_reaches_its_predicted_intervals(
     assert {"inertia", "coulomb_friction", "viscous_friction", "gravity_torque", "position_delay_s"} <= {name for _, name in known}
     assert max(p.half for p in plan.predicted) < 0.02
     runs = [recorded(machine, r.name, r.setpoints.position[:, 0], r.feedforward, 900 + i) for i, r in enumerate(plan.runs)]
-    result = identify_campaign(machine, campaign(runs), refine=False, gaps=False)
+    result = identify(campaign(runs), machine, refine=False, gaps=False)
     assert result.held_out == ("plan_check",)
     assert plan.runs[0].repeats == 1  # what was predicted is one round
     for (axis, name), promised in known.items():

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def carry_out(args: argparse.Namespace) -> int:
     """Identify; write machine file, report and JSON; print the table."""
-    from twin.identify.campaign_fit import identify_campaign
+    from twin.identify.identify import identify
     from twin.identify.report import write_report
     from twin.identify.write import as_json, write_identified
     from twin.recordings.campaign import read_campaign
@@ -50,7 +50,7 @@ def carry_out(args: argparse.Namespace) -> int:
     campaign = read_campaign(args.campaign, machine)
     output_file(out)  # fails before the long computation
     with Steps("identifying", STEPS) as step:
-        result = identify_campaign(machine, campaign, refine=not args.no_refine, torque_constant_tolerance=within, progress=step)
+        result = identify(campaign, machine, refine=not args.no_refine, torque_constant_tolerance=within, progress=step)
     try:
         if not result.refused:
             write_identified(result, out)

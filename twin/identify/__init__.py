@@ -1,6 +1,6 @@
 """Identify a machine from its own traces, and plan the traces that identify it.
 
-    campaign_fit    identify_campaign: campaign -> Identification: parameters with intervals, findings, machine (result)
+    identify        campaign -> Identification: parameters with intervals, findings, machine (result)
     write           write_identified: the identified machine as a machine file, each value with grade, interval and campaign
     report          write_report: HTML and PNG
     plan            plan_campaign: moves that identify every parameter to a wanted precision, with predicted intervals
@@ -14,5 +14,5 @@ The direct route, block by block:
     drive_position_loop position loop in the NC or in the drive            noise              measuring noise from standstill
     held_out            training and held-out motion, gap on the latter    delivered          commanded against delivered effort
 What they leave open: drive_fit, in closed loop on every sample (lumped drives; position controllers whose output is not recorded).
-choice: which values the machine file gets.
+choice: which values the machine file gets. from_recording: a machine without a data sheet, from first_values and this identification.
 """

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from twin.estimate.regression import Fit, regress
+from twin.estimate.regression import Fit, regress, solved
 from twin.machine.axis import Axis
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.trace import OTHER_UNITS, Trace
+from twin.recordings.trace import OTHER_UNITS
 
 PAIRS = {"torque": "torque_setpoint", "current": "current_setpoint"}
 """Delivered effort -> the command it answers."""
@@ -82,67 +84,61 @@ def delivered_effort(axis: Axis, runs: Sequence[MeasuredRun]) -> DeliveredEffort
     """Commanded against delivered effort of one axis; None if one of them is not recorded or they are unrelated."""
     for effort, command in PAIRS.items():
         traces = [r.trace for r in runs if r.trace.has(axis.name, effort) and r.trace.has(axis.name, command) and len(r.trace.time) > 20]
-        traces = [t for t in traces if np.ptp(t.get(axis.name, effort)) > 0.0 and np.ptp(t.get(axis.name, command)) > 0.0]
-        if traces and (found := _fitted(axis.name, effort, command, traces)) is not None:
+        records = [_Record(t.time - t.time[0], t.get(axis.name, command), t.get(axis.name, effort)) for t in traces]
+        records = [r for r in records if np.ptp(r.given) > 0.0 and np.ptp(r.asked) > 0.0]
+        if records and (found := _fitted(axis.name, effort, records, traces[0].period)) is not None:
             return found
     return None
 
 
-def _fitted(axis: str, effort: str, command: str, traces: Sequence[Trace]) -> DeliveredEffort | None:
-    given = np.concatenate([t.get(axis, effort) for t in traces])
-    asked = np.concatenate([t.get(axis, command) for t in traces])
-    everywhere = [np.ones(len(t.time), bool) for t in traces]
-    first = _law(axis, effort, command, traces, everywhere)
+class _Record(NamedTuple):
+    """One run (sample,): time from its start [s], commanded and delivered effort."""
+
+    time: np.ndarray
+    asked: np.ndarray
+    given: np.ndarray
+
+    def late(self, delay: float) -> np.ndarray:
+        """The command a delay ago."""
+        return np.interp(self.time - delay, self.time, self.asked)
+
+
+def _fitted(axis: str, effort: str, records: Sequence[_Record], step: float) -> DeliveredEffort | None:
+    asked, given = (np.concatenate([getattr(r, name) for r in records]) for name in ("asked", "given"))
+    largest = float(np.abs(given).max())
+    first = _law(records, step, math.inf)
     if first is None:
         return None
     fit, delay = first
-    expected = [fit.values[0] * _late(t, t.get(axis, command), delay) + fit.values[1] for t in traces]
-    limit = _limit(given, np.concatenate(expected))
+    expected = fit.values[0] * np.concatenate([r.late(delay) for r in records]) + fit.values[1]
+    stays = (np.abs(given) > (1.0 - FLAT) * largest) & (np.abs(expected) > BEYOND * np.abs(given)) & (np.sign(expected) == np.sign(given))
+    limit = largest if stays.sum() >= max(LEAST_SHARE * len(given), 5) else None
     if limit is not None:
-        free = [np.abs(t.get(axis, effort)) < (1.0 - FLAT) * limit for t in traces]
-        again = _law(axis, effort, command, traces, free)
-        fit, delay = again if again is not None else first
+        fit, delay = _law(records, step, (1.0 - FLAT) * limit) or first
     share = float(np.sqrt(np.mean(fit.residual**2)) / max(float(np.std(given)), 1e-300))
     if not fit.seen[0] or share > FOLLOWS:
         return None
-    return DeliveredEffort(
-        axis, effort, float(fit.values[0]), float(fit.deviations[0]), delay, float(fit.values[1]), float(fit.deviations[1]), share, limit,
-        float(np.abs(asked).max()), float(np.abs(given).max()),
-    )  # fmt: skip
+    (gain, offset), (of_gain, of_offset) = fit.values.tolist(), fit.deviations.tolist()
+    return DeliveredEffort(axis, effort, gain, of_gain, delay, offset, of_offset, share, limit, float(np.abs(asked).max()), largest)
 
 
-def _late(trace: Trace, values: np.ndarray, delay: float) -> np.ndarray:
-    return np.interp(trace.time - delay, trace.time, values)
-
-
-def _law(axis: str, effort: str, command: str, traces: Sequence[Trace], used: Sequence[np.ndarray]) -> tuple[Fit, float] | None:
-    """Fit of gain and offset on the used samples of each trace, and the delay [s] with the smallest residual; None with too few samples."""
-    step = traces[0].period
+def _law(records: Sequence[_Record], step: float, below: float) -> tuple[Fit, float] | None:
+    """Fit of gain and offset on the samples below a limit, and the delay [s] with the smallest residual; None with too few samples."""
     longest = min(LONGEST_S, LONGEST_SAMPLES * step)
-    kept = [u & (t.time - t.time[0] >= longest) for t, u in zip(traces, used)]
-    y = np.concatenate([t.get(axis, effort)[k] for t, k in zip(traces, kept)])
+    kept = [(r.time >= longest) & (np.abs(r.given) < below) for r in records]
+    y = np.concatenate([r.given[k] for r, k in zip(records, kept)])
     if len(y) < 10:
         return None
 
     def columns(delay: float) -> np.ndarray:
-        late = np.concatenate([_late(t, t.get(axis, command), delay)[k] for t, k in zip(traces, kept)])
-        return np.column_stack([late, np.ones(len(late))])
+        return np.column_stack([np.concatenate([r.late(delay)[k] for r, k in zip(records, kept)]), np.ones(len(y))])
 
     def left(delay: float) -> float:
         x = columns(delay)
-        scale = np.maximum(np.abs(x).max(axis=0), 1e-300)
-        return float(np.mean((y - x / scale @ np.linalg.lstsq(x / scale, y, rcond=None)[0]) ** 2))
+        return float(np.mean((y - x @ solved(x, y)) ** 2))
 
-    grid = np.arange(0.0, longest + 0.5 * step, step)
-    best = float(grid[int(np.argmin([left(d) for d in grid]))])
+    best = min(np.arange(0.0, longest + 0.5 * step, step).tolist(), key=left)
     refined = minimize_scalar(left, bounds=(max(best - step, 0.0), best + step), method="bounded", options={"xatol": 1e-3 * step})
     delay = float(refined.x) if refined.fun < left(best) else best
-    pieces = [(1_000_000 * n + (t.time - t.time[0]) / CLUSTER_S).astype(int)[k] for n, (t, k) in enumerate(zip(traces, kept))]
+    pieces = [(1_000_000 * n + r.time / CLUSTER_S).astype(int)[k] for n, (r, k) in enumerate(zip(records, kept))]
     return regress(columns(delay), y, np.concatenate(pieces)), delay
-
-
-def _limit(given: np.ndarray, expected: np.ndarray) -> float | None:
-    """Saturation level of the delivered effort, or None."""
-    largest = float(np.abs(given).max())
-    stays = (np.abs(given) > (1.0 - FLAT) * largest) & (np.abs(expected) > BEYOND * np.abs(given)) & (np.sign(expected) == np.sign(given))
-    return largest if stays.sum() >= max(LEAST_SHARE * len(given), 5) else None

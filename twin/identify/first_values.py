@@ -37,7 +37,7 @@ from twin.identify.recorded_axis import (
     slopes_of,
     strokes_of,
 )
-from twin.machine.lumped_file import AxisLumps, Law, Mechanics, Tuning, write_lumped_machine
+from twin.machine.lumped_file import LEAST_LAG_S, AxisLumps, Law, Mechanics, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.excitation import one_speed
@@ -65,7 +65,7 @@ def first_values(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[AxisL
     outlines = {name: _outline(runs, name) for name in axes}
     with tempfile.TemporaryDirectory(prefix="twin_first_") as scratch:
         file = Path(scratch) / "machine.toml"
-        write_lumped_machine(file, list(outlines.values()), {n: Tuning(ASSUMED_LAG_S, 0.02, 0.0) for n in axes}, "a recording")
+        write_lumped_machine(file, list(outlines.values()), "a recording")
         stand_in = with_commissioned_inertia(load_machine(file))
     return [_with_law(one, runs, stand_in) for one in outlines.values()]
 
@@ -210,7 +210,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law
-    return replace(law, lag=max(loop.lag_s, 0.0), dsc_delay=loop.delay_s if loop.closed_in_drive else 0.0)
+    return replace(law, lag=max(loop.lag_s, LEAST_LAG_S), dsc_delay=loop.delay_s if loop.closed_in_drive else 0.0)
 
 
 def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
@@ -222,7 +222,7 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     lag = max(shown.value, SHORTEST_LAG_S)
     delay = max(lag - ASSUMED_LAG_S, 0.0)
     delayed = Law(ASSUMED_GAIN, delay, 1.0, delay, measured=False, lag=ASSUMED_LAG_S)
-    by_gain = Law(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=min(2e-3, 0.1 * lag))
+    by_gain = Law(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=max(min(2e-3, 0.1 * lag), LEAST_LAG_S))
     size = (
         f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
         if shown.known

@@ -7,9 +7,8 @@ does not show them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-import functools
 import math
 from pathlib import Path
 import re
@@ -19,10 +18,10 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.files import write_whole
-from twin.identify.campaign_fit import identify_campaign
 from twin.identify.first_values import first_values
+from twin.identify.identify import identify
 from twin.identify.write import write_identified
-from twin.machine.lumped_file import AxisLumps, Tuning, write_lumped_machine
+from twin.machine.lumped_file import AxisLumps, Law, write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
@@ -32,7 +31,6 @@ LONGEST_TRIED_S = 8.0
 LAG_FACTORS = (0.6, 0.8, 1.25, 1.6)
 INTEGRAL_TIMES_S = (0.004, 0.01, 0.03, 0.1, 0.4)
 DELAY_STEPS_S = (-1.5e-3, -0.5e-3, 0.5e-3, 1.5e-3, 4e-3)
-FIRST_INTEGRAL_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -81,18 +79,17 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         raise InputError(f"{folder.name}: no run has {LEAST_SAMPLES} samples; record a longer move")
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
 
-        def attempt(axes: Sequence[AxisLumps], given: Mapping[str, Tuning]) -> dict[str, Reproduction]:
+        def attempt(axes: Sequence[AxisLumps]) -> dict[str, Reproduction]:
             file = Path(scratch) / "machine.toml"
-            write_lumped_machine(file, axes, given, folder.name)
+            write_lumped_machine(file, axes, folder.name)
             return _reproductions(load_machine(file), tried, axes)
 
-        lumps = _likelier_laws(attempt, lumps)
-        tunings, followed = _tuned(functools.partial(attempt, lumps), _first_tunings(lumps), lumps, say)
+        lumps, followed = _tuned(attempt, _likelier_laws(attempt, lumps), say)
     if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
         raise InputError(
             f"{folder.name}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
         )
-    write_lumped_machine(out, lumps, tunings, folder.name)
+    write_lumped_machine(out, lumps, folder.name)
     made = NewMachine(tuple(lumps), followed)
     return _identified(made, folder, out, tried, say) if identified else made
 
@@ -101,7 +98,7 @@ def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[Measu
     """The machine after identification, if it reproduces the recording better; else the file stays as it is."""
     first, text = load_machine(out), out.read_text(encoding="utf-8")
     try:
-        result = identify_campaign(first, read_campaign(folder, first), progress=say)
+        result = identify(read_campaign(folder, first), first, progress=say)
         if result.refused:
             return made
         write_identified(result, out)
@@ -114,18 +111,16 @@ def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[Measu
     return replace(made, followed=followed)
 
 
-def _first_tunings(lumps: Sequence[AxisLumps]) -> dict[str, Tuning]:
-    return {one.name: Tuning(max(one.law.lag, 0.5e-3), FIRST_INTEGRAL_S, one.law.delay) for one in lumps}
+Attempt = Callable[[Sequence[AxisLumps]], dict[str, Reproduction]]
+"""How axes with these laws reproduce the recording."""
 
 
-def _likelier_laws(
-    attempt: Callable[[Sequence[AxisLumps], Mapping[str, Tuning]], dict[str, Reproduction]], lumps: Sequence[AxisLumps]
-) -> list[AxisLumps]:
+def _likelier_laws(attempt: Attempt, lumps: Sequence[AxisLumps]) -> list[AxisLumps]:
     """Each axis with the one of its two position controllers that follows more like the recording."""
     if not any(one.other for one in lumps):
         return list(lumps)
     others = [replace(one, law=one.other or one.law, other=None) for one in lumps]
-    first, second = (attempt(axes, _first_tunings(axes)) for axes in (lumps, others))
+    first, second = attempt(lumps), attempt(others)
     return [other if second[one.name].merit < first[one.name].merit else one for one, other in zip(lumps, others)]
 
 
@@ -181,43 +176,35 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _tuned(
-    attempt: Callable[[Mapping[str, Tuning]], dict[str, Reproduction]],
-    tunings: dict[str, Tuning],
-    lumps: Sequence[AxisLumps],
-    say: Callable[[str], None],
-) -> tuple[dict[str, Tuning], dict[str, Reproduction]]:
+def _tuned(attempt: Attempt, lumps: Sequence[AxisLumps], say: Callable[[str], None]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
     """Speed controller of each axis by trial. All axes are tried at once, since their gaps are independent."""
-    best = attempt(tunings)
+    kept = {one.name: one for one in lumps}
+    best = attempt(list(kept.values()))
+
+    def changed(of: Iterable[str], change: Callable[[Law], dict[str, float]]) -> dict[str, AxisLumps]:
+        return {**kept, **{n: replace(kept[n], law=replace(kept[n].law, **change(kept[n].law))) for n in of}}  # type: ignore[arg-type]
+
     for _ in range(4):  # a speed controller may be too stiff for its cycles
-        if all(math.isfinite(one.gap) for one in best.values()):
+        if not (lost := [n for n, one in best.items() if not math.isfinite(one.gap)]):
             break
-        tunings = {n: replace(t, lag=1.8 * t.lag) if not math.isfinite(best[n].gap) else t for n, t in tunings.items()}
-        best = attempt(tunings)
-    kept = dict(tunings)
-    shown = {one.name for one in lumps if one.law.direct}
-    unmeasured = {one.name for one in lumps if not one.law.measured}
-
-    def trial(change: Callable[[Tuning], Tuning], of: set[str]) -> None:
-        nonlocal best, kept
-        if not of:
-            return
-        given = {n: change(t) if n in of else t for n, t in kept.items()}
-        found = attempt(given)
-        for name in of:
-            if math.isfinite(found[name].gap) and not found[name].merit >= best[name].merit:
-                kept, best = {**kept, name: given[name]}, {**best, name: found[name]}
-
-    adjustable = {one.name for one in lumps} - shown
+        kept = changed(lost, lambda law: {"lag": 1.8 * law.lag})
+        best = attempt(list(kept.values()))
+    adjustable = [one.name for one in lumps if not one.law.direct]
+    unmeasured = [one.name for one in lumps if not one.law.measured]
+    trials: list[tuple[list[str], Callable[[Law], dict[str, float]]]] = [
+        *((adjustable, lambda _, v=v: {"integral_time": v}) for v in INTEGRAL_TIMES_S),  # type: ignore[misc]
+        *((adjustable, lambda law, v=v: {"lag": v * law.lag}) for v in LAG_FACTORS),  # type: ignore[misc]
+        *((unmeasured, lambda law, v=v: {"delay": max(law.delay + v, 0.0)}) for v in DELAY_STEPS_S),  # type: ignore[misc]
+    ]
     for _ in range(2):
         say("trying speed controllers")
-        for integral in INTEGRAL_TIMES_S:
-            trial(lambda t, v=integral: replace(t, integral=v), adjustable)  # type: ignore[misc]
-        for factor in LAG_FACTORS:
-            trial(lambda t, v=factor: replace(t, lag=v * t.lag), adjustable)  # type: ignore[misc]
-        for step in DELAY_STEPS_S:
-            trial(lambda t, v=step: replace(t, delay=max(t.delay + v, 0.0)), unmeasured)  # type: ignore[misc]
-    return kept, best
+        for of, change in trials:
+            given = changed(of, change)
+            found = attempt(list(given.values())) if of else {}
+            for name in of:
+                if math.isfinite(found[name].gap) and not found[name].merit >= best[name].merit:
+                    kept, best = {**kept, name: given[name]}, {**best, name: found[name]}
+    return list(kept.values()), best
 
 
 def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:

@@ -1,24 +1,249 @@
-"""Identify a machine from a campaign in one call."""
+"""Identify a machine from a campaign: prepare the signals, regress, split products, fit drives in closed loop, judge on held-out motion."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+import math
+import os
 from pathlib import Path
+import time
 
-from twin.identify.campaign_fit import identify_campaign
-from twin.identify.result import Identification
+import numpy as np
+
+from twin.errors import InputError, SimulationError, TwinError
+from twin.identify.axis_run import axis_run
+from twin.identify.choice import choose_stages, gap_tables
+from twin.identify.delivered import delivered_effort
+from twin.identify.direct import Direct, Runs, direct_route
+from twin.identify.drive_balance import drive_reacts_to_load
+from twin.identify.drive_fit import fit_drives
+from twin.identify.findings import Finding
+from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs
+from twin.identify.parameters import (
+    LOOP_BOUNDS,
+    implausible_currents,
+    parameters_of,
+    unidentified,
+    with_drives,
+)
+from twin.identify.position_control import NOT_RECORDED
+from twin.identify.products import split_machine, split_products
+from twin.identify.recording import prepare_recording
+from twin.identify.result import Identification, Parameter
 from twin.machine.machine import Machine, load_machine
-from twin.recordings.campaign import Campaign, read_campaign
+from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
+from twin.simulation.lanes import with_commissioned_inertia
+from twin.simulation.recorded_noise import measurement_values
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import recorded_setpoints
+from twin.units import AXIS_UNITS
 
 
 def identify(
-    campaign: Campaign | str | Path, machine: Machine | None = None, *, refine: bool = True, progress: Callable[[str], None] | None = None
+    campaign: Campaign | str | Path,
+    machine: Machine | None = None,
+    *,
+    refine: bool = True,
+    torque_constant_tolerance: float | None = None,
+    gaps: bool = True,
+    progress: Callable[[str], None] | None = None,
 ) -> Identification:
     """Friction, inertia, gravity, gains and delays of a machine from its own traces, each with a 95 % interval.
 
     `campaign` is a campaign or its folder; `machine` the machine to start from. `refine` fits in closed loop what the regression leaves open.
-    In the result, `parameters` are in SI and `machine` is the identified machine. Raises InputError if the runs lack the needed signals.
+    `torque_constant_tolerance`: relative half width within which the torque constants are known (default: the machine file's
+    parameter_tolerance). `progress` is called with the name of each step when it begins. With `gaps` the result is judged on the held-out
+    motion; its `refused` then gives the reason if no machine file may be written. Without `gaps` the result is the machine of the regression,
+    even after a fit in closed loop. In the result, `parameters` are in SI and `machine` is the identified machine. Raises InputError if the
+    recording lacks the signals.
     """
     machine = machine or load_machine()
-    known = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)
-    return identify_campaign(machine, known, refine=refine, progress=progress)
+    campaign = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)
+    say = progress or (lambda _text: None)
+    clock: dict[str, float] = {}
+    started = time.perf_counter()
+    say("reading signals")
+    if by_bar := [run.name for run in campaign.runs if run.ballbar is not None]:
+        raise InputError(
+            f"{campaign.path}: run {by_bar[0]}: a ballbar measures the radius only, which identifies no parameter; give it to 'twin diagnose'"
+        )
+    machine = with_commissioned_inertia(machine)
+    recording = prepare_recording(machine, campaign)
+    division = divide_runs(machine, recording.runs)
+    if not any(r is not None and (r.current is not None or r.speed_setpoint is not None) for a in recording.axis_runs.values() for r in a):
+        raise InputError(
+            f"{campaign.path}: no run holds position with current or speed set point; record position, current and velocity_setpoint"
+        )
+    say("simulating instruments")
+    simulated = _simulated(machine, division)
+    say("regression")
+    direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
+    against = implausible_currents(direct)
+    if against:
+        recording = recording.without_current(against)
+        direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
+    splits = split_products(machine, direct, torque_constant_tolerance)
+    training = [division.runs[i] for i in division.training()]
+    noise = measurement_values(machine, training)
+    controlled = _with_noise(with_identified_control(machine, direct), noise)
+    found = _with_noise(with_identified_control(split_machine(machine, splits), direct), noise)
+    say("regression on the held-out motion")
+    checking = division.part(recording.axis_runs, fitted=False)
+    other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()
+    parameters = parameters_of(machine, direct, other, splits)
+    not_found, notes = position_control_findings(machine, direct)
+    findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
+    for one in (delivered_effort(axis, recording.runs) for axis in machine.axes):
+        if one is not None:
+            (findings if one.off else notes).append(Finding(one.text(), one.axis))
+    clock["regression"] = time.perf_counter() - started
+    stages = {"regression": found}
+    if refine:
+        refined, parameters, said = _resimulated(found, division, direct, parameters, against, say)
+        findings += said
+        clock["closed loop"] = time.perf_counter() - started
+        if refined is not None:
+            stages["refined"] = refined
+    findings += unidentified(machine, parameters)
+    best, route, refused, tables = found, "regression", "", {}
+    stage_of: dict[str, str] | None = None
+    if gaps:
+        say("gap on the held-out motion")
+        if direct.position:
+            stages["control"] = controlled
+        all_tables = gap_tables({"before": machine, **stages}, division)
+        choice = choose_stages(machine, stages, all_tables, division)
+        best, refused, stage_of = choice.machine, choice.refused, dict(choice.stage_of)
+        findings += choice.findings
+        route = next((name for name, m in stages.items() if m is best), "each axis by itself")
+        tables = {name: t for name, t in all_tables.items() if not isinstance(t, str)}
+        clock["gaps"] = time.perf_counter() - started
+    return Identification(
+        machine, best, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
+        tuple(r.name for r in training), _held_out_names(division), str(campaign.path),
+        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, tuple(notes),
+    )  # fmt: skip
+
+
+def _held_out_names(division: Division) -> tuple[str, ...]:
+    """Held-out runs and stretches of motion, as printed."""
+    names = [division.runs[i].name for i in division.held_out()]
+    stretches = [f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {a}" for a in division.by_stretch]
+    return (*names, *stretches)
+
+
+def _simulated(machine: Machine, division: Division) -> Runs | None:
+    """Noise-free simulation of the training runs with the machine file: the instruments. None if the machine file cannot follow the set points."""
+    training = division.training()
+
+    def one(i: int) -> MeasuredRun:
+        run = division.runs[i]
+        trace = simulate(
+            machine.with_feedforward(run.feedforward),
+            recorded_setpoints(run.trace, machine),
+            sample_period=run.trace.period,
+            started_at=run.started_at,
+        ).trace
+        return replace(run, trace=trace)
+
+    try:
+        with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+            twins = dict(zip(training, pool.map(one, training)))
+        return {a.name: [axis_run(machine, a, twins[i]) if i in twins else None for i in range(len(division.runs))] for a in machine.axes}
+    except TwinError:
+        return None
+
+
+def _resimulated(
+    found: Machine, division: Division, direct: Direct, parameters: list[Parameter], against: dict[str, Finding], say: Callable[[str], None]
+) -> tuple[Machine | None, list[Parameter], list[Finding]]:
+    """The closed-loop fit: its machine (None if it changed nothing), the parameters, and a finding if it failed."""
+    training = division.training()
+    rows = {a: [division.fitted[a][i] for i in training] for a in found.axis_names}
+    known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop} | direct.unexcited
+    say("drives in closed loop")
+    try:
+        fits = fit_drives(found, [division.runs[i] for i in training], rows, known, say, skipped=against)
+    except SimulationError as error:
+        return None, parameters, [Finding(f"drives not fitted in closed loop: {error}")]
+    return fits.machine if fits.axes else None, with_drives(parameters, found, fits), []
+
+
+WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
+"""Control values with a wider interval than this (relative; delays in seconds) do not replace the machine file's."""
+
+
+def known_load_findings(machine: Machine, direct: Direct) -> list[Finding]:
+    """Findings about axes whose drive does not react to the recorded outside load."""
+    out = []
+    for balance in direct.balance.values():
+        for name, rows in balance.rows.items():
+            if not drive_reacts_to_load(rows):
+                effort = machine.axis(name).effort
+                text = (
+                    f"the {effort} does not react to the recorded disturbance, so it already contains it; "
+                    'map it as signal = "injected_command"'
+                )
+                out.append(Finding(text, name))
+    return out
+
+
+def position_control_findings(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:
+    """Findings: why a position controller was not identified. Notes: further results about identified ones."""
+    findings, notes = [], []
+    for axis in machine.axes:
+        unit, factor = AXIS_UNITS[axis.kind].speed
+        reason = direct.unfitted.get(axis.name, "")
+        if reason and reason != NOT_RECORDED:
+            findings.append(Finding(f"position controller not identified: {reason}; the machine file's values are kept", axis.name))
+        found = direct.position.get(axis.name)
+        if found is not None:
+            rms = found.residual_rms * factor
+            notes.append(
+                Finding(f"position controller: residual of its law {rms:.2g} {unit} RMS of the recorded speed set point", axis.name)
+            )
+        if found is not None and found.interpolation != machine.setpoint_interpolation:
+            way = {"linear": "a straight line", "cubic": "a cubic spline"}[found.interpolation]
+            notes.append(Finding(f"the control interpolates set points between the NC's cycles with {way}", axis.name))
+        loop = direct.drive_loop.get(axis.name)
+        if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
+            notes.append(Finding(loop.evidence(unit, factor), axis.name))
+            notes.append(
+                Finding(
+                    f"lag of the speed loop behind its set point: {1e3 * loop.lag_s:.2f} ms (+-{1.96e3 * loop.lag_deviation:.2f} ms)",
+                    axis.name,
+                )
+            )
+    return findings, notes
+
+
+def with_identified_control(machine: Machine, direct: Direct) -> Machine:
+    """The machine with the identified control values and windings; values that were not identified keep the file's."""
+    values: dict[str, object] = {}
+    for axis in machine.axes:
+        for found in (direct.position.get(axis.name), direct.speed.get(axis.name)):
+            if found is None:
+                continue
+            for name, value in found.values.items():
+                half = found.quantile * found.deviations[name]
+                fixed = name == "feedforward_delay_s" and getattr(found, "from_recorded_feedforward", False)
+                if fixed or half < (WIDEST_DELAY_INTERVAL_S if name.endswith("delay_s") else WIDEST_INTERVAL * abs(value)):
+                    low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
+                    values[f"axis.{axis.name}.loops.{name}"] = float(np.clip(value, low, high))
+        loop = direct.drive_loop.get(axis.name)
+        if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
+            values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
+        mean = direct.current.get(axis.name)
+        if mean is not None and axis.actuator.electrical and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
+            names = (f"axis.{axis.name}.motor.{n}" for n in ("inductance_h", "resistance_ohm"))
+            values.update(zip(names, mean.fit.loop.winding))
+    ways = {p.interpolation for p in direct.position.values()}
+    if len(ways) == 1 and ways != {machine.setpoint_interpolation}:
+        values["control.setpoint_interpolation"] = ways.pop()
+    return machine.with_values(values)
+
+
+def _with_noise(machine: Machine, noise: dict[str, float]) -> Machine:
+    return machine.with_values({f"measurement.{k}": v for k, v in noise.items()}) if noise else machine

@@ -13,7 +13,7 @@ drive adds cogging and pre-sliding; docs/identify.md shows how much wider the in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
@@ -109,14 +109,6 @@ def plan_campaign(
     return Plan(tuple(replace(r, repeats=repeats) for r in runs), tuple(final))
 
 
-def move(distance: float, speed: float, acceleration: float, jerk: float, period: float) -> np.ndarray:
-    """Jerk-limited rest-to-rest move from 0 (sample,)."""
-    if distance == 0.0:
-        return np.zeros(1)
-    lasts = time_of_move(distance, speed, acceleration, jerk)
-    return jerk_limited_move(distance, speed, acceleration, jerk, sample_times(lasts, period))
-
-
 def _reach(axis: Axis) -> tuple[float, float]:
     """Middle and half width of the range of the moves: the travel, at most 0.45 m or 140 degrees each way."""
     low, high = axis.travel
@@ -126,33 +118,33 @@ def _reach(axis: Axis) -> tuple[float, float]:
     return 0.5 * (low + high), min(SHARE * 0.5 * (high - low), widest)
 
 
-def _path(machine: Machine, start: dict[str, float], moves: Sequence[tuple[str, float, float]], name: str, feedforward: str) -> PlannedRun:
-    """A run of consecutive moves (axis, target, speed) with dwells between them."""
-    period = machine.sample_period
-    refuse_above(_lasts(machine, start, moves) / period, MOST_SETPOINTS, "set points", "[measurement]: sample_period_us", "lengthen it")
-    at = dict(start)
-    rows = [np.tile(list(at.values()), (round(DWELL_S / period), 1))]
-    order = list(at)
-    blocks = []
-    for axis_name, target, speed in moves:
-        axis = machine.axis(axis_name)
-        shape = move(target - at[axis_name], speed, SHARE * axis.max_acceleration, SHARE * axis.max_jerk, period)
-        part = np.tile(list(at.values()), (len(shape), 1))
-        part[:, order.index(axis_name)] += shape
-        at[axis_name] = target
-        blocks.append(({axis_name: target}, speed))
-        rows += [part[1:], np.tile(list(at.values()), (round(DWELL_S / period), 1))]
-    return PlannedRun(name, feedforward, Setpoints(np.vstack(rows), period), 1, tuple(blocks))
+Move = tuple[dict[str, float], float, float]
+"""A straight move to targets by axis [axis units], with shares of the permitted speed and acceleration."""
 
 
-def _lasts(machine: Machine, start: Mapping[str, float], moves: Sequence[tuple[str, float, float]]) -> float:
-    """Duration of moves (axis, target, speed) with their dwells [s]."""
-    at, lasts = dict(start), DWELL_S
-    for name, target, speed in moves:
-        axis, distance = machine.axis(name), target - at[name]
-        lasts += DWELL_S + (time_of_move(distance, speed, SHARE * axis.max_acceleration, SHARE * axis.max_jerk) if distance else 0.0)
-        at[name] = target
-    return lasts
+def _path(machine: Machine, moves: Sequence[Move], name: str, feedforward: str) -> PlannedRun:
+    """A run of consecutive moves from the middle of the travels, with dwells between them."""
+    period, begin, at = machine.sample_period, DWELL_S, _home(machine)
+    start, ways, blocks = np.array(list(at.values())), [], []
+    for targets, speed_share, acceleration_share in moves:
+        way = np.array([targets.get(axis, here) - here for axis, here in at.items()])
+        if not way.any():
+            continue
+        # in shares of the way, as fast as the slowest axis goes
+        permitted = [(speed_share * a.max_velocity, acceleration_share * a.max_acceleration, SHARE * a.max_jerk) for a in machine.axes]
+        speed, acceleration, jerk = (min(limits[i] / abs(d) for limits, d in zip(permitted, way) if d) for i in range(3))
+        ways.append((begin, way, (speed, acceleration, jerk)))
+        # the feed of the control is the path speed of the linear axes, or the speed of the first axis if there are none
+        lead = [d for a, d in zip(machine.axes, way) if a.kind == "linear" and d] or [d for d in way if d][:1]
+        blocks.append((targets, float(np.linalg.norm(lead) * speed)))
+        begin += time_of_move(1.0, speed, acceleration, jerk) + DWELL_S
+        at |= targets
+    refuse_above(begin / period, MOST_SETPOINTS, "set points", "[measurement]: sample_period_us", "lengthen it")
+    times = sample_times(begin, period)
+    position = np.tile(start, (len(times), 1))
+    for since, way, limits in ways:
+        position += way * jerk_limited_move(1.0, *limits, times - since)[:, None]
+    return PlannedRun(name, feedforward, Setpoints(position, period), 1, tuple(blocks))
 
 
 def _home(machine: Machine) -> dict[str, float]:
@@ -161,65 +153,55 @@ def _home(machine: Machine) -> dict[str, float]:
 
 def constant_speeds(machine: Machine, axes: Sequence[Axis], name: str = "plan_constant_speeds") -> PlannedRun:
     """A run with constant speeds in both directions from creeping to rapid, one axis after the other."""
-    moves = []
+    moves: list[Move] = []
     for axis in axes:
         middle, half = _reach(axis)
         for share in LADDER:
             v = SHARE * share * axis.max_velocity
             ramp = v * (v / (SHARE * axis.max_acceleration) + SHARE * axis.max_acceleration / (SHARE * axis.max_jerk))
             stretch = min(half, 0.5 * (v * SPEED_TIME_S + ramp))
-            moves += [(axis.name, middle + stretch, v), (axis.name, middle - stretch, v)]
-        moves.append((axis.name, middle, SHARE * 0.45 * axis.max_velocity))
-    return _path(machine, _home(machine), moves, name, "velocity")
+            moves += [({axis.name: middle + way}, SHARE * share, SHARE) for way in (stretch, -stretch)]
+        moves.append(({axis.name: middle}, SHARE * 0.45, SHARE))
+    return _path(machine, moves, name, "velocity")
 
 
 def _acceleration_runs(machine: Machine) -> list[PlannedRun]:
     """Accelerated moves of two lengths, with and without feedforward."""
-    moves = []
+    moves: list[Move] = []
     for axis in machine.axes:
         middle, half = _reach(axis)
         short = min(half, (0.06 if axis.kind == "linear" else math.radians(25.0)))
-        for reach in (short, -short, short, -short, 0.5 * (short + half) if short < half else short):
-            moves.append((axis.name, middle + reach, SHARE * axis.max_velocity))
-        moves.append((axis.name, middle, SHARE * axis.max_velocity))
-    return [_path(machine, _home(machine), moves, f"plan_accelerations_{f.replace('+', '_')}", f) for f in ("off", "velocity+torque")]
+        long = 0.5 * (short + half) if short < half else short
+        moves += [({axis.name: middle + reach}, SHARE, SHARE) for reach in (short, -short, short, -short, long, 0.0)]
+    return [_path(machine, moves, f"plan_accelerations_{f.replace('+', '_')}", f) for f in ("off", "velocity+torque")]
 
 
 def _table_runs(machine: Machine) -> list[PlannedRun]:
     """Slow turns of A over its range at several angles of C, and of C at several angles of A."""
     if not tilting_pair.has_pair(machine):
         return []
-    a, c = machine.axis("A"), machine.axis("C")
-    (low_a, middle_a, high_a), (low_c, middle_c, high_c) = ((m - half, m, m + half) for m, half in (_reach(a), _reach(c)))
-    slow_a, slow_c = 0.35 * a.max_velocity, 0.5 * c.max_velocity
-    moves = []
-    for turn in (low_c, middle_c, high_c):
-        moves += [("C", turn, slow_c), ("A", low_a, slow_a), ("A", high_a, slow_a)]
-    for tilt in (low_a, middle_a):
-        moves += [("A", tilt, slow_a), ("C", low_c, slow_c), ("C", high_c, slow_c)]
-    return [_path(machine, _home(machine), moves, "plan_table", "velocity+torque")]
+    (low_a, middle_a, high_a), (low_c, middle_c, high_c) = ((m - half, m, m + half) for m, half in map(_reach, map(machine.axis, "AC")))
+    turns = [
+        ("C", low_c),
+        ("A", low_a),
+        ("A", high_a),
+        ("C", middle_c),
+        ("A", low_a),
+        ("A", high_a),
+        ("C", high_c),
+        ("A", low_a),
+        ("A", high_a),
+    ]
+    tilts = [("A", low_a), ("C", low_c), ("C", high_c), ("A", middle_a), ("C", low_c), ("C", high_c)]
+    slow = {"A": 0.35, "C": 0.5}
+    return [_path(machine, [({n: target}, slow[n], SHARE) for n, target in (*turns, *tilts)], "plan_table", "velocity+torque")]
 
 
 def _check_runs(machine: Machine) -> list[PlannedRun]:
     """A run with all axes at once on straight lines, held out as a check."""
-    period = machine.sample_period
-    at = np.array(list(_home(machine).values()))
-    dwell = np.tile(at, (round(DWELL_S / period), 1))
-    rows, blocks = [dwell], []
-    for share in (0.2, -0.1, 0.3, 0.0):
-        target = np.array([middle + share * half for middle, half in map(_reach, machine.axes)])
-        way = target - at
-        # the share of the way, as fast as the slowest axis goes
-        speed, acceleration, jerk = (
-            min(SHARE * limit(a) / abs(d) for a, d in zip(machine.axes, way))
-            for limit in (lambda a: 0.6 * a.max_velocity, lambda a: 0.6 * a.max_acceleration, lambda a: a.max_jerk)
-        )
-        rows += [at + way * move(1.0, speed, acceleration, jerk, period)[1:, None], np.tile(target, (len(dwell), 1))]
-        # the feed of the control is the path speed of the linear axes, or the speed of the first axis if there are none
-        lead = [d for a, d in zip(machine.axes, way) if a.kind == "linear"] or way[:1]
-        blocks.append((dict(zip(machine.axis_names, target.tolist())), float(np.linalg.norm(lead)) * speed))
-        at = target
-    return [PlannedRun("plan_check", "velocity+torque", Setpoints(np.vstack(rows), period), 1, tuple(blocks))]
+    reaches = {axis.name: _reach(axis) for axis in machine.axes}
+    ends = [{name: middle + share * half for name, (middle, half) in reaches.items()} for share in (0.2, -0.1, 0.3, 0.0)]
+    return [_path(machine, [(end, 0.6 * SHARE, 0.6 * SHARE) for end in ends], "plan_check", "velocity+torque")]
 
 
 PREDICTED = (

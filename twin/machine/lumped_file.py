@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
@@ -29,9 +29,12 @@ _COMMAND_UNIT = {"current": "A", "voltage": "V", "torque": "Nm"}
 G = 9.81
 
 
+LEAST_LAG_S = 0.5e-3
+
+
 @dataclass(frozen=True)
 class Law:
-    """Position controller: gain [1/s], delays [s], feedforward weight. `measured`: read from the control's own signals, else assumed."""
+    """Control of an axis: position gain [1/s], delays [s], feedforward weight. `measured`: read from the control's own signals, else assumed."""
 
     gain: float
     delay: float
@@ -39,14 +42,14 @@ class Law:
     feedforward_delay: float
     measured: bool = True
     dsc_delay: float = 0.0
-    lag: float = 0.0  # of the speed loop
-    integral_time: float = math.nan  # of the speed controller; inf: it has none, NaN: the recording does not show it
+    lag: float = LEAST_LAG_S  # of the speed loop
+    integral_time: float = 0.02  # of the speed controller; inf: it has none
     speed_gain: float = 0.0  # command per m/s; 0: derived from the lag
     mean_cycles: int = 0
 
     @property
     def direct(self) -> bool:
-        """True if the recorded command shows the speed controller."""
+        """True if the recorded command shows the speed controller; else its lag and integral time are tried."""
         return self.speed_gain > 0.0
 
 
@@ -107,23 +110,14 @@ class AxisLumps:
         return self.mechanics.forces if self.mechanics else None
 
 
-@dataclass(frozen=True)
-class Tuning:
-    """Speed controller and delay of one axis, found by trial."""
-
-    lag: float
-    integral: float
-    delay: float
-
-
-def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], tunings: Mapping[str, Tuning], source: str) -> None:
+def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], source: str) -> None:
     """Write the machine file and, beside it, its model; `source` names the recording."""
     model = out.with_suffix(".xml")
     lines = _head(out, model, lumps, source)
     bodies = []
     for i, one in enumerate(lumps):
         vertical = _hangs(one)
-        lines += _axis(one, tunings[one.name], vertical)
+        lines += _axis(one, vertical)
         bodies.append(_body(one, i, vertical))
     lines += _measurement(lumps)
     write_whole(model, _MODEL.format(name=_xml(out.stem), source=_xml(source), bodies="\n".join(bodies)))
@@ -176,7 +170,7 @@ def _part_of(period: float, longest: float) -> float:
     return period / math.ceil(period / longest - 1e-9)
 
 
-def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
+def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     linear, m = one.kind == "linear", one.forces
     per, drive = ("m", "direct") if linear else ("rad", "gear")
     unit = _COMMAND_UNIT[m.effort] if m else "Nm"
@@ -213,7 +207,7 @@ def _axis(one: AxisLumps, tuning: Tuning, vertical: bool) -> list[str]:
     if m and not vertical and abs(m.constant) >= SMALL_FORCE * m.peak:
         said = f"{lumped}: {unit}; one recording cannot separate weight, counterbalance and one-way friction"
         numbers["constant_torque_nm"] = m.constant, said
-    numbers |= _actuator(one) | _loops(one, tuning, one.mechanics.inertia if one.mechanics else inertia)
+    numbers |= _actuator(one) | _loops(one, one.mechanics.inertia if one.mechanics else inertia)
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
     return axis_lines(one.name, drive, {"": words, "actuator": [command]}, numbers, {}, "")
 
@@ -257,26 +251,24 @@ def _actuator(one: AxisLumps) -> Numbers:
     return {**constant, f"actuator.{effort.peak}": _peak(one, m)}
 
 
-def _loops(one: AxisLumps, tuning: Tuning, inertia: float) -> Numbers:
+def _loops(one: AxisLumps, inertia: float) -> Numbers:
     """Gains and delays; a speed gain is given per unit of the command."""
     law = one.law
     known = speed_gains(one.mechanics.effort if one.mechanics else "torque")
     gain = next(key for key, _, at_axis in reversed(known) if one.kind == "linear" or not at_axis)
     said = "measured" if law.measured else ASSUMED
-    tried = f"{TRIED}: {LUMP} over a lag of {tuning.lag * 1e3:.3g} ms"
+    tried = f"{TRIED}: {LUMP} over a lag of {law.lag * 1e3:.3g} ms"
     numbers: dict[str, tuple[float, str]] = {
         "position_gain_per_s": (law.gain, said),
-        gain: (law.speed_gain, "measured") if law.speed_gain else (inertia / tuning.lag, tried),
+        gain: (law.speed_gain, "measured") if law.speed_gain else (inertia / law.lag, tried),
     }
-    if math.isnan(law.integral_time):
-        numbers["speed_integral_time_s"] = tuning.integral, TRIED
-    elif math.isfinite(law.integral_time):
-        numbers["speed_integral_time_s"] = law.integral_time, "measured"
+    if math.isfinite(law.integral_time):
+        numbers["speed_integral_time_s"] = law.integral_time, "measured" if law.direct else TRIED
     if law.mean_cycles:
         numbers["speed_mean_cycles"] = law.mean_cycles, "measured: the speed is a difference of positions this many cycles apart"
     numbers["velocity_feedforward"] = law.feedforward, said
-    numbers["position_delay_s"] = tuning.delay, said
-    numbers["feedforward_delay_s"] = law.feedforward_delay if law.measured else tuning.delay, said
+    numbers["position_delay_s"] = law.delay, said
+    numbers["feedforward_delay_s"] = law.feedforward_delay if law.measured else law.delay, said
     if law.dsc_delay:
         numbers["dsc_delay_s"] = law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"
     return {f"loops.{key}": number for key, number in numbers.items()}

@@ -10,11 +10,10 @@ overlay.rrd                 both runs in one recording, for `twin replay`
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 import textwrap
 from typing import Any
-
-import numpy as np
 
 from twin.files import output_folder, write_json, write_whole
 from twin.machine.machine import Machine
@@ -51,19 +50,7 @@ def write_evidence(
 
 def check_table(check: Check) -> dict[str, Any]:
     """A check as a JSON table."""
-    allowed = check.allowed if np.isfinite(check.allowed) else None
-    found = check.found if np.isfinite(check.found) else None
-    return {
-        "quantity": check.quantity,
-        "axis": check.axis,
-        "unit": check.unit,
-        "ok": check.ok,
-        "found": found,
-        "allowed": allowed,
-        "golden": check.golden,
-        "now": check.now,
-        "since_s": check.since_s,
-    }
+    return {"ok": check.ok} | {key: value for key, value in asdict(check).items() if key != "block"}
 
 
 def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, place: Place | None, text: str, path: Path) -> None:

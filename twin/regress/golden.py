@@ -11,7 +11,9 @@ from datetime import date
 from importlib.metadata import version
 import json
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any
+
+import msgspec
 
 from twin.documents import read_json_table
 from twin.errors import InputError
@@ -23,7 +25,6 @@ from twin.replay.events import Event
 
 FORMAT = 1
 """Format of the files; other formats are refused."""
-_Kept = TypeVar("_Kept", Feature, Event)
 VERSIONED = ("mujoco", "numba", "numpy", "scipy")
 
 
@@ -76,13 +77,11 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
             )
         if of_this_case and document["case"] != case.digest():
             raise InputError(f"{case.where} has changed since its golden result of {document['history'][-1]['date']}; {update}")
-        features = {name: _of(Feature, table) for name, table in document["features"].items()}
-        events = tuple(_of(Event, table) for table in document["events"])
-        found = Golden(features, None, events, dict(document["versions"]), list(document["history"]), str(document["case"]))
-        has_trace = document["trace"]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        kept = msgspec.convert(document, _Document)
+    except (OSError, ValueError, LookupError, TypeError, msgspec.ValidationError) as error:
         raise InputError(f"{file}: not a golden result ({type(error).__name__}: {error}); restore it, or {update}") from None
-    if not has_trace:
+    found = Golden(kept.features, None, kept.events, kept.versions, kept.history, kept.case)
+    if not kept.trace:
         return found
     if not traced.is_file():
         raise InputError(f"{case.where}: the golden trace {traced} is missing; restore it, or {update}")
@@ -92,14 +91,15 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
         raise InputError(f"{' '.join(str(error).split())}; restore it, or {update}") from None
 
 
-def _of(kind: type[_Kept], table: Mapping[str, Any]) -> _Kept:
-    """The dataclass of a table; TypeError if a value does not have its field's type."""
-    found = kind(**table)
-    for name, wanted in get_type_hints(kind).items():
-        value = getattr(found, name)
-        if not isinstance(value, wanted) and not (isinstance(value, int) and isinstance(1.0, wanted)):
-            raise TypeError(f"{name} = {value!r:.40}")
-    return found
+class _Document(msgspec.Struct):
+    """The JSON file of a golden result."""
+
+    case: str
+    versions: dict[str, str]
+    history: list[dict[str, Any]]
+    trace: bool
+    features: dict[str, Feature]
+    events: tuple[Event, ...]
 
 
 def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]], reason: str, changed: int) -> None:

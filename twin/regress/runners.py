@@ -171,10 +171,10 @@ def _gap(case: Case, machine: Machine) -> Outcome:
 
 
 def _identify(case: Case, machine: Machine) -> Outcome:
-    from twin.identify.campaign_fit import identify_campaign
+    from twin.identify.identify import identify
 
     with tempfile.TemporaryDirectory() as folder:
-        found = identify_campaign(machine, _campaign(case, machine, Path(folder)), refine=False, gaps=False)
+        found = identify(_campaign(case, machine, Path(folder)), machine, refine=False, gaps=False)
     features = {}
     for p in found.parameters:
         features[f"{p.axis}.{p.name}"] = Feature(p.value.value, p.unit, p.axis, "identification", 0.5 * (p.value.high - p.value.low))

@@ -6,13 +6,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
-import json
 from pathlib import Path
 import re
 from typing import Any
 from xml.etree import ElementTree
 
-from twin.files import stamped, write_whole
+from twin.files import write_json, write_whole
 from twin.regress.evidence import check_table
 from twin.regress.golden import versions
 from twin.regress.run_suite import BROKEN, FAILED, SKIPPED, Verdict
@@ -118,11 +117,8 @@ def junit(verdicts: Sequence[Verdict], seconds: float) -> ElementTree.Element:
 
 def write_results(verdicts: Sequence[Verdict], seconds: float, junit_file: Path, json_file: Path) -> None:
     """Write the JUnit XML and the JSON file."""
-    for path, text in (
-        (junit_file, ElementTree.tostring(junit(verdicts, seconds), encoding="unicode", xml_declaration=True) + "\n"),
-        (json_file, json.dumps(stamped(document(verdicts, seconds), "regress"), indent=1, allow_nan=False) + "\n"),
-    ):
-        write_whole(path, text)
+    write_whole(junit_file, ElementTree.tostring(junit(verdicts, seconds), encoding="unicode", xml_declaration=True) + "\n")
+    write_json(document(verdicts, seconds), json_file, "regress")
 
 
 def _plain(text: str) -> str:
