@@ -10,7 +10,7 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, usual_runs
 from tests.builders.other_structures import write_slides
-from twin.identify.choice import _assembled
+from twin.identify.chosen_values import _assembled
 from twin.identify.identify import identify
 from twin.identify.write import machine_comments
 from twin.machine.machine import Machine, load_machine

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import campaign, recorded, with_signal
-from twin.identify.delivered import delivered_effort
+from twin.identify.effort_delivered import delivered_effort
 from twin.identify.identify import identify
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun

@@ -8,10 +8,10 @@ import pytest
 from tests.builders.identify_campaigns import campaign
 from tests.builders.other_structures import write_slides
 from twin.geometry.scurve import moves_in_turn
-from twin.identify.direct import direct_route
 from twin.identify.drive_fit import fit_drives
 from twin.identify.parameters import with_drives
 from twin.identify.recording import prepare_recording
+from twin.identify.regressions import regress_blocks
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
@@ -89,7 +89,7 @@ def test_without_gravity_in_the_file_the_balance_has_no_gravity_columns(tmp_path
     found = {}
     for gravity in (9.81, 0.0):
         there = with_commissioned_inertia(machine.with_values({"gravity_m_per_s2": gravity}))
-        found[gravity] = direct_route(there, prepare_recording(there, campaign([run])).axis_runs).balance["B"]
+        found[gravity] = regress_blocks(there, prepare_recording(there, campaign([run])).axis_runs).balance["B"]
     assert {"gravity_cos", "gravity_sin"} <= set(found[9.81].names)
     assert not {"gravity_cos", "gravity_sin"} & set(found[0.0].names)
     assert found[0.0].fit.deviations[0] < found[9.81].fit.deviations[0]

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import PERIOD, SHORT_QUICK, campaign
-from twin.identify.direct import direct_route
 from twin.identify.from_recording import machine_from_recording
 from twin.identify.identify import known_load_findings
 from twin.identify.recording import prepare_recording
+from twin.identify.regressions import regress_blocks
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
@@ -41,7 +41,7 @@ def test_identification_accounts_for_a_known_load(mikron: Machine) -> None:
     axis = machine.axis("X")
 
     def inertia_and_friction(one: MeasuredRun) -> np.ndarray:
-        found = direct_route(machine, prepare_recording(machine, campaign([one])).axis_runs).balance["X"].fit.values[:2]
+        found = regress_blocks(machine, prepare_recording(machine, campaign([one])).axis_runs).balance["X"].fit.values[:2]
         return found / [axis.commissioned_inertia, axis.coulomb_friction * axis.ratio]
 
     with_load = inertia_and_friction(run)
@@ -59,7 +59,7 @@ def test_a_load_without_reaction_of_the_drive_is_reported_as_part_of_its_command
     signals = {**run.trace.signals, ("X", "current"): run.trace.get("X", "current") + held}
     injected = replace(run, trace=replace(run.trace, signals=signals))
     said = [
-        known_load_findings(machine, direct_route(machine, prepare_recording(machine, campaign([r])).axis_runs)) for r in (run, injected)
+        known_load_findings(machine, regress_blocks(machine, prepare_recording(machine, campaign([r])).axis_runs)) for r in (run, injected)
     ]
     assert said[0] == []
     assert [f.axis for f in said[1]] == ["X"]

@@ -4,7 +4,7 @@
 
 i is the mean current of a position cycle (`between_samples`). T is the time skew between current and motion, some ten microseconds that
 would otherwise look like viscous friction. T_out is a recorded outside load as torque at the motor. The torque constant is the machine
-file's, so J, Fc, Fv and G are known as products with it only; `products` splits them.
+file's, so J, Fc, Fv and G are known as products with it only; `torque_constants` splits them.
 """
 
 from __future__ import annotations

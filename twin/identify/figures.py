@@ -9,9 +9,9 @@ import numpy as np
 
 from twin.estimate.regression import whiteness
 from twin.identify.axis_run import slides_above
-from twin.identify.direct import Balance
 from twin.identify.drive_balance import ROW_STRIDE
 from twin.identify.parameters import FIRST_MOMENTS
+from twin.identify.regressions import Balance
 from twin.identify.result import Identification
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure

@@ -14,11 +14,10 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
-from twin.identify.choice import choose_stages, gap_tables
-from twin.identify.delivered import delivered_effort
-from twin.identify.direct import Direct, Runs, direct_route
+from twin.identify.chosen_values import choose_stages, gap_tables
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
+from twin.identify.effort_delivered import delivered_effort
 from twin.identify.findings import Finding
 from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs
 from twin.identify.parameters import (
@@ -29,9 +28,10 @@ from twin.identify.parameters import (
     with_drives,
 )
 from twin.identify.position_control import NOT_RECORDED
-from twin.identify.products import split_machine, split_products
 from twin.identify.recording import prepare_recording
+from twin.identify.regressions import Regressions, Runs, regress_blocks
 from twin.identify.result import Identification, Parameter
+from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
 from twin.simulation.lanes import with_commissioned_inertia
@@ -79,11 +79,11 @@ def identify(
     say("simulating instruments")
     simulated = _simulated(machine, division)
     say("regression")
-    direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
+    direct = regress_blocks(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
     against = implausible_currents(direct)
     if against:
         recording = recording.without_current(against)
-        direct = direct_route(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
+        direct = regress_blocks(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
     splits = split_products(machine, direct, torque_constant_tolerance)
     training = [division.runs[i] for i in division.training()]
     noise = measurement_values(machine, training)
@@ -91,7 +91,7 @@ def identify(
     found = _with_noise(with_identified_control(split_machine(machine, splits), direct), noise)
     say("regression on the held-out motion")
     checking = division.part(recording.axis_runs, fitted=False)
-    other = direct_route(machine, checking) if any(r is not None for a in checking.values() for r in a) else Direct()
+    other = regress_blocks(machine, checking) if any(r is not None for a in checking.values() for r in a) else Regressions()
     parameters = parameters_of(machine, direct, other, splits)
     not_found, notes = position_control_findings(machine, direct)
     findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
@@ -157,7 +157,12 @@ def _simulated(machine: Machine, division: Division) -> Runs | None:
 
 
 def _resimulated(
-    found: Machine, division: Division, direct: Direct, parameters: list[Parameter], against: dict[str, Finding], say: Callable[[str], None]
+    found: Machine,
+    division: Division,
+    direct: Regressions,
+    parameters: list[Parameter],
+    against: dict[str, Finding],
+    say: Callable[[str], None],
 ) -> tuple[Machine | None, list[Parameter], list[Finding]]:
     """The closed-loop fit: its machine (None if it changed nothing), the parameters, and a finding if it failed."""
     training = division.training()
@@ -175,7 +180,7 @@ WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
 """Control values with a wider interval than this (relative; delays in seconds) do not replace the machine file's."""
 
 
-def known_load_findings(machine: Machine, direct: Direct) -> list[Finding]:
+def known_load_findings(machine: Machine, direct: Regressions) -> list[Finding]:
     """Findings about axes whose drive does not react to the recorded outside load."""
     out = []
     for balance in direct.balance.values():
@@ -190,7 +195,7 @@ def known_load_findings(machine: Machine, direct: Direct) -> list[Finding]:
     return out
 
 
-def position_control_findings(machine: Machine, direct: Direct) -> tuple[list[Finding], list[Finding]]:
+def position_control_findings(machine: Machine, direct: Regressions) -> tuple[list[Finding], list[Finding]]:
     """Findings: why a position controller was not identified. Notes: further results about identified ones."""
     findings, notes = [], []
     for axis in machine.axes:
@@ -219,7 +224,7 @@ def position_control_findings(machine: Machine, direct: Direct) -> tuple[list[Fi
     return findings, notes
 
 
-def with_identified_control(machine: Machine, direct: Direct) -> Machine:
+def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
     """The machine with the identified control values and windings; values that were not identified keep the file's."""
     values: dict[str, object] = {}
     for axis in machine.axes:

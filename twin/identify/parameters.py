@@ -9,15 +9,15 @@ import math
 import numpy as np
 
 from twin.identify import tilting_pair
-from twin.identify.direct import Direct
 from twin.identify.drive_fit import DriveFits
 from twin.identify.drive_position_loop import DrivePositionLoop
 from twin.identify.drive_residuals import MODE, RANGES, TIMES
 from twin.identify.findings import Finding
 from twin.identify.position_control import PositionControl
-from twin.identify.products import Split, is_vertical
+from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
 from twin.identify.speed_control import SpeedControl
+from twin.identify.torque_constants import Split, is_vertical
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD, parameter
 from twin.machine.toleranced import TOLERANCED, field_value, path_of
@@ -29,7 +29,7 @@ FRICTIONS = ("coulomb_friction", "viscous_friction")
 FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
 
 
-def parameters_of(machine: Machine, direct: Direct, other: Direct, splits: dict[str, Split]) -> list[Parameter]:
+def parameters_of(machine: Machine, direct: Regressions, other: Regressions, splits: dict[str, Split]) -> list[Parameter]:
     """All parameters in the order of the axes: control, mechanics at the motor, moments of the table at the axes.
 
     `direct` is the regression on the training rows, `other` that on the held-out rows (empty: none).
@@ -56,7 +56,7 @@ def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     return p.unit(axis.drive), float(getattr(axis.loops if in_loops else axis, name)), machine.in_file(f"axis.{axis.name}.{key}", 0.0)[0]
 
 
-def _control(machine: Machine, axis: Axis, direct: Direct, other: Direct, splits: dict[str, Split]) -> Iterator[Parameter]:
+def _control(machine: Machine, axis: Axis, direct: Regressions, other: Regressions, splits: dict[str, Split]) -> Iterator[Parameter]:
     """Position and speed controller of one axis."""
     for block, check in (
         (direct.position.get(axis.name), other.position.get(axis.name)),
@@ -81,7 +81,7 @@ def _range_of(block: PositionControl | SpeedControl | DrivePositionLoop | None, 
     return Range.around(block.values[name], block.deviations[name] * block.quantile)
 
 
-def _mechanics(machine: Machine, axis: Axis, direct: Direct, other: Direct, splits: dict[str, Split]) -> Iterator[Parameter]:
+def _mechanics(machine: Machine, axis: Axis, direct: Regressions, other: Regressions, splits: dict[str, Split]) -> Iterator[Parameter]:
     """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A."""
     key = next((k for k in direct.balance if axis.name in k.split()), None)
     if key is None:
@@ -170,7 +170,7 @@ PREREQUISITES = {
 """If these parameters were identified but the first was not, the runs do not excite it although the signals are recorded."""
 
 
-def implausible_currents(direct: Direct) -> dict[str, Finding]:
+def implausible_currents(direct: Regressions) -> dict[str, Finding]:
     """Axes whose inertia or Coulomb friction is significantly negative: their recorded current does not drive this motion."""
     out: dict[str, Finding] = {}
     for key, balance in direct.balance.items():

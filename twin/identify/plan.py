@@ -25,10 +25,10 @@ from twin.files import write_json, write_whole
 from twin.geometry.scurve import jerk_limited_move, sample_times, time_of_move
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, axis_run
-from twin.identify.direct import Direct, direct_route
 from twin.identify.parameters import parameters_of
-from twin.identify.products import split_products
+from twin.identify.regressions import Regressions, regress_blocks
 from twin.identify.result import Parameter
+from twin.identify.torque_constants import split_products
 from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
@@ -227,8 +227,8 @@ def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[s
                     runs_seen[axis.name].append(axis_run(machine, axis, measured))
             if progress:
                 progress(f"simulating {run.name}")
-        direct = direct_route(machine, seen, quiet)
-        table = parameters_of(machine, direct, Direct(), split_products(machine, direct))
+        direct = regress_blocks(machine, seen, quiet)
+        table = parameters_of(machine, direct, Regressions(), split_products(machine, direct))
         halves.append({(p.axis, p.name): p for p in table})
     out = []
     for key, p in halves[0].items():

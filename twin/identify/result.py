@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from twin.identify.direct import Direct
 from twin.identify.findings import ChannelSkew, Finding
+from twin.identify.regressions import Regressions
 from twin.machine.machine import Machine
 
 SYMMETRIC = 0.2
@@ -74,7 +74,7 @@ class Identification:
     parameters: tuple[Parameter, ...]
     findings: tuple[Finding, ...]
     skews: tuple[ChannelSkew, ...]
-    direct: Direct
+    direct: Regressions
     training: tuple[str, ...]
     held_out: tuple[str, ...]
     campaign: str

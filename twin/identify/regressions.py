@@ -33,7 +33,7 @@ class Balance:
 
 
 @dataclass(frozen=True)
-class Direct:
+class Regressions:
     """Results of the regression by block; each table lacks the axes whose signals were not recorded."""
 
     position: dict[str, PositionControl] = field(default_factory=dict)
@@ -50,9 +50,11 @@ class Direct:
         return {(a, f) for a, b in self.balance.items() if " " not in a for f, seen in zip(fields, b.fit.seen) if not seen}
 
 
-def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, progress: Callable[[str], None] | None = None) -> Direct:
+def regress_blocks(
+    machine: Machine, runs: Runs, simulated: Runs | None = None, progress: Callable[[str], None] | None = None
+) -> Regressions:
     """Regress all blocks; `simulated` holds the same runs of a noise-free simulation, the instruments of the speed controller."""
-    out = Direct()
+    out = Regressions()
     moving = {name: [r for r in axis_runs if r is not None] for name, axis_runs in runs.items()}
     for axis in machine.axes:
         here = moving.get(axis.name, [])
@@ -103,7 +105,7 @@ def direct_route(machine: Machine, runs: Runs, simulated: Runs | None = None, pr
     return out
 
 
-def _one_interpolation(machine: Machine, moving: Mapping[str, Sequence[AxisRun]], out: Direct) -> None:
+def _one_interpolation(machine: Machine, moving: Mapping[str, Sequence[AxisRun]], out: Regressions) -> None:
     """A control has one interpolation for all axes: if an axis shows another one than the file's, fit the other axes again with it."""
     shown = [p.interpolation for p in out.position.values() if p.interpolation != machine.setpoint_interpolation]
     for name, found in list(out.position.items()):
@@ -121,7 +123,7 @@ def _partners(machine: Machine, axis: Axis, runs: Runs) -> list[AxisRun | None]:
     return [b for a, b in zip(runs[axis.name], runs[other]) if a is not None]
 
 
-def _balances(machine: Machine, runs: Runs, out: Direct, iterations: int) -> None:
+def _balances(machine: Machine, runs: Runs, out: Regressions, iterations: int) -> None:
     """Torque balances of all axes; mean current and inertia are updated alternately."""
     paired = tilting_pair.has_pair(machine) and {"A", "C"} <= out.current.keys()
     for _ in range(iterations):
@@ -144,7 +146,7 @@ def _balances(machine: Machine, runs: Runs, out: Direct, iterations: int) -> Non
                     _update(out, name, fit.values[k] * machine.axis(name).ratio ** 2, fit.seen[k])
 
 
-def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs | None, out: Direct) -> None:
+def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs | None, out: Regressions) -> None:
     """The speed controller of one axis; the uncertainty of the mean current adds to that of its torque weight."""
     here = [r for r in runs[axis.name] if r is not None]
     twins = [z for r, z in zip(runs[axis.name], simulated[axis.name]) if r is not None] if simulated else []
@@ -165,7 +167,7 @@ def _commanded(axis: Axis, run: AxisRun, current: np.ndarray | None) -> np.ndarr
     return current - run.injected / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
 
 
-def _update(out: Direct, name: str, inertia: float, seen: bool) -> None:
+def _update(out: Regressions, name: str, inertia: float, seen: bool) -> None:
     """Update the mean current of an axis with the inertia just identified."""
     if seen and np.isfinite(inertia) and inertia > 0.2 * out.current[name].reference.inertia:
         out.current[name].update(float(inertia))

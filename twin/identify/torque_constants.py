@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from twin.effects.change import upward
 from twin.identify import tilting_pair
 from twin.identify.axis_run import control_inertia
-from twin.identify.direct import Balance, Direct
+from twin.identify.regressions import Balance, Regressions
 from twin.machine.machine import Machine
 from twin.machine.toleranced import field_value, inertia_of, path_of
 
@@ -48,7 +48,7 @@ class Split:
     added: dict[str, float] = field(default_factory=dict)
 
 
-def split_products(machine: Machine, direct: Direct, torque_constant_tolerance: float | None = None) -> dict[str, Split]:
+def split_products(machine: Machine, direct: Regressions, torque_constant_tolerance: float | None = None) -> dict[str, Split]:
     """Most probable factors by path for every identified balance; tolerances are relative half widths."""
     out = {}
     for name, balance in direct.balance.items():
