@@ -16,7 +16,7 @@ import numpy as np
 from twin.errors import InputError, SimulationError
 from twin.identify.drive_residuals import position_is_informative
 from twin.identify.findings import Finding
-from twin.identify.held_out import Division, Table, gap_or_reason
+from twin.identify.held_out import Division, Table
 from twin.machine.loops import loops_of
 from twin.machine.machine import Machine
 
@@ -61,60 +61,47 @@ def unstable_loops(machine: Machine) -> dict[str, str]:
 def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division) -> Choice:
     """The best stage of each axis. `stages`: in order of preference for ties; `tables`: gaps of the stages and of 'before'."""
     start = tables["before"]
-    unstable = {name: unstable_loops(machine) for name, machine in stages.items()}
+    known = {name: table for name, table in tables.items() if not isinstance(table, str)}
+    failed = [reason for reason in tables.values() if isinstance(reason, str)]
+    moving = {axis for table in known.values() for axis in table}
     unstable_before = unstable_loops(before)
+    unstable = {name: {a: loop for a, loop in unstable_loops(m).items() if a not in unstable_before} for name, m in stages.items()}
     findings: list[Finding] = []
     best: dict[str, str] = {}
-    names = [a.name for a in before.axes]
-    groups = [[n] for n in names if n not in ("A", "C") or not before.bodies]
+    names = list(before.axis_names)
     pair = [n for n in names if n in ("A", "C") and before.bodies]
 
-    def judging(signals: Mapping[str, Mapping[str, Any]], axis: str) -> dict[str, Mapping[str, Any]]:
-        effort = before.axis(axis).effort
-        return {s: g for s, g in signals.items() if s == effort or position_is_informative(before.axis(axis), division.runs)}
+    def grown(axis: str, table: Table) -> float:
+        if isinstance(start, str):
+            return 1.0
+        judging = position_is_informative(before.axis(axis), division.runs)
+        return ratio({s: g for s, g in table[axis].items() if judging or s == before.axis(axis).effort}, start.get(axis, {}))
 
-    for group in [*groups, *([pair] if pair else [])]:
+    for group in [*([n] for n in names if n not in pair), *([pair] if pair else [])]:
         scores = {}
-        for name, table in tables.items():
-            if isinstance(table, str) or name == "before" or any(a in unstable[name] and a not in unstable_before for a in group):
-                continue
-            known = [a for a in group if a in table]
-            if not known:
-                continue
-            scores[name] = (
-                1.0
-                if isinstance(start, str)
-                else math.exp(float(np.mean([math.log(ratio(judging(table[a], a), start.get(a, {}))) for a in known])))
-            )
+        for name, table in known.items():
+            seen = [a for a in group if a in table]
+            if name != "before" and seen and not any(a in unstable[name] for a in group):
+                scores[name] = math.exp(float(np.mean([math.log(grown(a, table)) for a in seen])))
         good = {name: s for name, s in scores.items() if s <= GROWN_GAP}
         if good:
-            stage = min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / GROWN_GAP))
-            best.update(dict.fromkeys(group, stage))
-        elif moved := [a for a in group if any(not isinstance(t, str) and a in t for t in tables.values())]:
-            findings += [Finding(_why(a, scores, unstable, tables), a) for a in moved]
-    moving = {a for t in tables.values() if not isinstance(t, str) for a in t}
+            best |= dict.fromkeys(group, min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / GROWN_GAP)))
+            continue
+        for axis in (a for a in group if a in moving):
+            why = sorted({f"the {s[axis]} loop would be unstable" for s in unstable.values() if axis in s})
+            why += [f"the gap on held-out motion would be {min(scores.values()):.3g} times as large"] if scores else []
+            findings.append(
+                Finding(f"keeps the values of the file before: {'; '.join(why or failed or ['no signal to judge it by'])}", axis)
+            )
     if isinstance(start, str):
         findings.append(Finding(f"the machine file before cannot follow the recorded set points ({start})"))
-    if not best and stages:
-        reasons = "; ".join(str(f) for f in findings) or next(
-            (t for t in tables.values() if isinstance(t, str)), "no axis moves in the held-out motion"
-        )
-        # an axis that could not be judged is no reason to refuse, because no gap is known to grow
-        if moving or any(isinstance(t, str) for t in tables.values()):
-            return Choice(
-                before, tuple(findings), f"no machine file is written: no identified value is better than the file before ({reasons})"
-            )
-        return Choice(next(iter(stages.values())), tuple(findings), "", dict.fromkeys(names, next(iter(stages))))
-    unjudged = {a: next(iter(stages)) for a in names if a not in best and a not in moving}
-    stage_of = {**unjudged, **best}
+    # an axis that could not be judged is no reason to refuse, because no gap is known to grow
+    if not best and stages and (moving or failed):
+        reasons = "; ".join(map(str, findings)) or (failed or ["no axis moves in the held-out motion"])[0]
+        said = f"no machine file is written: no identified value is better than the file before ({reasons})"
+        return Choice(before, tuple(findings), said)
+    stage_of = {**{a: next(iter(stages)) for a in names if a not in moving}, **best}
     return Choice(_assembled(before, stages, stage_of), tuple(findings), "", stage_of)
-
-
-def _why(axis: str, scores: Mapping[str, float], unstable: Mapping[str, Mapping[str, str]], tables: Mapping[str, Table | str]) -> str:
-    loops = sorted({f"the {s[axis]} loop would be unstable" for s in unstable.values() if axis in s})
-    grown = [f"the gap on held-out motion would be {min(scores.values()):.3g} times as large" for _ in (0,) if scores]
-    failed = [t for t in tables.values() if isinstance(t, str)]
-    return f"keeps the values of the file before: {'; '.join([*loops, *grown] or failed or ['no signal to judge it by'])}"
 
 
 def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str]) -> Machine:
@@ -134,8 +121,3 @@ def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping
     if effects or "effect" in document:
         document["effect"] = effects
     return Machine(document, before.model_path, before.path)
-
-
-def gap_tables(machines: Mapping[str, Machine], division: Division) -> dict[str, Table | str]:
-    """Gap of each machine on held-out motion, or the reason why there is none."""
-    return {name: gap_or_reason(machine, division) for name, machine in machines.items()}

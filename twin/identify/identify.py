@@ -14,12 +14,12 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
-from twin.identify.chosen_values import choose_stages, gap_tables
+from twin.identify.chosen_values import choose_stages
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
 from twin.identify.findings import Finding
-from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs
+from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs, gap_or_reason
 from twin.identify.parameters import (
     LOOP_BOUNDS,
     implausible_currents,
@@ -113,7 +113,7 @@ def identify(
         say("gap on the held-out motion")
         if direct.position:
             stages["control"] = controlled
-        all_tables = gap_tables({"before": machine, **stages}, division)
+        all_tables = {name: gap_or_reason(m, division) for name, m in {"before": machine, **stages}.items()}
         choice = choose_stages(machine, stages, all_tables, division)
         best, refused, stage_of = choice.machine, choice.refused, dict(choice.stage_of)
         findings += choice.findings

@@ -23,9 +23,10 @@ from twin.effects.change import upward
 from twin.identify import tilting_pair
 from twin.identify.axis_run import control_inertia
 from twin.identify.regressions import Balance, Regressions
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 from twin.machine.toleranced import field_value, inertia_of, path_of
 
+PAIR_BODIES = ("cradle", "table", "workpiece")
 FLOOR = 2e-4
 """Lower bound of a product's relative standard deviation, for the errors of the laws."""
 
@@ -106,7 +107,7 @@ def _paths(machine: Machine, name: str) -> tuple[str, ...]:
             parameters.append("moving_mass")
         out += [path_of(axis, parameter) for parameter in parameters]
     if name == "A C":
-        out += [f"body.{b}.mass_kg" for b in ("cradle", "table", "workpiece")]
+        out += [f"body.{b}.mass_kg" for b in PAIR_BODIES]
     return tuple(out)
 
 
@@ -122,58 +123,39 @@ def _share(machine: Machine, path: str) -> float:
 def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.ndarray], np.ndarray]:
     """Products at the file's torque constants as a function of log factors, in the order of the balance's names."""
     index = {p: i for i, p in enumerate(paths)}
-    if name == "A C":
-        a, c = machine.axis("A"), machine.axis("C")
-        parts = {b.name: _pair_part(machine, b.name) for b in machine.bodies if b.name in ("cradle", "table", "workpiece")}
+    axes = [machine.axis(n) for n in name.split()]
+    parts = {b.name: _pair_part(machine, b.name) for b in machine.bodies if b.name in PAIR_BODIES} if name == "A C" else {}
 
-        def pair(x: np.ndarray) -> np.ndarray:
-            def f(path: str) -> float:
-                return math.exp(x[index[path]])
+    def predicted(x: np.ndarray) -> np.ndarray:
+        def f(path: str) -> float:
+            return math.exp(x[index[path]]) if path in index else 1.0
 
+        def of(axis: Axis, parameter: str) -> float:
+            return f(path_of(axis, parameter))
+
+        kt = [of(axis, "torque_constant") for axis in axes]
+        if parts:  # at the axes
             numbers = sum(f(f"body.{b}.mass_kg") * part for b, part in parts.items())
-            for k, axis in enumerate((a, c)):
-                numbers = numbers + np.eye(1, 10, k)[0] * axis.reflected_inertia * f(path_of(axis, "rotor_inertia"))
-            kt = [f(path_of(axis, "torque_constant")) for axis in (a, c)]
-            numbers = numbers / np.where(np.arange(10) == 1, kt[1], kt[0])
-            friction = []
-            for axis, k in zip((a, c), kt):  # type: ignore[assignment]
-                friction += [
-                    axis.coulomb_friction * f(path_of(axis, "coulomb_friction")) / k,
-                    axis.viscous_friction * f(path_of(axis, "viscous_friction")) / k,
-                ]
-            return np.concatenate([numbers, friction])
-
-        return pair
-    axis = machine.axis(name)
-    kt = index.get(path_of(axis, "torque_constant"))
-    rotor, coulomb, viscous = (index[path_of(axis, p)] for p in (inertia_of(axis), "coulomb_friction", "viscous_friction"))
-    mass = index.get(path_of(axis, "moving_mass"))
-    load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
-    if axis.moving_mass_kg is None:
-        load = max(control_inertia(axis) - axis.rotor_inertia_kg_m2, 0.0)
-    vertical = is_vertical(machine, name)
-
-    def single(x: np.ndarray) -> np.ndarray:
-        f = np.exp(x)
-        m = f[mass] if mass is not None else 1.0
-        weight = m * (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio if vertical else 0.0
-        products = [
-            axis.rotor_inertia_kg_m2 * f[rotor] + load * m,
-            axis.coulomb_friction_nm * f[coulomb],
-            axis.viscous_friction_nm_s_per_rad * f[viscous],
-            weight,
-        ]
+            for k, axis in enumerate(axes):
+                numbers = numbers + np.eye(1, 10, k)[0] * axis.reflected_inertia * of(axis, "rotor_inertia")
+            friction = [getattr(a, p) * of(a, p) / k for a, k in zip(axes, kt) for p in ("coulomb_friction", "viscous_friction")]
+            return np.concatenate([numbers / np.where(np.arange(10) == 1, kt[1], kt[0]), friction])
+        (axis,) = axes
+        load = (axis.moving_mass_kg or 0.0) * axis.ratio**2 * of(axis, "moving_mass")
+        if axis.moving_mass_kg is None:
+            load = max(control_inertia(axis) - axis.rotor_inertia_kg_m2, 0.0)
+        rotor = axis.rotor_inertia_kg_m2 * of(axis, "rotor_inertia")
         # a horizontal axis has no product with weight: a constant force there is not due to a mass
-        return np.array(products) / (1.0 if kt is None else f[kt])
+        weight = load / axis.ratio * machine.gravity if is_vertical(machine, name) else 0.0
+        friction = [field_value(axis, p) * of(axis, p) for p in ("coulomb_friction", "viscous_friction")]
+        return np.array([rotor + load, *friction, weight]) / kt[0]
 
-    return single
+    return predicted
 
 
 def _pair_part(machine: Machine, body: str) -> np.ndarray:
     """Contribution of one body to the ten PAIR numbers, which are linear in its mass and inertia."""
-    table = machine.document["body"][body]
-    doubled = {f"body.{body}.mass_kg": 2.0 * table["mass_kg"], f"body.{body}.inertia_kg_m2": [2.0 * i for i in table["inertia_kg_m2"]]}
-    return tilting_pair.pair_numbers(machine.with_values(doubled)) - tilting_pair.pair_numbers(machine)
+    return tilting_pair.pair_numbers(machine.with_body(body, 2.0)) - tilting_pair.pair_numbers(machine)
 
 
 def is_vertical(machine: Machine, name: str) -> bool:
