@@ -19,6 +19,12 @@ from twin.simulation.setpoints import Setpoints
 PERIOD = 1e-3
 
 
+def move(distance: float, speed: float, acceleration: float, jerk: float, period: float) -> np.ndarray:
+    """Jerk-limited rest-to-rest move from 0 (sample,)."""
+    lasts = time_of_move(distance, speed, acceleration, jerk)
+    return jerk_limited_move(distance, speed, acceleration, jerk, sample_times(lasts, period))
+
+
 def path(
     targets: Sequence[float], speeds: Sequence[float], acceleration: float = 2.0, jerk: float = 5.0, dwell: float = 0.12
 ) -> np.ndarray:
@@ -61,12 +67,6 @@ def usual_runs(machine: Machine, seed: int = 0, *, short: bool = False) -> list[
         recorded(machine, "quick_off", quick, "off", seed + 1),
         recorded(machine, "quick", quick, "velocity+torque", seed + 2),
     ]
-
-
-def move(distance: float, speed: float, acceleration: float, jerk: float, period: float) -> np.ndarray:
-    """Jerk-limited rest-to-rest move from 0 (sample,)."""
-    lasts = time_of_move(distance, speed, acceleration, jerk)
-    return jerk_limited_move(distance, speed, acceleration, jerk, sample_times(lasts, period))
 
 
 def with_signal(run: MeasuredRun, axis: str, signal: str, values: np.ndarray | None) -> MeasuredRun:
