@@ -182,7 +182,7 @@ def usual_size(effect: dict[str, Any]) -> float:
 
 def deviation(effect: dict[str, Any]) -> float:
     """Size of an effect: its scored parameter as a deviation from neutral; the compliance of a spring."""
-    name = next(p for p in LIBRARY[effect["name"]].parameters if p != "mass_kg")
+    name = next(key for key in effect if key not in ("name", "axis", "from_axis", "mass_kg"))
     value = float(effect[name])
     return value - 1.0 if name == "factor" else 1.0 / value if name == "stiffness" else value
 

@@ -27,9 +27,10 @@ import tomllib
 import numpy as np
 
 from devtools.identification_score import HEADING, Judged, judge, summary
+from devtools.truth_file import truth_toml
 from examples.emps.single_axis import NAMES, fit_single_axis, read_emps, refine_single_axis, residual_shapes, resimulate
 from twin.effects.truth import true_machine
-from twin.exam.draw import SHIPPED_MACHINE, Case, draw_case, truth_of, truth_toml, write_campaign
+from twin.exam.draw import SHIPPED_MACHINE, Case, draw_case, truth_of, write_campaign
 from twin.identify.identify import identify
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign

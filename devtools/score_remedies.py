@@ -24,11 +24,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from devtools.switched_on import switch_on
 from twin.diagnose.tool_point import LOAD
 from twin.exam.answer import FAILED
 from twin.exam.draw import AXES, Case, draw_case, runs_of, sample_period_of, settings_for
 from twin.exam.other_machine import arrangement_of
-from twin.exam.plant.compensation import switch_on
 from twin.exam.plant.plant import run
 from twin.exam.programme import TestRun
 from twin.exam.questions import ANOTHER, RICHNESS, Question, Stratum

@@ -12,11 +12,12 @@ import tomllib
 import numpy as np
 import pytest
 
+from devtools.truth_file import truth_toml
 from twin.effects import EFFECTS as TWIN_EFFECTS
 from twin.exam import draw as drawing
 from twin.exam.answer import write_answer
 from twin.exam.budget import SIGNALS, SUBSTEPS, budget_of, groups_of, noise_of
-from twin.exam.draw import BACKGROUND, SHIPPED_MACHINE, Case, draw_case, peaks_of, runs_of, truth_of, truth_toml
+from twin.exam.draw import BACKGROUND, SHIPPED_MACHINE, Case, draw_case, peaks_of, runs_of, truth_of
 from twin.exam.mark import mark, mark_answer
 from twin.exam.mark_budget import mark_budget
 from twin.exam.plant.effects import LIBRARY, DrawContext, draw_effect

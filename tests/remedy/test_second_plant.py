@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from devtools.switched_on import switch_on
 from tests.conftest import swings
 from tests.reference.test_dsc import fine_measuring
-from twin.exam.plant.compensation import switch_on
 from twin.exam.plant.parameters import AXES, settings_of, unit_factors
 from twin.exam.plant.plant import run
 from twin.machine.machine import Machine

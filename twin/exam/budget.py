@@ -23,7 +23,7 @@ import numpy as np
 
 from .draw import PAUSE_S, Case, runs_of, simulate
 from .paths import PERIOD
-from .plant.measurement import sensors_of
+from .plant.measurement import sensor_values
 from .plant.parameters import AXES, settings_of
 from .plant.plant import Trace
 from .programme import TestRun
@@ -111,10 +111,9 @@ def noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray:
         simulate(replace(case, noise=True, noise_seed=seed), machine, test, at, SUBSTEPS) for seed in (case.noise_seed, ANOTHER_SEED)
     )
     made = np.sqrt(_mean_squares(one, other) / 2.0)
-    sensors = sensors_of(settings_of(machine, case.factors))
-    least = np.array(
-        [np.hypot(sensors.scale_noise, sensors.scale_step / math.sqrt(12.0)), sensors.motor_step / math.sqrt(12.0), sensors.current_noise]
-    )
+    own = sensor_values(settings_of(machine, case.factors))
+    scale = np.hypot(own["scale_noise"], own["scale_step"] / math.sqrt(12.0))
+    least = np.array([scale, own["motor_step"] / math.sqrt(12.0), np.full(len(AXES), own["current_noise"])])
     return np.maximum(made, least)
 
 

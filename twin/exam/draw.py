@@ -264,24 +264,6 @@ def truth_of(case: Case) -> dict:
     }
 
 
-def truth_toml(truth: dict) -> str:
-    """A truth as TOML text, in the form of the truth.toml of recorded campaigns."""
-
-    def value(v: object) -> str:
-        if isinstance(v, bool):
-            return str(v).lower()
-        return f'"{v}"' if isinstance(v, str) else repr(v) if isinstance(v, int) else f"{v:.9g}"
-
-    def table(head: str, entries: dict) -> str:
-        return "\n".join([head, *(f"{k} = {value(v)}" for k, v in entries.items()), ""])
-
-    parts = [table("[case]", truth["case"])]
-    parts += [table(f"[[{kind}]]", e) for kind in ("effect", "outside") for e in truth[kind]] or ["# no effect\n"]
-    parts += [table("[[budget]]", row) for row in truth.get("budget", ())]
-    parts += [table(f"[parameter.{name}]", t) for name, t in truth["parameter"].items()]
-    return "\n".join(parts)
-
-
 def columns_of(trace: Trace, signals: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Columns as recorded: mm, deg, A, rounded; `time [s]` first, then axis by axis."""
     columns = {"time [s]": np.round(trace.time, 6)}

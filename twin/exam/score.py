@@ -6,59 +6,23 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 import itertools
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import binomtest
 
 from .mark_budget import VISIBLE
 from .mark_law import SIMILAR
 from .questions import ANOTHER
 
 Mark = Mapping[str, Any]
-
-TARGETS = (
-    # what, target: at least; at most if negative; a range if a pair
-    ("first named right, usual size", 0.95),
-    ("exactly right, usual size", 0.90),
-    ("exactly right, a fifth of usual size", 0.85),
-    ("right or rightly ambiguous, scale and current only", 0.80),
-    ("right or rightly ambiguous, programs only", 0.80),
-    ("both right, two effects", 0.75),
-    ("healthy recognised", 0.98),
-    ("exactly right, another machine", 0.93),
-    ("healthy recognised, another machine", 1.0),
-    ("outside the library recognised", 0.75),
-    ("outside the library: axis and block", 0.90),
-    ("outside the library: law over the right variable", 0.85),
-    ("outside the library: shape of the law", 0.70),
-    ("outside the library: no absent effect named", 0.90),
-    ("outside the library: gap after at most 1.5 x floor", 0.70),
-    ("median parameter error", -0.06),
-    ("intervals cover the truth", (0.88, 0.99)),
-    ("gap after over floor, median", -1.3),
-    ("Brier score", -0.08),
-    ("everyday: named effects that are there", 0.95),
-    ("everyday: effects of at least 3 x noise that are named", 0.90),
-    ("everyday: largest contribution named", 1.0),
-    ("everyday: order of the five largest, 1 - Kendall tau, mean", -0.2),
-    ("everyday: relative error of a contribution, median", -0.15),
-    ("everyday: gap after over floor, median", -1.5),
-    ("everyday: Brier score of the candidates", -0.05),
-)
-"""Targets without the prefix "everyday" exclude everyday machines."""
-
-OF_LAWS = (
-    "outside the library: law over the right variable",
-    "outside the library: shape of the law",
-    "outside the library: gap after at most 1.5 x floor",
-)
-"""Targets that only a law can meet."""
+Marks = Sequence[Mark]
 
 FULL = ("usual", "a fifth")
 """Strata of single effects with all signals and runs."""
 
-EVERYDAY = "everyday"
-"""Stratum of machines with many small effects."""
+EVERYDAY, ONE_FAULT = "everyday", "one fault"
+"""Stratum of machines with many small effects, and all the others together."""
 
 MOST_LEFT = 1.5
 """Largest gap over floor of a closed law outside the library."""
@@ -73,130 +37,150 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     """95 % interval of a share (Wilson 1927)."""
     if trials == 0:
         return 0.0, 1.0
-    z, p = 1.96, successes / trials
-    middle, half = p + z * z / (2 * trials), z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials**2))
-    return (middle - half) / (1 + z * z / trials), (middle + half) / (1 + z * z / trials)
+    interval = binomtest(int(successes), int(trials)).proportion_ci(0.95, "wilson")
+    return float(interval.low), float(interval.high)
 
 
-def score(marks: Sequence[Mark], laws_searched: bool = True) -> dict[str, Any]:
+Value = dict[str, Any] | None
+"""`value`, and the number of cases or numbers that it is `of`; of a share also how many are right, and its interval. None without a case."""
+
+
+def _share(successes: int, trials: int) -> Value:
+    if not trials:
+        return None
+    low, high = wilson(successes, trials)
+    return {"value": successes / trials, "right": int(successes), "of": trials, "low": low, "high": high}
+
+
+def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> Value:
+    return {"value": float(of(values)), "of": len(values)} if values else None
+
+
+def _right(of: str | Callable[[Mark], Any]) -> Callable[[Marks], Value]:
+    """Share of the cases that are right, by a key of the mark or by a rule."""
+    holds = (lambda m: m[of]) if isinstance(of, str) else of
+    return lambda marks: _share(sum(bool(holds(m)) for m in marks), len(marks))
+
+
+def _counted(key: str) -> Callable[[Marks], Value]:
+    """Share of the effects of all machines that are right, by a pair (right, of) of the budget."""
+    return lambda marks: _share(*(sum(m["budget"][key][i] for m in marks) for i in (0, 1)))
+
+
+def _known(key: str, marks: Marks) -> list[Any]:
+    return [m["budget"][key] for m in marks if m["budget"][key] is not None]
+
+
+def _shrunk(marks: Marks) -> list[float]:
+    """Gap after over floor of cases with effects; infinite without a diagnosis or if the corrected machine cannot be simulated."""
+    return [_left(m) for m in marks if m["true"]]
+
+
+def _left(m: Mark) -> float:
+    return float(m["gap"].get("after", math.inf) / m["gap"]["floor"])
+
+
+def _parameters(marks: Marks) -> list[Mapping[str, Any]]:
+    return [p for m in marks for p in m["parameters"]]
+
+
+def _covered(marks: Marks) -> tuple[int, int]:
+    return sum(p["covered"] for p in _parameters(marks)), len(_parameters(marks))
+
+
+def _probabilities(marks: Marks) -> list[tuple[float, bool]]:
+    return [(p, right) for m in marks for p, right in m["probabilities"]]
+
+
+def _candidates(marks: Marks) -> list[tuple[float, bool]]:
+    return [(p, there) for m in marks for p, there in m["budget"]["candidates"]]
+
+
+def _brier(stated: Sequence[tuple[float, bool]]) -> Value:
+    return _value(np.mean, [(p - right) ** 2 for p, right in stated])
+
+
+def _contribution_errors(marks: Marks) -> list[float]:
+    """Relative errors of the stated contributions of all visible effects that are named."""
+    rows = [c for m in marks for c in m["budget"]["contributions"] if c["said"] is not None and c["true"] >= VISIBLE]
+    return [abs(c["said"] / c["true"] - 1.0) for c in rows]
+
+
+class Target(NamedTuple):
+    """What is asked of the cases of a stratum: its `goal` (at least; at most if negative; a range if a pair), and its value over their marks.
+
+    Only a law can meet a target `of_laws`.
+    """
+
+    stratum: str
+    what: str
+    goal: float | tuple[float, float]
+    value: Callable[[Marks], Value]
+    of_laws: bool = False
+
+
+TARGETS = (
+    Target("usual", "first named right, usual size", 0.95, _right("first")),
+    Target("usual", "exactly right, usual size", 0.90, _right("exact")),
+    Target("a fifth", "exactly right, a fifth of usual size", 0.85, _right("exact")),
+    Target("scale and current", "right or rightly ambiguous, scale and current only", 0.80, _right("first_or_ambiguous")),
+    Target("programs only", "right or rightly ambiguous, programs only", 0.80, _right("first_or_ambiguous")),
+    Target("two", "both right, two effects", 0.75, _right("exact")),
+    Target("healthy", "healthy recognised", 0.98, _right("exact")),
+    Target(ANOTHER, "exactly right, another machine", 0.93, _right("exact")),
+    Target(ANOTHER, "healthy recognised, another machine", 1.0, lambda marks: _right("exact")([m for m in marks if not m["true"]])),
+    Target("outside", "outside the library recognised", 0.75, _right("exact")),
+    Target("outside", "outside the library: axis and block", 0.90, _right("place")),
+    Target("outside", "outside the library: law over the right variable", 0.85, _right("law"), of_laws=True),
+    Target("outside", "outside the library: shape of the law", 0.70, _right(lambda m: m["shape"] >= SIMILAR), of_laws=True),
+    Target("outside", "outside the library: no absent effect named", 0.90, _right(lambda m: not m["named"])),
+    Target("outside", "outside the library: gap after at most 1.5 x floor", 0.70, _right(lambda m: _left(m) <= MOST_LEFT), of_laws=True),
+    Target(ONE_FAULT, "median parameter error", -0.06, lambda marks: _value(np.median, [p["error"] for p in _parameters(marks)])),
+    Target(ONE_FAULT, "intervals cover the truth", (0.88, 0.99), lambda marks: _share(*_covered(marks))),
+    Target(ONE_FAULT, "gap after over floor, median", -1.3, lambda marks: _value(np.median, _shrunk(marks))),
+    Target(ONE_FAULT, "Brier score", -0.08, lambda marks: _brier(_probabilities(marks))),
+    Target(EVERYDAY, "everyday: named effects that are there", 0.95, _counted("precision")),
+    Target(EVERYDAY, "everyday: effects of at least 3 x noise that are named", 0.90, _counted("recall")),
+    Target(EVERYDAY, "everyday: largest contribution named", 1.0, lambda marks: _share(sum(x := _known("largest", marks)), len(x))),
+    Target(
+        EVERYDAY,
+        "everyday: order of the five largest, 1 - Kendall tau, mean",
+        -0.2,
+        lambda marks: _value(np.mean, [1.0 - tau for tau in _known("order", marks)]),
+    ),
+    Target(
+        EVERYDAY, "everyday: relative error of a contribution, median", -0.15, lambda marks: _value(np.median, _contribution_errors(marks))
+    ),
+    Target(EVERYDAY, "everyday: gap after over floor, median", -1.5, lambda marks: _value(np.median, _shrunk(marks))),
+    Target(EVERYDAY, "everyday: Brier score of the candidates", -0.05, lambda marks: _brier(_candidates(marks))),
+)
+
+
+def score(marks: Marks, laws_searched: bool = True) -> dict[str, Any]:
     """The `score` of an `exam.json`. The targets of laws are not asked of a diagnosis that does not search laws (`--quick`)."""
-    of = {name: [m for m in marks if m["stratum"] == name] for name in dict.fromkeys(m["stratum"] for m in marks)}
-
-    def share(stratum: str, key: str) -> dict[str, Any] | None:
-        rows = of.get(stratum, [])
-        return _share(sum(m[key] for m in rows), len(rows)) if rows else None
-
-    one_fault = [m for m in marks if m["stratum"] != EVERYDAY]
-    parameters = [p for m in one_fault for p in m["parameters"]]
-    ratios = _shrunk(one_fault)
-    probabilities = [(p, right) for m in one_fault for p, right in m["probabilities"]]
-    values: dict[str, Any] = {
-        "first named right, usual size": share("usual", "first"),
-        "exactly right, usual size": share("usual", "exact"),
-        "exactly right, a fifth of usual size": share("a fifth", "exact"),
-        "right or rightly ambiguous, scale and current only": share("scale and current", "first_or_ambiguous"),
-        "right or rightly ambiguous, programs only": share("programs only", "first_or_ambiguous"),
-        "both right, two effects": share("two", "exact"),
-        "healthy recognised": share("healthy", "exact"),
-        "exactly right, another machine": share(ANOTHER, "exact"),
-        "healthy recognised, another machine": _exact([m for m in of.get(ANOTHER, []) if not m["true"]]),
-        "outside the library recognised": share("outside", "exact"),
-        "outside the library: axis and block": share("outside", "place"),
-        "outside the library: law over the right variable": share("outside", "law"),
-        "outside the library: shape of the law": _similar(of.get("outside", [])),
-        "outside the library: no absent effect named": _none_named(of.get("outside", [])),
-        "outside the library: gap after at most 1.5 x floor": _closed(of.get("outside", [])),
-        "median parameter error": _value(np.median, [p["error"] for p in parameters]),
-        "intervals cover the truth": _share(sum(p["covered"] for p in parameters), len(parameters)) if parameters else None,
-        "gap after over floor, median": _value(np.median, ratios),
-        "Brier score": _value(np.mean, [(p - right) ** 2 for p, right in probabilities]),
-        **_everyday(of.get(EVERYDAY, [])),
-    }
-    if not laws_searched:
-        values |= dict.fromkeys(OF_LAWS)
+    strata = {name: [m for m in marks if m["stratum"] == name] for name in dict.fromkeys(m["stratum"] for m in marks)}
+    rows = {**strata, ONE_FAULT: [m for m in marks if m["stratum"] != EVERYDAY]}
+    values = {t: None if t.of_laws and not laws_searched else t.value(rows.get(t.stratum, [])) for t in TARGETS}
     return {
         "cases": len(marks),
         "failed": sum("failed" in m for m in marks),
         "targets": [
-            {"what": what, "target": target, **(values[what] or {}), "met": _met(values[what], target)} for what, target in TARGETS
+            {"what": target.what, "target": target.goal, **(value or {}), "met": _met(value, target.goal)}
+            for target, value in values.items()
         ],
         "strata": {
-            name: {
-                "cases": len(rows),
-                **{k: sum(m[k] for m in rows) for k in ("first", "first_or_ambiguous", "exact", "place")},
-            }
-            for name, rows in of.items()
+            name: {"cases": len(rows), **{k: sum(m[k] for m in rows) for k in ("first", "first_or_ambiguous", "exact", "place")}}
+            for name, rows in strata.items()
         },
         "macro_f1": macro_f1(marks),
         "confusion": confusion(marks),
-        "calibration": calibration(probabilities),
-        "candidates": calibration(_candidates(of.get(EVERYDAY, []))),
+        "calibration": calibration(_probabilities(rows[ONE_FAULT])),
+        "candidates": calibration(_candidates(strata.get(EVERYDAY, []))),
         "by_size": by_size(marks),
         "detection": detection(marks),
         "gap": _gaps(marks),
         "same_parameters": _same_parameters(marks),
     }
-
-
-def _everyday(marks: Sequence[Mark]) -> dict[str, dict[str, Any] | None]:
-    """Values of the everyday targets, pooled over all their cases."""
-    budgets = [m["budget"] for m in marks]
-
-    def counted(key: str) -> dict[str, Any] | None:
-        right, of = (sum(b[key][i] for b in budgets) for i in (0, 1))
-        return _share(right, of) if of else None
-
-    largest = [b["largest"] for b in budgets if b["largest"] is not None]
-    named = [c for b in budgets for c in b["contributions"] if c["said"] is not None and c["true"] >= VISIBLE]
-    return {
-        "everyday: named effects that are there": counted("precision"),
-        "everyday: effects of at least 3 x noise that are named": counted("recall"),
-        "everyday: largest contribution named": _share(sum(largest), len(largest)) if largest else None,
-        "everyday: order of the five largest, 1 - Kendall tau, mean": _value(
-            np.mean, [1.0 - b["order"] for b in budgets if b["order"] is not None]
-        ),
-        "everyday: relative error of a contribution, median": _value(np.median, [abs(c["said"] / c["true"] - 1.0) for c in named]),
-        "everyday: gap after over floor, median": _value(np.median, _shrunk(marks)),
-        "everyday: Brier score of the candidates": _value(np.mean, [(p - there) ** 2 for p, there in _candidates(marks)]),
-    }
-
-
-def _candidates(marks: Sequence[Mark]) -> list[tuple[float, bool]]:
-    return [(p, there) for m in marks for p, there in m["budget"]["candidates"]]
-
-
-def _shrunk(marks: Sequence[Mark]) -> list[float]:
-    """Gap after over floor of cases with effects; infinite without a diagnosis or if the corrected machine cannot be simulated."""
-    return [m["gap"].get("after", math.inf) / m["gap"]["floor"] for m in marks if m["true"]]
-
-
-def _closed(marks: Sequence[Mark]) -> dict[str, Any] | None:
-    """Cases whose gap after correction is at most MOST_LEFT x the floor on the examination's own runs."""
-    return _share(sum(m["gap"].get("after", math.inf) <= MOST_LEFT * m["gap"]["floor"] for m in marks), len(marks)) if marks else None
-
-
-def _exact(marks: Sequence[Mark]) -> dict[str, Any] | None:
-    """Cases that are exactly right."""
-    return _share(sum(m["exact"] for m in marks), len(marks)) if marks else None
-
-
-def _similar(marks: Sequence[Mark]) -> dict[str, Any] | None:
-    """Cases with a law of the right shape: its correlation with the true law is at least SIMILAR."""
-    return _share(sum(m["shape"] >= SIMILAR for m in marks), len(marks)) if marks else None
-
-
-def _none_named(marks: Sequence[Mark]) -> dict[str, Any] | None:
-    """Cases without an effect of the library in the answer; a machine with a fault outside the library has none."""
-    return _share(sum(not m["named"] for m in marks), len(marks)) if marks else None
-
-
-def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> dict[str, Any] | None:
-    return {"value": float(of(values)), "of": len(values)} if values else None
-
-
-def _share(successes: int, trials: int) -> dict[str, Any]:
-    low, high = wilson(successes, trials)
-    return {"value": successes / trials, "right": int(successes), "of": trials, "low": low, "high": high}
 
 
 def _met(value: Mapping[str, Any] | None, target: float | tuple[float, float]) -> bool | None:
@@ -242,7 +226,7 @@ def answer_of(m: Mark) -> str:
     return name if [name, axis] in m["true"] or not same else f"{name}, other axis"
 
 
-def _one_each(marks: Iterable[Mark]) -> list[Mark]:
+def _at_most_one(marks: Iterable[Mark]) -> list[Mark]:
     return [m for m in marks if len(m["true"]) <= 1]
 
 
@@ -251,9 +235,9 @@ def singles(marks: Iterable[Mark]) -> list[Mark]:
     return [m for m in marks if len(m["true"]) == 1 and m["stratum"] in FULL]
 
 
-def macro_f1(marks: Sequence[Mark]) -> float:
+def macro_f1(marks: Marks) -> float:
     """Mean over the true labels (each effect, none, outside the library) of 2 tp / (2 tp + fp + fn)."""
-    pairs = [(label_of(m), answer_of(m)) for m in _one_each(marks)]
+    pairs = [(label_of(m), answer_of(m)) for m in _at_most_one(marks)]
     labels = sorted({true for true, _ in pairs})
     scores = []
     for label in labels:
@@ -263,10 +247,10 @@ def macro_f1(marks: Sequence[Mark]) -> float:
     return float(np.mean(scores)) if scores else 0.0
 
 
-def confusion(marks: Sequence[Mark]) -> dict[str, dict[str, int]]:
+def confusion(marks: Marks) -> dict[str, dict[str, int]]:
     """True label -> answered label -> count."""
     table: dict[str, Counter[str]] = {}
-    for m in _one_each(marks):
+    for m in _at_most_one(marks):
         table.setdefault(label_of(m), Counter())[answer_of(m)] += 1
     return {true: dict(said.most_common()) for true, said in sorted(table.items())}
 
@@ -278,11 +262,11 @@ def calibration(probabilities: Sequence[tuple[float, bool]]) -> list[dict[str, A
         inside = [(p, right) for p, right in probabilities if low <= p < high or (high == 1.0 and p == 1.0)]
         if inside:
             said = float(np.mean([p for p, _ in inside]))
-            rows.append({"said": said, **_share(sum(right for _, right in inside), len(inside))})
+            rows.append({"said": said, **(_share(sum(right for _, right in inside), len(inside)) or {})})
     return rows
 
 
-def by_size(marks: Sequence[Mark]) -> list[dict[str, Any]]:
+def by_size(marks: Marks) -> list[dict[str, Any]]:
     """Share exactly right of `singles`, by bin of size over noise."""
     rows = []
     edges = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, math.inf)
@@ -290,11 +274,12 @@ def by_size(marks: Sequence[Mark]) -> list[dict[str, Any]]:
     for low, high in itertools.pairwise(edges):
         inside = [m for m in asked if low <= m["gap"]["size"] < high]
         if inside:
-            rows.append({"from": low, "to": high if math.isfinite(high) else None, **_share(sum(m["exact"] for m in inside), len(inside))})
+            share = _share(sum(m["exact"] for m in inside), len(inside)) or {}
+            rows.append({"from": low, "to": high if math.isfinite(high) else None, **share})
     return rows
 
 
-def detection(marks: Sequence[Mark]) -> dict[str, dict[str, Any]]:
+def detection(marks: Marks) -> dict[str, dict[str, Any]]:
     """Per effect: smallest size over noise that was diagnosed exactly, and largest that was not."""
     out: dict[str, dict[str, Any]] = {}
     for m in singles(marks):
@@ -307,7 +292,7 @@ def detection(marks: Sequence[Mark]) -> dict[str, dict[str, Any]]:
     return dict(sorted(out.items()))
 
 
-def _gaps(marks: Sequence[Mark]) -> dict[str, Any]:
+def _gaps(marks: Marks) -> dict[str, Any]:
     rows = [m["gap"] for m in marks if m["true"]]
     return {
         "unit": "multiples of the noise alone, on the exam's own runs; medians over cases with effects",
@@ -320,7 +305,7 @@ def _median(values: Iterable[float | None]) -> float | None:
     return float(np.median(there)) if there else None
 
 
-def _same_parameters(marks: Sequence[Mark]) -> dict[str, Any]:
+def _same_parameters(marks: Marks) -> dict[str, Any]:
     """Difference of twin and plant with the same parameters and effects: that of the two models, plus richness."""
     rows = [m["gap"] for m in marks if "true_effects" in m["gap"]]
     axes = sorted({a for g in rows for a in g["true_effects_position"]})

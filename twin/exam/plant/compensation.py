@@ -5,22 +5,20 @@
     pulse      when set point and speed command go one way that differs from that of the last pulse:  p = A(a) in that direction;
                it falls as exp(-t / T) and is added to the speed command.  A(a) = A min(a / a1, 1), up to a2; falls to A_low at a3
 x is the encoder in the loop, x_0 where the run starts. Written from the manuals of SINUMERIK (K3: EEC, MD32450, MD32490 ff), not from the twin.
-`switch_on` takes one change as `remedy.json` states it.
+Settings hold them by the number of the axis: pulses (A, A_low, T, a1, a2, a3), plays (b, n), tables ((first point, spacing, repeats), errors).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from .compiled import compiled
-from .parameters import AXES, Settings
+from .parameters import Settings
 
 RESTS = 1e-11  # change of a set point in a cycle below which an axis rests [m, rad]
-POINTS_A_WAVE, POINTS_A_TURN = 16, 72
 
 
 class Compensation(NamedTuple):
@@ -109,27 +107,3 @@ def compensation_at_rest(c: Compensation, set_point: np.ndarray, x: np.ndarray) 
     own[:, S_LAST] = set_point
     own[:, AT_START] = [table_error(c, k, x[k]) for k in range(len(x))]
     return own
-
-
-def switch_on(s: Settings, change: Mapping[str, Any]) -> None:
-    """Switch on one change of `remedy.json` on settings `s`: {"axis": .., "function": .., "parameters": {key with unit: number}}."""
-    k, p = AXES.index(change["axis"]), change["parameters"]
-    angle, turns = (1.0, 1.0) if s.linear[k] else (math.pi / 180.0, 2.0 * math.pi)
-    unit, turn = ("m", "m") if s.linear[k] else ("deg", "rev")
-    if change["function"] == "friction_pulse":
-        knees = [p.get(f"acceleration_{i}_{turn}_per_s2", 0.0) * turns for i in (1, 2, 3)]
-        sizes = [p.get(f"{name}_{turn}_per_min", 0.0) * turns / 60.0 for name in ("amplitude", "amplitude_low")]
-        s.pulses[k] = (*sizes, p["decay_time_s"], *knees)
-    elif change["function"] == "backlash_value":
-        s.plays[k] = p[f"width_{unit}"] * angle, max(round(p["cycles"]), 1)
-    elif change["function"] == "position_correction":
-        number = {name: p[f"{name}_{unit}"] * angle for name in ("origin", "sine", "cosine", "wavelength")}
-        axis = s.machine["axis"][change["axis"]]
-        low, high = axis["travel_m"] if s.linear[k] else (0.0, 2.0 * math.pi)
-        count = max(math.ceil((high - low) / number["wavelength"] * POINTS_A_WAVE), 1 if s.linear[k] else POINTS_A_TURN) + 1
-        x = np.linspace(low, high, count)
-        w = 2.0 * math.pi / number["wavelength"]
-        error = p["slope_ppm"] * 1e-6 * (x - number["origin"]) + number["sine"] * np.sin(w * x) + number["cosine"] * np.cos(w * x)
-        s.tables[k] = (low, x[1] - x[0], not s.linear[k]), error
-    else:
-        raise ValueError(f"no compensation {change['function']!r} on this plant")

@@ -14,69 +14,39 @@ linearly between ticks. Outside the library (neutral by default): dead band on s
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from .compensation import Compensation, compensated_position, friction_pulse
+from .compensation import compensated_position, friction_pulse
 from .compiled import compiled
 from .parameters import Settings
 
 
-class Control(NamedTuple):
-    """Arrays [axis]; gains include their cycle times."""
-
-    ratio: np.ndarray  # m/rad, rad/rad
-    kv: np.ndarray  # 1/s
-    velocity_gain: np.ndarray  # a_v / Tp
-    torque_gain: np.ndarray  # a_t J_ff / Tp^2 / r
-    kp: np.ndarray  # Nm s/rad
-    ki: np.ndarray  # Kp Ts / Tn
-    kt: np.ndarray  # Nm/A, the control's own
-    limit: np.ndarray  # A
-    kpi: np.ndarray  # V/A
-    kii: np.ndarray  # Kpi Ts / Tni
-    bus: np.ndarray  # V
-    set_point_share: np.ndarray  # 1 - exp(-Tp / tau), 1 = no lag
-    current_share: np.ndarray  # 1 - exp(-Ts / tau)
-    dead_band: np.ndarray  # axis units
-    speed_share: np.ndarray  # 1 - exp(-Ts / tau)
-    speed_clip: np.ndarray  # rad/s, positive direction only
-    notch: np.ndarray  # [axis, 5]: b0 b1 b2 a1 a2
-    transport: np.ndarray  # delay of the telegram in ticks, 0 = the control closes the position loop
-
-
-def control_of(s: Settings) -> Control:
-    """Control arrays from settings (parameters.settings_of, after effects)."""
+def control_values(s: Settings) -> dict[str, Any]:
+    """Fields of the axis records, from settings after effects; gains include their cycle times."""
     cycle = s.tick * s.cycle_ticks
 
     def share(period: float, tau: np.ndarray) -> np.ndarray:
+        """1 - exp(-period / tau) of a lag, 1 without one."""
         return np.where(tau > 0.0, 1.0 - np.exp(-period / np.where(tau > 0.0, tau, 1.0)), 1.0)
 
     notch = np.zeros((len(s.kv), 5))
     notch[:, 0] = 1.0
     for k in np.flatnonzero(s.notch_hz):
         notch[k] = _notch(s.notch_hz[k], s.notch_width[k], s.tick)
-    return Control(
-        s.ratio,
-        s.kv,
-        s.velocity_weight / cycle,
-        s.torque_weight * s.inertia_control / cycle**2 / s.ratio,
-        s.kp,
-        s.kp * s.tick / s.tn,
-        s.kt_control,
-        s.current_limit,
-        s.kpi,
-        s.kpi * s.tick / s.tni,
-        s.bus,
-        share(cycle, s.set_point_lag),
-        share(s.tick, s.current_lag),
-        s.dead_band,
-        share(s.tick, s.speed_lag),
-        s.speed_clip / s.ratio,
-        notch,
-        s.dsc_delay / s.tick,
-    )
+    return {
+        "velocity_gain": s.velocity_weight / cycle,
+        "torque_gain": s.torque_weight * s.inertia_control / cycle**2 / s.ratio,
+        "ki": s.kp * s.tick / s.tn,
+        "kii": s.kpi * s.tick / s.tni,
+        "set_point_share": share(cycle, s.set_point_lag),
+        "current_share": share(s.tick, s.current_lag),
+        "speed_share": share(s.tick, s.speed_lag),
+        "speed_clip": s.speed_clip / s.ratio,  # rad/s, positive direction only
+        "transport": s.dsc_delay / s.tick,  # delay of the telegram in ticks, 0: the control closes the position loop
+        **dict(zip(("notch_b0", "notch_b1", "notch_b2", "notch_a1", "notch_a2"), notch.T)),
+    }
 
 
 def _notch(hz: float, width: float, tick: float) -> np.ndarray:
@@ -92,91 +62,82 @@ CONTROL_STATES = 13
 
 
 @compiled(inline=True)
-def position_cycle(
-    c: Control,
-    on: Compensation,
-    state: np.ndarray,
-    own: np.ndarray,
-    k: int,
-    s_position: float,
-    s_feedforward: float,
-    scale: float,
-) -> None:
+def position_cycle(axis, on, state, own, k, s_position, s_feedforward, scale):  # type: ignore[no-untyped-def]
     """Update speed set point and torque feedforward of axis k; `own` is the state of its compensations."""
-    state[k, LAG_S] += (s_position - state[k, LAG_S]) * c.set_point_share[k]
+    state[k, LAG_S] += (s_position - state[k, LAG_S]) * axis.set_point_share
     error = state[k, LAG_S] - compensated_position(on, own, k, state[k, LAG_S], scale)
-    band = c.dead_band[k]
+    band = axis.dead_band
     if band > 0.0:
         error = math.copysign(max(abs(error) - band, 0.0), error)
     s1, s2 = state[k, S_F1], state[k, S_F2]
-    speed = c.kv[k] * error + c.velocity_gain[k] * (s_feedforward - s1)
-    speed = (speed + friction_pulse(on, own, k, speed)) / c.ratio[k]
+    speed = axis.kv * error + axis.velocity_gain * (s_feedforward - s1)
+    speed = (speed + friction_pulse(on, own, k, speed)) / axis.ratio
     state[k, W_SENT] = speed
-    state[k, T_SENT] = c.torque_gain[k] * (s_feedforward - 2.0 * s1 + s2)
-    if c.transport[k] == 0.0:
-        state[k, W_SET] = state[k, W_SENT] = min(speed, c.speed_clip[k])
+    state[k, T_SENT] = axis.torque_gain * (s_feedforward - 2.0 * s1 + s2)
+    if axis.transport == 0.0:
+        state[k, W_SET] = state[k, W_SENT] = min(speed, axis.speed_clip)
         state[k, T_FF] = state[k, T_SENT]
     state[k, S_F2] = s1
     state[k, S_F1] = s_feedforward
 
 
 @compiled(inline=True)
-def drive_cycle(c: Control, state: np.ndarray, k: int, n: int, scale: float, past: np.ndarray) -> None:
+def drive_cycle(axis: Any, state: np.ndarray, k: int, n: int, scale: float, past: np.ndarray) -> None:
     """Position loop of axis k in its drive at tick n; past [axis, tick, 3] is a ring of speed, torque and scale."""
     length = past.shape[1]
     for i in range(length if n == 0 else 1):
         slot = (n + i) % length
         past[k, slot, 0], past[k, slot, 1], past[k, slot, 2] = state[k, W_SENT], state[k, T_SENT], scale
-    back = math.floor(c.transport[k])
-    weight = c.transport[k] - back
+    back = math.floor(axis.transport)
+    weight = axis.transport - back
     a, b = (n - back) % length, (n - back - 1) % length
     speed = (1.0 - weight) * past[k, a, 0] + weight * past[k, b, 0]
     way = scale - (1.0 - weight) * past[k, a, 2] - weight * past[k, b, 2]
-    state[k, W_SET] = min(speed - c.kv[k] * way / c.ratio[k], c.speed_clip[k])
+    state[k, W_SET] = min(speed - axis.kv * way / axis.ratio, axis.speed_clip)
     state[k, T_FF] = (1.0 - weight) * past[k, a, 1] + weight * past[k, b, 1]
 
 
 @compiled(inline=True)
-def current_cycle(c: Control, state: np.ndarray, k: int, speed: float, current: float) -> float:
+def current_cycle(axis: Any, state: np.ndarray, k: int, speed: float, current: float) -> float:
     """Speed and current controller of axis k at one tick; returns the voltage held until the next tick."""
-    state[k, LAG_W] += (state[k, W_SET] - state[k, LAG_W]) * c.speed_share[k]
+    state[k, LAG_W] += (state[k, W_SET] - state[k, LAG_W]) * axis.speed_share
     error = state[k, LAG_W] - speed
-    torque = c.kp[k] * error + state[k, I_SPEED] + state[k, T_FF]
-    if c.notch[k, 0] != 1.0:  # transposed direct form
-        filtered = c.notch[k, 0] * torque + state[k, N1]
-        state[k, N1] = c.notch[k, 1] * torque - c.notch[k, 3] * filtered + state[k, N2]
-        state[k, N2] = c.notch[k, 2] * torque - c.notch[k, 4] * filtered
+    torque = axis.kp * error + state[k, I_SPEED] + state[k, T_FF]
+    if axis.notch_b0 != 1.0:  # transposed direct form
+        filtered = axis.notch_b0 * torque + state[k, N1]
+        state[k, N1] = axis.notch_b1 * torque - axis.notch_a1 * filtered + state[k, N2]
+        state[k, N2] = axis.notch_b2 * torque - axis.notch_a2 * filtered
         torque = filtered
-    wanted = torque / c.kt[k]
-    limit = c.limit[k]
+    wanted = torque / axis.kt_control
+    limit = axis.current_limit
     if wanted > limit:
         wanted = limit
     elif wanted < -limit:
         wanted = -limit
     else:
-        state[k, I_SPEED] += c.ki[k] * error
-    state[k, LAG_I] += (wanted - state[k, LAG_I]) * c.current_share[k]
+        state[k, I_SPEED] += axis.ki * error
+    state[k, LAG_I] += (wanted - state[k, LAG_I]) * axis.current_share
     error = state[k, LAG_I] - current
-    voltage = c.kpi[k] * error + state[k, I_CURRENT]
-    bus = c.bus[k]
+    voltage = axis.kpi * error + state[k, I_CURRENT]
+    bus = axis.bus
     if voltage > bus:
         voltage = bus
     elif voltage < -bus:
         voltage = -bus
     else:
-        state[k, I_CURRENT] += c.kii[k] * error
+        state[k, I_CURRENT] += axis.kii * error
     return voltage
 
 
-def control_at_rest(c: Control, set_point: np.ndarray, current: np.ndarray, voltage: np.ndarray) -> np.ndarray:
+def control_at_rest(m: np.ndarray, set_point: np.ndarray, current: np.ndarray, voltage: np.ndarray) -> np.ndarray:
     """State of a control at rest with `current` [A] and `voltage` [V], which the integrators hold."""
     state = np.zeros((len(set_point), CONTROL_STATES))
-    state[:, I_SPEED] = c.kt * current
+    state[:, I_SPEED] = m["kt_control"] * current
     state[:, I_CURRENT] = voltage
     state[:, LAG_S] = state[:, S_F1] = state[:, S_F2] = set_point
     state[:, LAG_I] = current
     # steady state of the notch filter for the constant torque
-    torque = c.kt * current
-    state[:, N2] = (c.notch[:, 2] - c.notch[:, 4]) * torque
-    state[:, N1] = (c.notch[:, 1] - c.notch[:, 3]) * torque + state[:, N2]
+    torque = m["kt_control"] * current
+    state[:, N2] = (m["notch_b2"] - m["notch_a2"]) * torque
+    state[:, N1] = (m["notch_b1"] - m["notch_a1"]) * torque + state[:, N2]
     return state

@@ -71,35 +71,64 @@ class DrawContext(NamedTuple):
 
 class Effect(NamedTuple):
     block: str
-    axes: tuple[str, ...]
-    parameters: tuple[str, ...]  # as they are drawn and sealed
     draw: Callable[[DrawContext], dict]
     apply: Callable[[Settings, int, dict], Any]
+    axes: tuple[str, ...] = AXES
 
 
-def _scale(field: str, key: str = "factor") -> Callable:
+def scale(field: str) -> Callable:
+    """apply(): field *= factor."""
+
     def apply(s: Settings, k: int, p: dict) -> None:
-        getattr(s, field)[k] *= p[key]
+        getattr(s, field)[k] *= p["factor"]
 
     return apply
 
 
-def _add(**fields: str) -> Callable:
-    """apply(): field += parameter, for each field=parameter."""
+def add(field: str, key: str) -> Callable:
+    """apply(): field += parameter."""
 
     def apply(s: Settings, k: int, p: dict) -> None:
-        for field, key in fields.items():
-            getattr(s, field)[k] += p[key]
+        getattr(s, field)[k] += p[key]
 
     return apply
 
 
-def _factor(low: float, high: float, signs: str = "both") -> Callable:
+DEFAULTS = {"mass_ratio": 0.05, "damping_ratio": 0.05}
+"""Parameters that a truth.toml may leave out; all others are then 0 (a contact of backlash gets its default from the final masses)."""
+
+
+def put(**fields: str | Callable[[dict], float]) -> Callable:
+    """apply(): field = parameter, or a function of the parameters, for each field."""
+
+    def apply(s: Settings, k: int, p: dict) -> None:
+        for field, value in fields.items():
+            getattr(s, field)[k] = value(p) if callable(value) else p.get(value, DEFAULTS.get(value, 0.0))
+
+    return apply
+
+
+def turns(key: str) -> Callable[[dict], float]:
+    """Angular frequency [rad/s] of a parameter in Hz."""
+    return lambda p: 2.0 * math.pi * p[key]
+
+
+def _factor(low: float, high: float, only_less: bool = False) -> Callable:
     def draw(d: DrawContext) -> dict:
-        sign = {"both": d.sign, "less": lambda: -1.0}[signs]()
+        sign = -1.0 if only_less else d.sign()
         return {"factor": max(1.0 + sign * d.size(low, high), LEAST_FACTOR)}
 
     return draw
+
+
+def _sizes(**ranges: tuple[float, float]) -> Callable:
+    """draw(): parameters of these ranges that the scale multiplies."""
+    return lambda d: {key: d.size(*ends) for key, ends in ranges.items()}
+
+
+def _signed(key: str, low: float, high: float) -> Callable:
+    """draw(): a parameter of either sign."""
+    return lambda d: {key: d.sign() * d.size(low, high)}
 
 
 def _tn_factor(d: DrawContext) -> dict:
@@ -110,13 +139,17 @@ def _delay(d: DrawContext) -> dict:
     return {"delay_s": max(d.sign() * d.size(0.25e-3, 0.75e-3), -d.s.position_delay[d.k])}  # the total delay stays causal
 
 
-def _limit(d: DrawContext) -> dict:
-    peak = d.peak_current[d.k]
-    return {"limit_a": peak * (1.0 - d.size(0.04, 0.15))}
-
-
 def _set_limit(s: Settings, k: int, p: dict) -> None:
     s.current_limit[k] = min(s.current_limit[k], p["limit_a"])
+
+
+def _stribeck(d: DrawContext) -> dict:
+    return {"excess": d.size(0.3, 0.8) * d.s.coulomb[d.k], "velocity": d.motor_like(d.within(2e-3, 6e-3))}
+
+
+def _set_stribeck(s: Settings, k: int, p: dict) -> None:
+    s.stribeck_excess[k] += p["excess"]
+    s.stribeck_velocity[k] = p["velocity"]
 
 
 def _presliding(d: DrawContext) -> dict:
@@ -126,10 +159,6 @@ def _presliding(d: DrawContext) -> dict:
 
 def _position_friction(d: DrawContext) -> dict:
     return {"fraction": min(d.size(0.25, 0.5), MOST_FRACTION), "wavelength": d.within(0.03, 0.12) if d.linear else d.within(0.35, 1.2)}
-
-
-def _set_position_friction(s: Settings, k: int, p: dict) -> None:
-    s.friction_wave[k], s.friction_wave_number[k] = p["fraction"], 2.0 * math.pi / p["wavelength"]
 
 
 def _unbalance(d: DrawContext) -> dict:
@@ -143,17 +172,8 @@ def _clamp(s: Settings, k: int, p: dict) -> None:
 def _backlash(d: DrawContext) -> dict:
     reduced = d.load * d.s.motor_mass[d.k] / d.total
     stiffness = (2.0 * math.pi * 450.0) ** 2 * reduced
-    return {
-        "clearance": d.size(6e-6, 25e-6) if d.linear else d.size(15.0, 50.0) * ARCSEC,
-        "contact_stiffness": stiffness,
-        "contact_damping": 0.6 * math.sqrt(stiffness * reduced),
-    }
-
-
-def _set_backlash(s: Settings, k: int, p: dict) -> None:
-    s.gap[k] = p["clearance"]
-    s.contact_stiffness[k] = p.get("contact_stiffness", 0.0)  # 0: the default, from the final masses
-    s.contact_damping[k] = p.get("contact_damping", 0.0)
+    clearance = d.size(6e-6, 25e-6) if d.linear else d.size(15.0, 50.0) * ARCSEC
+    return {"clearance": clearance, "contact_stiffness": stiffness, "contact_damping": 0.6 * math.sqrt(stiffness * reduced)}
 
 
 def _compliance(d: DrawContext) -> dict:
@@ -167,133 +187,81 @@ def stable_damping(d: DrawContext, stiffness: float) -> float:
     return max(usual, d.within(1.25, 1.7) * d.s.kv[d.k] * d.load)
 
 
-def _set_compliance(s: Settings, k: int, p: dict) -> None:
-    s.stiffness[k], s.damping[k] = p["stiffness"], p.get("damping", 0.0)
-
-
 def _frame(d: DrawContext) -> dict:
     return {"frequency_hz": d.within(20.0, 45.0), "mass_ratio": d.size(0.03, 0.10), "damping_ratio": d.within(0.03, 0.08)}
 
 
-def _set_frame(s: Settings, k: int, p: dict) -> None:
-    s.frame_w[k] = 2.0 * math.pi * p["frequency_hz"]
-    s.frame_ratio[k], s.frame_zeta[k] = p.get("mass_ratio", 0.05), p.get("damping_ratio", 0.05)
-
-
 def _ripple(d: DrawContext) -> dict:
-    return {
-        "amplitude_nm": d.size(0.08, 0.3) if d.linear else d.size(0.04, 0.15),
-        "periods_per_rev": d.whole(4, 12),
-        "phase_rad": d.phase(),
-    }
-
-
-def _set_ripple(s: Settings, k: int, p: dict) -> None:
-    s.ripple[k], s.ripple_n[k], s.ripple_phase[k] = p["amplitude_nm"], p["periods_per_rev"], p.get("phase_rad", 0.0)
+    amplitude = d.size(0.08, 0.3) if d.linear else d.size(0.04, 0.15)
+    return {"amplitude_nm": amplitude, "periods_per_rev": d.whole(4, 12), "phase_rad": d.phase()}
 
 
 def _cyclic(d: DrawContext) -> dict:
     return {"amplitude": d.size(2e-6, 7e-6) if d.linear else d.size(4.0, 15.0) * ARCSEC, "phase_rad": d.phase()}
 
 
-def _set_cyclic(s: Settings, k: int, p: dict) -> None:
-    s.cyclic[k], s.cyclic_phase[k] = p["amplitude"], p.get("phase_rad", 0.0)
+def _eccentricity(d: DrawContext) -> dict:
+    return {"amplitude": d.size(4.0, 15.0) * ARCSEC, "phase_rad": d.phase()}
 
 
-def _set_eccentricity(s: Settings, k: int, p: dict) -> None:
-    s.eccentricity[k], s.eccentricity_phase[k] = p["amplitude"], p.get("phase_rad", 0.0)
-
-
-def _coupling(d: DrawContext) -> dict:
+def other_linear(d: DrawContext) -> str:
+    """Another linear axis, drawn."""
     others = [a for a in LINEAR if a != AXES[d.k]]
-    return {"from_axis": others[d.rng.integers(len(others))], "mass": d.size(0.08, 0.25) * d.s.load_mass[d.k]}
+    return others[d.rng.integers(len(others))]
 
 
 def _set_coupling(s: Settings, k: int, p: dict) -> None:
     s.coupling[k, AXES.index(p["from_axis"])] += p["mass"]
 
 
-def _set_disturbance(s: Settings, k: int, p: dict) -> None:
-    s.disturbance[k], s.disturbance_w[k] = p["force"], 2.0 * math.pi * p["frequency_hz"]
+def _disturbance(d: DrawContext) -> dict:
+    return {"frequency_hz": d.within(7.0, 35.0), "force": d.size(0.15, 0.4) * d.s.coulomb[d.k]}
 
 
-ALL = AXES
 LIBRARY: dict[str, Effect] = {
     # control
-    "position_gain": Effect("position controller", ALL, ("factor",), _factor(0.06, 0.15), _scale("kv")),
-    "velocity_feedforward": Effect("position controller", ALL, ("factor",), _factor(0.015, 0.05), _scale("velocity_weight")),
-    "torque_feedforward": Effect("speed controller", ALL, ("factor",), _factor(0.2, 0.5), _scale("torque_weight")),
-    "loop_delay": Effect("position controller", ALL, ("delay_s",), _delay, _add(position_delay="delay_s")),
-    "speed_gain": Effect("speed controller", ALL, ("factor",), _factor(0.2, 0.4), _scale("kp")),
-    "speed_integral_time": Effect("speed controller", ALL, ("factor",), _tn_factor, _scale("tn")),
-    "set_point_filter": Effect(
-        "position controller",
-        ALL,
-        ("time_constant_s",),
-        lambda d: {"time_constant_s": d.size(1e-3, 4e-3)},
-        _add(set_point_lag="time_constant_s"),
-    ),
-    "current_filter": Effect(
-        "speed controller",
-        ALL,
-        ("time_constant_s",),
-        lambda d: {"time_constant_s": d.size(0.5e-3, 1.5e-3)},
-        _add(current_lag="time_constant_s"),
-    ),
-    "current_limit": Effect("speed controller", ALL, ("limit_a",), _limit, _set_limit),
-    "torque_constant": Effect("current loop", ALL, ("factor",), _factor(0.05, 0.12, "less"), _scale("kt")),
+    "position_gain": Effect("position controller", _factor(0.06, 0.15), scale("kv")),
+    "velocity_feedforward": Effect("position controller", _factor(0.015, 0.05), scale("velocity_weight")),
+    "torque_feedforward": Effect("speed controller", _factor(0.2, 0.5), scale("torque_weight")),
+    "loop_delay": Effect("position controller", _delay, add("position_delay", "delay_s")),
+    "speed_gain": Effect("speed controller", _factor(0.2, 0.4), scale("kp")),
+    "speed_integral_time": Effect("speed controller", _tn_factor, scale("tn")),
+    "set_point_filter": Effect("position controller", _sizes(time_constant_s=(1e-3, 4e-3)), add("set_point_lag", "time_constant_s")),
+    "current_filter": Effect("speed controller", _sizes(time_constant_s=(0.5e-3, 1.5e-3)), add("current_lag", "time_constant_s")),
+    "current_limit": Effect("speed controller", lambda d: {"limit_a": d.peak_current[d.k] * (1.0 - d.size(0.04, 0.15))}, _set_limit),
+    "torque_constant": Effect("current loop", _factor(0.05, 0.12, only_less=True), scale("kt")),
     # mechanics
-    "inertia": Effect("mechanics", ALL, ("added",), lambda d: {"added": d.size(0.10, 0.35) * d.total}, _add(added_mass="added")),
-    "coulomb_friction": Effect("mechanics", ALL, ("factor",), _factor(0.25, 0.5), _scale("coulomb")),
-    "viscous_friction": Effect("mechanics", ALL, ("factor",), _factor(0.3, 0.6), _scale("viscous")),
-    "stribeck": Effect(
-        "mechanics",
-        ALL,
-        ("excess", "velocity"),
-        lambda d: {"excess": d.size(0.3, 0.8) * d.s.coulomb[d.k], "velocity": d.motor_like(d.within(2e-3, 6e-3))},
-        lambda s, k, p: (_add(stribeck_excess="excess")(s, k, p), s.stribeck_velocity.__setitem__(k, p["velocity"])),
+    "inertia": Effect("mechanics", lambda d: {"added": d.size(0.10, 0.35) * d.total}, add("added_mass", "added")),
+    "coulomb_friction": Effect("mechanics", _factor(0.25, 0.5), scale("coulomb")),
+    "viscous_friction": Effect("mechanics", _factor(0.3, 0.6), scale("viscous")),
+    "stribeck": Effect("mechanics", _stribeck, _set_stribeck),
+    "presliding": Effect("mechanics", _presliding, put(presliding_stiffness="stiffness", presliding_damping="damping")),
+    "viscous_asymmetry": Effect("mechanics", _signed("fraction", 0.15, 0.35), add("asymmetry", "fraction")),
+    "position_dependent_friction": Effect(
+        "mechanics", _position_friction, put(friction_wave="fraction", friction_wave_number=lambda p: 2.0 * math.pi / p["wavelength"])
     ),
-    "presliding": Effect(
-        "mechanics",
-        ALL,
-        ("stiffness",),
-        _presliding,
-        lambda s, k, p: (s.presliding_stiffness.__setitem__(k, p["stiffness"]), s.presliding_damping.__setitem__(k, p.get("damping", 0.0))),
-    ),
-    "viscous_asymmetry": Effect(
-        "mechanics", ALL, ("fraction",), lambda d: {"fraction": d.sign() * d.size(0.15, 0.35)}, _add(asymmetry="fraction")
-    ),
-    "position_dependent_friction": Effect("mechanics", ALL, ("fraction", "wavelength"), _position_friction, _set_position_friction),
     "constant_force": Effect(
-        "mechanics", ALL, ("force",), lambda d: {"force": d.sign() * d.size(0.2, 0.5) * d.s.coulomb[d.k]}, _add(constant_force="force")
+        "mechanics", lambda d: {"force": d.sign() * d.size(0.2, 0.5) * d.s.coulomb[d.k]}, add("constant_force", "force")
     ),
-    "table_unbalance": Effect("mechanics", ("A",), ("mass_kg", "radius_m", "angle_rad", "height_m"), _unbalance, _clamp),
-    "torque_ripple": Effect("mechanics", ALL, ("amplitude_nm", "periods_per_rev"), _ripple, _set_ripple),
-    "cross_axis_coupling": Effect("mechanics", LINEAR, ("from_axis", "mass"), _coupling, _set_coupling),
-    "periodic_disturbance": Effect(
-        "mechanics",
-        ALL,
-        ("frequency_hz", "force"),
-        lambda d: {"frequency_hz": d.within(7.0, 35.0), "force": d.size(0.15, 0.4) * d.s.coulomb[d.k]},
-        _set_disturbance,
+    "table_unbalance": Effect("mechanics", _unbalance, _clamp, ("A",)),
+    "torque_ripple": Effect("mechanics", _ripple, put(ripple="amplitude_nm", ripple_n="periods_per_rev", ripple_phase="phase_rad")),
+    "cross_axis_coupling": Effect(
+        "mechanics", lambda d: {"from_axis": other_linear(d), "mass": d.size(0.08, 0.25) * d.s.load_mass[d.k]}, _set_coupling, LINEAR
     ),
+    "periodic_disturbance": Effect("mechanics", _disturbance, put(disturbance="force", disturbance_w=turns("frequency_hz"))),
     # transmission
-    "backlash": Effect("transmission", ALL, ("clearance",), _backlash, _set_backlash),
-    "transmission_compliance": Effect("transmission", ALL, ("stiffness",), _compliance, _set_compliance),
-    "lead_error": Effect(
-        "transmission", LINEAR, ("fraction",), lambda d: {"fraction": d.sign() * d.size(25e-6, 80e-6)}, _add(lead="fraction")
+    "backlash": Effect(
+        "transmission", _backlash, put(gap="clearance", contact_stiffness="contact_stiffness", contact_damping="contact_damping")
     ),
-    "cyclic_error": Effect("transmission", ALL, ("amplitude",), _cyclic, _set_cyclic),
+    "transmission_compliance": Effect("transmission", _compliance, put(stiffness="stiffness", damping="damping")),
+    "lead_error": Effect("transmission", _signed("fraction", 25e-6, 80e-6), add("lead", "fraction"), LINEAR),
+    "cyclic_error": Effect("transmission", _cyclic, put(cyclic="amplitude", cyclic_phase="phase_rad")),
     # measurement
-    "frame_vibration": Effect("measurement", ALL, ("frequency_hz",), _frame, _set_frame),
-    "encoder_eccentricity": Effect(
-        "measurement",
-        ("C",),
-        ("amplitude",),
-        lambda d: {"amplitude": d.size(4.0, 15.0) * ARCSEC, "phase_rad": d.phase()},
-        _set_eccentricity,
+    "frame_vibration": Effect(
+        "measurement", _frame, put(frame_w=turns("frequency_hz"), frame_ratio="mass_ratio", frame_zeta="damping_ratio")
     ),
-    "thermal_drift": Effect("measurement", LINEAR, ("rate",), lambda d: {"rate": d.sign() * d.size(0.1e-6, 0.4e-6)}, _add(drift="rate")),
+    "encoder_eccentricity": Effect("measurement", _eccentricity, put(eccentricity="amplitude", eccentricity_phase="phase_rad"), ("C",)),
+    "thermal_drift": Effect("measurement", _signed("rate", 0.1e-6, 0.4e-6), add("drift", "rate"), LINEAR),
 }
 
 

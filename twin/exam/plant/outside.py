@@ -32,19 +32,9 @@ from typing import Any
 
 import numpy as np
 
-from .effects import ALL, ARCSEC, DrawContext, Effect, stable_damping
+from .effects import ARCSEC, DrawContext, Effect, other_linear, put, stable_damping
 from .mechanics import DEAD_TIME_A
 from .parameters import AXES, LINEAR, Settings
-
-
-def _put(**fields: str) -> Callable[[Settings, int, dict], None]:
-    """apply(): field = parameter."""
-
-    def apply(s: Settings, k: int, p: dict) -> None:
-        for field, key in fields.items():
-            getattr(s, field)[k] = p[key]
-
-    return apply
 
 
 def _length(d: DrawContext, um: tuple[float, float], arcsec: tuple[float, float]) -> float:
@@ -73,9 +63,12 @@ def _lost_motion(d: DrawContext) -> dict:
     }
 
 
-def _crosstalk(d: DrawContext) -> dict:
-    others = [a for a in LINEAR if a != AXES[d.k]]
-    return {"from_axis": others[d.rng.integers(len(others))], "gain": d.sign() * d.size(40e-6, 150e-6)}
+def _set_crosstalk(s: Settings, k: int, p: dict) -> None:
+    s.crosstalk[k, AXES.index(p["from_axis"])] = p["gain"]
+
+
+def _warming(d: DrawContext) -> dict:
+    return {"share": d.size(0.3, 0.6) if d.sign() > 0 else -d.size(0.3, 0.5), "time_constant_s": d.within(40.0, 120.0)}
 
 
 @dataclass(frozen=True)
@@ -127,71 +120,33 @@ def played(x: np.ndarray, half: float) -> np.ndarray:
 OUTSIDE: dict[str, Effect] = {
     "notch_filter": Effect(
         "speed controller",
-        ALL,
-        ("frequency_hz",),
         lambda d: {"frequency_hz": d.within(90.0, 160.0), "width": d.size(0.6, 1.2)},
-        _put(notch_hz="frequency_hz", notch_width="width"),
+        put(notch_hz="frequency_hz", notch_width="width"),
     ),
-    "position_dead_band": Effect(
-        "position controller", ALL, ("band",), lambda d: {"band": _length(d, (3, 10), (5, 15))}, _put(dead_band="band")
-    ),
+    "position_dead_band": Effect("position controller", lambda d: {"band": _length(d, (3, 10), (5, 15))}, put(dead_band="band")),
     "speed_set_point_smoothing": Effect(
-        "position controller",
-        ALL,
-        ("time_constant_s",),
-        lambda d: {"time_constant_s": d.size(2e-3, 6e-3)},
-        _put(speed_lag="time_constant_s"),
+        "position controller", lambda d: {"time_constant_s": d.size(2e-3, 6e-3)}, put(speed_lag="time_constant_s")
     ),
     "one_sided_speed_clip": Effect(
-        "position controller",
-        ALL,
-        ("limit",),
-        lambda d: {"limit": d.peak_speed[d.k] * (1.0 - d.size(0.03, 0.08))},
-        _put(speed_clip="limit"),
+        "position controller", lambda d: {"limit": d.peak_speed[d.k] * (1.0 - d.size(0.03, 0.08))}, put(speed_clip="limit")
     ),
-    "magnetic_saturation": Effect("current loop", ALL, ("saturation_a",), _saturation, _put(saturation_a="saturation_a")),
-    "inverter_dead_time": Effect(
-        "current loop", ALL, ("voltage_v",), lambda d: {"voltage_v": d.size(8.0, 20.0)}, _put(dead_time_v="voltage_v")
-    ),
-    "windage": Effect(
-        "mechanics", ALL, ("drag",), lambda d: {"drag": d.size(0.4, 1.0) * d.s.coulomb[d.k] / d.peak_speed[d.k] ** 2}, _put(windage="drag")
-    ),
-    "warming_friction": Effect(
-        "mechanics",
-        ALL,
-        ("share", "time_constant_s"),
-        lambda d: {"share": d.size(0.3, 0.6) if d.sign() > 0 else -d.size(0.3, 0.5), "time_constant_s": d.within(40.0, 120.0)},
-        _put(warming="share", warming_time="time_constant_s"),
-    ),
-    "hardening_spring": Effect(
-        "transmission", ALL, ("stiffness", "per_m2"), _hardening, _put(stiffness="stiffness", damping="damping", hardening="per_m2")
-    ),
+    "magnetic_saturation": Effect("current loop", _saturation, put(saturation_a="saturation_a")),
+    "inverter_dead_time": Effect("current loop", lambda d: {"voltage_v": d.size(8.0, 20.0)}, put(dead_time_v="voltage_v")),
+    "windage": Effect("mechanics", lambda d: {"drag": d.size(0.4, 1.0) * d.s.coulomb[d.k] / d.peak_speed[d.k] ** 2}, put(windage="drag")),
+    "warming_friction": Effect("mechanics", _warming, put(warming="share", warming_time="time_constant_s")),
+    "hardening_spring": Effect("transmission", _hardening, put(stiffness="stiffness", damping="damping", hardening="per_m2")),
     "two_stage_lost_motion": Effect(
-        "transmission",
-        ALL,
-        ("width", "share"),
-        _lost_motion,
-        _put(soft_gap="width", soft_share="share", stiffness="stiffness", damping="damping"),
+        "transmission", _lost_motion, put(soft_gap="width", soft_share="share", stiffness="stiffness", damping="damping")
     ),
-    "scale_coupling_play": Effect(
-        "measurement", ALL, ("width",), lambda d: {"width": _length(d, (5, 15), (10, 30))}, _put(scale_play="width")
-    ),
+    "scale_coupling_play": Effect("measurement", lambda d: {"width": _length(d, (5, 15), (10, 30))}, put(scale_play="width")),
     "scale_interpolation_error": Effect(
         "measurement",
-        ALL,
-        ("amplitude",),
         lambda d: {"amplitude": _length(d, (0.5, 1.5), (2, 5)), "period": 20e-6 if d.linear else 72.0 * ARCSEC},
-        _put(subperiod="amplitude", subperiod_length="period"),
+        put(subperiod="amplitude", subperiod_length="period"),
     ),
     "tilt_crosstalk": Effect(
-        "measurement",
-        LINEAR,
-        ("from_axis", "gain"),
-        _crosstalk,
-        lambda s, k, p: s.crosstalk.__setitem__((k, AXES.index(p["from_axis"])), p["gain"]),
+        "measurement", lambda d: {"from_axis": other_linear(d), "gain": d.sign() * d.size(40e-6, 150e-6)}, _set_crosstalk, LINEAR
     ),
-    "current_recorded_late": Effect("measurement", ALL, ("skew_s",), lambda d: {"skew_s": d.size(2e-3, 6e-3)}, _put(skew_s="skew_s")),
-    "scale_sampling_jitter": Effect(
-        "measurement", ALL, ("deviation_s",), lambda d: {"deviation_s": d.size(20e-6, 60e-6)}, _put(jitter_s="deviation_s")
-    ),
+    "current_recorded_late": Effect("measurement", lambda d: {"skew_s": d.size(2e-3, 6e-3)}, put(skew_s="skew_s")),
+    "scale_sampling_jitter": Effect("measurement", lambda d: {"deviation_s": d.size(20e-6, 60e-6)}, put(jitter_s="deviation_s")),
 }

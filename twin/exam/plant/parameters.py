@@ -8,7 +8,7 @@ The control keeps the nominal torque constant and inertia J_ff, whatever the tru
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 from types import SimpleNamespace
@@ -118,19 +118,17 @@ def pair_of(machine: dict, factors: dict, clamped: Sequence[tuple[float, float, 
 Settings = Any  # a SimpleNamespace of arrays [axis], made by settings_of
 
 
-ZERO_IN_LIBRARY = [
+ZERO = [
+    # effects of the library
     "set_point_lag", "current_lag", "stribeck_excess", "presliding_stiffness", "presliding_damping", "asymmetry", "friction_wave",
     "friction_wave_number", "constant_force", "added_mass", "gap", "contact_stiffness", "contact_damping", "stiffness", "damping",
     "hardening", "frame_w", "frame_zeta", "frame_ratio", "ripple", "ripple_n", "ripple_phase", "cogging", "cogging_n",
     "cogging_phase", "lead", "cyclic", "cyclic_phase", "eccentricity", "eccentricity_phase", "drift", "disturbance", "disturbance_w",
-]  # fmt: skip
-"""Parameters of library effects, one number per axis; zero on a machine without effects."""
-
-ZERO_OUTSIDE = [
+    # effects outside it
     "dead_band", "speed_lag", "notch_hz", "notch_width", "saturation_a", "dead_time_v", "windage", "warming", "warming_time",
     "soft_gap", "soft_share", "scale_play", "subperiod", "subperiod_length", "skew_s", "jitter_s",
 ]  # fmt: skip
-"""The same for effects outside the library."""
+"""Parameters of effects, one number per axis; zero on a machine without effects."""
 
 
 def settings_of(machine: dict, factors: dict) -> Settings:
@@ -193,10 +191,10 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.machine, s.factors = machine, factors
 
     # Neutral values of everything that effects change
-    for key in (*ZERO_IN_LIBRARY, *ZERO_OUTSIDE):
+    for key in ZERO:
         setattr(s, key, np.zeros(len(AXES)))
     s.stribeck_velocity = np.full(len(AXES), 1e-3)
-    s.zero_kept = False  # motor encoders, see mechanics.ZERO_KEPT
+    s.zero_kept = False  # motor encoders, see mechanics.mechanics_values
     s.speed_clip = np.full(len(AXES), FREE)
     s.coupling = np.zeros((len(AXES), len(AXES)))  # [this, from]: mass
     s.crosstalk = np.zeros((len(AXES), len(AXES)))  # [this, from]: axis units per axis unit, outside the library
@@ -214,3 +212,13 @@ def load_of(s: Settings) -> np.ndarray:
     """Load mass or inertia [kg, kg m2] of each axis at A = C = 0, including clamped and added ones."""
     pair = pair_of(s.machine, s.factors, s.clamped)
     return s.load_mass + s.added_mass + np.array([0.0, 0.0, 0.0, *_diagonal_at_zero(pair)])
+
+
+def axis_records(s: Settings, derived: Mapping[str, Any]) -> np.ndarray:
+    """Records (axis,) of floats for the compiled functions: the arrays of the settings by name, with `derived` ones in addition or instead."""
+    own = {name: value for name, value in vars(s).items() if isinstance(value, np.ndarray) and value.ndim == 1}
+    fields = {**own, **derived}
+    records = np.zeros(len(AXES), [(name, float) for name in sorted(fields)])
+    for name, value in fields.items():
+        records[name] = value
+    return records
