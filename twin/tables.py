@@ -8,13 +8,12 @@ A table has a model (msgspec), whose fields are its keys with types, bounds and 
 
     run = typed(table, Run, "campaign.toml: run 1")
 
-`asks` states what to do; without it the line follows from the type. `number`, `positive`, ... read single keys of tables whose keys
-depend on others.
+`asks` states what to do; without it the line follows from the type.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 import functools
 import math
 import re
@@ -23,10 +22,8 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 import msgspec.structs
-import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.units import UNITS
 
 LARGEST = 1e100
 """Larger numbers are refused, as in every TOML file."""
@@ -57,6 +54,14 @@ def typed(table: Any, model: type[Model], where: str) -> Model:
     except msgspec.ValidationError as error:
         said, _, path = str(error).partition(" - at `$")
         raise InputError(_line(table, model, where, said, path.rstrip("`"))) from None
+
+
+def typed_kind(table: Any, models: Mapping[str, type[Model]], where: str) -> Model:
+    """The table as the model that its key `kind` names."""
+    kind = table.get("kind") if isinstance(table, Mapping) else None
+    if not isinstance(kind, str) or kind not in models:
+        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), models)}")
+    return typed(table, models[kind], where)
 
 
 def _line(value: Any, kind: Any, where: str, said: str, path: str) -> str:
@@ -133,20 +138,9 @@ def _remedy(key: str, kind: Any, value: Any, said: str) -> str:
     return "write it in quotes"
 
 
-SMALLEST = 1e-100
-"""Least positive number: the inverse of a smaller one could overflow."""
-
-
 def is_number(value: object) -> bool:
     """True for a finite number; false for true and false."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def known(table: Any, keys: Collection[str], where: str) -> None:
-    """Raise InputError unless this is a table with these keys only."""
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where}: {table!r} is not a table; write key = value below [..]")
-    known_keys(table, keys, where)
 
 
 def known_keys(table: Mapping[str, Any], keys: Collection[str], where: str) -> None:
@@ -156,64 +150,11 @@ def known_keys(table: Mapping[str, Any], keys: Collection[str], where: str) -> N
             raise InputError(f"{where}: unknown key '{key}'; {nearest(key, keys)}")
 
 
-def number(table: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
-    """A finite number."""
-    value = _given(table, key, where, default)
-    if not is_number(value):
-        raise InputError(f"{where}: {key} = {value!r} is not a number; correct it")
-    return float(value)
-
-
-def positive(table: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
-    """A number above 0."""
-    value = _given(table, key, where, default)
-    if not is_number(value) or value < SMALLEST:
-        raise InputError(f"{where}: {key} = {value!r} is not a number above 0; correct it")
-    return float(value)
-
-
-def numbers(table: Mapping[str, Any], key: str, count: int, where: str, default: Sequence[float] | None = None) -> np.ndarray:
-    """A list (count,) of numbers."""
-    value = _given(table, key, where, default)
-    if not isinstance(value, list | tuple) or len(value) != count or not all(map(is_number, value)):
-        raise InputError(f"{where}: {key} = {value!r}; give a list of {count} numbers")
-    return np.array(value, float)
-
-
-def limits(table: Mapping[str, Any], key: str, where: str, unit: str = "mm") -> tuple[float, float]:
-    """Two increasing numbers in `unit`, returned in SI."""
-    low, high = numbers(table, key, 2, where).tolist()
-    if low >= high:
-        raise InputError(f"{where}: {key} = {table[key]}: the first number must be less than the second; correct them")
-    return low * UNITS[unit][1], high * UNITS[unit][1]
-
-
-def listed(table: Mapping[str, Any], key: str, where: str, default: list[Any] | None = None) -> list[Any]:
-    """A list."""
-    value = _given(table, key, where, default)
-    if not isinstance(value, list):
-        raise InputError(f"{where}: {key} = {value!r} is not a list; write {key} = [..]")
-    return value
-
-
 def one_of(table: Mapping[str, Any], key: str, options: Collection[str], where: str, default: str | None = None) -> str:
     """One of several words."""
-    value = _given(table, key, where, default)
-    if not isinstance(value, str) or value not in options:
-        raise InputError(f"{where}: {key} = {value!r} is not known; {nearest(str(value), options)}")
-    return value
-
-
-def text(table: Mapping[str, Any], key: str, where: str) -> str:
-    """A text."""
-    value = _given(table, key, where, None)
-    if not isinstance(value, str):
-        raise InputError(f"{where}: {key} = {value!r} is not text; write it in quotes")
-    return value
-
-
-def _given(table: Mapping[str, Any], key: str, where: str, default: Any) -> Any:
     value = table.get(key, default)
     if value is None:
         raise InputError(f"{where}: {key} is missing; add it")
+    if not isinstance(value, str) or value not in options:
+        raise InputError(f"{where}: {key} = {value!r} is not known; {nearest(str(value), options)}")
     return value

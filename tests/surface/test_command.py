@@ -97,7 +97,7 @@ def test_a_trace_without_positions_has_no_followed_path(tmp_path: Path) -> None:
         ("diameter_mm = 10", "diameter_mm = 1000\ncutting_length_mm = 600", "larger than the part.*check the units"),
         ("across_mm = [-1, 1]", "", "'?across_mm'? is missing"),
         ("zone_um = 50", "zone_um = 50\nzone_along_mm = [3, 1]", "must be less than the second"),
-        ("allowance_mm = 0.05", "allowance_mm = 'thick'", "is not a number above 0"),
+        ("allowance_mm = 0.05", "allowance_mm = 'thick'", "allowance_mm = 'thick'; give a number"),
         ("[tool]", "[tool", "not a valid TOML"),
     ],
 )
@@ -183,5 +183,5 @@ def test_missing_values_of_a_mark_on_a_mesh_are_null(tmp_path: Path) -> None:
 
 
 def test_part_needs_surfaces(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\[\[surface\]\] is missing"):
+    with pytest.raises(InputError, match=r"'surface' is missing; write \[\[surface\]\]"):
         part_from_document({"tool": {"kind": "ball", "diameter_mm": 10}}, tmp_path, "part.toml")

@@ -134,8 +134,8 @@ def test_contour_and_orientation_error_of_a_shifted_path() -> None:
     ("table", "says"),
     [
         ({"kind": "bal"}, "did you mean 'ball'"),
-        ({"kind": "ball"}, "diameter_mm is missing"),
-        ({"kind": "ball", "diameter_mm": -3}, "is not a number above 0"),
+        ({"kind": "ball"}, "'diameter_mm' is missing"),
+        ({"kind": "ball", "diameter_mm": -3}, "give a number above 0"),
         ({"kind": "ball", "diameter_mm": 10, "corner_mm": 1}, "unknown key 'corner_mm'"),
         ({"kind": "bull", "diameter_mm": 10, "corner_mm": 6}, "between 0 and the tool's radius"),
         ({"kind": "revolution", "profile_mm": [[1, 2]]}, "at least two points"),

@@ -14,20 +14,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
-from twin.documents import read_toml
-from twin.errors import InputError, nearest
+from twin.documents import outer_file, read_toml
+from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.surface.height_rays import HeightRays, grid_rays
-from twin.surface.shapes import KEYS, KINDS, MeshFile, Plane, Profile, Sphere, mesh_file, shape_of
+from twin.surface.shapes import TABLES, MeshFile, Plane, Profile, Sphere, limits
 from twin.surface.tools import Tool, tool_from_table
-from twin.tables import known, limits, listed, number, numbers, positive
+from twin.tables import Number, Positive, Table, Text, asks, typed, typed_kind
 from twin.units import rad_from_deg
 
-COMMON = {"name", "kind", "spacing_mm", "depth_mm", "zone_um", "zone_along_mm", "zone_across_mm", "zone_feed_m_per_min"}
 MOST_RAYS = 4_000_000
 """Most rays of a surface or zone; pictures and files of more would not fit into memory."""
 
@@ -129,30 +129,39 @@ def read_part(path: str | Path) -> Part:
     return part_from_document(read_toml(path), path.parent, str(path))
 
 
+class _StockTable(Table, frozen=True):
+    allowance_mm: Positive = 0.05
+    mesh: str | None = None
+    unit: str | None = None
+
+
+class _PlacementTable(Table, frozen=True):
+    origin_mm: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    rotation_deg: Number = 0.0
+
+
+class _PartFile(Table, frozen=True):
+    tool: Annotated[Any, asks("add [tool]")]
+    surface: Annotated[tuple[Any, ...], asks("write [[surface]] and its keys below it, at least once", min_length=1)]
+    name: Text | None = None
+    stock: _StockTable = msgspec.field(default_factory=_StockTable)
+    placement: _PlacementTable = msgspec.field(default_factory=_PlacementTable)
+    notes: Annotated[tuple[str, ...], asks("write notes = [..], a list of texts")] = ()
+
+
 def part_from_document(document: Mapping[str, Any], folder: Path, where: str) -> Part:
     """A checked Part from the tables of a part file."""
-    known(document, {"name", "tool", "stock", "placement", "surface", "notes"}, where)
-    if "tool" not in document:
-        raise InputError(f"{where}: [tool] is missing; add it")
-    surfaces = document.get("surface", [])
-    if not isinstance(surfaces, list):
-        raise InputError(f"{where}: 'surface' must be a list of tables; write [[surface]]")
-    if not surfaces:
-        raise InputError(f"{where}: [[surface]] is missing; add it")
-    stock, in_stock = document.get("stock", {}), f"{where}: [stock]"
-    known(stock, {"allowance_mm", "mesh", "unit"}, in_stock)
-    placement, in_placement = document.get("placement", {}), f"{where}: [placement]"
-    known(placement, {"origin_mm", "rotation_deg"}, in_placement)
-    angle = rad_from_deg(number(placement, "rotation_deg", in_placement, 0.0))
+    given = typed(document, _PartFile, where)
+    stock, angle = given.stock, rad_from_deg(given.placement.rotation_deg)
     part = Part(
-        name=str(document.get("name", folder.name)),
-        tool=tool_from_table(document["tool"], f"{where}: [tool]"),
-        surfaces=tuple(_surface(table, i, folder, f"{where}: [[surface]] {i + 1}") for i, table in enumerate(surfaces)),
-        allowance=positive(stock, "allowance_mm", in_stock, 0.05) * 1e-3,
-        origin=numbers(placement, "origin_mm", 3, in_placement, (0.0, 0.0, 0.0)) * 1e-3,
+        name=given.name or folder.name,
+        tool=tool_from_table(given.tool, f"{where}: [tool]"),
+        surfaces=tuple(_surface(table, i, folder, f"{where}: [[surface]] {i + 1}") for i, table in enumerate(given.surface)),
+        allowance=stock.allowance_mm * 1e-3,
+        origin=np.array(given.placement.origin_mm) * 1e-3,
         rotation=np.array([[math.cos(angle), -math.sin(angle), 0.0], [math.sin(angle), math.cos(angle), 0.0], [0.0, 0.0, 1.0]]),
-        stock=mesh_file(stock, "mesh", folder, in_stock) if "mesh" in stock else None,
-        notes=tuple(map(str, listed(document, "notes", where, []))),
+        stock=None if stock.mesh is None else MeshFile(outer_file(stock.mesh, folder, f"{where}: [stock]: mesh"), stock.unit),
+        notes=given.notes,
     )
     names = [surface.name for surface in part.surfaces]
     if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
@@ -172,19 +181,17 @@ def _check_tool(part: Part, where: str) -> None:
 
 
 def _surface(table: Any, index: int, folder: Path, where: str) -> Surface:
-    kind = table.get("kind") if isinstance(table, Mapping) else None
-    if kind not in KINDS:
-        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}")
-    known(table, COMMON | KEYS[kind], where)
+    given = typed_kind(table, TABLES, where)
+    along, across = given.zone_along_mm, given.zone_across_mm
     return Surface(
-        name=str(table.get("name", f"surface {index + 1}")),
-        shape=shape_of(table, kind, folder, where),
-        spacing=positive(table, "spacing_mm", where, 0.25) * 1e-3,
-        depth=positive(table, "depth_mm", where, 0.5) * 1e-3,
-        zone_spacing=positive(table, "zone_um", where) * 1e-6 if "zone_um" in table else 0.0,
-        zone_along=limits(table, "zone_along_mm", where) if "zone_along_mm" in table else None,
-        zone_across=limits(table, "zone_across_mm", where) if "zone_across_mm" in table else None,
-        zone_feed=positive(table, "zone_feed_m_per_min", where, 1.0) / 60.0,
+        name=given.name or f"surface {index + 1}",
+        shape=given.shape(folder, where),
+        spacing=given.spacing_mm * 1e-3,
+        depth=given.depth_mm * 1e-3,
+        zone_spacing=(given.zone_um or 0.0) * 1e-6,
+        zone_along=along and limits(along, "zone_along_mm", where),
+        zone_across=across and limits(across, "zone_across_mm", where),
+        zone_feed=given.zone_feed_m_per_min / 60.0,
     )
 
 

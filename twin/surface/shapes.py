@@ -10,26 +10,18 @@ Tables give lengths in mm and angles in degrees; here they are in m and rad.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
 from twin.documents import outer_file
 from twin.errors import InputError
-from twin.tables import known, limits, listed, number, numbers, positive, text
-from twin.units import rad_from_deg
+from twin.tables import LARGEST, Number, Positive, Table, Text, asks
+from twin.units import UNITS, rad_from_deg
 
-KEYS = {
-    "profile": {"plane", "start_mm", "heading_deg", "segments", "across_mm"},
-    "plane": {"origin_mm", "u_direction", "v_direction", "along_mm", "across_mm"},
-    "sphere": {"centre_mm", "radius_mm", "azimuth_deg", "polar_deg"},
-    "mesh": {"file", "unit"},
-}
-KINDS = tuple(KEYS)
 EDGE_WIDTH = 0.5e-3
 """Width beside a sharp edge over which the rays tilt towards its bisector [m]; deviations there are up to 1 / cos(turn / 2) larger."""
 PLANES = {"xz": (0, 2, 1), "xy": (0, 1, 2), "yz": (1, 2, 0)}
@@ -153,79 +145,107 @@ class MeshFile:
     unit: str | None
 
 
-def shape_of(table: Mapping[str, Any], kind: str, folder: Path, where: str) -> Profile | Plane | Sphere | MeshFile:
-    """The checked shape of a table [[surface]]; file paths are relative to `folder`."""
-    match kind:
-        case "profile":
-            return _profile(table, where)
-        case "plane":
-            return _plane(table, where)
-        case "sphere":
-            return _sphere(table, where)
-    return mesh_file(table, "file", folder, where)
+Ends = Annotated[tuple[Number, Number], asks("give a list of 2 numbers, the first less than the second")]
+Vector = tuple[Number, Number, Number]
 
 
-def mesh_file(table: Mapping[str, Any], key: str, folder: Path, where: str) -> MeshFile:
-    """The mesh file under `key` of a table, with its unit."""
-    path = outer_file(text(table, key, where), folder, f"{where}: {key}")
-    return MeshFile(path, text(table, "unit", where) if "unit" in table else None)
+class SurfaceTable(Table, frozen=True, kw_only=True):
+    """The keys that every table [[surface]] has."""
+
+    kind: str
+    name: Text | None = None
+    spacing_mm: Positive = 0.25
+    depth_mm: Positive = 0.5
+    zone_um: Positive | None = None
+    zone_along_mm: Ends | None = None
+    zone_across_mm: Ends | None = None
+    zone_feed_m_per_min: Positive = 1.0
+
+    def shape(self, folder: Path, where: str) -> Profile | Plane | Sphere | MeshFile:
+        """The checked shape; file paths are relative to `folder`."""
+        raise NotImplementedError
 
 
-def _profile(table: Mapping[str, Any], where: str) -> Profile:
-    plane = text(table, "plane", where)
-    if plane not in PLANES:
-        raise InputError(f"{where}: plane = {plane!r}; use one of {', '.join(PLANES)}")
-    segments = listed(table, "segments", where)
-    profile = Profile(
-        plane=plane,
-        start=numbers(table, "start_mm", 2, where) * 1e-3,
-        heading=rad_from_deg(number(table, "heading_deg", where, 0.0)),
-        segments=tuple(_segment(segment, f"{where}: segment {i + 1}") for i, segment in enumerate(segments)),
-        across=limits(table, "across_mm", where),
-    )
-    if profile.extent[0][1] == 0.0:
-        raise InputError(f"{where}: segments = {segments}: none has a length; give lines or arcs, such as [{{ length_mm = 12 }}]")
-    return profile
+class _SegmentTable(Table, frozen=True):
+    length_mm: Positive | None = None
+    radius_mm: Annotated[float, asks("give 0 or more, the sign of turn_deg sets the direction", ge=0.0, le=LARGEST)] | None = None
+    turn_deg: Number | None = None
+
+    def segment(self, where: str) -> Segment:
+        """A line, an arc, or a sharp corner (a turn without radius)."""
+        if (self.turn_deg is None) == (self.length_mm is None) or (self.radius_mm is not None and self.turn_deg is None):
+            raise InputError(f"{where}: give length_mm for a line, radius_mm and turn_deg for an arc, turn_deg for a corner")
+        if self.turn_deg is None:
+            return Segment((self.length_mm or 0.0) * 1e-3, 0.0, 0.0)
+        turn, radius = rad_from_deg(self.turn_deg), (self.radius_mm or 0.0) * 1e-3
+        return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
 
 
-def _segment(table: Any, where: str) -> Segment:
-    """A line, an arc, or a sharp corner (a turn without radius)."""
-    known(table, ("length_mm", "radius_mm", "turn_deg"), where)
-    if ("turn_deg" in table) == ("length_mm" in table) or ("radius_mm" in table and "turn_deg" not in table):
-        raise InputError(f"{where}: {dict(table)}; give length_mm for a line, radius_mm and turn_deg for an arc, turn_deg for a corner")
-    if "length_mm" in table:
-        return Segment(positive(table, "length_mm", where) * 1e-3, 0.0, 0.0)
-    turn, radius = rad_from_deg(number(table, "turn_deg", where)), number(table, "radius_mm", where, 0.0) * 1e-3
-    if radius < 0.0:
-        raise InputError(f"{where}: radius_mm = {table['radius_mm']}; give 0 or more, the sign of turn_deg sets the direction")
-    return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
+class _ProfileTable(SurfaceTable, frozen=True, kw_only=True):
+    plane: Literal["xz", "xy", "yz"]
+    start_mm: tuple[Number, Number]
+    segments: tuple[_SegmentTable, ...]
+    across_mm: Ends
+    heading_deg: Number = 0.0
+
+    def shape(self, folder: Path, where: str) -> Profile:
+        segments = tuple(table.segment(f"{where}: segments {i + 1}") for i, table in enumerate(self.segments))
+        start, across = np.array(self.start_mm) * 1e-3, limits(self.across_mm, "across_mm", where)
+        profile = Profile(self.plane, start, rad_from_deg(self.heading_deg), segments, across)
+        if profile.extent[0][1] == 0.0:
+            raise InputError(f"{where}: segments: none has a length; give lines or arcs, such as [{{ length_mm = 12 }}]")
+        return profile
 
 
-def _plane(table: Mapping[str, Any], where: str) -> Plane:
-    a, b = (numbers(table, key, 3, where, default) for key, default in (("u_direction", (1, 0, 0)), ("v_direction", (0, 1, 0))))
-    if np.linalg.norm(np.cross(a, b)) <= FLATTEST * np.linalg.norm(a) * np.linalg.norm(b):
-        raise InputError(
-            f"{where}: u_direction = {a.tolist()} and v_direction = {b.tolist()} span no plane; give two directions that are not parallel"
-        )
-    a = _unit(a)
-    return Plane(
-        origin=numbers(table, "origin_mm", 3, where, (0, 0, 0)) * 1e-3,
-        a=a,
-        b=_unit(b - (b @ a) * a),
-        extent=(limits(table, "along_mm", where), limits(table, "across_mm", where)),
-    )
+class _PlaneTable(SurfaceTable, frozen=True, kw_only=True):
+    along_mm: Ends
+    across_mm: Ends
+    origin_mm: Vector = (0.0, 0.0, 0.0)
+    u_direction: Vector = (1.0, 0.0, 0.0)
+    v_direction: Vector = (0.0, 1.0, 0.0)
+
+    def shape(self, folder: Path, where: str) -> Plane:
+        a, b = np.array(self.u_direction), np.array(self.v_direction)
+        if np.linalg.norm(np.cross(a, b)) <= FLATTEST * np.linalg.norm(a) * np.linalg.norm(b):
+            raise InputError(
+                f"{where}: u_direction = {a.tolist()} and v_direction = {b.tolist()} span no plane; give two directions that are not parallel"
+            )
+        a = _unit(a)
+        extent = limits(self.along_mm, "along_mm", where), limits(self.across_mm, "across_mm", where)
+        return Plane(np.array(self.origin_mm) * 1e-3, a, _unit(b - (b @ a) * a), extent)
 
 
-def _sphere(table: Mapping[str, Any], where: str) -> Sphere:
-    polar = limits(table, "polar_deg", where, "deg")
-    if polar[0] < 0.0 or polar[1] > math.pi:
-        raise InputError(f"{where}: polar_deg = {table['polar_deg']}; give angles from 0 (pole at +z) to 180")
-    return Sphere(
-        centre=numbers(table, "centre_mm", 3, where) * 1e-3,
-        radius=positive(table, "radius_mm", where) * 1e-3,
-        azimuth=limits(table, "azimuth_deg", where, "deg"),
-        polar=polar,
-    )
+class _SphereTable(SurfaceTable, frozen=True, kw_only=True):
+    centre_mm: Vector
+    radius_mm: Positive
+    azimuth_deg: Ends
+    polar_deg: Ends
+
+    def shape(self, folder: Path, where: str) -> Sphere:
+        polar, azimuth = limits(self.polar_deg, "polar_deg", where, "deg"), limits(self.azimuth_deg, "azimuth_deg", where, "deg")
+        if polar[0] < 0.0 or polar[1] > math.pi:
+            raise InputError(f"{where}: polar_deg = {list(self.polar_deg)}; give angles from 0 (pole at +z) to 180")
+        return Sphere(np.array(self.centre_mm) * 1e-3, self.radius_mm * 1e-3, azimuth, polar)
+
+
+class _MeshTable(SurfaceTable, frozen=True, kw_only=True):
+    file: str
+    unit: str | None = None
+
+    def shape(self, folder: Path, where: str) -> MeshFile:
+        return MeshFile(outer_file(self.file, folder, f"{where}: file"), self.unit)
+
+
+TABLES: dict[str, type[SurfaceTable]] = {"profile": _ProfileTable, "plane": _PlaneTable, "sphere": _SphereTable, "mesh": _MeshTable}
+"""Models of the tables [[surface]] by their kind."""
+
+
+def limits(ends: tuple[float, float], key: str, where: str, unit: str = "mm") -> Limits:
+    """Two increasing numbers in `unit`, in SI."""
+    low, high = ends
+    if low >= high:
+        raise InputError(f"{where}: {key} = {list(ends)}: the first number must be less than the second; correct them")
+    return low * UNITS[unit][1], high * UNITS[unit][1]
 
 
 def _along(point: np.ndarray, heading: float, curvature: float, length: np.ndarray) -> np.ndarray:

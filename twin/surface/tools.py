@@ -10,19 +10,18 @@ revolution a stack of frustums along its profile. Lengths in m.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 import itertools
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from twin.errors import InputError, nearest
+from twin.errors import InputError
 from twin.surface.sweep import FRUSTUM, ROUNDED, SPHERE
-from twin.tables import is_number, known, listed, positive
+from twin.tables import Number, Positive, Table, Text, asks, typed_kind
 
-KINDS = ("ball", "flat", "bull", "revolution")
 DEFAULT_CUTTING_LENGTH = 0.04
 ARC_CHORD = 2e-8
 """Largest distance between an arc of a profile and its chords [m]."""
@@ -106,30 +105,46 @@ def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revol
     return _tool(name, elements, points, length)
 
 
-def tool_from_table(table: Mapping[str, Any], where: str) -> Tool:
+class _ToolTable(Table, frozen=True, kw_only=True):
+    kind: str
+    name: Text | None = None
+    length_mm: Positive = 120.0
+
+
+class _EndMillTable(_ToolTable, frozen=True, kw_only=True):
+    diameter_mm: Positive
+    cutting_length_mm: Positive = DEFAULT_CUTTING_LENGTH * 1e3
+
+
+class _BullTable(_EndMillTable, frozen=True, kw_only=True):
+    corner_mm: Positive
+
+
+class _RevolutionTable(_ToolTable, frozen=True, kw_only=True):
+    profile_mm: Annotated[
+        tuple[Annotated[tuple[Number, ...], asks(min_length=2, max_length=3)], ...],
+        asks("give a list of [radius, height] or [radius, height, arc radius] in mm"),
+    ]
+
+
+TABLES: dict[str, type[_ToolTable]] = {"ball": _EndMillTable, "flat": _EndMillTable, "bull": _BullTable, "revolution": _RevolutionTable}
+"""Models of the table [tool] by its kind."""
+
+
+def tool_from_table(table: Any, where: str) -> Tool:
     """A tool from the table [tool] of a part file, with lengths in mm."""
-    kind = table.get("kind") if isinstance(table, Mapping) else None
-    if kind not in KINDS:
-        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), KINDS)}")
-    keys = {"kind", "name", "length_mm"} | ({"profile_mm"} if kind == "revolution" else {"diameter_mm", "cutting_length_mm"})
-    known(table, keys | ({"corner_mm"} if kind == "bull" else set()), where)
-    length = positive(table, "length_mm", where, 120.0) * 1e-3
-    if kind == "revolution":
-        points = listed(table, "profile_mm", where)
-        for point in points:
-            if not isinstance(point, list) or len(point) not in (2, 3) or not all(map(is_number, point)):
-                raise InputError(f"{where}: profile_mm holds {point!r}; give [radius, height] or [radius, height, arc radius] in mm")
-        profile = [[float(v) * 1e-3 for v in point] for point in points]
-        return revolution(profile, name=str(table.get("name", "tool of revolution")), length=length, where=where)
-    diameter = positive(table, "diameter_mm", where) * 1e-3
-    cutting = positive(table, "cutting_length_mm", where, DEFAULT_CUTTING_LENGTH * 1e3) * 1e-3
+    given = typed_kind(table, TABLES, where)
+    length = given.length_mm * 1e-3
+    if isinstance(given, _RevolutionTable):
+        profile = [[v * 1e-3 for v in point] for point in given.profile_mm]
+        return revolution(profile, name=given.name or "tool of revolution", length=length, where=where)
+    assert isinstance(given, _EndMillTable)
+    diameter, cutting = given.diameter_mm * 1e-3, given.cutting_length_mm * 1e-3
     if cutting < diameter / 2.0:
         raise InputError(f"{where}: cutting_length_mm = {cutting * 1e3:g} is below the tool's radius; make it longer")
-    if kind == "ball":
-        return ball_end(diameter, cutting_length=cutting, length=length)
-    if kind == "flat":
-        return flat_end(diameter, cutting_length=cutting, length=length)
-    return bull_nose(diameter, positive(table, "corner_mm", where) * 1e-3, cutting_length=cutting, length=length)
+    if isinstance(given, _BullTable):
+        return bull_nose(diameter, given.corner_mm * 1e-3, cutting_length=cutting, length=length)
+    return (ball_end if given.kind == "ball" else flat_end)(diameter, cutting_length=cutting, length=length)
 
 
 def _tool(name: str, elements: Sequence[tuple[float, ...]], profile: np.ndarray, length: float) -> Tool:
