@@ -56,7 +56,6 @@ ALLOWED = {
     "recordings/signals.py": {"fromfile": 1, "open": 3},  # a recording that the command names, and its own scratch files
     "recordings/parquet_file.py": {"open": 2, "ParquetFile": 3},  # the one reader of Parquet, in batches with a limit
     "recordings/table_file.py": {"read_csv": 2},  # a trace that the command names, or a campaign by named_file
-    "replay/reading.py": {"RrdReader": 1},  # a recording that the command names
     "replay/viewer.py": {"RrdReader": 1, "open": 3},  # a recording that the command names, the viewer's picture, its client
     "simulation/effect_picture.py": {"open": 1},  # a picture that it wrote
     "simulation/plant_spec.py": {"from_file": 1},  # the engine, behind the checks of model_file and model_limits

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from devtools import benchmark
+from tests.builders.recording_read import read_recording
 from tests.conftest import ROOT
 from twin import progress
 from twin.cli import main
@@ -19,7 +20,6 @@ from twin.cli.parser import COMMANDS
 from twin.limits import raised, raised_by
 from twin.progress import Progress, hushed
 from twin.recordings.trace import read_trace
-from twin.replay.reading import read_recording
 
 EXAMPLE = ROOT / "examples" / "x_200mm.csv"
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from examples.diagnose import record, short_runs
+from tests.builders.recording_read import read_layout, read_recording
 from tests.conftest import ROOT
 from twin.cli import main
 from twin.diagnose import diagnose, report
@@ -27,7 +28,6 @@ from twin.machine.machine import default_machine_path, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
 from twin.replay.names import STEPS
-from twin.replay.reading import read_layout, read_recording
 
 REGIMES = ("reversal", "acceleration", "constant speed", "rest", "all")
 

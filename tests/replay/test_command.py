@@ -14,6 +14,7 @@ import urllib.request
 import numpy as np
 import pytest
 
+from tests.builders.recording_read import read_recording
 from twin.cli import main
 from twin.cli import replay as replay_command
 from twin.errors import InputError
@@ -22,7 +23,6 @@ from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
 from twin.replay import write_recording
 from twin.replay.motion import motion_from_trace, read_scene, sweep, with_mimics
-from twin.replay.reading import read_recording
 from twin.replay.shapes import with_normals
 from twin.replay.source import source_of
 from twin.replay.viewer import check_recording, free_port
@@ -149,13 +149,13 @@ def test_mesh_normals_point_outwards_and_creases_stay_sharp() -> None:
     import trimesh
 
     box, ball = trimesh.creation.box(), trimesh.creation.icosphere(subdivisions=3)
-    vertices, normals, faces = with_normals(np.asarray(box.vertices), np.asarray(box.faces))
-    assert len(vertices) == 24
-    assert len(faces) == 12
-    assert np.all(np.isclose(np.abs(normals).max(axis=1), 1.0))
-    vertices, normals, _ = with_normals(np.asarray(ball.vertices), np.asarray(ball.faces))
-    assert len(vertices) == len(ball.vertices)
-    assert np.all(np.einsum("ni,ni->n", vertices, normals) > 0.99)
+    mesh = with_normals(np.asarray(box.vertices), np.asarray(box.faces))
+    assert len(mesh.vertices) == 24
+    assert len(mesh.faces) == 12
+    assert np.all(np.isclose(np.abs(mesh.vertex_normals).max(axis=1), 1.0))
+    mesh = with_normals(np.asarray(ball.vertices), np.asarray(ball.faces))
+    assert len(mesh.vertices) == len(ball.vertices)
+    assert np.all(np.einsum("ni,ni->n", mesh.vertices, mesh.vertex_normals) > 0.99)
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

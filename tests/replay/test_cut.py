@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.builders.grooves import PART, groove_trace
+from tests.builders.recording_read import Rows, read_layout, read_recording
 from tests.replay.test_recording import check_layout
 from twin.machine.machine import load_machine
 from twin.replay.cut import LEAST_SIZE, MESH_VERTICES, write_cut
-from twin.replay.reading import Rows, read_layout, read_recording
 from twin.surface.levels import levels_of_trace
 from twin.surface.machining import Machining, machine_part
 from twin.surface.part import read_part

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.builders.recording_read import Rows, read_layout, read_recording
 from tests.replay.test_recording import check_layout
 from twin.errors import InputError
 from twin.geometry.kinematics import kinematics_of
@@ -13,7 +14,6 @@ from twin.geometry.tool_path import contour_error, tool_path_of
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace
 from twin.replay import write_side_by_side
-from twin.replay.reading import Rows, read_layout, read_recording
 from twin.replay.side_by_side import ROOTS, most_different_axis
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints

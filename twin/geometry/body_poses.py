@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
@@ -76,26 +77,19 @@ def site_pose(model: mujoco.MjModel, bodies: list[Pose], site: int) -> Pose:
 
 
 def rotate(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (sample or 1, 3) rotated by unit quaternions (sample or 1, 4): v + 2 u x (u x v + w v)."""
+    """Points (sample or 1, 3) rotated by unit quaternions (sample or 1, 4)."""
     if len(quaternion) == 1 and np.all(quaternion[0, 1:] == 0.0):
         return points
-    w, u = quaternion[:, :1], quaternion[:, 1:]
-    return points + 2.0 * _cross(u, _cross(u, points) + w * points)
+    return _rotation(quaternion).apply(points)
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Product of quaternions (sample or 1, 4): first b, then a."""
-    aw, ax, ay, az = a.T
-    bw, bx, by, bz = b.T
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=1,
-    )
+    """Product of unit quaternions (sample or 1, 4): first b, then a."""
+    return (_rotation(a) * _rotation(b)).as_quat()[:, [3, 0, 1, 2]]
+
+
+def _rotation(quaternion: np.ndarray) -> Rotation:
+    return Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
 
 
 def _moved(pose: Pose, model: mujoco.MjModel, joint: int, values: np.ndarray) -> Pose:
@@ -110,10 +104,3 @@ def _moved(pose: Pose, model: mujoco.MjModel, joint: int, values: np.ndarray) ->
         shift = rotate(pose.quaternion, anchor) - rotate(turned, anchor) if np.any(anchor) else 0.0
         return Pose(pose.position + shift, turned)
     return pose
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of (sample or 1, 3); three times faster than numpy.cross on many samples."""
-    a0, a1, a2 = a.T
-    b0, b1, b2 = b.T
-    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=1)

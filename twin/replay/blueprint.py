@@ -116,22 +116,21 @@ def layout(content: Content) -> rrb.Blueprint:
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*top, column_shares=shares)]
     if below:
         rows.append(rrb.Horizontal(*below, column_shares=[1.0, 3.2][-len(below) :]))
+    return whole_window(rrb.Vertical(*rows, row_shares=[3.4, 2.0][: len(rows)]), content.stretch)
+
+
+def whole_window(views: rrb.Container, stretch: tuple[float, float] | None = None) -> rrb.Blueprint:
+    """The blueprint of these views without side panels; it plays the run, or a stretch of it [s], in a loop."""
+    selected = stretch and AbsoluteTimeRange(*(TimeInt(seconds=at) for at in stretch))
+    loop: Any = {"loop_mode": "selection", "time_selection": selected} if selected else {"loop_mode": "all"}
     return rrb.Blueprint(
-        rrb.Vertical(*rows, row_shares=[3.4, 2.0][: len(rows)]),
+        views,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        _time_panel(content.stretch),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", **loop),
         auto_views=False,
         auto_layout=False,
     )
-
-
-def _time_panel(stretch: tuple[float, float] | None) -> rrb.TimePanel:
-    """Time panel that plays the run, or a stretch of it, in a loop."""
-    if stretch is None:
-        return rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all")
-    selection = AbsoluteTimeRange(*(TimeInt(seconds=at) for at in stretch))
-    return rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="selection", time_selection=selection)
 
 
 def _machine_view(content: Content) -> rrb.View:

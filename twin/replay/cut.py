@@ -21,15 +21,13 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from twin.geometry.body_poses import local_poses
 from twin.machine.machine import Machine
-from twin.replay.blueprint import PATH_FROM, around_the_part, scene_view
+from twin.replay.blueprint import PATH_FROM, around_the_part, scene_view, whole_window
 from twin.replay.colour_bar import colour_bar_view, log_colour_bar
-from twin.replay.names import LEGEND, SUMMARY, TIMELINE, entity
+from twin.replay.names import LEGEND, SUMMARY, entity
 from twin.replay.paths import log_whole_path
-from twin.replay.recording import pose_steps, recording_to
+from twin.replay.recording import log_machine, log_text, recording_to
 from twin.replay.scene import scene_bounds, scene_of
-from twin.replay.shapes import log_motion, log_scene, smooth_normals
 from twin.replay.toolpaths import followed_joints, log_tool_point, shapes_of_tool
 from twin.report.colours import PROGRAM_COLOUR, SETPOINT_COLOUR, axis_colour
 from twin.surface.export import deviation_colours, thinned, triangles
@@ -74,12 +72,9 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
         machine = machine.with_values({"geometry.tool_length_m": length})
     scene = scene_of(machine)
     with recording_to(path, f"{part.name}: {part.tool.name}") as recording:
-        shapes = log_scene(recording, scene)
         level = next((one.level for one in reversed(machining.cuts) if one.level.trace is not None), machining.cuts[-1].level)
-        if level.trace is not None:
-            steps = pose_steps(level.trace.time, full=False)
-            steps = steps[:: max(1, len(steps) // MOST_POSES)]
-            log_motion(recording, scene, level.trace.time[steps], local_poses(scene.model, followed_joints(level.trace, steps)))
+        moved = (level.trace.time, followed_joints(level.trace)) if level.trace is not None else (level.path.time[:1], {})
+        shapes = log_machine(recording, scene, *moved, most=MOST_POSES)
         log_tool_point(recording, entity(scene.part_path, "tool_point"), level.path.time, level.path.tip)
         end = max(colour_end(one.finest.height * 1e6) for one in machining.cuts) * 1e-6
         log_colour_bar(
@@ -94,7 +89,7 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
         for one in machining.cuts:
             factors.append(_magnification(one.finest, end))
             shown.append(_log_cut(recording, scene.part_path, one, end, factors[-1]))
-        recording.log(SUMMARY, rr.TextDocument(_numbers(machining, end), media_type="text/markdown"), static=True)
+        log_text(recording, _numbers(machining, end))
         bounds = np.array(scene_bounds(scene))
         recording.send_blueprint(
             _layout(scene.body_paths[0], scene.part_path, bounds, machining, shown, factors, shapes_of_tool(scene, shapes))
@@ -123,9 +118,11 @@ def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, en
 
 def _log_surface(recording: rr.RecordingStream, path: str, rays: HeightRays, end: float, factor: float) -> None:
     """Log a surface as a mesh coloured by its deviation, magnified by `factor` along the rays."""
+    import trimesh
+
     rays = thinned(rays, MESH_VERTICES)
     vertices, faces = rays.point + factor * rays.height[:, None] * rays.direction, triangles(rays)
-    normals = smooth_normals(vertices, faces)
+    normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
     mesh = rr.Mesh3D(
         vertex_positions=vertices.astype(np.float32),
         triangle_indices=faces.astype(np.uint32),
@@ -202,14 +199,7 @@ def _layout(
         colour_bar_view(LEGEND, "Deviation from the nominal surface [um]: below 0 too deep, above 0 left"),
         row_shares=[6.0, 1.0],
     )
-    return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[1.0, 2.6]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    return whole_window(rrb.Horizontal(left, right, column_shares=[1.0, 2.6]))
 
 
 def _numbers(machining: Machining, end: float) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.recordings.trace import read_trace
 from twin.replay.scene import Scene, scene_bounds, scene_from_mjcf, scene_from_urdf
+from twin.replay.toolpaths import followed_joints
 
 SWEEP_SECONDS = 4.0
 """Duration of the sweep of each joint [s]."""
@@ -31,11 +32,7 @@ def motion_from_trace(scene: Scene, path: Path) -> tuple[np.ndarray, dict[str, n
     """Time (sample,) [s] and joint positions (sample,) by joint [m, rad], from a trace whose axes are joints of the scene."""
     kinds = {name: "linear" if _is_slide(scene, name) else "rotary" for name in scene.joints}
     trace = read_trace(path, axes=kinds)
-    joints = {}
-    for name in trace.axes:
-        signal = next((s for s in ("position", "motor_position", "setpoint") if trace.has(name, s)), None)
-        if signal:
-            joints[name] = trace.get(name, signal)
+    joints = followed_joints(trace)
     if not joints:
         unit = "mm" if "linear" in kinds.values() else "deg"
         raise InputError(

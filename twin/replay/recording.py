@@ -75,9 +75,7 @@ def write_recording(
     paths = tool_paths_of(scene, machine, runs, programmed)
     found = [*also, *find_events(machine, trace, paths.contours[main].error if paths else None)]
     with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
-        shapes = log_scene(recording, scene)
-        poses = pose_steps(trace.time, full)
-        log_motion(recording, scene, trace.time[poses], local_poses(scene.model, followed_joints(trace, poses)))
+        shapes = log_machine(recording, scene, trace.time, followed_joints(trace), full)
         views = log_tool_paths(recording, scene, paths, shapes, full) if paths else ()
         curves = axis_curves(machine, runs)
         for order, (label, contour) in enumerate(paths.contours.items() if paths else ()):
@@ -85,7 +83,7 @@ def write_recording(
         log_curves(recording, [*curves, *steps], full)
         keys = log_keys(recording, curves)
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
-        recording.log(SUMMARY, rr.TextDocument(summary_text(machine, runs, paths, found, summary), media_type="text/markdown"), static=True)
+        log_text(recording, summary_text(machine, runs, paths, found, summary))
         axes = tuple(axis.name for axis in machine.axes if any(axis.name in t.axes for t in runs.values()))
         content = Content(
             scene_root=scene.body_paths[0],
@@ -114,14 +112,12 @@ def write_motion(
 ) -> int:
     """Write the motion of any scene: joint positions (sample,) by name [m, rad] at times (sample,) [s]. Returns the bytes written."""
     with recording_to(path, scene.name) as recording:
-        shapes = log_scene(recording, scene)
-        steps = pose_steps(time, full)
-        log_motion(recording, scene, time[steps], local_poses(scene.model, {name: values[steps] for name, values in joints.items()}))
+        shapes = log_machine(recording, scene, time, joints, full)
         views = log_tip_path(recording, scene, time, joints, shapes, full)
         curves = motion_curves(scene, time, joints)
         log_curves(recording, curves, full)
         text = f"# {scene.name}\n\n{len(scene.joints)} joints, {len(scene.shapes)} shapes, {time[-1] - time[0]:.3f} s\n\n{summary}\n"
-        recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+        log_text(recording, text)
         content = Content(
             scene_root=scene.body_paths[0],
             part_frame=scene.part_path,
@@ -190,6 +186,22 @@ def _check_whole(written: Path, path: Path) -> None:
         check_recording(written)
     except InputError:
         raise InputError(f"{path}: is incomplete (is the disk full?); free disk space or choose another place") from None
+
+
+def log_machine(
+    recording: rr.RecordingStream, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], full: bool = False, most: int = 0
+) -> list[str]:
+    """Log a scene and its motion: joint positions (sample,) by name, at most about `most` of them. Returns the entities of the shapes."""
+    shapes = log_scene(recording, scene)
+    steps = pose_steps(time, full)
+    steps = steps[:: max(1, len(steps) // most)] if most else steps
+    log_motion(recording, scene, time[steps], local_poses(scene.model, {name: values[steps] for name, values in joints.items()}))
+    return shapes
+
+
+def log_text(recording: rr.RecordingStream, text: str) -> None:
+    """Log the text panel (markdown)."""
+    recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
 
 def pose_steps(time: np.ndarray, full: bool) -> np.ndarray:

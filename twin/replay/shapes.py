@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from twin.geometry.body_poses import Pose
+from twin.geometry.body_poses import Pose, rotate
 from twin.geometry.shape import Shape
 from twin.replay.names import TIMELINE, entity
 from twin.replay.scene import Scene, scene_bounds, shape_path
 
-CREASE = np.cos(np.radians(35.0))
-"""An edge is smoothed above this cosine of the angle between its face normals."""
+CREASE = np.radians(35.0)
+"""An edge is smoothed below this angle between its face normals."""
 SAME_POSE = 1e-9
 """Poses that differ by less count as equal [m, 1]; a body at rest is logged at the start and end of its rest."""
 SMOOTH_FACES = 30_000
@@ -99,59 +99,28 @@ def drawable(shape: Shape) -> rr.AsComponents:
         return rr.Cylinders3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], centers=[shape.position], **place)
     if shape.kind == "capsule":
         # the origin of the viewer's capsule is its lower centre
-        return rr.Capsules3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], translations=[_lower_end(shape)], **place)
+        lower = rotate(shape.quaternion[None], np.array([[0.0, 0.0, -shape.size[1]]]))[0]
+        return rr.Capsules3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], translations=[shape.position + lower], **place)
     assert shape.vertices is not None
     assert shape.faces is not None
-    vertices, normals, faces = with_normals(shape.vertices, shape.faces)
-    pose = Pose(shape.position[None], shape.quaternion[None])
-    turned = Pose(np.zeros((1, 3)), shape.quaternion[None])
+    mesh = with_normals(shape.vertices, shape.faces)
     return rr.Mesh3D(
-        vertex_positions=pose.apply(vertices), vertex_normals=turned.apply(normals), triangle_indices=faces, albedo_factor=shape.colour
+        vertex_positions=rotate(shape.quaternion[None], mesh.vertices) + shape.position,
+        vertex_normals=rotate(shape.quaternion[None], mesh.vertex_normals),
+        triangle_indices=mesh.faces,
+        albedo_factor=shape.colour,
     )
 
 
-def with_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (n, 3), normals (n, 3) and faces (f, 3) of a mesh with smooth flat edges and sharp creases.
+def with_normals(vertices: np.ndarray, faces: np.ndarray) -> Any:
+    """The mesh with merged vertices and their normals: smooth flat edges and sharp creases, which get separate vertices on either side.
 
-    Corners of a crease get separate vertices; meshes above SMOOTH_FACES keep theirs and are smooth all over.
+    Meshes above SMOOTH_FACES are smooth all over.
     """
-    if len(faces) > SMOOTH_FACES:
-        return vertices, smooth_normals(vertices, faces), faces
-    corners = vertices[faces]
-    area = _face_areas(vertices, faces)
-    flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-300)
-    # merge vertices at one place; the normal of a corner is the mean over the faces there with nearly its own normal
-    _, place = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
-    at = place.ravel()[faces].ravel()
-    face_of = np.repeat(np.arange(len(faces)), 3)
-    order = np.argsort(at, kind="stable")
-    starts = np.flatnonzero(np.r_[True, np.diff(at[order]) > 0])
-    normals = np.empty((3 * len(faces), 3))
-    for group in np.split(order, starts[1:]):
-        mine, own = flat[face_of[group]], area[face_of[group]]
-        normals[group] = (mine @ mine.T > CREASE).astype(float) @ own
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    # merge corners of equal position and normal
-    unique, index = np.unique(np.hstack([corners.reshape(-1, 3), np.round(normals, 6)]), axis=0, return_inverse=True)
-    return unique[:, :3], unique[:, 3:], index.reshape(-1, 3)
+    import trimesh
 
-
-def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (vertex, 3): the mean over the faces at each vertex, weighted by area."""
-    area, normals = _face_areas(vertices, faces), np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], area)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-
-
-def _face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Normals of the faces (face, 3), of length twice their area [m2]."""
-    corners = vertices[faces]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def _lower_end(shape: Shape) -> np.ndarray:
-    return Pose(shape.position[None], shape.quaternion[None]).apply(np.array([[0.0, 0.0, -shape.size[1]]]))[0]
+    mesh = trimesh.Trimesh(vertices, faces, process=True)
+    return trimesh.graph.smooth_shade(mesh, angle=CREASE) if len(faces) <= SMOOTH_FACES else mesh
 
 
 def _xyzw(quaternion: np.ndarray) -> np.ndarray:

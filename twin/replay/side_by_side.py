@@ -20,21 +20,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from twin.errors import InputError
-from twin.geometry.body_poses import local_poses
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.replay.blueprint import PathView, axis_tabs, contour_view, path_view, scene_view
+from twin.replay.blueprint import PathView, axis_tabs, contour_view, path_view, scene_view, whole_window
 from twin.replay.colour_bar import colour_bar_view
 from twin.replay.curves import axis_curves, contour_curve, following_error
 from twin.replay.key import log_keys
-from twin.replay.names import LEGEND, SUMMARY, TIMELINE
-from twin.replay.recording import bounds_with_tip, check_runs, log_curves, pose_steps, recording_to
+from twin.replay.names import LEGEND, SUMMARY
+from twin.replay.recording import bounds_with_tip, check_runs, log_curves, log_machine, log_text, recording_to
 from twin.replay.scene import Scene, placed_at, scene_of
-from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import design_text
 from twin.replay.toolpaths import ToolPaths, alike, followed_joints, log_tool_paths, tool_paths_of
 
@@ -65,17 +62,14 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
     with recording_to(path, f"{machine.name}: {' beside '.join(designs)}") as recording:
         panes, curves = [], axis_curves(machine, runs)
         for i, ((label, (_, trace)), scene) in enumerate(zip(designs.items(), scenes)):
-            shapes = log_scene(recording, scene)
-            steps = pose_steps(trace.time, full=False)
-            log_motion(recording, scene, trace.time[steps], local_poses(scene.model, followed_joints(trace, steps)))
+            shapes = log_machine(recording, scene, trace.time, followed_joints(trace))
             views = log_tool_paths(recording, scene, paths[i], shapes, full=False) if paths else ()
             panes.append(_Pane(label, scene, bounds_with_tip(scene, {label: followed_joints(trace)}), views))
             if paths:
                 curves.append(contour_curve(label, trace.time, paths[i].contours[label].error, i, alone=False))
         log_curves(recording, curves, full=False)
         keys = log_keys(recording, curves)
-        text = design_text(designs, paths, summary)
-        recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+        log_text(recording, design_text(designs, paths, summary))
         axes = tuple(axis.name for axis in machine.axes if any(axis.name in trace.axes for trace in runs.values()))
         below = [contour_view(curves, (), keys), axis_tabs(curves, axes, keys, most_different_axis(machine, *runs.values()))]
         recording.send_blueprint(_layout(panes, [view for view in below if view is not None]))
@@ -128,14 +122,7 @@ def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -
     bottom = [*below, rrb.TextDocumentView(origin=SUMMARY, name="Summary")]
     rows.append(rrb.Horizontal(*bottom, column_shares=[1.0, 2.2, 1.3][-len(bottom) :]))
     shares.append(2.6)
-    return rrb.Blueprint(
-        rrb.Vertical(*rows, row_shares=shares),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    return whole_window(rrb.Vertical(*rows, row_shares=shares))
 
 
 def _around(boxes: Sequence[np.ndarray]) -> np.ndarray:

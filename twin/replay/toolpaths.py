@@ -43,13 +43,13 @@ class ToolPaths:
     """1 and the factors at which the deviation is visible."""
 
 
-def followed_joints(trace: Trace, steps: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
+def followed_joints(trace: Trace) -> dict[str, np.ndarray]:
     """Position of each axis (sample,): position, else motor position, else set point."""
     joints = {}
     for axis in trace.axes:
         signal = next((s for s in ("position", "motor_position", "setpoint") if trace.has(axis, s)), None)
         if signal:
-            joints[axis] = trace.get(axis, signal)[steps]
+            joints[axis] = trace.get(axis, signal)
     return joints
 
 

@@ -1,4 +1,4 @@
-"""Read a recording back: the values of each entity and their times. For tests and for evaluation."""
+"""Read a recording of the viewer back: the values of each entity and their times."""
 
 from __future__ import annotations
 
