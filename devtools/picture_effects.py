@@ -4,7 +4,7 @@
     python devtools/picture_effects.py --only backlash     one picture
     python devtools/picture_effects.py --text              the page alone (a test holds it to the library)
 
-Each effect defines its own picture (`twin.effects.picture.Picture`); `twin.simulation.effect_picture` draws it.
+Each effect defines its own picture (`twin.effects.effect.Picture`); `twin.simulation.effect_picture` draws it.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from twin.compare.compare import compare as compare
     from twin.diagnose.diagnosis import Diagnosis as Diagnosis
     from twin.diagnose.procedure import diagnose as diagnose
-    from twin.effects.add import add_effects as add_effects
+    from twin.effects.change import add_effects as add_effects
     from twin.errors import InputError as InputError
     from twin.errors import SimulationError as SimulationError
     from twin.errors import TwinError as TwinError
@@ -75,7 +75,7 @@ _PLACES = {
     "SimulationError": "errors",
     "Trace": "recordings.trace",
     "TwinError": "errors",
-    "add_effects": "effects.add",
+    "add_effects": "effects.change",
     "cut": "surface.cut_run",
     "gap": "simulation.campaign_gap",
     "interpolate": "program.set_points",

@@ -11,7 +11,7 @@ import sys
 from tests.builders.script import script
 from tests.conftest import ROOT
 from twin.effects import EFFECTS, check_setting
-from twin.effects.picture import Picture
+from twin.effects.effect import Picture
 from twin.effects.readable import setting_text
 from twin.machine.machine import load_machine
 from twin.simulation.effect_picture import draw_effect, traces_of

@@ -15,7 +15,7 @@ from tests.conftest import ROOT
 from twin import load_machine, write_machine
 from twin.cli.parser import main
 from twin.effects import settings_of
-from twin.effects.add import add_effects
+from twin.effects.change import add_effects
 from twin.history.columns import changed, directions_of
 from twin.machine.machine import Machine
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from twin.effects.coupling import Coupling, coupling
 from twin.effects.effect import BLOCKS, EFFECTS
-from twin.effects.setting import Setting, settings_of
+from twin.effects.setting import Setting, parse_setting, settings_of
 from twin.effects.structural_mode import mode_parameters, structural_mode
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
@@ -235,6 +235,19 @@ def with_effects(machine: Machine, effects: Sequence[Setting | dict[str, Any]]) 
     """The machine with exactly these effects, as Settings or as tables {name, axis, parameters}."""
     tables = [e.table() if isinstance(e, Setting) else dict(e) for e in effects]
     changed = machine.with_effect_tables(tables)
+    settings_of(changed)
+    return changed
+
+
+def add_effects(machine: Machine, *effects: str | Setting) -> Machine:
+    """The machine with these effects in addition to its own.
+
+    Each is 'NAME:AXIS:PARAMETER=VALUE[,PARAMETER=VALUE]' as after `--effect`, or a Setting. A value is in SI or has its unit:
+    'backlash:X:clearance=15e-6', 'backlash:X:clearance=15um'.
+    Raises InputError for an unknown name, axis or parameter, a value out of bounds, or a duplicate effect on an axis.
+    """
+    settings = [parse_setting(effect, machine) if isinstance(effect, str) else effect for effect in effects]
+    changed = with_effects(machine, [*settings_of(machine), *settings])
     settings_of(changed)
     return changed
 

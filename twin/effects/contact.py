@@ -5,20 +5,11 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change, total_inertia
-from twin.effects.effect import Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import Parameter, Picture, effect
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
-from twin.simulation.loop_terms import (
-    FORCE,
-    X_FRICTION_FORCE,
-    X_FRICTION_LEVEL,
-    X_LOAD_ACCELERATION,
-    X_LOAD_SPEED,
-    X_STEP,
-    arrays,
-    term,
-)
+from twin.simulation import loop_terms
+from twin.simulation.loop_terms import FORCE, arrays, term
 
 VANISHED = 6.1
 """Multiple of the Stribeck speed above which exp(-x^2) is below machine precision."""
@@ -99,21 +90,21 @@ def _bristle_damping(machine: Machine, axis: Axis, stiffness: float) -> float:
 def stribeck_level(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F += p[0] exp(-(v / p[1])^2)."""
     p, s, x = arrays(parameters, state, signals)
-    ratio = x[axis, X_LOAD_SPEED] / p[1]
+    ratio = x[axis, loop_terms.X_LOAD_SPEED] / p[1]
     if abs(ratio) < VANISHED:  # exp() is slow for results near zero
-        x[axis, X_FRICTION_LEVEL] += p[0] * math.exp(-ratio * ratio)
+        x[axis, loop_terms.X_FRICTION_LEVEL] += p[0] * math.exp(-ratio * ratio)
 
 
 @term
 def bristle(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """z' = v - k |v| z / F, solved exactly over the tick for the speed at its middle; the mean force acts."""
     p, s, x = arrays(parameters, state, signals)
-    h = x[axis, X_STEP]
-    level = x[axis, X_FRICTION_LEVEL]
-    x[axis, X_FRICTION_LEVEL] = 0.0
+    h = x[axis, loop_terms.X_STEP]
+    level = x[axis, loop_terms.X_FRICTION_LEVEL]
+    x[axis, loop_terms.X_FRICTION_LEVEL] = 0.0
     if level <= 0.0:
         return
-    speed = x[axis, X_LOAD_SPEED] + 0.5 * h * x[axis, X_LOAD_ACCELERATION]
+    speed = x[axis, loop_terms.X_LOAD_SPEED] + 0.5 * h * x[axis, loop_terms.X_LOAD_ACCELERATION]
     rate = p[0] * abs(speed) / level * h
     before = s[0]
     if rate > 1e-9:
@@ -124,4 +115,4 @@ def bristle(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     else:
         s[0] = before + speed * h
         mean = before + 0.5 * speed * h
-    x[axis, X_FRICTION_FORCE] -= p[0] * mean + p[1] * (s[0] - before) / h
+    x[axis, loop_terms.X_FRICTION_FORCE] -= p[0] * mean + p[1] * (s[0] - before) / h

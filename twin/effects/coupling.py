@@ -5,19 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-from twin.simulation.loop_terms import (
-    X_LOAD_FORCE,
-    X_LOAD_MIDDLE,
-    X_LOAD_SPEED,
-    X_ROTOR_FORCE,
-    X_ROTOR_MIDDLE,
-    X_ROTOR_SPEED,
-    X_STEP,
-    X_TRANSMISSION_ERROR,
-    X_TRANSMISSION_ERROR_SPEED,
-    arrays,
-    term,
-)
+from twin.simulation import loop_terms
+from twin.simulation.loop_terms import arrays, term
 
 REST_FORCE = 1e-6
 """Holding force, as a fraction of Coulomb friction, up to which the gap is centred at rest."""
@@ -60,16 +49,18 @@ def coupling(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     d = rotor + transmission error - load.
     """
     p, s, x = arrays(parameters, state, signals)
-    ahead, ahead_speed = x[axis, X_TRANSMISSION_ERROR], x[axis, X_TRANSMISSION_ERROR_SPEED]
-    x[axis, X_TRANSMISSION_ERROR] = 0.0
-    x[axis, X_TRANSMISSION_ERROR_SPEED] = 0.0
-    stretch = x[axis, X_ROTOR_MIDDLE] + ahead + 0.5 * x[axis, X_STEP] * ahead_speed - x[axis, X_LOAD_MIDDLE]
+    ahead, ahead_speed = x[axis, loop_terms.X_TRANSMISSION_ERROR], x[axis, loop_terms.X_TRANSMISSION_ERROR_SPEED]
+    x[axis, loop_terms.X_TRANSMISSION_ERROR] = 0.0
+    x[axis, loop_terms.X_TRANSMISSION_ERROR_SPEED] = 0.0
+    stretch = (
+        x[axis, loop_terms.X_ROTOR_MIDDLE] + ahead + 0.5 * x[axis, loop_terms.X_STEP] * ahead_speed - x[axis, loop_terms.X_LOAD_MIDDLE]
+    )
     if stretch > p[0]:
         stretch -= p[0]
     elif stretch < -p[0]:
         stretch += p[0]
     elif p[0] > 0.0:
         return
-    force = p[1] * stretch + p[2] * (x[axis, X_ROTOR_SPEED] + ahead_speed - x[axis, X_LOAD_SPEED])
-    x[axis, X_LOAD_FORCE] += force
-    x[axis, X_ROTOR_FORCE] -= force
+    force = p[1] * stretch + p[2] * (x[axis, loop_terms.X_ROTOR_SPEED] + ahead_speed - x[axis, loop_terms.X_LOAD_SPEED])
+    x[axis, loop_terms.X_LOAD_FORCE] += force
+    x[axis, loop_terms.X_ROTOR_FORCE] -= force

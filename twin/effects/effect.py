@@ -14,7 +14,6 @@ import inspect
 import math
 from typing import Any, Literal
 
-from twin.effects.picture import Picture
 from twin.effects.scan import Scan
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
@@ -48,6 +47,29 @@ DEGREES = {"rad": ("deg", math.degrees(1.0))}
 
 Usual = Callable[[Machine, Axis], tuple[float, float]]
 """Usual range of a parameter as a function of machine and axis."""
+
+Move = Literal["acceleration", "reversal", "slow", "constant speed", "gentle", "jerk", "micro", "chirp", "turn", "again"]
+"""Moves of the pictures. An effect with a `from_axis` is shown on an axis at constant speed while `from_axis` accelerates."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The picture of an effect. All fields are optional; the default is an acceleration of the first axis.
+
+    `look` is the caption. `sizes` default to the middle of the usual range. `axis` and `with_axes` are ignored on machines
+    without them. The current is averaged over `smooth_s`, which removes the steps of the position cycle.
+    """
+
+    look: str = ""
+    move: Move = "acceleration"
+    axis: str = ""
+    feedforward: str | None = None
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    from_axis: str = ""
+    with_axes: str = ""
+    started_at: float = 0.0
+    smooth_s: float = 0.002
+
 
 AN_ACCELERATION = Picture()
 
@@ -251,23 +273,11 @@ def _rotary(machine: Machine) -> list[Axis]:
 
 
 def effect(
-    *,
-    block: str,
-    parameters: tuple[Parameter, ...],
-    axes: str = "all",
-    from_axis: bool = False,
-    edits_bodies: bool = False,
-    separating_move: SeparatingMove = "constant speeds",
-    rivals: str = "",
-    contains: tuple[str, ...] = (),
-    imitated_by: tuple[str, ...] = (),
-    normal: Literal["", "elasticity", "slip"] = "",
-    picture: Picture = AN_ACCELERATION,
-    sets: tuple[str, ...] = (),
+    *, block: str, parameters: tuple[Parameter, ...], axes: str = "all", **fields: Any
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register a function as an effect under its name; the first line of its docstring is the summary.
 
-    `axes` is a key of `AXIS_RULES`; the other arguments are fields of `Effect`. Raises InputError for invalid arguments.
+    `axes` is a key of `AXIS_RULES`; `fields` are further fields of `Effect`. Raises InputError for invalid arguments.
     """
 
     def register(act: Callable[..., None]) -> Callable[..., None]:
@@ -275,24 +285,7 @@ def effect(
         _check(name, block, parameters, axes)
         which, can_have = AXIS_RULES[axes]
         summary = (inspect.getdoc(act) or "").split("\n", 1)[0].rstrip(".")
-        EFFECTS[name] = Effect(
-            name,
-            block,
-            summary,
-            parameters,
-            act,
-            can_have,
-            which,
-            from_axis,
-            edits_bodies,
-            separating_move,
-            rivals,
-            contains,
-            imitated_by,
-            normal,
-            picture,
-            sets=sets,
-        )
+        EFFECTS[name] = Effect(name, block, summary, parameters, act, can_have, which, **fields)
         return act
 
     return register

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change, load_inertia, reduced_mass
-from twin.effects.effect import Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import Parameter, Picture, effect
 from twin.machine.machine import Axis, Machine
 from twin.units import ARCSEC
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change, weight
-from twin.effects.effect import Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import Parameter, Picture, effect
 from twin.effects.scan import InTime
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, X_LOAD_ACCELERATION, X_LOAD_FORCE, X_STEP, X_TIME, arrays, term

@@ -5,21 +5,11 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change
-from twin.effects.effect import DEGREES, PERCENT, Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect
 from twin.effects.scan import AlongTravel
 from twin.machine.machine import Axis
-from twin.simulation.loop_terms import (
-    FORCE,
-    X_FRICTION_FORCE,
-    X_FRICTION_LEVEL,
-    X_LOAD_ACCELERATION,
-    X_LOAD_MIDDLE,
-    X_LOAD_SPEED,
-    X_STEP,
-    arrays,
-    term,
-)
+from twin.simulation import loop_terms
+from twin.simulation.loop_terms import FORCE, arrays, term
 from twin.simulation.sine import sine
 
 
@@ -110,12 +100,12 @@ def position_dependent_friction(change: Change, axis: Axis, fraction: float, wav
 def friction_along_travel(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F *= 1 + p[0] sin(p[1] q)."""
     p, s, x = arrays(parameters, state, signals)
-    x[axis, X_FRICTION_LEVEL] *= 1.0 + p[0] * sine(p[1] * x[axis, X_LOAD_MIDDLE])
+    x[axis, loop_terms.X_FRICTION_LEVEL] *= 1.0 + p[0] * sine(p[1] * x[axis, loop_terms.X_LOAD_MIDDLE])
 
 
 @term
 def asymmetric_viscous(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F -= p[0] |v| at the middle of the step."""
     p, s, x = arrays(parameters, state, signals)
-    speed = x[axis, X_LOAD_SPEED] + 0.5 * x[axis, X_STEP] * x[axis, X_LOAD_ACCELERATION]
-    x[axis, X_FRICTION_FORCE] -= p[0] * abs(speed)
+    speed = x[axis, loop_terms.X_LOAD_SPEED] + 0.5 * x[axis, loop_terms.X_STEP] * x[axis, loop_terms.X_LOAD_ACCELERATION]
+    x[axis, loop_terms.X_FRICTION_FORCE] -= p[0] * abs(speed)

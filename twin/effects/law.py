@@ -21,28 +21,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import itertools
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from twin.effects import law_terms
 from twin.effects.change import Change
-from twin.effects.effect import FROM_TABLE, Effect, Parameter
+from twin.effects.effect import FROM_TABLE, Effect, Parameter, Picture
 from twin.effects.law_filters import filter_row
 from twin.effects.law_shapes import CURVE, MOST_POINTS, TABLE, Number, Shape, find_shape, row_of, values_of
-from twin.effects.picture import Picture
 from twin.effects.scan import AlongTravel
 from twin.effects.setting import Setting
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
+from twin.simulation import loop_terms
 from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED, VOLTAGE
 from twin.tables import one_of
 
 NAME = "law"
 
 
-@dataclass(frozen=True)
-class Variable:
+class Variable(NamedTuple):
     """An independent variable of a law: code in the loop, quantity, description, and the blocks where it is available (empty: all)."""
 
     code: int
@@ -72,36 +71,43 @@ VARIABLES = {
 """Independent variables of laws by their names in a machine file."""
 
 
-@dataclass(frozen=True)
-class Output:
-    """An output of a law: quantity and action."""
+class Output(NamedTuple):
+    """An output of a law: quantity, description, stage of the loop, and the signal to which the law is added (-1: a term of its own)."""
 
     quantity: str
     words: str
+    stage: int
+    signal: int = -1
 
 
 OUTPUTS: dict[str, dict[str, Output]] = {
     "mechanics": {
-        "force": Output("force", "force on the load, towards +q"),
-        "friction": Output("force", "added to the Coulomb friction, which opposes motion and holds at rest"),
+        "force": Output("force", "force on the load, towards +q", FORCE, loop_terms.X_LOAD_FORCE),
+        "friction": Output(
+            "force", "added to the Coulomb friction, which opposes motion and holds at rest", FORCE, loop_terms.X_FRICTION_LEVEL
+        ),
     },
     "transmission": {
-        "displacement": Output("length", "motor position minus load position, from the start of a run"),
-        "force": Output("force", "force on the load towards +q, reaction on the rotor, parallel to the spring of the drive train"),
+        "displacement": Output("length", "motor position minus load position, from the start of a run", MEASURE),
+        "force": Output("force", "force on the load towards +q, reaction on the rotor, parallel to the spring of the drive train", FORCE),
     },
     "measurement": {
-        "displacement": Output("length", "scale minus load position, from the start of a run"),
-        "current": Output("current", "added to the recorded current, which the control does not see"),
+        "displacement": Output("length", "scale minus load position, from the start of a run", MEASURE, loop_terms.X_SCALE),
+        "current": Output(
+            "current", "added to the recorded current, which the control does not see", RECORD, loop_terms.X_RECORDED_CURRENT
+        ),
     },
     "current loop": {
-        "torque": Output("torque", "added to the motor torque"),
-        "voltage": Output("voltage", "added to the output voltage of the current controller"),
+        "torque": Output("torque", "added to the motor torque", FORCE, loop_terms.X_MOTOR_TORQUE),
+        "voltage": Output("voltage", "added to the output voltage of the current controller", VOLTAGE, loop_terms.X_VOLTAGE),
     },
-    "speed controller": {"current": Output("current", "added to the current set point")},
+    "speed controller": {"current": Output("current", "added to the current set point", CURRENT, loop_terms.X_CURRENT_SETPOINT)},
     "position controller": {
-        "speed": Output("speed", "added to the speed set point"),
-        "received_speed": Output("speed", "added to the speed set point at the input of the speed controller; not recorded"),
-        "set_point": Output("length", "added to the delayed set point"),
+        "speed": Output("speed", "added to the speed set point", SPEED, loop_terms.X_SPEED_SETPOINT),
+        "received_speed": Output(
+            "speed", "added to the speed set point at the input of the speed controller; not recorded", DRIVE, loop_terms.X_SPEED_SETPOINT
+        ),
+        "set_point": Output("length", "added to the delayed set point", SETPOINT, loop_terms.X_SETPOINT),
     },
 }
 """Outputs of laws in each block; the first is the default."""
@@ -291,17 +297,8 @@ def _parameter(number: Number, law: Law) -> Parameter:
 
 def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: Mapping[str, float]) -> None:
     machine = change.machine
-    stage, kernel = {
-        "force": (FORCE, law_terms.spring_law if law.block == "transmission" else law_terms.force_law),
-        "friction": (FORCE, law_terms.friction_law),
-        "torque": (FORCE, law_terms.torque_law),
-        "voltage": (VOLTAGE, law_terms.voltage_law),
-        "current": (RECORD, law_terms.record_law) if law.block == "measurement" else (CURRENT, law_terms.current_law),
-        "speed": (SPEED, law_terms.speed_law),
-        "received_speed": (DRIVE, law_terms.speed_law),
-        "set_point": (SETPOINT, law_terms.set_point_law),
-        "displacement": (MEASURE, law_terms.motor_law if law.block == "transmission" else law_terms.scale_law),
-    }[law.output]
+    output = OUTPUTS[law.block][law.output]
+    own = law_terms.motor_law if law.output == "displacement" else law_terms.spring_law
     source = from_axis or axis
     springs = [("a law over the windup", source)] if law.variable == "windup" else []
     springs += [("a force of the transmission", axis)] if (law.block, law.output) == ("transmission", "force") else []
@@ -318,13 +315,14 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
     head[law_terms.P_AXIS], head[law_terms.P_FACTOR] = float(change.index(source)), _factor(law, source)
     head[law_terms.P_OFFSET] = change.started_at if law.variable == "time" else 0.0
     head[law_terms.P_LENGTH], head[law_terms.P_MEMORY] = numbers.get("length", 0.0), numbers.get("memory_s", 0.0)
-    head[law_terms.P_CYCLE], head[law_terms.P_PERIOD] = cycle, law.period
+    head[law_terms.P_CYCLE], head[law_terms.P_PERIOD], head[law_terms.P_OUTPUT] = cycle, law.period, float(output.signal)
+    head[law_terms.P_IN_THE_MIDDLE], head[law_terms.P_FROM_START] = float(output.stage == FORCE), float(output.stage == MEASURE)
     row = (
         filter_row(law.shape, numbers, cycle)
         if law.shape.is_filter
         else row_of(law.shape, numbers, law.gain(axis), law.points, law.between)
     )
-    change.add_term(kernel, stage, axis, [*head, *row])
+    change.add_term(own if output.signal < 0 else law_terms.added_law, output.stage, axis, [*head, *row])
     if law.output == "force" and law.block != "transmission":
         change.add_holding_force(axis, lambda start: _at_rest(law, numbers, source, float(start[change.index(source)]), change.started_at))
 

@@ -7,8 +7,7 @@ import math
 import mujoco
 
 from twin.effects.change import Change, total_inertia, upward
-from twin.effects.effect import DEGREES, Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import DEGREES, Parameter, Picture, effect
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import frames_of_model

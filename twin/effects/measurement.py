@@ -8,8 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from twin.effects.change import Change
-from twin.effects.effect import DEGREES, PERCENT, Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect
 from twin.effects.scan import Resonance
 from twin.machine.machine import Axis
 from twin.simulation.loop_terms import MEASURE, X_LOAD_ACCELERATION, X_LOAD_POSITION, X_SCALE, X_TIME, arrays, term

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change
-from twin.effects.effect import DEGREES, Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import DEGREES, Parameter, Picture, effect
 from twin.effects.scan import AlongTurn
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, X_MOTOR_TORQUE, X_ROTOR_MIDDLE, arrays, term

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change
-from twin.effects.effect import Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import Parameter, Picture, effect
 from twin.errors import InputError
 from twin.machine.machine import Axis
 from twin.simulation.loop_terms import SETPOINT, X_SETPOINT, arrays, term

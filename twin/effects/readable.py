@@ -12,18 +12,18 @@ from twin.effects.setting import Setting
 from twin.machine.machine import Machine
 from twin.units import ARCSEC, deg_from_rad
 
-_BY_UNIT: dict[str, tuple[str, float]] = {
-    "m": ("um", 1e6),
-    "rad": ("arcsec", 1.0 / ARCSEC),
-    "s": ("ms", 1e3),
-    "m/s": ("mm/s", 1e3),
-    "rad/s": ("deg/s", deg_from_rad(1.0)),
-    "N/m": ("N/um", 1e-6),
-    "Nm/rad": ("kNm/rad", 1e-3),
-    "N s/m": ("kN s/m", 1e-3),
-    "Nm s/rad": ("Nm s/rad", 1.0),
-    "1": ("", 1.0),
+READABLE: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "m": ((1e-3, 1e6, "um"), (math.inf, 1e3, "mm")),
+    "rad": ((1e-2, 1.0 / ARCSEC, "arcsec"),),
+    "s": ((0.1, 1e3, "ms"),),
+    "m/s": ((1e-4, 1e6, "um/s"), (math.inf, 1e3, "mm/s")),
+    "rad/s": ((math.inf, deg_from_rad(1.0), "deg/s"),),
+    "N/m": ((math.inf, 1e-6, "N/um"),),
+    "Nm/rad": ((math.inf, 1e-3, "kNm/rad"),),
+    "N s/m": ((math.inf, 1e-3, "kN s/m"),),
+    "1": ((math.inf, 1.0, ""),),
 }
+"""Display units: SI unit -> (upper limit of a value, factor, name). Larger values and other units stay as they are."""
 
 FEWEST_DIGITS, MOST_DIGITS = 3, 5
 """Significant digits of a number without interval, and with a narrow interval."""
@@ -35,9 +35,20 @@ def readable_unit(unit: str, value: float, parameter: Parameter | None = None) -
         return "%", 100.0, 1.0
     if parameter is not None and unit in parameter.shown:
         return *parameter.shown[unit], 0.0
-    if unit == "m" and abs(value) >= 1e-3:
-        return "mm", 1e3, 0.0
-    return *_BY_UNIT.get(unit, (unit, 1.0)), 0.0
+    return *display_unit(value, unit), 0.0
+
+
+def display_unit(value: float, unit: str) -> tuple[str, float]:
+    """Display unit of an SI value, and the factor to it."""
+    return next(((name, factor) for below, factor, name in READABLE.get(unit, ()) if abs(value) < below or below == math.inf), (unit, 1.0))
+
+
+def readable(value: float, unit: str) -> str:
+    """A value with its display unit."""
+    name, factor = display_unit(value, unit)
+    if factor != 1.0:
+        return f"{value * factor:.3g} {name}"
+    return f"{value:.4g} {name}" if name else f"{value:.6g}"
 
 
 def interval_text(unit: str, value: float, low: float, high: float, parameter: Parameter | None = None) -> tuple[str, str]:

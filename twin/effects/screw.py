@@ -12,19 +12,10 @@ import math
 
 from twin.compiled_functions import compiled
 from twin.effects.change import Change
-from twin.effects.effect import DEGREES, Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import DEGREES, Parameter, Picture, effect
 from twin.machine.machine import Axis
-from twin.simulation.loop_terms import (
-    X_MOTOR_POSITION,
-    X_MOTOR_SPEED,
-    X_ROTOR_POSITION,
-    X_ROTOR_SPEED,
-    X_TRANSMISSION_ERROR,
-    X_TRANSMISSION_ERROR_SPEED,
-    arrays,
-    term,
-)
+from twin.simulation import loop_terms
+from twin.simulation.loop_terms import arrays, term
 from twin.simulation.sine import sine_and_cosine
 from twin.units import ARCSEC
 
@@ -70,29 +61,29 @@ def lead_transmission_error(parameters, state, signals, axis):  # type: ignore[n
     """e = p[0] (q - q0); p[3] = 1 for a rotor with its own joint."""
     p, s, x = arrays(parameters, state, signals)
     if s[1] == 0.0:
-        s[0] = x[axis, X_ROTOR_POSITION]
+        s[0] = x[axis, loop_terms.X_ROTOR_POSITION]
         s[1] = 1.0
-    add_load_lead(x[axis], p[3], p[0] * (x[axis, X_ROTOR_POSITION] - s[0]), p[0] * x[axis, X_ROTOR_SPEED])
+    add_load_lead(x[axis], p[3], p[0] * (x[axis, loop_terms.X_ROTOR_POSITION] - s[0]), p[0] * x[axis, loop_terms.X_ROTOR_SPEED])
 
 
 @term
 def cyclic_transmission_error(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """e = p[0] (sin(p[1] q + p[2]) - sin(p[1] q0 + p[2])); p[3] = 1 for a rotor with its own joint."""
     p, s, x = arrays(parameters, state, signals)
-    angle = p[1] * x[axis, X_ROTOR_POSITION] + p[2]
+    angle = p[1] * x[axis, loop_terms.X_ROTOR_POSITION] + p[2]
     wave, slope = sine_and_cosine(angle)
     if s[1] == 0.0:
         s[0] = wave
         s[1] = 1.0
-    add_load_lead(x[axis], p[3], p[0] * (wave - s[0]), p[0] * p[1] * slope * x[axis, X_ROTOR_SPEED])
+    add_load_lead(x[axis], p[3], p[0] * (wave - s[0]), p[0] * p[1] * slope * x[axis, loop_terms.X_ROTOR_SPEED])
 
 
 @compiled(inline=True)
 def add_load_lead(x, own_body, error, speed):  # type: ignore[no-untyped-def]
     """Apply a lead of the load over the rotor: through the coupling for a rotor with its own joint, otherwise at the motor encoder."""
     if own_body > 0.0:
-        x[X_TRANSMISSION_ERROR] += error
-        x[X_TRANSMISSION_ERROR_SPEED] += speed
+        x[loop_terms.X_TRANSMISSION_ERROR] += error
+        x[loop_terms.X_TRANSMISSION_ERROR_SPEED] += speed
     else:
-        x[X_MOTOR_POSITION] -= error
-        x[X_MOTOR_SPEED] -= speed
+        x[loop_terms.X_MOTOR_POSITION] -= error
+        x[loop_terms.X_MOTOR_SPEED] -= speed

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change, held_force
-from twin.effects.effect import Parameter, effect
-from twin.effects.picture import Picture
+from twin.effects.effect import Parameter, Picture, effect
 from twin.effects.scan import LargestCurrent
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import CURRENT, X_CURRENT_SETPOINT, arrays, term

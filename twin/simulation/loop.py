@@ -23,46 +23,12 @@ from twin.control.current_controller import current_controller, winding
 from twin.control.drive_position_loop import drive_position_loop
 from twin.control.position_controller import position_controller
 from twin.control.speed_controller import speed_controller, speed_seen
+from twin.simulation import loop_terms
 from twin.simulation.cascade import Drives, DriveState
 from twin.simulation.drive_load import count_tick, count_work
 from twin.simulation.engine_calls import call_address_2, call_address_4
 from twin.simulation.loop_record import record_control, record_forces
-from twin.simulation.loop_terms import (
-    CURRENT,
-    DRIVE,
-    FORCE,
-    MEASURE,
-    RECORD,
-    SETPOINT,
-    SPEED,
-    VOLTAGE,
-    X_CURRENT,
-    X_CURRENT_SETPOINT,
-    X_FOLLOWING_ERROR,
-    X_FRICTION_FORCE,
-    X_FRICTION_LEVEL,
-    X_LOAD_ACCELERATION,
-    X_LOAD_FORCE,
-    X_LOAD_MIDDLE,
-    X_LOAD_POSITION,
-    X_LOAD_SPEED,
-    X_MOTOR_POSITION,
-    X_MOTOR_SPEED,
-    X_MOTOR_TORQUE,
-    X_NOISE,
-    X_RECORDED_CURRENT,
-    X_ROTOR_FORCE,
-    X_ROTOR_MIDDLE,
-    X_ROTOR_POSITION,
-    X_ROTOR_SPEED,
-    X_SCALE,
-    X_SETPOINT,
-    X_SPEED_SETPOINT,
-    X_STEP,
-    X_TIME,
-    X_VOLTAGE,
-    TermTable,
-)
+from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED, VOLTAGE, TermTable
 
 CURRENT_LIMIT, VOLTAGE_LIMIT = 0, 1
 
@@ -165,7 +131,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
         if has_measure:
             if sensing.noise.size > 0:
                 for a in range(axes):
-                    signals[a, X_NOISE] = sensing.noise[n, a, 1 if drives.on_motor_encoder[a] else 0]
+                    signals[a, loop_terms.X_NOISE] = sensing.noise[n, a, 1 if drives.on_motor_encoder[a] else 0]
             call_terms(terms, MEASURE, signals)
         for a in range(axes):
             scale, motor_position, measured_speed, measured_current = seen_by_control(a, signals, drives, state, sensing, n)
@@ -190,9 +156,9 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
             current = state.current[a]
             if not drives.current_loop[a]:  # the command acts within the cycle and is recorded
                 measured_current = current
-            motor_speed = signals[a, X_MOTOR_SPEED]
-            signals[a, X_CURRENT] = current
-            signals[a, X_RECORDED_CURRENT] = current
+            motor_speed = signals[a, loop_terms.X_MOTOR_SPEED]
+            signals[a, loop_terms.X_CURRENT] = current
+            signals[a, loop_terms.X_RECORDED_CURRENT] = current
             if has_record:
                 call_axis_terms(terms, RECORD, signals, a)
             if recorded:
@@ -201,7 +167,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
                 record.seen_position[row, a] = scale
                 record.seen_motor_position[row, a] = motor_position
                 record.seen_velocity[row, a] = measured_speed if sensing.noise.size > 0 or differentiated else motor_speed
-                record.seen_current[row, a] = measured_current + (signals[a, X_RECORDED_CURRENT] - current)
+                record.seen_current[row, a] = measured_current + (signals[a, loop_terms.X_RECORDED_CURRENT] - current)
             # winding: the back-EMF follows the speed of the motor encoder
             mean_current = winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
             engine.ctrl[engine.actuator[a]] = drives.torque_constant[a] * mean_current
@@ -217,7 +183,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
         call_address_2(engine.step, engine.model, engine.data)
         if counts_load:
             for a in range(axes):
-                before, after = signals[a, X_ROTOR_SPEED], engine.qvel[engine.rotor_dof[a]]
+                before, after = signals[a, loop_terms.X_ROTOR_SPEED], engine.qvel[engine.rotor_dof[a]]
                 per_ratio = 1.0 / drives.ratio[a]
                 count_work(a, load_sums, engine.ctrl[engine.actuator[a]], before * per_ratio, after * per_ratio, schedule.tick)
         if recorded:
@@ -238,33 +204,33 @@ def read_mechanics(a, engine, signals, k, h):  # type: ignore[no-untyped-def]
     middle = engine.qpos[engine.load_position[a]]
     rotor_speed = engine.qvel[engine.rotor_dof[a]]
     rotor_middle = engine.qpos[engine.rotor_position[a]]
-    x[X_TIME] = k * h
-    x[X_STEP] = h
-    x[X_LOAD_ACCELERATION] = (speed - x[X_LOAD_SPEED]) / h
-    x[X_LOAD_SPEED] = speed
-    x[X_LOAD_MIDDLE] = middle
-    x[X_LOAD_POSITION] = middle - 0.5 * h * speed
-    x[X_ROTOR_SPEED] = rotor_speed
-    x[X_ROTOR_MIDDLE] = rotor_middle
-    x[X_ROTOR_POSITION] = rotor_middle - 0.5 * h * rotor_speed
-    x[X_SCALE] = x[X_LOAD_POSITION]
-    x[X_MOTOR_POSITION] = x[X_ROTOR_POSITION]
-    x[X_MOTOR_SPEED] = rotor_speed
+    x[loop_terms.X_TIME] = k * h
+    x[loop_terms.X_STEP] = h
+    x[loop_terms.X_LOAD_ACCELERATION] = (speed - x[loop_terms.X_LOAD_SPEED]) / h
+    x[loop_terms.X_LOAD_SPEED] = speed
+    x[loop_terms.X_LOAD_MIDDLE] = middle
+    x[loop_terms.X_LOAD_POSITION] = middle - 0.5 * h * speed
+    x[loop_terms.X_ROTOR_SPEED] = rotor_speed
+    x[loop_terms.X_ROTOR_MIDDLE] = rotor_middle
+    x[loop_terms.X_ROTOR_POSITION] = rotor_middle - 0.5 * h * rotor_speed
+    x[loop_terms.X_SCALE] = x[loop_terms.X_LOAD_POSITION]
+    x[loop_terms.X_MOTOR_POSITION] = x[loop_terms.X_ROTOR_POSITION]
+    x[loop_terms.X_MOTOR_SPEED] = rotor_speed
 
 
 @compiled(inline=True)
 def diverged(a, signals, schedule):  # type: ignore[no-untyped-def]
     """Whether the speed of axis `a` exceeds its bound or is not a number."""
     bound = schedule.speed_bound[a]
-    return not abs(signals[a, X_ROTOR_SPEED]) < bound or not abs(signals[a, X_LOAD_SPEED]) < bound
+    return not abs(signals[a, loop_terms.X_ROTOR_SPEED]) < bound or not abs(signals[a, loop_terms.X_LOAD_SPEED]) < bound
 
 
 @compiled(inline=True)
 def seen_by_control(a, signals, drives, state, sensing, n):  # type: ignore[no-untyped-def]
     """Scale, motor position, motor speed [axis units] and current of axis `a` with noise and quantisation at tick `n` of the stretch."""
-    scale = signals[a, X_SCALE]
-    motor_position = signals[a, X_MOTOR_POSITION]
-    speed = signals[a, X_MOTOR_SPEED]
+    scale = signals[a, loop_terms.X_SCALE]
+    motor_position = signals[a, loop_terms.X_MOTOR_POSITION]
+    speed = signals[a, loop_terms.X_MOTOR_SPEED]
     current = state.current[a]
     if sensing.noise.size > 0:
         noise = sensing.noise[n, a]
@@ -280,17 +246,17 @@ def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):
     """The position controller of axis `a` in this position cycle, with the SETPOINT and SPEED terms; `closed_on` is its measured position."""
     setpoint = command.setpoint[cycle, a]
     if terms.start[SETPOINT + 1] > terms.start[SETPOINT]:
-        signals[a, X_SETPOINT] = setpoint
+        signals[a, loop_terms.X_SETPOINT] = setpoint
         call_axis_terms(terms, SETPOINT, signals, a)
-        setpoint = signals[a, X_SETPOINT]
+        setpoint = signals[a, loop_terms.X_SETPOINT]
     velocity, torque = command.velocity_feedforward[cycle, a], command.torque_feedforward[cycle, a]
     position_controller(a, drives, state, setpoint, velocity, torque, closed_on)
     if terms.start[SPEED + 1] > terms.start[SPEED]:
-        signals[a, X_SETPOINT] = setpoint
-        signals[a, X_FOLLOWING_ERROR] = setpoint - closed_on
-        signals[a, X_SPEED_SETPOINT] = state.commanded_speed[a] * drives.ratio[a]
+        signals[a, loop_terms.X_SETPOINT] = setpoint
+        signals[a, loop_terms.X_FOLLOWING_ERROR] = setpoint - closed_on
+        signals[a, loop_terms.X_SPEED_SETPOINT] = state.commanded_speed[a] * drives.ratio[a]
         call_axis_terms(terms, SPEED, signals, a)
-        state.commanded_speed[a] = signals[a, X_SPEED_SETPOINT] / drives.ratio[a]
+        state.commanded_speed[a] = signals[a, loop_terms.X_SPEED_SETPOINT] / drives.ratio[a]
         if not drives.dsc[a]:
             state.speed_setpoint[a] = state.commanded_speed[a]
 
@@ -299,9 +265,9 @@ def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):
 def received_by_drive(a, drives, state, terms, signals):  # type: ignore[no-untyped-def]
     """Apply the DRIVE terms to the speed set point of axis `a`."""
     sent = state.speed_setpoint[a] if drives.dsc[a] else state.commanded_speed[a]
-    signals[a, X_SPEED_SETPOINT] = sent * drives.ratio[a]
+    signals[a, loop_terms.X_SPEED_SETPOINT] = sent * drives.ratio[a]
     call_axis_terms(terms, DRIVE, signals, a)
-    state.speed_setpoint[a] = signals[a, X_SPEED_SETPOINT] / drives.ratio[a]
+    state.speed_setpoint[a] = signals[a, loop_terms.X_SPEED_SETPOINT] / drives.ratio[a]
 
 
 @compiled(inline=True)
@@ -309,15 +275,15 @@ def current_cycle(a, drives, state, terms, signals, measured_current):  # type: 
     """The current controller of axis `a` with the CURRENT and VOLTAGE terms; True at the voltage limit."""
     current_setpoint = state.current_setpoint[a]
     if terms.start[CURRENT + 1] > terms.start[CURRENT]:
-        signals[a, X_CURRENT_SETPOINT] = current_setpoint
+        signals[a, loop_terms.X_CURRENT_SETPOINT] = current_setpoint
         call_axis_terms(terms, CURRENT, signals, a)
-        current_setpoint = signals[a, X_CURRENT_SETPOINT]
+        current_setpoint = signals[a, loop_terms.X_CURRENT_SETPOINT]
     limited = current_controller(a, drives, state, current_setpoint, measured_current)
     if terms.start[VOLTAGE + 1] > terms.start[VOLTAGE]:
-        signals[a, X_CURRENT] = state.current[a]
-        signals[a, X_VOLTAGE] = state.voltage[a]
+        signals[a, loop_terms.X_CURRENT] = state.current[a]
+        signals[a, loop_terms.X_VOLTAGE] = state.voltage[a]
         call_axis_terms(terms, VOLTAGE, signals, a)
-        state.voltage[a] = signals[a, X_VOLTAGE]
+        state.voltage[a] = signals[a, loop_terms.X_VOLTAGE]
     return limited
 
 
@@ -326,8 +292,8 @@ def external_forces(signals, command, cycle):  # type: ignore[no-untyped-def]
     """Initialise the forces on load and motor with the external forces of this position cycle."""
     for a in range(len(signals)):
         known = len(command.external_force) > 0
-        signals[a, X_LOAD_FORCE] = command.external_force[cycle, a, 0] if known else 0.0
-        signals[a, X_ROTOR_FORCE] = command.external_force[cycle, a, 1] if known else 0.0
+        signals[a, loop_terms.X_LOAD_FORCE] = command.external_force[cycle, a, 0] if known else 0.0
+        signals[a, loop_terms.X_ROTOR_FORCE] = command.external_force[cycle, a, 1] if known else 0.0
 
 
 @compiled(inline=True)
@@ -335,18 +301,18 @@ def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
     """Call the FORCE terms and pass the resulting forces to the engine for its next step."""
     for a in range(len(engine.load_dof)):
         x = signals[a]
-        x[X_MOTOR_TORQUE] = 0.0
-        x[X_FRICTION_FORCE] = 0.0
-        x[X_FRICTION_LEVEL] = engine.coulomb_level[a]
+        x[loop_terms.X_MOTOR_TORQUE] = 0.0
+        x[loop_terms.X_FRICTION_FORCE] = 0.0
+        x[loop_terms.X_FRICTION_LEVEL] = engine.coulomb_level[a]
     call_terms(terms, FORCE, signals)
     for a in range(len(engine.load_dof)):
         x = signals[a]
-        engine.ctrl[engine.actuator[a]] += x[X_MOTOR_TORQUE]
-        engine.frictionloss[engine.friction_dof[a]] = max(x[X_FRICTION_LEVEL], 0.0)
+        engine.ctrl[engine.actuator[a]] += x[loop_terms.X_MOTOR_TORQUE]
+        engine.frictionloss[engine.friction_dof[a]] = max(x[loop_terms.X_FRICTION_LEVEL], 0.0)
         engine.applied[engine.rotor_dof[a]] = 0.0
-        engine.applied[engine.load_dof[a]] = x[X_LOAD_FORCE]
-        engine.applied[engine.friction_dof[a]] += x[X_FRICTION_FORCE]
-        engine.applied[engine.rotor_dof[a]] += x[X_ROTOR_FORCE]
+        engine.applied[engine.load_dof[a]] = x[loop_terms.X_LOAD_FORCE]
+        engine.applied[engine.friction_dof[a]] += x[loop_terms.X_FRICTION_FORCE]
+        engine.applied[engine.rotor_dof[a]] += x[loop_terms.X_ROTOR_FORCE]
 
 
 @compiled(inline=True)

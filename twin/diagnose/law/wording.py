@@ -11,9 +11,9 @@ from twin.diagnose.law.known_physics import Known, looks_like
 from twin.diagnose.law.laws import Law
 from twin.effects.law import OUTPUTS, VARIABLES, law_in
 from twin.effects.law_shapes import TABLE
+from twin.effects.readable import display_unit, readable
 from twin.machine.axis import Axis
 from twin.machine.machine import Machine
-from twin.simulation.effect_picture import display_unit, readable
 from twin.simulation.law_picture import shown_in
 from twin.units import AXIS_UNITS
 
