@@ -32,7 +32,6 @@ BRISTLE_DAMPING_RATIO = 0.3
     picture=Picture(
         "Higher friction at low speed: the current peaks when the axis starts and stops.",
         "slow",
-        axis="X",
         sizes={"excess": 700.0, "velocity": 0.004},
     ),
 )  # fmt: skip
@@ -60,7 +59,7 @@ def _bristle_range(machine: Machine, axis: Axis) -> tuple[float, float]:
     separating_move="micro-reversals",
     rivals="Backlash separates motor and scale; pre-sliding does not. Coulomb friction jumps at a reversal; pre-sliding friction builds up over micrometres.",
     normal="slip",
-    picture=Picture("Micro-reversals: friction builds up over micrometres instead of jumping.", "micro", axis="X", smooth_s=0.004),
+    picture=Picture("Micro-reversals: friction builds up over micrometres instead of jumping.", "micro", smooth_s=0.004),
 )
 def presliding(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:
     """Elastic contact below break-away (pre-sliding).

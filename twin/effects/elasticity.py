@@ -33,7 +33,7 @@ Kv x load: with less than Kv x load, a position loop closed on the load is unsta
     rivals="A compliance deflects in proportion to the force; backlash is a step, and the load stands still until the motor has crossed it.",
     contains=("transmission_compliance",),
     picture=Picture(
-        "Slow reversal: motor and scale differ by the clearance; the load stands still until the motor has crossed it.", "reversal", axis="X"
+        "Slow reversal: motor and scale differ by the clearance; the load stands still until the motor has crossed it.", "reversal"
     ),
 )  # fmt: skip
 def backlash(
@@ -70,10 +70,7 @@ def _first_mode(machine: Machine, axis: Axis) -> tuple[float, float]:
     rivals="Inertia does not separate motor and scale. A chirp excites the resonance, which an inertia does not have.",
     normal="elasticity",
     picture=Picture(
-        "A chirp from 10 to 70 Hz excites the resonance; motor minus scale is the deflection of the spring.",
-        "chirp",
-        axis="X",
-        smooth_s=0.0005,
+        "A chirp from 10 to 70 Hz excites the resonance; motor minus scale is the deflection of the spring.", "chirp", smooth_s=0.0005
     ),
 )
 def transmission_compliance(change: Change, axis: Axis, stiffness: float, damping: float | None = None) -> None:

@@ -20,7 +20,7 @@ from twin.simulation.loop_terms import FORCE, X_LOAD_ACCELERATION, X_LOAD_FORCE,
         ),
     ),
     rivals="On a vertical axis, an error of the weight looks the same; only a force beyond the tolerance of the weight is an effect.",
-    picture=Picture("The current is offset by the same amount in both directions.", "reversal", axis="X", sizes={"force": 500.0}),
+    picture=Picture("The current is offset by the same amount in both directions.", "reversal", sizes={"force": 500.0}),
 )  # fmt: skip
 def constant_force(change: Change, axis: Axis, force: float) -> None:
     """Constant force against +q (counterbalance, cable drag).
@@ -41,12 +41,7 @@ def _usual_mass(machine: Machine, axis: Axis) -> tuple[float, float]:
     parameters=(Parameter("mass", "mass", -1e4, 1e4, _usual_mass, neutral=0.0),),
     separating_move="accelerations",
     rivals="Inertia follows the acceleration of this axis. Moves in which only one of the two axes accelerates distinguish them.",
-    picture=Picture(
-        "X moves at constant speed; each acceleration of Y disturbs it.",
-        axis="X",
-        from_axis="Y",
-        sizes={"mass": 170.0},
-    ),
+    picture=Picture("X moves at constant speed; each acceleration of Y disturbs it.", from_axis="Y", sizes={"mass": 170.0}),
 )
 def cross_axis_coupling(change: Change, axis: Axis, from_axis: Axis, mass: float) -> None:
     """Acceleration of another axis acts on this axis.
@@ -68,7 +63,7 @@ def _usual_force(machine: Machine, axis: Axis) -> tuple[float, float]:
     ),
     separating_move="rest",
     rivals="The frequency of a torque ripple changes with speed; a periodic disturbance keeps its frequency and acts at rest, too.",
-    picture=Picture("A sine in time, the same at rest and at any speed.", axis="X", sizes={"frequency_hz": 18.0, "force": 450.0}),
+    picture=Picture("A sine in time, the same at rest and at any speed.", sizes={"frequency_hz": 18.0, "force": 450.0}),
 )
 def periodic_disturbance(change: Change, axis: Axis, frequency_hz: float, force: float) -> None:
     """Force that is periodic in time, independent of the motion (pump, fan, neighbouring machine).

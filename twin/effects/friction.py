@@ -26,7 +26,6 @@ from twin.simulation.sine import sine
     picture=Picture(
         "The current is offset by the same amount at every speed, against the motion; larger error at reversal.",
         "reversal",
-        axis="X",
         sizes={"factor": 1.4},
     ),
 )  # fmt: skip
@@ -47,7 +46,7 @@ def coulomb_friction(change: Change, axis: Axis, factor: float) -> None:
         ),
     ),
     rivals="Coulomb friction offsets the current by the same amount at every speed; viscous friction grows with speed.",
-    picture=Picture("The current rises in proportion to speed.", "gentle", axis="X", sizes={"factor": 1.6}),
+    picture=Picture("The current rises in proportion to speed.", "gentle", sizes={"factor": 1.6}),
 )  # fmt: skip
 def viscous_friction(change: Change, axis: Axis, factor: float) -> None:
     """Viscous friction off nominal.
@@ -61,9 +60,7 @@ def viscous_friction(change: Change, axis: Axis, factor: float) -> None:
     block="mechanics",
     parameters=(Parameter("fraction", "number", -1.0, 1.0, (-0.35, 0.35), neutral=0.0, shown=PERCENT),),
     rivals="A constant force offsets both directions equally at every speed; the asymmetry grows with speed.",
-    picture=Picture(
-        "One direction needs more current than the other, in proportion to speed.", "gentle", axis="X", sizes={"fraction": 0.35}
-    ),
+    picture=Picture("One direction needs more current than the other, in proportion to speed.", "gentle", sizes={"fraction": 0.35}),
 )
 def viscous_asymmetry(change: Change, axis: Axis, fraction: float) -> None:
     """Direction-dependent viscous friction.
@@ -85,7 +82,7 @@ def viscous_asymmetry(change: Change, axis: Axis, fraction: float) -> None:
     ),
     rivals="A torque ripple keeps its sign at a reversal; position-dependent friction changes sign.",
     picture=Picture(
-        "Friction varies along the travel and changes sign with the direction.", "constant speed", axis="X", sizes={"wavelength": 0.02}
+        "Friction varies along the travel and changes sign with the direction.", "constant speed", sizes={"wavelength": 0.02}
     ),
 )  # fmt: skip
 def position_dependent_friction(change: Change, axis: Axis, fraction: float, wavelength: float) -> None:

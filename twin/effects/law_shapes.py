@@ -108,13 +108,7 @@ SHAPES = {
         Shape(
             "approach", APPROACH, "height * (1 - e^(-x / scale))", (_height(), _width("scale")), "an exponential that approaches a level"
         ),
-        Shape(
-            "gaussian",
-            GAUSSIAN,
-            "height * e^(-((x - at) / width)^2)",
-            (_height(), _width("width"), _place(default=0.0)),
-            "a Gaussian",
-        ),
+        Shape("gaussian", GAUSSIAN, "height * e^(-((x - at) / width)^2)", (_height(), _width("width"), _place(default=0.0)), "a Gaussian"),
         Shape(
             "sine",
             SINE,
@@ -144,18 +138,10 @@ SHAPES = {
         ),
         Shape("clip", CLIP, "gain * (clip(x, -limit, limit) - x)", (Number("limit", "variable", 1e-12, neutral=math.inf),), "a limit"),
         Shape(
-            "clip above",
-            CLIP_ABOVE,
-            "gain * (min(x, limit) - x)",
-            (Number("limit", "variable", neutral=math.inf),),
-            "a limit on one side",
+            "clip above", CLIP_ABOVE, "gain * (min(x, limit) - x)", (Number("limit", "variable", neutral=math.inf),), "a limit on one side"
         ),
         Shape(
-            "clip below",
-            CLIP_BELOW,
-            "gain * (max(x, limit) - x)",
-            (Number("limit", "variable", neutral=-math.inf),),
-            "a limit on one side",
+            "clip below", CLIP_BELOW, "gain * (max(x, limit) - x)", (Number("limit", "variable", neutral=-math.inf),), "a limit on one side"
         ),
         Shape("dead band", DEAD_BAND, "-gain * clip(x, -band, band)", (Number("band", "variable", 0.0, neutral=0.0),), "a dead band"),
         Shape(

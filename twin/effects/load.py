@@ -28,7 +28,7 @@ def _usual_inertia(machine: Machine, axis: Axis) -> tuple[float, float]:
     separating_move="accelerations",
     rivals="A wrong torque feedforward acts only with feedforward on. An elastic drive train looks like a small inertia.",
     imitated_by=("transmission_compliance",),
-    picture=Picture("The current rises in proportion to acceleration.", axis="X", sizes={"added": 800.0}),
+    picture=Picture("The current rises in proportion to acceleration.", sizes={"added": 800.0}),
     sets=("moving_mass_kg", "rotor_inertia_kg_m2"),
 )
 def inertia(change: Change, axis: Axis, added: float) -> None:
@@ -63,10 +63,7 @@ def inertia(change: Change, axis: Axis, added: float) -> None:
     separating_move="accelerations",
     rivals="An additional inertia has no weight. A constant force does not change with the tilt.",
     picture=Picture(
-        "Gravity torque that changes with the tilt.",
-        axis="A",
-        with_axes="C",
-        sizes={"angle_rad": 1.2, "radius_m": 0.2, "mass_kg": 50.0},
+        "Gravity torque that changes with the tilt.", axis="A", with_axes="C", sizes={"angle_rad": 1.2, "radius_m": 0.2, "mass_kg": 50.0}
     ),
 )
 def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float, angle_rad: float, height_m: float) -> None:

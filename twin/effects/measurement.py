@@ -28,7 +28,6 @@ from twin.units import ARCSEC
     picture=Picture(
         "Each change of acceleration makes the scale signal ring, but hardly the motor.",
         "jerk",
-        axis="X",
         sizes={"frequency_hz": 28.0, "mass_ratio": 0.08},
     ),
 )
@@ -72,7 +71,6 @@ def encoder_eccentricity(change: Change, axis: Axis, amplitude: float, phase_rad
     picture=Picture(
         "Motor and scale drift apart with time, independent of the motion; this run began 20 s into the campaign.",
         "again",
-        axis="X",
         sizes={"rate": 0.4e-6},
         started_at=20.0,
     ),

@@ -58,7 +58,6 @@ def _ripple_of_every_motor(machine: Machine, axis: Axis) -> float:
     picture=Picture(
         "Current ripple locked to the motor angle, here 6 periods per turn.",
         "constant speed",
-        axis="X",
         sizes={"amplitude_nm": 0.25, "periods_per_rev": 6.0},
     ),
 )

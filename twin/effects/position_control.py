@@ -15,7 +15,7 @@ from twin.simulation.loop_terms import SETPOINT, X_SETPOINT, arrays, term
     block="position controller",
     parameters=(Parameter("factor", "factor", 0.3, 1.6, (0.85, 1.15), neutral=1.0, logarithmic=True, multiplies="position_gain_per_s"),),
     rivals="At constant speed, a wrong velocity feedforward looks the same. The two differ while the axis accelerates.",
-    picture=Picture("Feedforward off: the lag at constant speed is v / Kv.", axis="X", feedforward="off", sizes={"factor": 0.87}),
+    picture=Picture("Feedforward off: the lag at constant speed is v / Kv.", feedforward="off", sizes={"factor": 0.87}),
 )
 def position_gain(change: Change, axis: Axis, factor: float) -> None:
     """Position gain Kv off nominal.
@@ -30,7 +30,7 @@ def position_gain(change: Change, axis: Axis, factor: float) -> None:
     block="position controller",
     parameters=(Parameter("factor", "factor", 0.5, 1.5, (0.95, 1.05), neutral=1.0, logarithmic=True, multiplies="velocity_feedforward"),),
     rivals="With feedforward on, a loop delay looks the same. With feedforward off, only the delay acts.",
-    picture=Picture("An error proportional to speed, only with feedforward on.", axis="X", sizes={"factor": 0.96}),
+    picture=Picture("An error proportional to speed, only with feedforward on.", sizes={"factor": 0.96}),
 )
 def velocity_feedforward(change: Change, axis: Axis, factor: float) -> None:
     """Velocity feedforward weight off nominal.
@@ -44,7 +44,7 @@ def velocity_feedforward(change: Change, axis: Axis, factor: float) -> None:
     block="position controller",
     parameters=(Parameter("delay_s", "time", -0.002, 0.01, (-0.75e-3, 0.75e-3), neutral=0.0, starts=2),),
     rivals="With feedforward on, a wrong velocity feedforward looks the same. With feedforward off, only the delay acts.",
-    picture=Picture("An error of v times the delay, with feedforward on and off.", axis="X", sizes={"delay_s": 0.5e-3}),
+    picture=Picture("An error of v times the delay, with feedforward on and off.", sizes={"delay_s": 0.5e-3}),
     sets=("position_delay_s",),
 )
 def loop_delay(change: Change, axis: Axis, delay_s: float) -> None:
@@ -69,7 +69,6 @@ def loop_delay(change: Change, axis: Axis, delay_s: float) -> None:
     rivals="At constant speed, a loop delay of the same length looks the same. A filter also smooths fast changes.",
     picture=Picture(
         "An error of v times the time constant even with feedforward on, because the feedforward is not filtered.",
-        axis="X",
         sizes={"time_constant_s": 3e-3},
     ),
     sets=("position_delay_s",),

@@ -25,7 +25,7 @@ from twin.units import ARCSEC
     axes="linear",
     parameters=(Parameter("fraction", "number", -0.01, 0.01, (-80e-6, 80e-6), neutral=0.0, shown={"1": ("um/m", 1e6)}),),
     rivals="Thermal drift continues while the axis rests; a lead error follows the position.",
-    picture=Picture("Motor minus scale is proportional to the distance.", "constant speed", axis="X", sizes={"fraction": 60e-6}),
+    picture=Picture("Motor minus scale is proportional to the distance.", "constant speed", sizes={"fraction": 60e-6}),
 )
 def lead_error(change: Change, axis: Axis, fraction: float) -> None:
     """Lead error of the screw.
@@ -46,7 +46,7 @@ def lead_error(change: Change, axis: Axis, fraction: float) -> None:
         Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
     ),
     rivals="Eccentricity of an encoder has the period of a table turn, a cyclic error that of a motor turn.",
-    picture=Picture("Motor minus scale has the period of a motor turn; the speed loop passes the error on to the axis.", "constant speed", axis="X"),
+    picture=Picture("Motor minus scale has the period of a motor turn; the speed loop passes the error on to the axis.", "constant speed"),
 )  # fmt: skip
 def cyclic_error(change: Change, axis: Axis, amplitude: float, phase_rad: float) -> None:
     """Error between motor and load with the period of a motor turn (wobble of the screw, worm).

@@ -16,7 +16,7 @@ from twin.simulation.loop_terms import CURRENT, X_CURRENT_SETPOINT, arrays, term
     parameters=(Parameter("factor", "factor", -1.0, 3.0, (0.5, 1.5), neutral=1.0, logarithmic=True, multiplies="torque_feedforward"),),
     separating_move="accelerations",
     rivals="A wrong inertia also changes the torque in proportion to acceleration, but with feedforward off, too.",
-    picture=Picture("Errors when the acceleration changes, until the speed controller compensates.", axis="X", sizes={"factor": 0.6}),
+    picture=Picture("Errors when the acceleration changes, until the speed controller compensates.", sizes={"factor": 0.6}),
 )
 def torque_feedforward(change: Change, axis: Axis, factor: float) -> None:
     """Torque feedforward weight off nominal.
@@ -31,7 +31,7 @@ def torque_feedforward(change: Change, axis: Axis, factor: float) -> None:
     parameters=(Parameter("factor", "factor", 0.2, 2.5, (0.6, 1.4), neutral=1.0, logarithmic=True, multiplies="speed_gain_nm_s_per_rad"),),
     separating_move="chirp",
     rivals="A current filter or a wrong integral time also changes the disturbance response; a chirp distinguishes them by frequency.",
-    picture=Picture("Larger errors at reversals and jerks; no error at constant speed.", "reversal", axis="X", sizes={"factor": 0.65}),
+    picture=Picture("Larger errors at reversals and jerks; no error at constant speed.", "reversal", sizes={"factor": 0.65}),
 )
 def speed_gain(change: Change, axis: Axis, factor: float) -> None:
     """Speed controller gain off nominal.
@@ -47,7 +47,7 @@ def speed_gain(change: Change, axis: Axis, factor: float) -> None:
     parameters=(Parameter("factor", "factor", 0.3, 10.0, (0.5, 2.2), neutral=1.0, logarithmic=True, multiplies="speed_integral_time_s"),),
     separating_move="chirp",
     rivals="A wrong speed gain acts at once, the integral time only some milliseconds after a disturbance.",
-    picture=Picture("The friction step at a reversal is compensated more slowly.", "reversal", axis="X", sizes={"factor": 2.0}),
+    picture=Picture("The friction step at a reversal is compensated more slowly.", "reversal", sizes={"factor": 2.0}),
 )
 def speed_integral_time(change: Change, axis: Axis, factor: float) -> None:
     """Integral time of the speed controller off nominal.
@@ -72,7 +72,7 @@ def _one_cycle(machine: Machine, axis: Axis) -> float:
     ),
     separating_move="chirp",
     rivals="A loop delay is constant over frequency; the filter reduces the phase mainly above 100 Hz.",
-    picture=Picture("The speed loop loses phase margin and rings at a reversal.", "reversal", axis="X", sizes={"time_constant_s": 1.5e-3}),
+    picture=Picture("The speed loop loses phase margin and rings at a reversal.", "reversal", sizes={"time_constant_s": 1.5e-3}),
 )  # fmt: skip
 def current_filter(change: Change, axis: Axis, time_constant_s: float) -> None:
     """First-order lag on the current set point.
@@ -99,7 +99,7 @@ def _usual_limit(machine: Machine, axis: Axis) -> tuple[float, float]:
     ),
     separating_move="accelerations",
     rivals="No other effect clips the current at one level in both directions.",
-    picture=Picture("The current is clipped; the axis lags and catches up.", axis="X", sizes={"limit_a": 9.5}),
+    picture=Picture("The current is clipped; the axis lags and catches up.", sizes={"limit_a": 9.5}),
 )  # fmt: skip
 def current_limit(change: Change, axis: Axis, limit_a: float) -> None:
     """Current limit below the data sheet.

@@ -234,23 +234,26 @@ def detectability_command(args: argparse.Namespace) -> int:
     out = output_folder(args.out)
     write_json({name: [vars(o) for o in rows] for name, rows in outlooks_of.items()}, out / "plan.json", "detectability")
     write_plan_report(campaign, outlooks_of, out / "report.html")
-    print(
-        table(["effect", "axis", "found from", "separated from", "nearest rival"], [row_of(o) for o in outlooks_of["as recorded"]], left=2)
-    )
-    print()
-    print(
-        table(
-            ["campaign", "found", "separated", "invisible or not separated at usual size"],
-            [summary_row(n, r) for n, r in outlooks_of.items()],
-        )
-    )
+    for one in (effects_table(outlooks_of["as recorded"]), campaigns_table(outlooks_of)):
+        print(table(one.heading, one.rows, left=one.left) + "\n")
     print(f"written to {out}: plan.json, report.html")
     return 0
 
 
-def row_of(o: Outlook) -> list[str]:
-    """Table row of one effect."""
-    return [o.effect, o.axis, size_text(o.found), size_text(o.apart), o.rival]
+def effects_table(rows: Sequence[Outlook]) -> Table:
+    """The smallest sizes of every effect, and its nearest rival."""
+    lines = [[o.effect, o.axis, size_text(o.found), size_text(o.apart), o.rival] for o in rows]
+    return Table(["effect", "axis", "found from", "separated from", "nearest rival"], lines, left=2)
+
+
+def campaigns_table(outlooks_of: Mapping[str, Sequence[Outlook]]) -> Table:
+    """How many effects of usual size each variant of the campaign finds and separates, and which it does not."""
+    lines = []
+    for name, rows in outlooks_of.items():
+        lost = sorted({o.effect for o in rows if o.apart > USELESS})
+        found, apart = sum(o.found <= USELESS for o in rows), sum(o.apart <= USELESS for o in rows)
+        lines.append([name, f"{found} of {len(rows)}", f"{apart} of {len(rows)}", ", ".join(lost[:6]) + (" ..." if len(lost) > 6 else "")])
+    return Table(["campaign", "found", "separated", "invisible or not separated at usual size"], lines, left=1)
 
 
 def size_text(share: float) -> str:
@@ -266,13 +269,6 @@ def size_text(share: float) -> str:
     )
 
 
-def summary_row(name: str, rows: Sequence[Outlook]) -> list[str]:
-    """Table row of a variant: how many effects of usual size it finds and separates, and which it does not."""
-    lost = sorted({o.effect for o in rows if o.apart > USELESS})
-    found, apart = sum(o.found <= USELESS for o in rows), sum(o.apart <= USELESS for o in rows)
-    return [name, f"{found} of {len(rows)}", f"{apart} of {len(rows)}", ", ".join(lost[:6]) + (" ..." if len(lost) > 6 else "")]
-
-
 def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Outlook]], path: Path) -> None:
     """Write the report page."""
     own = outlooks_of["as recorded"]
@@ -284,13 +280,9 @@ def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Out
         f"The further run that would help most: {helps[4:]}." if helps else ""
     )
     sections = [
-        Section("Down to which size", figures=[_chart(own)], tables=[
-            Table(["effect", "axis", "found from", "separated from", "nearest rival"], [row_of(o) for o in own], left=2)
-        ]),
-        Section("Other sensors, further runs", tables=[
-            Table(["campaign", "found", "separated", "not at usual size"], [summary_row(n, r) for n, r in outlooks_of.items()], left=1)
-        ]),
-    ]  # fmt: skip
+        Section("Down to which size", figures=[_chart(own)], tables=[effects_table(own)]),
+        Section("Other sensors, further runs", tables=[campaigns_table(outlooks_of)]),
+    ]
     write_page(path, f"What {campaign.path.name} could show", lead, sections)
 
 

@@ -36,9 +36,7 @@ def sections_of(document: Document) -> list[Section]:
     """All sections with content."""
     s, marks = document["score"], document["marks"]
     same = s["same_parameters"]
-    sections = [
-        Section("Score against the targets", figures=[_targets(s["targets"])], tables=[_target_table(s["targets"])]),
-    ]
+    sections = [Section("Score against the targets", figures=[_targets(s["targets"])], tables=[_target_table(s["targets"])])]
     if s["confusion"]:
         sections.append(Section("Confusion matrix", figures=[_confusion(s["confusion"])]))
     if singles(marks):
@@ -134,10 +132,7 @@ def _confusion(table: Document) -> Figure:
     ax.set_yticks(range(len(true)), [t.replace("_", " ") for t in true], fontsize=8)
     ax.set_xlabel("named first")
     ax.set_ylabel("true")
-    return Figure(
-        figure_svg(figure),
-        "Cases with one effect, none, or a fault outside the library, by true effect and first-named effect.",
-    )
+    return Figure(figure_svg(figure), "Cases with one effect, none, or a fault outside the library, by true effect and first-named effect.")
 
 
 def _detection(marks: Sequence[Document]) -> Figure:

@@ -176,7 +176,6 @@ def score(marks: Marks, laws_searched: bool = True) -> dict[str, Any]:
         "confusion": confusion(marks),
         "calibration": calibration(_probabilities(rows[ONE_FAULT])),
         "candidates": calibration(_candidates(strata.get(EVERYDAY, []))),
-        "by_size": by_size(marks),
         "detection": detection(marks),
         "gap": _gaps(marks),
         "same_parameters": _same_parameters(marks),
@@ -263,19 +262,6 @@ def calibration(probabilities: Sequence[tuple[float, bool]]) -> list[dict[str, A
         if inside:
             said = float(np.mean([p for p, _ in inside]))
             rows.append({"said": said, **(_share(sum(right for _, right in inside), len(inside)) or {})})
-    return rows
-
-
-def by_size(marks: Marks) -> list[dict[str, Any]]:
-    """Share exactly right of `singles`, by bin of size over noise."""
-    rows = []
-    edges = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, math.inf)
-    asked = singles(marks)
-    for low, high in itertools.pairwise(edges):
-        inside = [m for m in asked if low <= m["gap"]["size"] < high]
-        if inside:
-            share = _share(sum(m["exact"] for m in inside), len(inside)) or {}
-            rows.append({"from": low, "to": high if math.isfinite(high) else None, **share})
     return rows
 
 

@@ -80,7 +80,7 @@ def rotate(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (sample or 1, 3) rotated by unit quaternions (sample or 1, 4)."""
     if len(quaternion) == 1 and np.all(quaternion[0, 1:] == 0.0):
         return points
-    return _rotation(quaternion).apply(points)
+    return np.asarray(_rotation(quaternion).apply(np.array(points, float)))  # a copy: scipy takes no read-only array
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,23 +1,24 @@
 """Thin curves out without a visible change.
 
 Each bin keeps the samples of its minimum and maximum at their own times, so no peak is lost or moved. Both samples of a jump are kept,
-so a step stays a step. Of the others, points on a line between their neighbours are dropped (within SAME_LINE of the curve's range). If all
-curves together still exceed the budget, those with the most points get longer bins.
+so a step stays a step. Of the others, points on a line between their neighbours are dropped (within SAME_LINE of the curve's range). Bins get longer
+until all curves together fit the budget.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-import heapq
 
 import numpy as np
 
-from twin.compiled_functions import compiled
+from twin.geometry.polyline import keep_shape
 
 FINEST_BIN = 4
 """Length of the shortest bin [samples]."""
 JUMP = 0.02
 """A larger change between two samples, as a share of the curve's range, is a jump (unless there are many: then it is noise)."""
+LONG = 1e6
+"""Length of a curve in multiples of its range, when points are dropped."""
 SAME_LINE = 1e-4
 """Largest distance of a dropped point from the line, as a share of the curve's range."""
 
@@ -27,23 +28,10 @@ def decimate(curves: Sequence[tuple[np.ndarray, np.ndarray]], budget: int) -> li
 
     All points are kept if they fit. Otherwise each curve keeps its two ends and its smallest and largest value.
     """
-    if sum(len(time) for time, _ in curves) <= budget:
-        return [np.arange(len(time)) for time, _ in curves]
-    bins = [FINEST_BIN] * len(curves)
-    kept = [thinned(time, values, FINEST_BIN) for time, values in curves]
-    total = sum(map(len, kept))
-    fullest = [(-len(k), i) for i, k in enumerate(kept)]
-    heapq.heapify(fullest)
-    while total > budget and fullest:
-        _, i = heapq.heappop(fullest)
-        time, values = curves[i]
-        if bins[i] >= len(values):
-            continue
-        bins[i] *= 2
-        total -= len(kept[i])
-        kept[i] = thinned(time, values, bins[i])
-        total += len(kept[i])
-        heapq.heappush(fullest, (-len(kept[i]), i))
+    kept, bin_samples = [np.arange(len(time)) for time, _ in curves], FINEST_BIN
+    while sum(map(len, kept)) > budget and bin_samples < 2 * max(len(time) for time, _ in curves):
+        kept = [thinned(time, values, bin_samples) for time, values in curves]
+        bin_samples *= 2
     return kept
 
 
@@ -60,7 +48,10 @@ def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarra
     keep = np.isin(extremes, sides)
     # the ends, the smallest and the largest value always stay
     keep[[0, -1, int(np.argmin(values[extremes])), int(np.argmax(values[extremes]))]] = True
-    mark_corners(time[extremes], values[extremes], SAME_LINE * float(np.ptp(values)), keep)
+    # a time scale so long that the distance from a line is the vertical one
+    height = float(np.ptp(values)) or 1.0
+    flat = (time[extremes] - time[0]) * (LONG * height / float(time[-1] - time[0]))
+    keep_shape(np.column_stack([flat, values[extremes], np.zeros(len(extremes))]), SAME_LINE * height, keep)
     return extremes[keep]
 
 
@@ -77,26 +68,3 @@ def bin_extremes(values: np.ndarray, bin_samples: int) -> np.ndarray:
         found[[whole + int(rest.argmin()), whole + int(rest.argmax())]] = True
     found[[0, -1]] = True
     return np.flatnonzero(found)
-
-
-@compiled(allocates=True)
-def mark_corners(time, values, tolerance, keep):  # type: ignore[no-untyped-def]
-    """Mark in `keep` (n,) points whose polyline stays within a tolerance of all others, in one pass.
-
-    Each point narrows a cone of slopes from the last kept point; when the cone closes, the previous point is kept.
-    """
-    last = 0
-    low, high = -np.inf, np.inf
-    for i in range(1, len(values)):
-        step = time[i] - time[last]
-        slope = (values[i] - values[last]) / step
-        if (slope < low or slope > high) and i - 1 > last:
-            last = i - 1
-            keep[last] = True
-            low, high = -np.inf, np.inf
-            step = time[i] - time[last]
-        low = max(low, (values[i] - tolerance - values[last]) / step)
-        high = min(high, (values[i] + tolerance - values[last]) / step)
-        if keep[i]:
-            last = i
-            low, high = -np.inf, np.inf

@@ -34,9 +34,7 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> list[str]:
     if scene.part >= 0:
         model, site = scene.model, scene.part
         recording.log(
-            scene.part_path,
-            rr.Transform3D(translation=model.site_pos[site], quaternion=_xyzw(model.site_quat[site][None])[0]),
-            static=True,
+            scene.part_path, rr.Transform3D(translation=model.site_pos[site], quaternion=_xyzw(model.site_quat[site][None])[0]), static=True
         )
     # the part frame as three arrows: x red, y green, z blue
     low, high = scene_bounds(scene)

@@ -104,10 +104,7 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
     effort = f"{'motor current' if axis.effort == 'current' else axis.effort}\n{axis.effort_unit}"
     rows = (
         (f"speed of {moving}\n{units.speed[0]}", lambda t: units.speed[1] * np.gradient(t.get(moving, "setpoint"), t.period)),
-        (
-            f"error less delay\n{units.error[0]}",
-            lambda t: units.error[1] * (delayed_set_point(t, axis) - t.get(axis.name, "position")),
-        ),
+        (f"error less delay\n{units.error[0]}", lambda t: units.error[1] * (delayed_set_point(t, axis) - t.get(axis.name, "position"))),
         (effort, lambda t: smoothed(t.get(axis.name, axis.effort), effect.picture.smooth_s, t.period)),
         (f"motor − scale\n{units.error[0]}", lambda t: units.error[1] * motor_minus_scale(t, axis.name)),
     )

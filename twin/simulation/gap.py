@@ -83,12 +83,7 @@ class Prediction:
 
 
 def predict(
-    machine: Machine,
-    run: MeasuredRun,
-    realisations: int = REALISATIONS,
-    motion: Motion | None = None,
-    engine: bool = True,
-    seed: int = 0,
+    machine: Machine, run: MeasuredRun, realisations: int = REALISATIONS, motion: Motion | None = None, engine: bool = True, seed: int = 0
 ) -> Prediction:
     """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations.
 

@@ -68,10 +68,7 @@ class Run:
             axis = self.machine.axis(name)
             units = AXIS_UNITS[axis.kind]
             asked, position = self.trace.get(name, "setpoint"), self.trace.get(name, "position")
-            both = (
-                Curve("set point", asked * units.position[1], "setpoint"),
-                Curve("position", position * units.position[1], name),
-            )
+            both = (Curve("set point", asked * units.position[1], "setpoint"), Curve("position", position * units.position[1], name))
             panels += [
                 Panel(f"{name} position\n{units.position[0]}", both),
                 Panel(

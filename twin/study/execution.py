@@ -44,14 +44,7 @@ class Workers:
 
 def fingerprint(study: Study, variants: np.ndarray) -> str:
     """Hash of everything that the results depend on; `answer` and constraints are evaluated later and do not count."""
-    parts: list[Any] = [
-        twin.__version__,
-        study.machine.document,
-        study.factors,
-        study.tied,
-        study.recommission,
-        study.retune,
-    ]
+    parts: list[Any] = [twin.__version__, study.machine.document, study.factors, study.tied, study.recommission, study.retune]
     parts += [(run.name, run.feedforward, run.part is not None) for run in study.runs]
     files = [file.read_bytes() for file in (*files_of_study(study), *loaded_files())]
     return hashlib.sha256(b"\0".join([variants.tobytes(), *(repr(p).encode() for p in parts), *files])).hexdigest()
