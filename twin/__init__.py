@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from twin.simulation.result import Run as Run
     from twin.simulation.run import simulate as simulate
     from twin.study.study import study as study
-    from twin.surface.cut_run import cut as cut
+    from twin.surface.machining import cut as cut
 
 __version__ = "0.1.0"
 
@@ -76,7 +76,7 @@ _PLACES = {
     "Trace": "recordings.trace",
     "TwinError": "errors",
     "add_effects": "effects.change",
-    "cut": "surface.cut_run",
+    "cut": "surface.machining",
     "gap": "simulation.campaign_gap",
     "interpolate": "program.set_points",
     "load_machine": "machine.machine",

@@ -45,6 +45,18 @@ def plain(value: float, digits: int = 3) -> str:
     return f"{value:.{max(digits - 1 - math.floor(math.log10(size)), 0)}f}"
 
 
+def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:
+    """The smallest round number, a step times a power of ten, that is not below a value above 0."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * next((step for step in steps if step * power >= value * (1.0 - 1e-9)), steps[-1])
+
+
+def round_down(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0)) -> float:
+    """The largest round number that is not above a value above 0."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * max(step for step in steps if step * power <= value * (1.0 + 1e-9))
+
+
 def factor_to_si(unit: str, where: str) -> float:
     """Factor from `unit` to SI; `where` is the prefix of the error message."""
     if unit not in UNITS:

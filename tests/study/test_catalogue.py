@@ -18,7 +18,7 @@ from twin.machine.holding import holding_effort
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.study.design import machine_of
-from twin.study.holding_figure import held_axes, span_over
+from twin.study.duty import held_axes, span_over
 from twin.study.output import rated
 from twin.study.paths import with_numbers
 from twin.study.spec import read_study

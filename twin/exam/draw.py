@@ -283,8 +283,6 @@ def write_campaign(
     *,
     runs: str = "all",
     signals: str = "full",
-    started_at_s: float = 0.0,
-    machine_name: str = "mikron_ucp710",
 ) -> list[str]:
     """Simulate the runs of a run set and write them to `folder` without the truth; returns the file names."""
     if runs not in RUN_SETS or signals not in SIGNALS:
@@ -293,7 +291,7 @@ def write_campaign(
         )
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    lines, at, files = [f'machine = "{machine_name}"\n'], started_at_s, []
+    lines, at, files = ['machine = "mikron_ucp710"\n'], 0.0, []
     for test in runs_of(machine, case.seed, runs):
         trace = simulate(case, machine, test, at)
         file = f"{test.name}.parquet"

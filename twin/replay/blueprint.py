@@ -24,9 +24,9 @@ import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 from rerun.encodings import Plane3D, TimeInt
 
-from twin.replay.colour_bar import colour_bar_view
 from twin.replay.curves import Curve
-from twin.replay.key import GROUND as KEY_GROUND
+from twin.replay.legends import GROUND as KEY_GROUND
+from twin.replay.legends import colour_bar_view
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, axis_entity
 
 LIGHT_GROUND = (226, 230, 235)

@@ -23,7 +23,7 @@ import rerun.blueprint as rrb
 
 from twin.machine.machine import Machine
 from twin.replay.blueprint import PATH_FROM, around_the_part, scene_view, whole_window
-from twin.replay.colour_bar import colour_bar_view, log_colour_bar
+from twin.replay.legends import colour_bar_view, log_colour_bar
 from twin.replay.names import LEGEND, SUMMARY, entity
 from twin.replay.paths import log_whole_path
 from twin.replay.recording import log_machine, log_text, recording_to
@@ -35,6 +35,7 @@ from twin.surface.height_rays import HeightRays
 from twin.surface.levels import COMMANDED, PROGRAMMED
 from twin.surface.machining import CutSurface, Machining
 from twin.surface.picture import colour_end
+from twin.units import round_down
 
 MESH_VERTICES = 60_000
 """Most vertices of a surface in the viewer; denser ones are thinned."""
@@ -140,9 +141,7 @@ def _enlarged(rays: HeightRays) -> tuple[np.ndarray, float]:
 
 def _magnification(rays: HeightRays, end: float) -> float:
     """A round magnification (1, 2 or 5 times a power of ten) for RELIEF_SHARE."""
-    wanted = RELIEF_SHARE * float(np.linalg.norm(np.ptp(rays.point, axis=0))) / end
-    power = 10.0 ** np.floor(np.log10(max(wanted, 1.0)))
-    return float(max(f * power for f in (1.0, 2.0, 5.0) if f * power <= max(wanted, 1.0)))
+    return round_down(max(RELIEF_SHARE * float(np.linalg.norm(np.ptp(rays.point, axis=0))) / end, 1.0))
 
 
 def _layout(

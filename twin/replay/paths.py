@@ -15,10 +15,11 @@ import rerun as rr
 
 from twin.geometry.body_poses import IDENTITY, Pose, body_poses, site_pose
 from twin.geometry.polyline import keep_shape
-from twin.replay.colour_bar import log_colour_bar
+from twin.replay.legends import log_colour_bar
 from twin.replay.names import TIMELINE
 from twin.replay.scene import Scene
 from twin.report.colours import ERROR_BANDS, Colour
+from twin.units import round_up
 
 MAGNIFICATIONS = (10, 100, 1000)
 LEAST_SHOWN = 5e-8
@@ -80,12 +81,7 @@ def magnifications(largest: float, extent: float) -> tuple[int, ...]:
 
 def error_scale(error: np.ndarray) -> ErrorScale:
     """A scale with round bands (1, 2 or 5 times a power of ten) that covers 99.9 % of the errors (sample,) [m]."""
-    largest = float(np.quantile(error, 0.999))
-    step = max(largest, LEAST_SCALE) / len(ERROR_BANDS)
-    power = 10.0 ** np.floor(np.log10(step))
-    return ErrorScale(
-        len(ERROR_BANDS) * float(next(round_ * power for round_ in (1.0, 2.0, 5.0, 10.0) if round_ * power >= step * (1 - 1e-9)))
-    )
+    return ErrorScale(len(ERROR_BANDS) * round_up(max(float(np.quantile(error, 0.999)), LEAST_SCALE) / len(ERROR_BANDS)))
 
 
 def log_whole_path(

@@ -20,7 +20,7 @@ from twin.replay.blueprint import Content, layout
 from twin.replay.curves import Curve, axis_curves, contour_curve, following_error, line_width
 from twin.replay.decimate import decimate
 from twin.replay.events import MOST_EVENTS, Event, find_events
-from twin.replay.key import log_keys
+from twin.replay.legends import log_keys
 from twin.replay.marks import log_events
 from twin.replay.names import APPLICATION, LEGEND, SUMMARY, TIMELINE
 from twin.replay.paths import tip_in_world

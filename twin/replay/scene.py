@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 
 from twin.geometry.body_poses import rotate
-from twin.geometry.shape import Shape
 from twin.machine.machine import Machine
 from twin.machine.model_limits import compiled_spec
 from twin.machine.urdf import shown_urdf
@@ -25,6 +24,24 @@ ROOT = "machine"
 LAST_SEEN_GROUP = 2
 """Geoms of higher groups are for collision or marks and are not shown, as in MuJoCo's viewer."""
 _UNSET_COLOUR = np.array([0.5, 0.5, 0.5, 1.0])
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One shape: `kind` box, cylinder, capsule or ellipsoid with half sizes, or mesh with vertices and faces.
+
+    `size` (3,) [m]: half edges of a box; radii of an ellipsoid; (radius, half length, -) along z of a cylinder or capsule.
+    """
+
+    body: int
+    name: str
+    kind: str
+    position: np.ndarray
+    quaternion: np.ndarray
+    colour: tuple[int, int, int, int]
+    size: np.ndarray
+    vertices: np.ndarray | None = None
+    faces: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

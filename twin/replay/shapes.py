@@ -11,9 +11,8 @@ import numpy as np
 import rerun as rr
 
 from twin.geometry.body_poses import Pose, rotate
-from twin.geometry.shape import Shape
 from twin.replay.names import TIMELINE, entity
-from twin.replay.scene import Scene, scene_bounds, shape_path
+from twin.replay.scene import Scene, Shape, scene_bounds, shape_path
 
 CREASE = np.radians(35.0)
 """An edge is smoothed below this angle between its face normals."""

@@ -26,9 +26,8 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import PathView, axis_tabs, contour_view, path_view, scene_view, whole_window
-from twin.replay.colour_bar import colour_bar_view
 from twin.replay.curves import axis_curves, contour_curve, following_error
-from twin.replay.key import log_keys
+from twin.replay.legends import colour_bar_view, log_keys
 from twin.replay.names import LEGEND, SUMMARY
 from twin.replay.recording import bounds_with_tip, check_runs, log_curves, log_machine, log_text, recording_to
 from twin.replay.scene import Scene, placed_at, scene_of

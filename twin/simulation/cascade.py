@@ -119,20 +119,15 @@ def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
     A P speed controller has no integrator and holds by a following error.
     """
     current = held_torque / drives.torque_constant
-    zero = np.zeros_like(current)
-    return DriveState(
-        commanded_speed=zero.copy(),
-        commanded_torque=zero.copy(),
-        speed_setpoint=zero.copy(),
-        torque_feedforward=zero.copy(),
-        speed_integral=np.where(drives.speed_integral_gain > 0.0, current * drives.control_torque_constant, 0.0),
-        current_setpoint=current.copy(),
-        current_integral=drives.resistance * current,
-        voltage=drives.resistance * current,
-        current=current.copy(),
-        reference_speed=zero.copy(),
-        seen_speed=zero.copy(),
-        seen_positions=np.full((len(zero), MOST_MEAN_CYCLES + 1), np.nan),
-        sent=np.zeros((len(zero), int(drives.dsc_cycles.max(initial=0)) + 2, 2)),
-        newest=np.full(len(zero), -1, np.int64),
-    )
+    rest = {name: np.zeros_like(current) for name in DriveState._fields}
+    carried = {
+        "speed_integral": np.where(drives.speed_integral_gain > 0.0, current * drives.control_torque_constant, 0.0),
+        "current_setpoint": current.copy(),
+        "current_integral": drives.resistance * current,
+        "voltage": drives.resistance * current,
+        "current": current.copy(),
+        "seen_positions": np.full((len(current), MOST_MEAN_CYCLES + 1), np.nan),
+        "sent": np.zeros((len(current), int(drives.dsc_cycles.max(initial=0)) + 2, 2)),
+        "newest": np.full(len(current), -1, np.int64),
+    }
+    return DriveState(**rest | carried)

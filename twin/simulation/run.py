@@ -108,11 +108,11 @@ def simulate_each(
     """
     outcomes: list[Any] = [None] * len(jobs)
     lanes: dict[int, Lane] = {}
-    for i, prepared in enumerate(map(_prepared, jobs)):
-        if isinstance(prepared, Lane):
-            lanes[i] = prepared
-        else:
-            outcomes[i] = prepared
+    for i, job in enumerate(jobs):
+        try:
+            lanes[i] = lane_of(**job._asdict())
+        except TwinError as error:
+            outcomes[i] = error
 
     def simulate_batch(numbers: Sequence[int]) -> list[Any]:
         runs = _runs_of([lanes[i] for i in numbers])
@@ -133,14 +133,6 @@ def all_or_raise(outcomes: Iterable[Outcome | TwinError]) -> list[Outcome]:
             raise outcome
         runs.append(outcome)
     return runs
-
-
-def _prepared(job: SimulationJob) -> Lane | TwinError:
-    machine, setpoints, plant_of, sample_period, started_at, noise_seed = job
-    try:
-        return lane_of(machine, setpoints, plant_of, sample_period=sample_period, started_at=started_at, noise_seed=noise_seed)
-    except TwinError as error:
-        return error
 
 
 def _batches(lanes: dict[int, Lane]) -> list[list[int]]:

@@ -19,7 +19,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation import recorded_forces
 from twin.simulation.added_feedforward import added_feedforward
-from twin.simulation.initial_deflection import deflection_at_start
+from twin.simulation.two_encoders import deflection_at_start
 from twin.units import AXIS_UNITS
 
 _OVERLAP = 40
@@ -107,15 +107,13 @@ class Setpoints:
         """The set points of some axes, by index; cached with their spline."""
         if axes not in self._parts:
             index = list(axes)
-            self._parts[axes] = Setpoints(
-                self.position[:, index],
-                self.period,
-                self.before[:, index] if len(self.before) else None,
-                None if self.injected is None else self.injected[:, index],
-                None if self.added_feedforward is None else self.added_feedforward[:, index],
-                None if self.external_force is None else self.external_force[:, index],
-                None if self.deflection is None else self.deflection[index],
-            )
+
+            def of(values: np.ndarray | None) -> np.ndarray | None:
+                return None if values is None else values[:, index]
+
+            arrays = (self.before if len(self.before) else None, self.injected, self.added_feedforward, self.external_force)
+            self._parts[axes] = Setpoints(self.position[:, index], self.period, *map(of, arrays))
+            self._parts[axes].deflection = None if self.deflection is None else self.deflection[index]
         return self._parts[axes]
 
     def at_cycles(self, first: int, count: int, period: float, delays: list[float]) -> list[np.ndarray]:

@@ -210,14 +210,14 @@ def varies(study: Study, tables: Sequence[str]) -> bool:
 
 def _commanded(setpoints: Setpoints, machine: Machine) -> ToolPath | None:
     """Tool path of the set points at the times of the record."""
-    if machine.axis_names != ("X", "Y", "Z", "A", "C"):
-        return None  # each variant computes its own
     period = max(1, round(machine.sample_period / machine.base_tick)) * machine.base_tick
     time = np.arange(math.floor(setpoints.duration / period + 1e-9) + 1) * period
     try:
-        return path_of_axes(kinematics_of(machine), setpoints.at(time), time)
+        kinematics = kinematics_of(machine)
     except TwinError:
         return None
+    # with another order of axes each variant computes its own
+    return path_of_axes(kinematics, setpoints.at(time), time) if machine.axis_names == kinematics.names else None
 
 
 def motion_of(source: Source, machine: Machine) -> tuple[Setpoints, ToolPath | None]:

@@ -1,7 +1,7 @@
 """Analysis of a table of variants: main effects and interactions, sensitivity indices, the Pareto front, a surrogate.
 
 Main effects and interactions are coefficients of a quadratic in factors scaled to -1 .. 1, with 95 % intervals from the
-residuals: y = b0 + sum b_i x_i + sum b_ij x_i x_j. Catalogue entries have columns of their own (entries.py). Sobol indices need the
+residuals: y = b0 + sum b_i x_i + sum b_ij x_i x_j. Catalogue entries have no order, so each but the first gets an indicator column. Sobol indices need the
 sobol design (Saltelli sampling, SALib). The surrogate is that quadratic or a thin-plate spline, whichever predicts left-out variants
 better; its error is that on the left-out variants.
 """
@@ -18,8 +18,6 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.stats import t as student
 
-from twin.study.entries import columns_of
-
 FOLDS = 5
 """Folds of the cross-validation."""
 LEAST_ROWS = 6
@@ -35,6 +33,36 @@ FITS = 0.5
 """Largest accepted error of a surrogate over the spread of the response (R2 of 0.75)."""
 SURE = 1e-3
 """Significance level for the influence of a factor if no two variants differ in it alone."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """(factor, entry) of each column: the factor's values if entry is None, otherwise 1 where that entry is chosen. `first` has no column."""
+
+    of: tuple[tuple[int, float | None], ...]
+    first: dict[int, float]
+
+    @property
+    def factors(self) -> list[int]:
+        """The factor of each column."""
+        return [factor for factor, _ in self.of]
+
+    def spread(self, table: np.ndarray) -> np.ndarray:
+        """Columns (row, column) of factors (row, factor)."""
+        return np.column_stack([table[:, i] if entry is None else (table[:, i] == entry).astype(float) for i, entry in self.of])
+
+
+def columns_of(table: np.ndarray, listed: Collection[int] = ()) -> Columns:
+    """Columns for factors (row, factor); the `listed` factors hold numbers of entries."""
+    of: list[tuple[int, float | None]] = []
+    first = {}
+    for i in range(table.shape[1]):
+        if i not in listed:
+            of.append((i, None))
+            continue
+        first[i], *others = np.unique(table[:, i]).tolist()
+        of += [(i, entry) for entry in others] or [(i, None)]
+    return Columns(tuple(of), first)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.stamp import made_line
 from twin.study.constraints import in_words
-from twin.study.duty import Duty, driven_axes, torque_speed_figure, torque_table
+from twin.study.duty import Duty, driven_axes, holding_figure, torque_speed_figure, torque_table
 from twin.study.factors import Factor
-from twin.study.holding_figure import holding_figure
 from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valued
 from twin.study.outcomes import Effect, depends, middle_of
 from twin.study.results import Answers, Response, values_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,17 +42,9 @@ def thinned(rays: HeightRays, most: int = MOST_VERTICES) -> HeightRays:
         return rays
     rows, columns = np.arange(0, rays.shape[0], step), np.arange(0, rays.shape[1], step)
     index = (rows[:, None] * rays.shape[1] + columns).ravel()
-    return HeightRays(
-        rays.name,
-        rays.point[index],
-        rays.direction[index],
-        rays.height[index],
-        rays.depth,
-        (len(rows), len(columns)),
-        rays.u[columns],
-        rays.v[rows],
-        rays.cutter[index],
-    )
+    point, direction, height, cutter = (values[index] for values in (rays.point, rays.direction, rays.height, rays.cutter))
+    shape, u, v = (len(rows), len(columns)), rays.u[columns], rays.v[rows]
+    return replace(rays, point=point, direction=direction, height=height, cutter=cutter, shape=shape, u=u, v=v)
 
 
 def write_mesh(rays: HeightRays, path: Path, end: float) -> None:

@@ -148,7 +148,7 @@ def programmed_path(program: Any) -> ToolPath:
     at = np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), np.arange(len(poses)))
     poses = np.column_stack([np.interp(at, np.arange(len(poses)), column) for column in poses.T])
     row = np.repeat(row, parts)
-    # programmed feed, to separate fast and slow cutting; for purely rotary moves that of A and C
+    # programmed feed, to separate fast and slow cutting; for purely rotary moves that of the rotary axes
     feed = np.where(np.isfinite(moves.feed), moves.feed, 1.0)[row]
     tip, turn = (np.linalg.norm(np.diff(x, axis=0), axis=1) for x in (poses[:, :3], poses[:, 3:]))
     way = np.where(moves.rotary[row], turn, tip)
@@ -165,10 +165,11 @@ def _errors(path: ToolPath, reference: ToolPath | None, machine: Machine) -> dic
 
 
 def _rotary(trace: Trace) -> dict[str, float]:
-    """Largest deviation of A and C from their set points [deg]: at the same time, and without the constant delay."""
+    """Largest deviation of each rotary axis from its set points [deg]: at the same time, and without the constant delay."""
     out = {}
-    for axis in ("A", "C"):
-        if not trace.has(axis, "position") or np.ptp(trace.get(axis, "setpoint")) < 1e-6:
+    for axis in trace.axes:
+        known = trace.kinds.get(axis) == "rotary" and trace.has(axis, "position") and trace.has(axis, "setpoint")
+        if not known or np.ptp(trace.get(axis, "setpoint")) < 1e-6:
             continue
         s, x = trace.get(axis, "setpoint"), trace.get(axis, "position")
         following = s - x

@@ -8,17 +8,22 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 import time
 from typing import Any
 
 import numpy as np
 
 from twin.errors import InputError
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.trace import Trace
+from twin.simulation.result import Run
 from twin.surface.height_rays import HeightRays
-from twin.surface.levels import PROGRAMMED, Level
+from twin.surface.levels import AS_FILED, LEVELS, PROGRAMMED, Level, levels_of_program, levels_of_trace
 from twin.surface.metrology import Mark, areal, mark, scallop_height
-from twin.surface.part import Part, Surface
-from twin.surface.removal import CutStatistics, cut
+from twin.surface.part import Part, Surface, read_part
+from twin.surface.removal import CutStatistics
+from twin.surface.removal import cut as removed
 from twin.surface.shapes import MeshFile
 from twin.surface.steps import steps_of
 
@@ -91,7 +96,7 @@ def machine_part(
                 if progress:
                     progress((at + share) / total)
 
-            after, work = cut(whole, steps[id(level)], part.tool, threads=threads, progress=report)
+            after, work = removed(whole, steps[id(level)], part.tool, threads=threads, progress=report)
             if not np.any(after.cutter >= 0):
                 raise InputError(_untouched(level, surface, whole, part))
             statistics, done = statistics + work, done + 1
@@ -99,7 +104,7 @@ def machine_part(
             if surface.zone_spacing and zone is None and not isinstance(surface.shape, MeshFile):
                 zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_spacing), part)
             if zone is not None:
-                fine, work = cut(zone, steps[id(level)], part.tool, threads=threads, progress=partial(report, at=done))
+                fine, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=partial(report, at=done))
                 statistics = statistics + work
             done += 1
             finest = after if fine is None else fine
@@ -188,3 +193,24 @@ def _untouched(level: Level, surface: Surface, rays: HeightRays, part: Part) -> 
         f"{(gap.min() - part.tool.radius) * 1e3:.3g} mm away; "
         "check [placement] origin_mm and the tool length of the part file"
     )
+
+
+def cut(
+    moved: Run | Trace | str | Path, part: str | Path | Part, machine: Machine | None = None, *, levels: Sequence[str] = LEVELS
+) -> Machining:
+    """Remove material along the tool path of a run, a trace, or a part program, which is simulated first with the
+    feedforward of the machine.
+
+    `part` is a part file (tool, stock, surfaces; see examples/parts). `levels` are the paths to cut: 'programmed' (programs only),
+    'commanded' (set points), 'followed' (positions). The result holds the heights of every cut surface [m]; `report_of` in
+    twin.surface.machining evaluates marks and roughness. Raises InputError if a path never touches the part.
+    """
+    unknown = set(levels) - set(LEVELS)
+    if unknown:
+        raise InputError(f"cut: no level '{sorted(unknown)[0]}'; use {', '.join(LEVELS)}")
+    machine = machine or (moved.machine if isinstance(moved, Run) else load_machine())
+    known = part if isinstance(part, Part) else read_part(part)
+    if isinstance(moved, str | Path):
+        return machine_part(known, levels_of_program(Path(moved), machine, known.tool, list(levels), [AS_FILED]))
+    trace = moved.trace if isinstance(moved, Run) else moved
+    return machine_part(known, levels_of_trace(trace, machine, known.tool, list(levels), "cut"))

@@ -15,6 +15,7 @@ from twin.surface.height_rays import HeightRays
 from twin.surface.machining import CutSurface, Machining
 from twin.surface.measured import Comparison, HeightMap
 from twin.surface.metrology import mark
+from twin.units import round_down, round_up
 
 INK, QUIET = "#1c2733", "#5c6b7a"
 LIGHT = (-0.42, 0.5, 0.757)
@@ -28,7 +29,6 @@ TITLE: Any = {"fontsize": 14, "x": 0.012, "ha": "left", "fontweight": "bold"}
 def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     """Write a PNG of one cut: shaded relief, deviation map with colour bar in um, sections along and across the mark."""
     import matplotlib
-    from matplotlib.figure import Figure
 
     rays = one.finest
     if not rays.is_grid:
@@ -43,7 +43,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
     end = colour_end(height)
     with matplotlib.rc_context(FONT):
-        figure = Figure(figsize=(12.0, 8.6), dpi=130, facecolor="white", layout="constrained")
+        figure = _figure(12.0, 8.6)
         grid = figure.add_gridspec(3, 2, height_ratios=[1.5, 1.15, 1.0], hspace=0.04)
         # u and v have different scales on a long patch, so each gets its own scale bar
         relief, flat = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
@@ -98,14 +98,13 @@ def _section(axes: Any, x: np.ndarray, y: np.ndarray, programmed: np.ndarray | N
 def draw_levels(machining: Machining, surface: str, path: Path) -> None:
     """Write a PNG with all levels of one surface, each on its own colour scale, to show which level makes the mark."""
     import matplotlib
-    from matplotlib.figure import Figure
 
     cuts = [c for c in machining.cuts if c.surface.name == surface and c.finest.is_grid]
     if not cuts:
         return
     u, v = cuts[0].finest.u * 1e3, cuts[0].finest.v * 1e3
     with matplotlib.rc_context(FONT):
-        figure = Figure(figsize=(12.0, 0.9 + 1.95 * len(cuts)), dpi=130, facecolor="white", layout="constrained")
+        figure = _figure(12.0, 0.9 + 1.95 * len(cuts))
         axes = figure.subplots(len(cuts), 1, sharex=True, squeeze=False)[:, 0]
         for one, ax in zip(cuts, axes):
             end = colour_end(one.finest.map() * 1e6)
@@ -127,8 +126,6 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
 
 def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Path) -> None:
     """Write a PNG of the simulated and measured map [um] on one colour scale, and their difference on another."""
-    from matplotlib.figure import Figure
-
     difference = found.measured - simulated.height
     end = colour_end(simulated.height * 1e6)
     depths = [f"deepest {depth * 1e6:.1f} um below the mean" for depth in found.depth(simulated.height)]
@@ -137,7 +134,7 @@ def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Pat
         (f"measured, registered; {depths[1]}", found.measured, end),
         (f"measured - simulated: {found.rms * 1e6:.2f} um RMS", difference, colour_end(difference[np.isfinite(difference)] * 1e6)),
     )
-    figure = Figure(figsize=(12.0, 7.0), dpi=130, facecolor="white", layout="constrained")
+    figure = _figure(12.0, 7.0)
     panels = figure.subplots(3, 1, sharex=True)
     for ax, (title, height, end) in zip(panels, maps):
         drawn = _deviation_map(ax, height * 1e6, simulated.u * 1e3, simulated.v * 1e3, end)
@@ -148,6 +145,13 @@ def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Pat
     _save(figure, path)
 
 
+def _figure(width: float, height: float) -> Any:
+    """An empty figure; inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=130, facecolor="white", layout="constrained")
+
+
 def _save(figure: Any, path: Path) -> None:
     """Write a figure in its own style; the style of the reports would redraw its ticks."""
     with beside(path) as partial:
@@ -156,9 +160,7 @@ def _save(figure: Any, path: Path) -> None:
 
 def colour_end(height: np.ndarray) -> float:
     """A round end of the colour scale [um] that includes 99.8 % of the deviations."""
-    size = max(float(np.quantile(np.abs(height), 0.998)), 0.05)
-    step = 10.0 ** np.floor(np.log10(size))
-    return float(step * min((f for f in (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0) if f * step >= size), default=10.0))
+    return round_up(max(float(np.quantile(np.abs(height), 0.998)), 0.05), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0))
 
 
 def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
@@ -180,13 +182,8 @@ def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
 
 def _scale_bar(axes: Any, u: np.ndarray, v: np.ndarray) -> None:
     """Scale bars of round lengths in the lower right corner."""
-    size = float(u[-1] - u[0]) * 0.15
-    step = 10.0 ** np.floor(np.log10(size))
-    length = float(step * max(f for f in (1.0, 2.0, 5.0) if f * step <= size))
+    length, rise = round_down(float(u[-1] - u[0]) * 0.15), round_down(float(np.ptp(v)) * 0.25)
     x, y = float(u[-1]) - 0.025 * float(np.ptp(u)) - length, float(v[0]) + 0.1 * float(np.ptp(v))
-    upright = float(np.ptp(v)) * 0.25
-    step = 10.0 ** np.floor(np.log10(upright))
-    rise = float(step * max(f for f in (1.0, 2.0, 5.0) if f * step <= upright))
     for colour, width in (("white", 5.5), (INK, 3.0)):
         axes.plot([x, x + length], [y, y], color=colour, lw=width, solid_capstyle="butt")
         axes.plot([x + length] * 2, [y, y + rise], color=colour, lw=width, solid_capstyle="butt")
@@ -200,7 +197,6 @@ def _scale_bar(axes: Any, u: np.ndarray, v: np.ndarray) -> None:
 def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
     """Rays on a mesh, projected along their mean normal."""
     import matplotlib
-    from matplotlib.figure import Figure
 
     rays = one.finest
     normal = rays.direction.mean(axis=0)
@@ -210,7 +206,7 @@ def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
     touched = rays.cutter >= 0
     end = colour_end(height[touched])
     with matplotlib.rc_context(FONT):
-        figure = Figure(figsize=(11.0, 7.0), dpi=130, facecolor="white", layout="constrained")
+        figure = _figure(11.0, 7.0)
         axes = figure.add_subplot()
         axes.scatter(x[~touched], y[~touched], s=3, color="#d5dbe1", label="not touched")
         drawn = axes.scatter(x[touched], y[touched], c=height[touched], s=4, cmap=COLOUR_MAP, vmin=-end, vmax=end)
