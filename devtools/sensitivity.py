@@ -18,7 +18,8 @@ are counted in the table.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+import contextlib
 import csv
 from dataclasses import dataclass, replace
 import io
@@ -30,7 +31,7 @@ from typing import Any
 
 from devtools.watched import Move, watched
 from twin.diagnose import diagnose
-from twin.diagnose.settings import DEFAULT, Thresholds, listed
+from twin.diagnose.settings import T, Thresholds, listed
 from twin.errors import TwinError
 from twin.exam.draw import Case, write_campaign
 from twin.exam.questions import questions_of
@@ -42,6 +43,8 @@ from twin.simulation.summary import table
 
 STRATA = ("healthy", "usual", "a fifth", "two", "outside", "everyday")
 FACTORS = (2.0 / 3.0, 4.0 / 3.0)
+DEFAULT = replace(T)
+
 SIZE, GAP = 0.02, 0.05
 """Relative changes of a size and of the remaining gap above which an answer counts as changed."""
 
@@ -60,11 +63,22 @@ def moved_value(name: str, factor: float) -> Any:
     return moved if moved != value else value + (1 if factor > 1.0 else -1)
 
 
+@contextlib.contextmanager
+def installed(thresholds: Thresholds) -> Iterator[None]:
+    """Diagnoses inside use these thresholds."""
+    vars(T).update(vars(thresholds))
+    try:
+        yield
+    finally:
+        vars(T).update(vars(DEFAULT))
+
+
 def answer_of(folder: Path, thresholds: Thresholds, quick: bool) -> dict[str, Any]:
     """Compared values of a diagnosis: verdict, sizes of the named effects, remaining gap, places; the message if there is none."""
     machine = load_machine()
     try:
-        document = diagnose(read_campaign(folder, machine), machine, quick=quick, thresholds=thresholds).document()
+        with installed(thresholds):
+            document = diagnose(read_campaign(folder, machine), machine, quick=quick).document()
     except TwinError as error:
         return {"verdict": f"no diagnosis: {error}", "sizes": {}, "after": 1.0, "places": []}
     sizes = {f"{e['effect']} {e['axis']}": next(iter(e["parameters"].values()))["value"] for e in document["effects"]}
@@ -100,7 +114,7 @@ class Answers:
     def plain(self, name: str) -> dict[str, Any]:
         """The answer with the default thresholds, and which moves can change it."""
         if name not in self.kept and time.monotonic() < self.until:
-            every = {(threshold.name, factor): moved_value(threshold.name, factor) for threshold in listed(DEFAULT) for factor in FACTORS}
+            every = {(threshold.name, factor): moved_value(threshold.name, factor) for threshold in listed() for factor in FACTORS}
             thresholds, watch = watched(DEFAULT, every)
             answer = answer_of(self.folder / "cases" / name, thresholds, self.quick)
             outcomes = {key: sorted(found) for key, found in sorted(watch.outcomes.items())}
@@ -169,7 +183,7 @@ def measured(answers: Answers, names: Sequence[str], only: Sequence[str] | None)
 def rows_of(answers: Answers, names: Sequence[str], made: Mapping[tuple[str, Move], list[str]]) -> list[list[str]]:
     """One row for each threshold, see `HEADER`."""
     rows = []
-    for threshold in listed(DEFAULT):
+    for threshold in listed():
         cases = [(n, answers.kept[n]) for n in names if n in answers.kept]
         moves = [(n, (threshold.name, factor)) for n in names for factor in FACTORS]
         still = [(n, (t, f)) for n, known in cases for t, f in known["open"] if t == threshold.name]
@@ -193,7 +207,7 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="print every threshold with unit, meaning and provenance")
     args = parser.parse_args()
     if args.list:
-        rows = [[r.name, f"{r.value:g}", *r[2:]] for r in listed(DEFAULT)]
+        rows = [[r.name, f"{r.value:g}", *r[2:]] for r in listed()]
         print(table(["threshold", "value", "unit", "meaning", "provenance"], rows, left=5))
         return
     if args.out is None:

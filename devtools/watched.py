@@ -4,8 +4,8 @@ A watched threshold carries its value and the values that it would have after ea
 the answer only if a comparison comes out differently for it, or if its value leaves the arithmetic: into a compiled function, an
 array, an index, a loop count. Both are noted. If neither happens, the diagnosis with that move is the same one, step by step.
 
-    thresholds, watch = watched(DEFAULT, {("evidence", 1.33): 18.6})
-    diagnose(campaign, machine, thresholds=thresholds)
+    thresholds, watch = watched(T, {("evidence", 1.33): 18.6})
+    diagnose with them installed        (`devtools.sensitivity.installed`)
     watch.open                          the moves that have to be diagnosed
 """
 

@@ -16,7 +16,7 @@ import pytest
 from devtools import sensitivity
 from devtools.watched import watched
 from tests.conftest import ROOT
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T, Thresholds
 
 
 @pytest.mark.parametrize("file", sorted((ROOT / "devtools").glob("*.py")), ids=lambda file: file.stem)
@@ -32,8 +32,8 @@ def test_imported_names_exist(file: Path) -> None:
 
 def watched_moves(calculation: Callable[[Thresholds], object]) -> tuple[set[str], Thresholds]:
     """The thresholds whose moves to 2/3 stay open after a calculation, and the watched thresholds."""
-    moves = {(name, 2.0 / 3.0): getattr(DEFAULT, name) * 2.0 / 3.0 for name in ("evidence", "price", "break_away_s")}
-    thresholds, watch = watched(DEFAULT, moves)
+    moves = {(name, 2.0 / 3.0): getattr(T, name) * 2.0 / 3.0 for name in ("evidence", "price", "break_away_s")}
+    thresholds, watch = watched(T, moves)
     calculation(thresholds)
     return {name for name, _ in watch.open}, thresholds
 
@@ -64,7 +64,7 @@ def test_watched_thresholds_note_the_moves_that_can_change_a_result(
 
 def test_watched_thresholds_calculate_as_plain_ones() -> None:
     _, thresholds = watched_moves(lambda t: None)
-    assert float(3.0 - thresholds.evidence / 2.0 + thresholds.price**2) == 3.0 - DEFAULT.evidence / 2.0 + DEFAULT.price**2
+    assert float(3.0 - thresholds.evidence / 2.0 + thresholds.price**2) == 3.0 - T.evidence / 2.0 + T.price**2
     assert np.float64(2.0) < thresholds.evidence
     assert not thresholds.evidence <= np.float64(2.0)
     assert isinstance(thresholds.price, float)
@@ -80,7 +80,7 @@ def test_a_group_of_moves_is_halved_until_the_changing_ones_are_left(tmp_path: P
 
     monkeypatch.setattr(sensitivity, "answer_of", answer)
     names = ["evidence", "price", "temperature", "remaining", "echo"]
-    kept = {"usual": {"answer": answer(tmp_path, DEFAULT), "open": [[n, f] for n in names for f in sensitivity.FACTORS], "moves": {}}}
+    kept = {"usual": {"answer": answer(tmp_path, T), "open": [[n, f] for n in names for f in sensitivity.FACTORS], "moves": {}}}
     answers = sensitivity.Answers(tmp_path, kept, until=math.inf)
     made = sensitivity.measured(answers, ["usual"], only=None)
     assert {move for (_, move), found in made.items() if found} == {("price", 4.0 / 3.0)}

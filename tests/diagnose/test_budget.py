@@ -63,7 +63,7 @@ def test_independent_contributions_add_up_to_the_total(of_drift):
 def test_a_budget_without_re_tuning_has_the_other_rows():
     group = group_of([np.zeros(SAMPLES)])
     machine = group.views[0].machine
-    nuisances = nuisances_of(machine, ("X",), group.thresholds)
+    nuisances = nuisances_of(machine, ("X",))
     tuning = tuning_from(nuisances, np.eye(SAMPLES)[:, : len(nuisances)], 0.01)
     setting = Setting(EFFECTS["thermal_drift"], "X", {"rate": RATE})
     fit = Fit((setting,), [], 0.0, np.ones(len(nuisances)), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), tuning)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from twin.diagnose.cross_validation import folds_of, held_out_loss, leave_out
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_from
 
 RUNS, SAMPLES, EFFECTS, NUISANCES = 3, 40, 2, 3
-PRIOR = np.diag([1e-6] * EFFECTS + [DEFAULT.prior_weight] * NUISANCES)
+PRIOR = np.diag([1e-6] * EFFECTS + [T.prior_weight] * NUISANCES)
 
 
 def linear(runs_with_effect: range = range(RUNS)):
@@ -30,8 +30,8 @@ def linear(runs_with_effect: range = range(RUNS)):
         free=[None] * EFFECTS,
         residual=lambda group: y - x @ best,
     )
-    group = SimpleNamespace(channels=channels, credit=np.ones(len(x)), thresholds=DEFAULT)
-    return SimpleNamespace(group=group, fit=fit, thresholds=DEFAULT), fit, x, y, best
+    group = SimpleNamespace(channels=channels, credit=np.ones(len(x)))
+    return SimpleNamespace(group=group, fit=fit), fit, x, y, best
 
 
 def test_each_run_is_predicted_by_a_fit_to_the_others():
@@ -39,7 +39,7 @@ def test_each_run_is_predicted_by_a_fit_to_the_others():
     loss = 0.0
     for k in range(RUNS):
         out = np.arange(len(y)) // SAMPLES == k
-        weight = np.where(out, 1.0 - DEFAULT.information_in_fold, 1.0)
+        weight = np.where(out, 1.0 - T.information_in_fold, 1.0)
         without = np.linalg.solve(x.T @ (weight[:, None] * x) + PRIOR, x.T @ (weight * y))
         loss += 0.5 * np.sum((y[out] - x[out] @ without) ** 2)
         effects, tuning = leave_out(found, [k])
@@ -56,9 +56,7 @@ def test_a_run_that_alone_determines_a_parameter_cannot_be_held_out():
     assert not tuning.any()
     own = 0.5 * np.sum(fit.residual(None)[:SAMPLES] ** 2)
     others = held_out_loss(found, fit, [[1], [2]])
-    assert held_out_loss(found, fit, [[0], [1], [2]]) == pytest.approx(
-        own + others + DEFAULT.evidence_in_sample - DEFAULT.evidence, rel=1e-9
-    )
+    assert held_out_loss(found, fit, [[0], [1], [2]]) == pytest.approx(own + others + T.evidence_in_sample - T.evidence, rel=1e-9)
 
 
 def test_folds():

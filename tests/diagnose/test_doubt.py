@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.channel import Channel
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 
 PERIOD, SAMPLES = 0.002, 3000
 SIGMA = 2.0
@@ -23,7 +23,7 @@ def test_model_error_is_a_share_of_the_response(channel):
     change = np.zeros(SAMPLES)
     change[1000] = 500.0
     doubt = channel.doubted(change, np.zeros(SAMPLES), PERIOD).doubt
-    assert doubt.max() == DEFAULT.doubt * 500.0
+    assert doubt.max() == T.doubt * 500.0
     assert np.count_nonzero(doubt) == 11  # 10 ms before and after
 
 
@@ -37,7 +37,7 @@ def test_a_break_away_loses_its_weight_and_other_samples_keep_it(channel):
     left[1500:1510] += 100.0
     doubted = channel.doubted(np.zeros(SAMPLES), left, PERIOD)
     mean_square = 10 * 100.0**2 / 51  # over 0.1 s
-    known = SIGMA**2 + (mean_square - DEFAULT.by_chance * SIGMA**2) * SAMPLES / DEFAULT.shapes
+    known = SIGMA**2 + (mean_square - T.by_chance * SIGMA**2) * SAMPLES / T.shapes
     assert doubted.weight[1505] == pytest.approx(known**-0.5, rel=0.1)
     assert np.mean(doubted.weight[:1400] > 0.9 / SIGMA) > 0.98
 

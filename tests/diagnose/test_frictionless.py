@@ -5,7 +5,6 @@ import pytest
 
 from tests.builders.diagnosis_state import group_of
 from twin.diagnose import imperfections
-from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import is_normal, nuisances_of
 from twin.diagnose.tuning import tuning_from
 from twin.effects import EFFECTS, Setting
@@ -21,7 +20,7 @@ def test_no_slip_is_tried_without_friction(frictionless: Machine, monkeypatch: p
     """All channels exceed noise, so that every normal imperfection is tried that the axis can have."""
     rows = np.full(400, 5.0)
     group = group_of([rows, rows], "X")
-    tuning = tuning_from(nuisances_of(frictionless, ("X",), group.thresholds), np.eye(group.size)[:, :7], 0.01)
+    tuning = tuning_from(nuisances_of(frictionless, ("X",)), np.eye(group.size)[:, :7], 0.01)
     for machine, can_slip in ((frictionless, False), (frictionless.with_axis("X", coulomb_friction_nm=1.0), True)):
         tried: list[str] = []
         monkeypatch.setattr(
@@ -33,5 +32,5 @@ def test_no_slip_is_tried_without_friction(frictionless: Machine, monkeypatch: p
 
 def test_no_slip_is_normal_without_friction(frictionless: Machine) -> None:
     slip = Setting(EFFECTS["presliding"], "X", {"stiffness": 1e12})
-    assert not is_normal(frictionless, slip, DEFAULT)
-    assert is_normal(frictionless.with_axis("X", coulomb_friction_nm=1.0), slip, DEFAULT)
+    assert not is_normal(frictionless, slip)
+    assert is_normal(frictionless.with_axis("X", coulomb_friction_nm=1.0), slip)

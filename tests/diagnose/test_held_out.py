@@ -9,7 +9,6 @@ import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import corrected, judgement, validation
-from twin.diagnose.settings import DEFAULT
 from twin.diagnose.tolerance import nuisances_of
 from twin.diagnose.tuning import tuning_from
 from twin.effects import with_effects
@@ -84,7 +83,7 @@ def test_the_judgement_does_not_depend_on_the_number_of_axes():
 
 def test_axes_that_a_correction_makes_worse_keep_the_machine_file(mikron):
     group = group_of([np.full(50, 3.0), np.full(50, -2.0)])
-    nuisances = nuisances_of(mikron, ("X",), group.thresholds)
+    nuisances = nuisances_of(mikron, ("X",))
     found = found_of(group, tuning_from(nuisances, np.eye(group.size)[:, : len(nuisances)], 0.01))
     nominal = with_effects(mikron, []).document
     stays = corrected.uncorrected(found)
@@ -98,12 +97,17 @@ def test_axes_that_a_correction_makes_worse_keep_the_machine_file(mikron):
 class _Law:
     axis: str = "X"
     probability: float = 0.98
+    only_fold: int | None = None
 
 
 @dataclass(frozen=True)
 class _Laws:
     laws: tuple[_Law, ...]
     corrected: str
+
+    @property
+    def states(self):
+        return self.corrected
 
 
 def with_proposed_laws(monkeypatch, levels, laws):
@@ -119,14 +123,14 @@ def with_proposed_laws(monkeypatch, levels, laws):
             asked.append(law)
             yield _Laws((_Law(),), law)
 
-    predictions = {which: {"after": {run.name: which for run in RUNS}} for which in levels}
+    predictions = {which: {"before": {}, "after": {run.name: which for run in RUNS}} for which in levels}
     monkeypatch.setattr(corrected, "gap_of", gaps)
     monkeypatch.setattr(validation, "find_unlisted_laws", proposed)
     monkeypatch.setattr(corrected.HeldOut, "traces", {})
     monkeypatch.setattr(validation, "aligned", lambda runs, *_: runs)
-    monkeypatch.setattr(validation, "predictions_with_laws", lambda law, *_, **__: corrected.HeldOut(predictions[law.corrected], []))
+    monkeypatch.setattr(validation, "held_out_gaps", lambda runs, motions, machine, law, *_, **__: corrected.HeldOut(predictions[law], []))
     records = SimpleNamespace(runs=RUNS, motions=[])
-    setup = SimpleNamespace(quick=False, machine="m", nominal="m", thresholds=DEFAULT, folds=FOLDS, threads=1, progress=None)
+    setup = SimpleNamespace(quick=False, machine="m", nominal="m", folds=FOLDS, threads=1, progress=None)
     before = {"X": math.sqrt(sum(level**2 for level in levels["nominal"].values()) / len(levels["nominal"]))}
     without = validation.Validated(tuple(RUNS), [], corrected.HeldOut(predictions["nominal"], []), before, before, "nominal")
     return validation.with_laws(setup, records, without).corrected, asked

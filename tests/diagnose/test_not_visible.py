@@ -8,7 +8,7 @@ import pytest
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import not_visible
 from twin.diagnose.candidates import Start
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_from
 from twin.effects import EFFECTS, Setting
@@ -42,7 +42,7 @@ def of_evidence(evidence):
     return ACROSS * math.sqrt(2.0 * evidence / ACROSS.sum())
 
 
-NEEDED = DEFAULT.evidence + DEFAULT.imperfect * 0.5 * ROWS
+NEEDED = T.evidence + T.imperfect * 0.5 * ROWS
 """Evidence that friction needs in these rows: the minimum plus a share of the loss of noise."""
 
 
@@ -58,7 +58,7 @@ def test_no_response_or_a_collinear_one_is_never_visible(monkeypatch):
 
 def test_a_response_at_rest_hardly_counts(monkeypatch):
     sizes = sizes_of([of_evidence(NEEDED)], monkeypatch, moving=np.zeros(ROWS, bool))
-    assert sizes == {"X": pytest.approx(DEFAULT.unsettled_weight**-0.5, rel=1e-6)}
+    assert sizes == {"X": pytest.approx(T.unsettled_weight**-0.5, rel=1e-6)}
 
 
 def test_a_limit_is_tested_at_a_usual_level():

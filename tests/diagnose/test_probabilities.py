@@ -10,7 +10,7 @@ from twin.diagnose import verdict
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Sizes, no_effect
 from twin.diagnose.observe import Group
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.state import Candidate, GroupState
 from twin.diagnose.tuning import tuning_from
 from twin.diagnose.verdict import probabilities_of
@@ -20,13 +20,13 @@ from twin.exam.score import is_failed, wilson
 
 
 def candidate(effect: str, evidence: float, needed: float, plausible: bool = True) -> Candidate:
-    sizes = Sizes((Setting(EFFECTS[effect], "X", {}),), (), np.zeros((0, 0)), DEFAULT.prior_weight)
+    sizes = Sizes((Setting(EFFECTS[effect], "X", {}),), (), np.zeros((0, 0)), T.prior_weight)
     return Candidate(sizes, evidence, needed, plausible, 0.5, evidence)
 
 
 def holding(*candidates: Candidate) -> SimpleNamespace:
-    group = SimpleNamespace(confidence=lambda axis: DEFAULT.confidence)
-    return SimpleNamespace(keys={c.key for c in candidates}, thresholds=DEFAULT, group=group)
+    group = SimpleNamespace(confidence=lambda axis: T.confidence)
+    return SimpleNamespace(keys={c.key for c in candidates}, group=group)
 
 
 @pytest.mark.parametrize(("moving", "most"), [([True], 0.9), ([True, False], 0.9), ([True, True], 0.98)])
@@ -35,14 +35,14 @@ def test_what_no_second_run_can_confirm_is_less_probable(moving, most):
     group = Group(("X",), views, [], [], [], 0)
     assert group.confidence("X") == most
     best = candidate("backlash", 200.0, 20.0)
-    state = SimpleNamespace(keys={best.key}, thresholds=DEFAULT, group=group)
+    state = SimpleNamespace(keys={best.key}, group=group)
     assert probabilities_of([best], state) == pytest.approx([most])
 
 
 def test_an_accepted_effect_is_probable():
     best, rival = candidate("backlash", 200.0, 20.0), candidate("presliding", 150.0, 30.0)
     p = probabilities_of([best, rival], holding(best))
-    assert p[0] == pytest.approx(DEFAULT.confidence)
+    assert p[0] == pytest.approx(T.confidence)
     assert p[1] < 1e-6
 
 
@@ -51,7 +51,7 @@ def test_an_effect_without_the_needed_evidence_is_improbable():
     p = probabilities_of([candidate("position_gain", 100.0, 130.0)], holding())
     assert p[0] < 1e-3
     p = probabilities_of([candidate("position_gain", 130.0, 130.0)], holding(candidate("position_gain", 130.0, 130.0)))
-    assert p[0] == pytest.approx(0.5 * DEFAULT.confidence)
+    assert p[0] == pytest.approx(0.5 * T.confidence)
 
 
 def test_candidates_of_a_round_with_a_refused_best_have_probability_zero():
@@ -62,7 +62,7 @@ def test_candidates_of_a_round_with_a_refused_best_have_probability_zero():
 def test_an_implausible_size_is_improbable():
     implausible, best = candidate("backlash", 300.0, 20.0, plausible=False), candidate("presliding", 200.0, 20.0)
     p = probabilities_of([implausible, best], holding(best))
-    assert p == [0.0, pytest.approx(DEFAULT.confidence)]
+    assert p == [0.0, pytest.approx(T.confidence)]
     assert probabilities_of([implausible], holding()) == [0.0]
 
 

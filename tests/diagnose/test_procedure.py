@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from twin.diagnose.law.laws import Laws
 from twin.diagnose.procedure import kept_in
-from twin.diagnose.settings import DEFAULT
 from twin.effects import settings_of, with_effects
 
 
@@ -19,10 +19,16 @@ def spring(mikron, stiffness):
 def test_a_spring_that_a_law_leaves_normal_is_no_longer_an_effect(mikron, stiffness, named):
     _, found = spring(mikron, 3e8)
     corrected, _ = spring(mikron, stiffness)
-    kept = kept_in(corrected, [(found, None, 0.98)], DEFAULT)
+    kept = kept_in(Laws((), (), corrected, {}), [(found, None, 0.98)])
     assert [setting.parameters["stiffness"] for setting, _, _ in kept] == named
 
 
 def test_an_effect_that_a_law_replaced_is_no_longer_named(mikron):
     _, found = spring(mikron, 3e8)
-    assert kept_in(with_effects(mikron, []), [(found, None, 0.98)], DEFAULT) == []
+    assert kept_in(Laws((), (), with_effects(mikron, []), {}), [(found, None, 0.98)]) == []
+
+
+def test_an_effect_beside_a_law_is_as_probable_as_what_its_removal_costs_there(mikron):
+    corrected, found = spring(mikron, 3e8)
+    ((_, _, p),) = kept_in(Laws((), (), corrected, {}, {found.key: 0.5}), [(found, None, 0.98)])
+    assert p == pytest.approx(0.49)

@@ -12,7 +12,7 @@ from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response
 from twin.diagnose.imperfections import moved_to, with_imperfections
 from twin.diagnose.observe import observe
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import in_turn
 from twin.diagnose.slip import with_refitted_slip
 from twin.diagnose.state import GroupState
@@ -38,7 +38,7 @@ def group():
 def test_noise_in_the_loop_does_not_change_the_control_law(group):
     """The inputs of a simulation with noise are rounded differently from the recorded ones. This is no error of the control law."""
     assert X.noise(AXIS).position_resolution > 0.0
-    nuisance = Nuisance("X", "slip", DEFAULT)
+    nuisance = Nuisance("X", "slip")
     answer = group.response(lambda m: nuisance.apply(m, 1.0 + 0.5 * m.parameter_tolerance), axes=("X",), shaken=True)
     rows = np.concatenate([np.arange(group.size)[c.rows] for c in group.channels if c.name == "controller"])
     assert rows.size
@@ -49,7 +49,7 @@ def test_noise_in_the_loop_does_not_change_the_control_law(group):
 def test_slip_is_found_with_its_size(group):
     tuning = with_imperfections(tuning_of(group, X, in_turn), group, X, group.residual, in_turn)
     found = {n.quantity: float(v) for n, v in zip(tuning.nuisances, tuning.solve(group.residual) * tuning.spread)}
-    assert found["slip"] / X.parameter_tolerance * DEFAULT.normal_slip_linear_m == pytest.approx(TRAVEL, rel=0.3)
+    assert found["slip"] / X.parameter_tolerance * T.normal_slip_linear_m == pytest.approx(TRAVEL, rel=0.3)
 
 
 WOUND = 3e-6
@@ -86,7 +86,7 @@ def wound_up():
 
 def slip_of(found):
     i = [n.quantity for n in found.tuning.nuisances].index("slip")
-    return limited_deviations(found, X.parameter_tolerance)[i] / X.parameter_tolerance * DEFAULT.normal_slip_linear_m
+    return limited_deviations(found, X.parameter_tolerance)[i] / X.parameter_tolerance * T.normal_slip_linear_m
 
 
 def test_slip_is_sized_by_the_creep_of_a_resting_axis(wound_up):
@@ -106,7 +106,7 @@ def test_missed_slip_is_found(group):
     plain = tuning_of(group, X, in_turn)
     bare = no_effect(group, plain)
     missed = GroupState(group, group, plain, bare, bare, 1.0, ())
-    assert missed.fit.loss < DEFAULT.small_residual * group.expected_loss
+    assert missed.fit.loss < T.small_residual * group.expected_loss
     found = with_refitted_slip(missed, X, in_turn)
     assert slip_of(found) == pytest.approx(TRAVEL, rel=0.3)
     assert found.fit.loss < missed.fit.loss
@@ -114,5 +114,5 @@ def test_missed_slip_is_found(group):
 
 def test_slip_is_not_fitted_while_effects_are_missing(wound_up):
     bare = replace(wound_up, fit=no_effect(wound_up.group, wound_up.tuning))
-    assert bare.fit.loss > DEFAULT.small_residual * wound_up.group.expected_loss
+    assert bare.fit.loss > T.small_residual * wound_up.group.expected_loss
     assert with_refitted_slip(bare, X, in_turn) is bare

@@ -9,7 +9,6 @@ import pytest
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Free, no_effect
 from twin.diagnose.search import axes_above_noise_within_tolerance
-from twin.diagnose.settings import DEFAULT
 from twin.diagnose.state import axes_above_noise, is_systematic
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import tuning_from
@@ -37,10 +36,8 @@ def found_with(left, slope):
     rows = np.concatenate(left)
     parameter = SETTING.effect.parameter("factor")
     return SimpleNamespace(
-        thresholds=DEFAULT,
         group=SimpleNamespace(
             channels=channels,
-            thresholds=DEFAULT,
             size=rows.size,
             expected_loss=0.5 * rows.size,
             views=[None] * RUNS,

@@ -21,7 +21,7 @@ import pytest
 
 from twin.cli import main
 from twin.diagnose.observe import Group, observe
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.view import view_of
 from twin.effects.law import VARIABLES
 from twin.errors import InputError
@@ -433,11 +433,11 @@ def outlook_of(products: np.ndarray, nuisances: int) -> dict[str, Any]:
 
 
 def test_detectable_sizes_agree_with_closed_forms() -> None:
-    """Two responses of length a and b at an angle phi: found from sqrt(2 DEFAULT.evidence) / a, separated from that over sin(phi)."""
+    """Two responses of length a and b at an angle phi: found from sqrt(2 T.evidence) / a, separated from that over sin(phi)."""
     a, b, phi = 10.0, 20.0, 0.3
     cross = a * b * math.cos(phi)
     one = outlook_of(np.array([[a * a, cross], [cross, b * b]]), 0)["one"]
-    assert one.found == pytest.approx(math.sqrt(2.0 * DEFAULT.evidence) / a)
+    assert one.found == pytest.approx(math.sqrt(2.0 * T.evidence) / a)
     assert one.apart == pytest.approx(one.found / math.sin(phi))
     assert one.rival == "other X"
     alike = outlook_of(np.array([[a * a, a * b], [a * b, b * b]]), 0)["one"]
@@ -448,9 +448,9 @@ def test_an_effect_that_re_tuning_imitates_is_hardly_detectable() -> None:
     """If a nuisance has the same response as an effect, only its prior makes the effect visible."""
     c = 100.0
     one = outlook_of(np.array([[c * c, c * c, 0.0], [c * c, c * c, 0.0], [0.0, 0.0, 1.0]]), 1)["one"]
-    left = c * c - c**4 / (c * c + DEFAULT.prior_weight)
-    assert one.found == pytest.approx(math.sqrt(2.0 * DEFAULT.evidence / left))
-    assert one.found > 0.9 * math.sqrt(2.0 * DEFAULT.evidence / DEFAULT.prior_weight)
+    left = c * c - c**4 / (c * c + T.prior_weight)
+    assert one.found == pytest.approx(math.sqrt(2.0 * T.evidence / left))
+    assert one.found > 0.9 * math.sqrt(2.0 * T.evidence / T.prior_weight)
 
 
 def test_a_target_that_chance_may_miss_is_not_called_missed() -> None:

@@ -17,7 +17,7 @@ from examples.diagnose import record, short_runs
 from twin.diagnose import diagnose
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.sizes import sized
 from twin.diagnose.state import settled_channels
 from twin.diagnose.verdict import is_unknown
@@ -204,7 +204,7 @@ def test_drive_train_that_meets_the_cycle_is_found_without_motor_encoder(tmp_pat
     assert found.fit.loss < 1.02 * found.group.expected_loss
     fraction = next(b for n, b in zip(found.tuning.nuisances, found.tuning.base) if n.quantity == "elasticity")
     share = fraction / load_machine().parameter_tolerance
-    assert DEFAULT.normal_mode_hz / math.sqrt(share) == pytest.approx(mode_hz, rel=0.06)
+    assert T.normal_mode_hz / math.sqrt(share) == pytest.approx(mode_hz, rel=0.06)
 
 
 def test_a_lead_error_shows_without_motor_encoder(tmp_path):
@@ -214,7 +214,7 @@ def test_a_lead_error_shows_without_motor_encoder(tmp_path):
     lead = next(c for c in first if c.setting.effect.name == "lead_error")
     assert lead.setting.parameters["fraction"] == pytest.approx(hidden["fraction"], rel=0.05)
     assert lead.evidence > 500.0
-    assert first[0].evidence - lead.evidence < DEFAULT.ambiguous
+    assert first[0].evidence - lead.evidence < T.ambiguous
 
 
 def test_a_healthy_machine_has_no_effects(tmp_path):

@@ -14,7 +14,7 @@ from twin.diagnose import diagnose
 from twin.diagnose.observe import observe
 from twin.diagnose.output import summary_text
 from twin.diagnose.search import search
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.sizes import without_implausible
 from twin.diagnose.verdict import named
 from twin.diagnose.view import view_of
@@ -80,7 +80,7 @@ def test_each_of_two_effects_keeps_its_own_place():
     listed = [{"axis": "X", "block": b, "_share": e} for b, e in (("transmission", 100.0), ("mechanics", 20.0), ("speed controller", 10.0))]
     for name, parameters in (("backlash", {"clearance": 1e-5}), ("coulomb_friction", {"factor": 1.3})):
         _assign_effect(listed, Setting(EFFECTS[name], "X", parameters), load_machine(), {})
-    _merge_echoes(listed, DEFAULT.echo)
+    _merge_echoes(listed, T.echo)
     assert {p["block"]: p["_share"] for p in listed} == pytest.approx({"transmission": 109.5, "mechanics": 20.0, "speed controller": 0.5})
     by_block = {p["block"]: p for p in listed}
     assert by_block["transmission"]["effect"] == "backlash"

@@ -23,6 +23,7 @@ from twin.control.speed_controller import speed_controller
 from twin.diagnose.channel import Channel
 from twin.diagnose.force_balance import MOTION, force_beyond_model
 from twin.diagnose.observe import Group
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import simulate_group
 from twin.diagnose.view import RunView
 from twin.machine.machine import Axis, Machine
@@ -102,7 +103,7 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
                 continue
             measured, index = law(view, axis, view.trace)
             expected, _ = law(view, axis, noisy)
-            if len(measured) > view.thresholds.enough_samples:
+            if len(measured) > T.enough_samples:
                 found.append(BlockResidual(r, name, block, measured, max(float(np.std(expected)), 1e-12), index))
     return found
 
@@ -123,7 +124,7 @@ def current_error(view: RunView, axis: Axis, trace: Trace) -> np.ndarray:
     integrator accumulates the speed error between the samples.
     """
     error = trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace)
-    return error - moving_mean(error, round(view.thresholds.drift_s / view.trace.period))
+    return error - moving_mean(error, round(T.drift_s / view.trace.period))
 
 
 def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = True) -> np.ndarray:
@@ -204,8 +205,8 @@ def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:
     turns = nonzero[1:][np.diff(signs[nonzero]) != 0]
     starts = np.flatnonzero(np.diff(moving.astype(int)) == 1)
     for i in [*turns, *starts]:
-        turned[max(i - round(0.01 / period), 0) : i + round(view.thresholds.break_away_s / period)] = True
-    accelerating = np.abs(a) > view.thresholds.accelerating * axis.max_acceleration
+        turned[max(i - round(0.01 / period), 0) : i + round(T.break_away_s / period)] = True
+    accelerating = np.abs(a) > T.accelerating * axis.max_acceleration
     return {
         "reversal": turned,
         "acceleration": ~turned & moving & accelerating,

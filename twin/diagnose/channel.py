@@ -8,7 +8,7 @@ import functools
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.diagnose.view import RunView, rests
 
 
@@ -28,7 +28,7 @@ class Channel:
 
     `sigma` (sample,) is the standard deviation of the noise, `correlation` the number of samples that carry the information of one independent
     sample. `doubt` (sample,) is the model error of the effects found, `model` (sample,) the model error of a healthy machine; both are correlated
-    over many samples. `sigma` was estimated from `scatter`.
+    over many samples. `credit` (sample,) is the weight of a sample as evidence. `sigma` was estimated from `scatter`.
     """
 
     run: int
@@ -40,32 +40,32 @@ class Channel:
     rows: slice = field(default_factory=lambda: slice(0, 0))  # rows in the stacked vector of the group
     doubt: np.ndarray | float = 0.0
     model: np.ndarray | float = 0.0
+    credit: np.ndarray | float = 1.0
     scatter: Scatter | None = field(default=None, repr=False)
-    thresholds: Thresholds = field(default=DEFAULT, repr=False)
 
     @functools.cached_property
     def is_clean(self) -> bool:
         """True if mean square, moving averages and peaks are those of noise."""
         u = self.residual / np.hypot(self.sigma, self.model)
-        n, t = len(u), self.thresholds
+        n = len(u)
         if self.name == "controller":  # rounding, not noise: bounded, and constant over many samples at constant speed
             means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
-            return bool(float(np.mean(u**2)) < t.clean_law_square and np.abs(means).max() < t.clean_law_mean)
-        if float(np.mean(u**2)) > t.clean_square + t.clean_spread * np.sqrt(2.0 / n):
+            return bool(float(np.mean(u**2)) < T.clean_law_square and np.abs(means).max() < T.clean_law_mean)
+        if float(np.mean(u**2)) > T.clean_square + T.clean_spread * np.sqrt(2.0 / n):
             return False
         for width in (25, 400):
             if n > 4 * width:
                 means = u[: n // width * width].reshape(-1, width).mean(axis=1) * np.sqrt(width / self.correlation)
                 if (
-                    float(np.mean(means**2)) > t.clean_mean_square + t.clean_spread * np.sqrt(2.0 / len(means))
-                    or float(np.abs(means).max()) > t.clean_mean
+                    float(np.mean(means**2)) > T.clean_mean_square + T.clean_spread * np.sqrt(2.0 / len(means))
+                    or float(np.abs(means).max()) > T.clean_mean
                 ):
                     return False
         return True
 
     def settled(self, view: RunView, shortest_rest_s: float = 0.0) -> np.ndarray:
         """Mask (sample,) of the samples that do not depend on how the axis stuck before; rests shorter than `shortest_rest_s` do not count."""
-        free = ~rests(view, self.axis, self.thresholds.settled_s, shortest_rest_s)
+        free = ~rests(view, self.axis, T.settled_s, shortest_rest_s)
         if self.name == "controller":
             return np.ones(len(self.residual), bool)
         return free[view.rows_of(self.axis, self.name)]
@@ -93,16 +93,15 @@ class Channel:
         return self._weight(np.square(self.model) + np.square(self.doubt))
 
     def _weight(self, faults: np.ndarray | float) -> np.ndarray:
-        """1 / sqrt(sigma^2 correlation + faults n / shapes), (sample,): n samples of one model error count as `shapes` independent ones."""
-        many = max(len(self.sigma) / self.thresholds.shapes, 1.0)
-        return 1.0 / np.sqrt(self.sigma**2 * self.correlation + faults * many)
+        """sqrt(credit / (sigma^2 correlation + faults n / shapes)), (sample,): n samples of one model error count as `shapes` independent ones."""
+        many = max(len(self.sigma) / T.shapes, 1.0)
+        return np.sqrt(self.credit / (self.sigma**2 * self.correlation + faults * many))
 
     def doubted(self, change: np.ndarray, residual: np.ndarray, period: float) -> Channel:
         """The channel with the model error of effects whose response is `change` (sample,); `period` of the record [s].
 
         The error is a share of the response. Where the mean square of `residual` (sample,) around a sample exceeds noise, the excess is added.
         """
-        t = self.thresholds
-        doubt = t.doubt * maximum_filter1d(np.abs(change), 2 * round(t.lag_s / period) + 1)
-        around = uniform_filter1d(np.square(residual), 2 * round(0.5 * t.event_s / period) + 1)
-        return replace(self, doubt=np.sqrt(doubt**2 + np.maximum(around - t.by_chance * (self.sigma**2 + doubt**2), 0.0)))
+        doubt = T.doubt * maximum_filter1d(np.abs(change), 2 * round(T.lag_s / period) + 1)
+        around = uniform_filter1d(np.square(residual), 2 * round(0.5 * T.event_s / period) + 1)
+        return replace(self, doubt=np.sqrt(doubt**2 + np.maximum(around - T.by_chance * (self.sigma**2 + doubt**2), 0.0)))

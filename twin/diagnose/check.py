@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign
@@ -14,7 +14,7 @@ from twin.simulation.gap import COMPARED
 from twin.simulation.setpoints import check_travel, setpoints_of
 
 
-def check_campaign(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFAULT) -> None:
+def check_campaign(campaign: Campaign, machine: Machine) -> None:
     """Refuse campaigns of another machine (set points outside the travel, motion that does not follow them), without signals or without motion."""
     if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
         raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
@@ -30,9 +30,9 @@ def check_campaign(campaign: Campaign, machine: Machine, thresholds: Thresholds 
             setpoint, position = run.trace.get(axis, "setpoint"), run.trace.get(axis, signal)
             loops = machine.axis(axis).loops
             lag = loops.set_point_delay_s + 1.0 / loops.position_gain_per_s
-            allowed = thresholds.off_lag * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
+            allowed = T.off_lag * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
             largest = float(np.abs(setpoint - position).max())
-            if largest > max(allowed, thresholds.off_set_point * float(np.ptp(setpoint))):
+            if largest > max(allowed, T.off_set_point * float(np.ptp(setpoint))):
                 raise InputError(
                     f"{campaign.path}: run {run.name}: axis {axis} is up to {largest * 1e3:.3g} {'mm' if machine.axis(axis).kind == 'linear' else 'mrad'} "
                     f"off its set point, more than any effect on machine {machine.name} can cause; check the machine file, and signs and units of the record"
@@ -64,7 +64,7 @@ def same_machine(campaign: Campaign, machine: Machine) -> bool:
     return not campaign.machine_name or _plain(campaign.machine_name) in _names(machine)
 
 
-def notes_of(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFAULT) -> list[str]:
+def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
     """Notes on what the recorded signals leave open."""
     notes = []
     if not same_machine(campaign, machine):
@@ -89,5 +89,5 @@ def notes_of(campaign: Campaign, machine: Machine, thresholds: Thresholds = DEFA
     if still:
         notes.append(f"axis {', '.join(still)} does not move: it is not diagnosed")
     if len(campaign.runs) == 1:
-        notes.append(f"single run: no run can be held out of the fit, and no probability exceeds {thresholds.confidence_in_one_run:g}")
+        notes.append(f"single run: no run can be held out of the fit, and no probability exceeds {T.confidence_in_one_run:g}")
     return notes

@@ -19,6 +19,7 @@ import math
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
+from twin.diagnose.settings import T
 from twin.diagnose.view import RunView
 from twin.effects import Setting
 from twin.effects.law import NAME as LAW
@@ -78,7 +79,7 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (
         wanted - _differentiated(position, view, axis)
     )
-    error[np.abs(u) > view.thresholds.clipped * axis.motor.peak_current_a] = 0.0  # a saturated command does not follow the law
+    error[np.abs(u) > T.clipped * axis.motor.peak_current_a] = 0.0  # a saturated command does not follow the law
     error[: axis.loops.speed_mean_cycles + 1] = 0.0  # the position before the first samples is unknown
     return error
 
@@ -86,7 +87,7 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
 def law_sigma(view: RunView, axis: Axis) -> float:
     """Standard deviation of e due to rounding of the record."""
     noise = view.machine.noise(axis)
-    least = view.thresholds.law_floor * noise.speed or 1e-9
+    least = T.law_floor * noise.speed or 1e-9
     if view.trace.has(axis.name, "velocity_setpoint"):
         return max(_rounding(view.trace, axis) / np.sqrt(12.0), least)
     # the controller may have read one encoder count more or less than recorded
@@ -100,12 +101,11 @@ def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
     A law fitted to a recording deviates from the real one by a share of the speed, and by its interpolation between the cycles. A law whose
     delays are whole cycles is the designed one and exact.
     """
-    t = view.thresholds
     if not _part_of_cycle(view, axis) and axis.loops.dsc_delay_s == 0.0:
         return np.zeros(len(view.trace.time))[:: _cycle_samples(view, axis)]
     speed = _around(np.abs(view.motion.speed[:, view.machine.axis_names.index(axis.name)]), view)
     between = axis.loops.position_gain_per_s * between_cycles(view, axis)
-    return np.hypot(t.law_share * speed, between)[:: _cycle_samples(view, axis)]
+    return np.hypot(T.law_share * speed, between)[:: _cycle_samples(view, axis)]
 
 
 def between_cycles(view: RunView, axis: Axis) -> np.ndarray:
@@ -130,7 +130,7 @@ def _part_of_cycle(view: RunView, axis: Axis) -> float:
 
 def _around(values: np.ndarray, view: RunView) -> np.ndarray:
     """Largest value within the time by which the twin may be early or late (sample,)."""
-    largest: np.ndarray = maximum_filter1d(values, 2 * round(view.thresholds.lag_s / view.trace.period) + 1)
+    largest: np.ndarray = maximum_filter1d(values, 2 * round(T.lag_s / view.trace.period) + 1)
     return largest[: len(view.trace.time)]
 
 

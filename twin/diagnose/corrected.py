@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-import itertools
 from typing import Any
 
 import numpy as np
 
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.fit import no_effect
+from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.diagnose.tuning import tuning_from
@@ -30,7 +30,7 @@ FEWER_REALISATIONS = 2
 def uncorrected(state: GroupState) -> GroupState:
     """The state of a group whose axes keep the values of the machine file, because the correction predicts held-out runs worse."""
     group = state.rigid
-    nothing = tuning_from((), np.zeros((group.size, 0)), 0.0, group.thresholds.prior_weight)
+    nothing = tuning_from((), np.zeros((group.size, 0)), 0.0, T.prior_weight)
     fit = no_effect(group, nothing)
     return replace(state, group=group, tuning=nothing, fit=fit, retuned=fit, accepted=(), unknown=True)
 
@@ -62,14 +62,13 @@ def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list
 
 def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them."""
-    t = state.thresholds
     count = len(state.tuning.nuisances)
     deviations = state.fit.tuning[:count] * state.tuning.spread
-    if np.any(np.abs(deviations) > t.widest * tolerance):
-        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.tuning, t.widest * tolerance)
+    if np.any(np.abs(deviations) > T.widest * tolerance):
+        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.tuning, T.widest * tolerance)
         deviations = inside[:count] * state.tuning.spread
     deviations = state.tuning.base + deviations
-    too_stiff = [n.quantity == "slip" and d < t.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]
+    too_stiff = [n.quantity == "slip" and d < T.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)
 
 
@@ -98,41 +97,33 @@ def held_out_gaps(
     folds: Sequence[Sequence[int]],
     engine: bool,
     threads: int,
+    before: dict[str, Prediction] | None = None,
 ) -> HeldOut:
     """Predictions of each run by the nominal machine and by the machine fitted without that run, in MuJoCo.
 
     `motions` are the nominal motions of the runs, for the realisations of noise. Without `engine` only the decoupled plant is simulated. If the
-    machine fitted without a fold cannot be simulated (it is nearly unstable), the machine fitted to all runs predicts that fold.
+    machine fitted without a fold cannot be simulated (it is nearly unstable), the machine fitted to all runs predicts that fold. `before` are the
+    predictions by the nominal machine, if they are known.
     """
-    left_out = [list(fold) if len(folds) > 1 else [] for fold in folds]
     realisations = REALISATIONS if engine else FEWER_REALISATIONS
-    nominal = [Job(machine, run, realisations, motion=motion, engine=engine) for run, motion in zip(runs, motions)]
 
-    def corrected(without: Sequence[int], fold: Sequence[int]) -> list[Job]:
-        variant = fitted_without(machine, states, without)
-        return [Job(variant, runs[i], realisations, motion=motions[i], engine=engine) for i in fold]
+    def predicted(by: Sequence[tuple[Machine, Sequence[int]]]) -> dict[str, Prediction]:
+        jobs = [Job(one, runs[i], realisations, motion=motions[i], engine=engine) for one, some in by for i in some]
+        return {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=threads))}
 
-    by_fold = [corrected(without, fold) for without, fold in zip(left_out, folds)]
-    jobs = [*nominal, *itertools.chain(*by_fold)]
+    left_out = [list(fold) if len(folds) > 1 else [] for fold in folds]
+    before = before or predicted([(machine, range(len(runs)))])
     try:
-        simulated = predict_each(jobs, threads=threads)
-    except TwinError:  # unstable, or too stiff for the simulation step
-        left_out = [without if _can_run(of_fold, threads) else [] for without, of_fold in zip(left_out, by_fold)]
-        jobs = [*nominal, *itertools.chain(*(corrected(without, fold) for without, fold in zip(left_out, folds)))]
-        simulated = predict_each(jobs, threads=threads)
-    predictions = {
-        which: {job.run.name: prediction for job, prediction in zip(jobs[part], simulated[part])}
-        for which, part in (("before", slice(len(runs))), ("after", slice(len(runs), None)))
-    }
-    return HeldOut(predictions, [runs[i].name for i in sorted(i for without in left_out for i in without)])
-
-
-def _can_run(jobs: Sequence[Job], threads: int) -> bool:
-    try:
-        predict_each([job._replace(realisations=1) for job in jobs], threads=threads)
-    except TwinError:
-        return False
-    return True
+        after = predicted([(fitted_without(machine, states, without), fold) for without, fold in zip(left_out, folds)])
+    except TwinError:  # unstable, or too stiff for the simulation step: find the folds
+        after = {}
+        for k, fold in enumerate(folds):
+            try:
+                after |= predicted([(fitted_without(machine, states, left_out[k]), fold)])
+            except TwinError:
+                left_out[k] = []
+                after |= predicted([(fitted_without(machine, states, []), fold)])
+    return HeldOut({"before": before, "after": after}, [runs[i].name for i in sorted(i for without in left_out for i in without)])
 
 
 def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequence[int]) -> Machine:
@@ -140,7 +131,6 @@ def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequenc
     settings: list[Setting] = []
     variant, tolerance = machine, machine.parameter_tolerance
     for f in states:
-        t = f.thresholds
         shift, tuning_shift = leave_out(f, fold) if fold else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.tuning)))
         moved = f.fit.settings
         for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
@@ -148,7 +138,7 @@ def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequenc
         settings += moved
         deviations = limited_deviations(f, tolerance)
         # an imperfection that is absent in the fit to all runs stays absent
-        absent = [n.quantity in SPRINGS and d < t.least_imperfection * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+        absent = [n.quantity in SPRINGS and d < T.least_imperfection * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
         deviations = deviations + np.where(absent, 0.0, tuning_shift[: len(deviations)] * f.tuning.spread)
-        variant = tuned(f.tuning.nuisances, np.clip(deviations, -t.widest * tolerance, t.widest * tolerance))(variant)
+        variant = tuned(f.tuning.nuisances, np.clip(deviations, -T.widest * tolerance, T.widest * tolerance))(variant)
     return with_added(variant, settings)

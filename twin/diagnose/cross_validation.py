@@ -11,6 +11,7 @@ from scipy.optimize import lsq_linear
 
 from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
+from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, is_cut
 from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.diagnose.tuning import FREE, Tuning, solved
@@ -86,9 +87,7 @@ def loss_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = Tr
 def beyond_tolerance(state: GroupState) -> float:
     """Half the squared residual above noise if no parameter may exceed its tolerance by more than `widest`."""
     tolerance = state.fit.about.spread / float(UNIFORM)
-    return loss_within(state, state.fit, state.thresholds.widest * tolerance, normal=False) - 0.5 * float(
-        state.group.credit @ state.group.expected
-    )
+    return loss_within(state, state.fit, T.widest * tolerance, normal=False) - 0.5 * float(state.group.credit @ state.group.expected)
 
 
 def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
@@ -96,65 +95,67 @@ def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
 
     It is largest if the block of the effect is not isolated: then all model errors of the loop are visible in the same channels.
     """
-    t = state.thresholds
-    least = t.evidence if folds > 1 else t.evidence_in_sample
-    return least + (t.imperfect if is_cut(state.group, setting) else t.imperfect_uncut) * state.group.expected_loss
+    least = T.evidence if folds > 1 else T.evidence_in_sample
+    return least + (T.imperfect if is_cut(state.group, setting) else T.imperfect_uncut) * state.group.expected_loss
 
 
 def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
     """Robust loss on held-out runs, each fold predicted by the fit without it.
 
-    With X = [columns, jacobian], N = X'X + prior, r the residual at the optimum: holding out rows f moves the optimum by
-    -(N - X_f'X_f)^-1 X_f' r_f, so that the held-out residual is r_f + X_f (N - X_f'X_f)^-1 X_f' r_f. A fold that alone determines a
-    parameter is predicted by the fit to all runs and costs `evidence_in_sample - evidence`.
+    A fold that alone determines a parameter is predicted by the fit to all runs and costs `evidence_in_sample - evidence`.
     """
-    group, t = state.group, state.thresholds
-    linear = _linear(group, fit)
-    loss = 0.0
-    for fold in folds:
-        shift = np.zeros(len(linear.normal))
-        if len(folds) > 1 and linear.knows_alone(fold, t.information_in_fold):
-            loss += t.evidence_in_sample - t.evidence
-        elif len(folds) > 1:
-            shift = linear.shift(fold, t.information_in_fold)
-        for run in linear.of(fold):
-            for rows in linear.rows[run]:
-                rf = linear.left[rows] - fit.columns[rows] @ shift[: linear.own] - fit.about.jacobian[rows] @ shift[linear.own :]
-                loss += 0.5 * float(group.credit[rows] @ np.minimum(rf**2, t.outlier * np.maximum(1.0, rf**2) ** 0.5))
-    return loss
+    group = state.group
+    linear = linear_in(group, fit)
+    known = [len(folds) > 1 and linear.knows_alone(fold, T.information_in_fold) for fold in folds]
+    moved = [fold for fold, alone in zip(folds, known) if len(folds) > 1 and not alone]
+    left = linear.held_out(fit, moved, T.information_in_fold)
+    robust = np.minimum(left**2, T.outlier * np.maximum(1.0, left**2) ** 0.5)
+    return 0.5 * float(group.credit @ robust) + sum(known) * (T.evidence_in_sample - T.evidence)
 
 
 def leave_out(state: GroupState, fold: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Shift of free parameters and tuning if the runs of a fold are held out."""
     fit, group = state.fit, state.group
-    linear = _linear(group, fit)
-    alone = group.thresholds.information_in_fold
+    linear = linear_in(group, fit)
+    alone = T.information_in_fold
     shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold, alone) else linear.shift(fold, alone)
     return shift[: linear.own], shift[linear.own :]
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """A linearised fit, X = [columns, jacobian]: X'X of each run (run, column, column) and X'r (run, column), r the residual."""
+class Linear:
+    """A linearised fit by parts of the record (runs, or pieces of them): X = [columns, jacobian], r the residual at the optimum.
 
-    rows: Sequence[Sequence[slice]]  # of each run
+    Without the rows f of some parts the optimum moves by -(N - X_f'X_f)^-1 X_f' r_f, with N = X'X + prior.
+    """
+
+    rows: Sequence[Sequence[slice]]  # of each part
     own: int  # number of leading columns that belong to the fit
-    products: np.ndarray
-    slopes: np.ndarray
-    normal: np.ndarray  # N = X'X + prior
-    left: np.ndarray
+    products: np.ndarray  # X'X of each part (part, column, column)
+    slopes: np.ndarray  # X'r (part, column)
+    normal: np.ndarray  # N
+    left: np.ndarray  # r (row,)
+
+    def held_out(self, fit: Fit, folds: Sequence[Sequence[int]], share: float) -> np.ndarray:
+        """Residual (row,) with the rows of each fold of parts predicted by the fit without them."""
+        left = self.left.copy()
+        for fold in folds:
+            shift = self.shift(fold, share)
+            for rows in (rows for part in self.of(fold) for rows in self.rows[part]):
+                left[rows] -= fit.columns[rows] @ shift[: self.own] + fit.about.jacobian[rows] @ shift[self.own :]
+        return left
 
     def of(self, fold: Sequence[int]) -> list[int]:
-        """Runs of a fold in which something was measured."""
-        return [run for run in fold if run < len(self.rows)]
+        """Parts of a fold in which something was measured."""
+        return [part for part in fold if part < len(self.rows)]
 
     def shift(self, fold: Sequence[int], share: float) -> np.ndarray:
-        """Shift of the optimum without these runs. Only `share` of their information is removed, so that a direction known from them alone stays."""
+        """Shift of the optimum without these parts. Only `share` of their information is removed, so that a direction known from them alone stays."""
         information = share * self.products[self.of(fold)].sum(axis=0)
         return -solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0))
 
     def knows_alone(self, fold: Sequence[int], alone: float) -> bool:
-        """Is a direction of the fit's own parameters p determined by these runs alone?
+        """Is a direction of the fit's own parameters p determined by these parts alone?
 
         Information about p with the other columns q eliminated: S = N_pp - N_pq N_qq^-1 N_qp, of all runs compared with that of the others.
         """
@@ -165,23 +166,24 @@ class _Linear:
         return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - alone
 
 
-def _linear(group: Group, fit: Fit) -> _Linear:
-    runs = 1 + max((c.run for c in group.channels), default=-1)
-    rows = [[c.rows for c in group.channels if c.run == run] for run in range(runs)]
+def linear_in(group: Group, fit: Fit, rows: Sequence[Sequence[slice]] | None = None) -> Linear:
+    """The linearised fit by parts with these rows; by runs without them."""
+    if rows is None:
+        rows = [[c.rows for c in group.channels if c.run == run] for run in range(1 + max((c.run for c in group.channels), default=-1))]
     jacobian, own = fit.about.jacobian, fit.columns.shape[1]
     n = own + jacobian.shape[1]
     products, slopes, residual = np.zeros((len(rows), n, n)), np.zeros((len(rows), n)), fit.residual(group)
     products[:, own:, own:] = fit.about.products(rows)
-    for run, slices in enumerate(rows):
+    for i, slices in enumerate(rows):
         for part in slices:
             columns = fit.columns[part]
-            products[run, :own, :own] += columns.T @ columns
-            products[run, own:, :own] += jacobian[part].T @ columns
-            slopes[run, :own] += columns.T @ residual[part]
-            slopes[run, own:] += jacobian[part].T @ residual[part]
-        products[run, :own, own:] = products[run, own:, :own].T
+            products[i, :own, :own] += columns.T @ columns
+            products[i, own:, :own] += jacobian[part].T @ columns
+            slopes[i, :own] += columns.T @ residual[part]
+            slopes[i, own:] += jacobian[part].T @ residual[part]
+        products[i, :own, own:] = products[i, own:, :own].T
     normal = products.sum(axis=0) + np.diag(np.concatenate([np.full(own, FREE), fit.about.prior]))
-    return _Linear(rows, own, products, slopes, normal, residual)
+    return Linear(rows, own, products, slopes, normal, residual)
 
 
 def _information(normal: np.ndarray, p: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from twin.diagnose.law.laws import Law
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
 from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
@@ -46,7 +46,6 @@ class Diagnosis:
     held_out: list[str]
     proposal: Proposal
     notes: list[str] = field(default_factory=list)
-    thresholds: Thresholds = DEFAULT
     budget: Budget | None = None
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
@@ -117,7 +116,7 @@ class Diagnosis:
         for found in self.found:
             for axis in found.group.axes:
                 level = self.levels["after"].get(axis, 1.0)
-                if level > self.thresholds.unexplained_gap and self.budget is not None:
+                if level > T.unexplained_gap and self.budget is not None:
                     block, law = largest_remaining_block(found, axis)
                     tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
@@ -198,7 +197,7 @@ class Diagnosis:
                 free = free_of[i]
                 step = free.unit * (abs(value) if free.logarithmic else 1.0)
                 fitted = math.sqrt(max(float(covariance[i, i]), 0.0)) * step
-                law = self.thresholds.model_error * (abs(value) if free.logarithmic else parameter.deviation(value))
+                law = T.model_error * (abs(value) if free.logarithmic else parameter.deviation(value))
                 half = 1.96 * max(math.hypot(fitted, law), normal_spread(setting, parameter, self.machine))
                 if free.logarithmic:
                     half /= abs(value)
@@ -269,7 +268,7 @@ class Diagnosis:
                 if best is None or (best.setting.effect.name, best.setting.axis) != (setting.effect.name, setting.axis):
                     continue
                 for rival in candidates[1:]:
-                    if rival.plausible and best.evidence - rival.evidence < self.thresholds.ambiguous:
+                    if rival.plausible and best.evidence - rival.evidence < T.ambiguous:
                         out.append(
                             {
                                 "effect": rival.setting.effect.name,

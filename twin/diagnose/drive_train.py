@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from twin.diagnose.observe import Group, Variation
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import Trial, Tuning, tuning_from
@@ -64,12 +65,12 @@ def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
             squares[c.run] = squares.get(c.run, 0.0) + float(shows[c.rows] @ shows[c.rows])
     order = sorted(squares, key=lambda run: -squares[run])
     parts = np.cumsum([squares[run] for run in order]) / max(sum(squares.values()), 1e-30)
-    return set(order[: int(np.searchsorted(parts, group.thresholds.train_shown)) + 1])
+    return set(order[: int(np.searchsorted(parts, T.train_shown)) + 1])
 
 
 def responses_of(group: Group, axis: str, points: Sequence[Point], tolerance: float, mapper: Mapper) -> list[np.ndarray | TwinError]:
     """Response (row,) to the drive train at each point, or the error of its simulation."""
-    elasticity, damping = (Nuisance(axis, quantity, group.thresholds) for quantity in ("elasticity", "damping"))
+    elasticity, damping = (Nuisance(axis, quantity) for quantity in ("elasticity", "damping"))
 
     def with_train(machine: Machine, at: Point) -> Machine:
         return damping.apply(elasticity.apply(machine, 1.0 + at[0] * tolerance), 1.0 + at[1] * tolerance)
@@ -92,23 +93,23 @@ def with_drive_train(
     `linear` is the estimate for a linear response, `largest` the share of the normal elasticity from which it is an effect. The tuning is
     unchanged if no size near the estimate explains `residual` (row,).
     """
-    tolerance, t = machine.parameter_tolerance, group.thresholds
+    tolerance = machine.parameter_tolerance
     tried = _TrialLosses(group, tuning, axis, residual, linear.column, tolerance)
 
     def best_of(points: Sequence[Point]) -> Point:
         return tried.best_of(points, mapper)
 
     def at(mode_hz: float) -> Point:
-        return (t.normal_mode_hz / mode_hz) ** 2, 0.0
+        return (T.normal_mode_hz / mode_hz) ** 2, 0.0
 
-    linear_hz = t.normal_mode_hz / math.sqrt(linear.size)
+    linear_hz = T.normal_mode_hz / math.sqrt(linear.size)
     near_cycle = [r / machine.position_cycle for r in MEETING]
-    modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > t.train_finer for r in AROUND)]
+    modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > T.train_finer for r in AROUND)]
     found = best_of([at(f) for f in modes])
-    if tried.tuning.loss(tried.residual) - tried.losses[found] < t.evidence:
+    if tried.tuning.loss(tried.residual) - tried.losses[found] < T.evidence:
         return tuning
     found = best_of([found, *((found[0], d) for d in DAMPED)])
-    for step in (t.train_finer, 0.5 * t.train_finer):
+    for step in (T.train_finer, 0.5 * T.train_finer):
         found = best_of([found, *((found[0] * (1.0 + side * step) ** 2, found[1]) for side in (-1, 1))])
         found = best_of([found, *((found[0], found[1] + side * 5.0 * step) for side in (-1, 1))])
     share, damping = found
@@ -116,10 +117,10 @@ def with_drive_train(
         return tuning
     best_of([(share, 0.0)])
     worth = tried.losses[share, 0.0] - tried.losses[found]
-    points = [(share, 0.0), found] if damping and worth >= t.evidence else [(share, 0.0)]
+    points = [(share, 0.0), found] if damping and worth >= T.evidence else [(share, 0.0)]
     plain, *damped_response = responses_of(group, axis, points, tolerance, mapper)
     whole = damped_response[0] if damped_response else None
     if isinstance(plain, TwinError) or isinstance(whole, TwinError):  # unstable in one of the other runs
         return tuning
-    tuning = tuning.with_column(Nuisance(axis, "elasticity", t), plain * (UNIFORM / share))
-    return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping", t), (whole - plain) * (UNIFORM / damping))
+    tuning = tuning.with_column(Nuisance(axis, "elasticity"), plain * (UNIFORM / share))
+    return tuning if whole is None else tuning.with_column(Nuisance(axis, "damping"), (whole - plain) * (UNIFORM / damping))

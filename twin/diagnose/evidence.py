@@ -11,6 +11,7 @@ import numpy as np
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.force_balance import MOTION
+from twin.diagnose.settings import T
 from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
 from twin.simulation.gap_level import levels
@@ -94,7 +95,7 @@ def stretches(diagnosis: Diagnosis, document: dict[str, Any]) -> list[Stretch]:
 
 def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list[Stretch]:
     """The half second with the largest position gap of one of the axes to the nominal twin."""
-    stretch_s = diagnosis.thresholds.stretch_s
+    stretch_s = T.stretch_s
     best: tuple[float, Stretch] | None = None
     for run in diagnosis.campaign.runs:
         prediction = diagnosis.predictions["before"][run.name].trace

@@ -19,12 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.observe import Group, Variation
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, in_turn
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import Tuning, stacked_columns
+from twin.diagnose.tuning import Tuning, moved_by, stacked_columns
 from twin.effects import Setting
 from twin.effects.effect import Parameter
+from twin.effects.law import NAME
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.run import all_or_raise
@@ -41,6 +42,8 @@ class Free:
     parameter: Parameter
     logarithmic: bool
     unit: float
+    farthest: float = 6.0
+    """Largest change in one step, in scale units."""
 
     def value(self, settings: Sequence[Setting]) -> float:
         return settings[self.setting].parameters[self.parameter.name]
@@ -55,38 +58,68 @@ class Free:
         new = min(max(new, p.low), p.high)
         s = settings[self.setting]
         changed = replace(s, parameters={**s.parameters, p.name: new})
+        if is_play(s):
+            changed = replace(s, parameters={**changed.parameters, "height": math.copysign(new, s.parameters["height"])})
         return tuple(changed if i == self.setting else other for i, other in enumerate(settings))
 
 
-def relative_step(parameter: Parameter, value: float, axis: Axis, most: float, thresholds: Thresholds) -> float:
+def relative_step(parameter: Parameter, value: float, axis: Axis, most: float) -> float:
     """Relative step of a parameter for its slope, at most `most`.
 
     The step of a wavelength or frequency shifts the end of the record by a small part of a wave, or the slope would not be valid.
     """
-    waves = parameter.scan.waves(value, axis, thresholds.wave_run_s) if parameter.scan else 0.0
-    return min(most, thresholds.wave_step / max(waves, 1e-9))
+    waves = parameter.scan.waves(value, axis, T.wave_run_s) if parameter.scan else 0.0
+    return min(most, T.wave_step / max(waves, 1e-9))
 
 
-def free_parameters(settings: Sequence[Setting], machine: Machine, thresholds: Thresholds = DEFAULT) -> list[Free]:
-    """All parameters that have a value in the settings, shapes included."""
+def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]:
+    """All parameters that have a value in the settings, shapes of effects included."""
     free = []
     for i, setting in enumerate(settings):
         axis = machine.axis(setting.axis)
+        own = [p for p in setting.effect.parameters if p.name in setting.parameters]
+        if setting.effect.name == NAME:
+            free += [_free_of_law(i, p, setting, axis) for p in own if _is_fitted(p, setting)]
+            continue
         size = setting.effect.size
-        for p in setting.effect.parameters:
-            if p.name not in setting.parameters:
-                continue
+        for p in own:
             value = setting.parameters[p.name]
             low, high = p.usual_range(machine, axis)
             by_ratio = p.logarithmic and value > 0.0 and not (p is size and p.is_factor)
             if by_ratio:
-                free.append(Free(i, p, True, relative_step(p, value, axis, 0.15, thresholds)))
+                free.append(Free(i, p, True, relative_step(p, value, axis, 0.15)))
             elif p.periodic:
                 free.append(Free(i, p, False, 0.3))
             else:
                 span = high - low if math.isfinite(high - low) and high > low else abs(value) or 1.0
                 free.append(Free(i, p, False, max(0.2 * span, 1e-12)))
     return free
+
+
+LAW_STEP, LAW_ANGLE, LAW_MOVE = 0.03, 0.1, 0.5
+"""Scale unit of a number of a law, relative or [rad], and its largest relative change in one step if the law is not proportional to it."""
+
+
+def is_play(law: Setting) -> bool:
+    """Is this the law of a play: a displacement that follows the load up to `height` within a travel of `length`? The two are equal."""
+    return law.effect.definition.get("variables") == ["slack"] and "height" in law.parameters
+
+
+def _is_fitted(p: Parameter, law: Setting) -> bool:
+    """Is this a free number of a law? Zero is a number that the shape does not use; both numbers of a play are half its width."""
+    value = law.parameters[p.name]
+    unused = value == 0.0 or p.shape or not math.isfinite(value) or (is_play(law) and p.name != "length")
+    return p.periodic or not unused
+
+
+def _free_of_law(i: int, p: Parameter, law: Setting, axis: Axis) -> Free:
+    value = law.parameters[p.name]
+    if p.periodic:
+        return Free(i, p, False, LAW_ANGLE)
+    unit = relative_step(p, value, axis, LAW_STEP)
+    positive = value > 0.0 and (p.logarithmic or p.low >= 0.0)
+    proportional = not positive and law.effect.is_linear and p is law.effect.size
+    return Free(i, p, positive, unit * (1.0 if positive else abs(value)), math.inf if proportional else LAW_MOVE / LAW_STEP)
 
 
 class Sizes(NamedTuple):
@@ -191,26 +224,27 @@ def fit_effects(
     others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if their predicted gain does not come true. `residual` (row,) is
     the residual to explain (default: that of the group).
     """
-    settings, t = tuple(settings), group.thresholds
+    settings = tuple(settings)
     residual = group.residual if residual is None else residual
-    narrowest = t.narrow_slope if narrowest is None else narrowest
-    if not settings:
-        return no_effect(group, tuning)
+    narrowest = T.narrow_slope if narrowest is None else narrowest
     try:
-        response = simulated_response(group, settings, mapper)
+        response = simulated_response(group, settings, mapper) if settings else np.zeros(group.size)
     except TwinError:
         return None
     left = residual - response
     of_left = tuning.project(left)
     best = tuning.loss(left, of_left)
-    free = [f for f in free_parameters(settings, machine, t) if moving is None or f.setting in moving]
+    free = [f for f in free_parameters(settings, machine) if moving is None or f.setting in moving]
+    if not free:
+        return Fit(settings, [], best, tuning.solve_projected(of_left), response, np.zeros((group.size, 0)), tuning)
+    farthest = np.array([f.farthest for f in free])
     columns, step_sizes = (
         stacked_columns(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)),
-        np.full(len(free), t.slope),
+        np.full(len(free), T.slope),
     )
     outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     projected = information = None
-    for _ in range(t.fit_steps if steps is None else steps):
+    for _ in range(T.fit_steps if steps is None else steps):
         try:
             for i, column in zip(outdated, _slopes(group, settings, response, [(free[i], step_sizes[i]) for i in outdated], mapper)):
                 columns[:, i] = column
@@ -220,22 +254,22 @@ def fit_effects(
             projected = tuning.project(columns)
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
         gradient = tuning.inner(columns, left, projected, of_left)
-        move = np.clip(np.linalg.solve(information, gradient), -t.largest_step, t.largest_step)
+        move = np.clip(np.linalg.solve(information, gradient), -farthest, farthest)
         lower = _lower(group, residual, tuning, settings, free, move, best, mapper)
         if lower is not None:
             gain, predicted = best - lower.loss, _predicted_gain(gradient, information, lower.move)
             best, settings, response, left, of_left = lower.loss, lower.settings, lower.response, lower.left, lower.projected
-            step_sizes = np.clip(np.abs(lower.move), narrowest, t.slope)
-            if gain < t.converged * max(1.0, 0.002 * best):
+            step_sizes = np.clip(np.abs(lower.move), narrowest, T.slope)
+            if gain < T.converged * max(1.0, 0.002 * best):
                 break
             # reuse slopes whose predicted gain came true, or is too small to matter
-            valid = gain > t.slopes_hold * predicted or predicted - gain < t.price
+            valid = gain > T.slopes_hold * predicted or predicted - gain < T.price
             outdated = [] if valid else list(range(len(free)))
         elif len(outdated) < len(free):
-            if _predicted_gain(gradient, information, move) < t.price:
+            if _predicted_gain(gradient, information, move) < T.price:
                 break
             outdated = list(range(len(free)))  # the known slopes did not reduce the loss
-        elif best < t.above_noise * group.expected_loss or np.all(step_sizes <= narrowest):
+        elif best < T.above_noise * group.expected_loss or np.all(step_sizes <= narrowest):
             break
         else:
             step_sizes = np.full(len(free), narrowest)
@@ -294,13 +328,8 @@ def simulated_response(group: Group, settings: Sequence[Setting], mapper: Mapper
 
 def simulated_responses(group: Group, several: Sequence[Sequence[Setting]], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
     """Response to each of several sets of effects, or the error of its simulation."""
-    moved = [_moved_by(settings, group) for settings in several]
+    moved = [moved_by(settings, group) for settings in several]
     return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)], mapper=mapper)
-
-
-def _moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
-    """Axes on which effects act. In the decoupled plant this is their own axis, unless they edit bodies that several axes carry."""
-    return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
 
 
 def relinearised_tuning(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only: Collection[str] = ()) -> Tuning:
@@ -310,18 +339,17 @@ def relinearised_tuning(group: Group, fit: Fit, machine: Machine, mapper: Mapper
     """
     if not fit.about.nuisances:
         return fit.about
-    t = group.thresholds
-    tuning, own = fit.about, _moved_by(fit.settings, group)
+    tuning, own = fit.about, moved_by(fit.settings, group)
 
     steps, variations = {}, []
     for i, nuisance in enumerate(tuning.nuisances):
         if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # creep is only visible with noise in the loop
             continue
-        step = max(t.nearby, tuning.spread)
+        step = max(T.nearby, tuning.spread)
         if nuisance.quantity == "damping":
-            step = t.nearby * machine.parameter_tolerance
+            step = T.nearby * machine.parameter_tolerance
         elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
-            step = max(t.within_mode * abs(float(tuning.base[i])), 1.05 * t.least_imperfection * machine.parameter_tolerance)
+            step = max(T.within_mode * abs(float(tuning.base[i])), 1.05 * T.least_imperfection * machine.parameter_tolerance)
         steps[i] = step
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
         variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + step), fit.settings, axes))

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import savgol_filter
 
+from twin.diagnose.settings import T
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects, with_effects
 from twin.machine.machine import Axis
@@ -26,7 +27,7 @@ def force_beyond_model(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndar
     v = savgol_filter(speed_of(view, trace, axis), window, 2)
     inertia, bias = inertia_and_bias(view, axis, len(trace.time))
     friction = axis.coulomb_friction * np.sign(v) + axis.viscous_friction * v
-    least = view.thresholds.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed
+    least = T.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed
     sliding = minimum_filter1d(np.abs(v), 2 * window) > least
     return inertia * acceleration + friction + bias - drive, sliding
 
@@ -50,7 +51,7 @@ def speed_of(view: RunView, trace: Trace, axis: Axis) -> np.ndarray:
 
 
 def smoothing_window(view: RunView) -> int:
-    return max(7, round(view.thresholds.smooth_s / view.trace.period) | 1)
+    return max(7, round(T.smooth_s / view.trace.period) | 1)
 
 
 def inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray, np.ndarray]:

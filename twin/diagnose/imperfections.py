@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.diagnose.drive_train import with_drive_train
 from twin.diagnose.observe import Group, Variation, channels_of, noise_seed
-from twin.diagnose.settings import Thresholds
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_groups
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, can_be_imperfect, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
@@ -41,7 +41,7 @@ def largest_normal(group: Group, quantity: str) -> float:
 
     A ballbar does not separate an elastic drive train from friction, so its elasticity may be larger by the factor `widest`.
     """
-    return group.thresholds.widest if quantity == "elasticity" and group.by_radius else 1.0
+    return T.widest if quantity == "elasticity" and group.by_radius else 1.0
 
 
 def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Mapper) -> Tuning:
@@ -52,7 +52,6 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     """
     if not tuning.nuisances:
         return tuning
-    t = group.thresholds
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
     plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters])
     remaining = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
@@ -60,32 +59,32 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
     elastic = [a for a in group.axes if above_noise & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
     slipping = [a for a in group.axes if can_be_imperfect(machine, a, "slip") and shows_slip(above_noise, a)]
-    tried = [Nuisance(a, "elasticity", t) for a in elastic] + [Nuisance(a, "slip", t) for a in slipping]
+    tried = [Nuisance(a, "elasticity") for a in elastic] + [Nuisance(a, "slip") for a in slipping]
     current = plain
     for nuisance in tried:
         trials = functools.partial(_at_shares, current, group, machine, nuisance, residual, mapper)
         best = max(trials(SHARES), key=lambda trial: trial.gain, default=None)
         largest = largest_normal(group, nuisance.quantity)
-        if best is None or not 0.0 < best.size < largest or best.gain < t.evidence:
+        if best is None or not 0.0 < best.size < largest or best.gain < T.evidence:
             continue
         if nuisance.quantity == "elasticity":
             current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper, largest)
         else:
-            current = _with_slip(current, nuisance, best, trials, t)
+            current = _with_slip(current, nuisance, best, trials)
     return current
 
 
-def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trials: Callable[[Sequence[float]], list[Trial]], t: Thresholds) -> Tuning:
+def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trials: Callable[[Sequence[float]], list[Trial]]) -> Tuning:
     """The tuning with slip, linear about its size; unchanged if the size is not normal or has too little evidence."""
     for _ in range(2):
         better = next(iter(trials([best.size])), best)
         if better is best or better.gain < best.gain:
             break
-        near = abs(better.size / best.size - 1.0) < t.slip_unchanged
+        near = abs(better.size / best.size - 1.0) < T.slip_unchanged
         best = better
         if near:
             break
-        if not 0.0 < best.size < 1.0 or best.gain < t.evidence:
+        if not 0.0 < best.size < 1.0 or best.gain < T.evidence:
             return tuning
     return tuning.with_column(slip, best.column)
 
@@ -111,7 +110,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, map
         return about.loss(there.residual - explained), there, about
 
     best = moved(())
-    if best[0] > (1.0 + group.thresholds.near_noise) * tuning.loss(residual):
+    if best[0] > (1.0 + T.near_noise) * tuning.loss(residual):
         normal = sorted({kind for kind in kinds if kind[1]})
         some = [[kind] for kind in normal] + [[k for k in normal if k[1] == name] for name in sorted({k[1] for k in normal})] + [normal]
         best = min([best, *(moved(left_out) for left_out in some)], key=lambda m: m[0])
@@ -165,4 +164,4 @@ def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Grou
         else:
             shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]
         channels.append(replace(c, residual=c.residual - shift))
-    return Group(group.axes, views, channels, nominal, shaken, group.seed, group.thresholds)
+    return Group(group.axes, views, channels, nominal, shaken, group.seed)

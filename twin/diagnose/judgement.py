@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 import math
 
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.simulation.gap_level import overall
 
 Levels = Mapping[str, float]
@@ -56,10 +56,10 @@ def gap_remains(before: float, after: float) -> bool:
     return (after > LOUD and left > ALL_BUT) or (after > HARDLY_LOUD and left > 0.5)
 
 
-def is_worse(axes: Collection[str], before: Levels, after: Levels, thresholds: Thresholds = DEFAULT) -> bool:
+def is_worse(axes: Collection[str], before: Levels, after: Levels) -> bool:
     """Does the correction raise the level of these axes by more than chance?"""
     was, now = (overall({axis: level for axis, level in of.items() if axis in axes}) for of in (before, after))
-    return now > was + thresholds.worse_by_chance
+    return now > was + T.worse_by_chance
 
 
 def is_explained_to_noise(before: Levels, after: Levels, axes: Collection[str]) -> bool:
@@ -90,16 +90,16 @@ def remaining_share(before: SignalLevels, after: SignalLevels, axes: Collection[
     return math.exp(2.0 * math.fsum(changes) / len(changes)) if changes else 1.0
 
 
-def worse_signals(before: SignalLevels, after: SignalLevels, thresholds: Thresholds = DEFAULT) -> list[tuple[str, str]]:
+def worse_signals(before: SignalLevels, after: SignalLevels) -> list[tuple[str, str]]:
     """Signals that a law makes worse, as (axis, signal).
 
     A law of the wrong kind may close the gap of one signal and open one in another that the machine explained without it.
     """
-    limit = thresholds.signal_worse
+    limit = T.signal_worse
     return [key for key, level in after.items() if level > limit * max(1.0, before.get(key, math.inf))]
 
 
-def final_verdict(found: str, before: Levels, after: Levels, has_laws: bool, thresholds: Thresholds = DEFAULT) -> str:
+def final_verdict(found: str, before: Levels, after: Levels, has_laws: bool) -> str:
     """The verdict that the held-out gaps allow; `found` is that of the search: 'effect', 'none' or 'unknown'.
 
     'law' if laws are part of the correction and all but ALL_BUT is explained. 'unknown' if too much remains, or beside a law that explains less:
@@ -107,7 +107,7 @@ def final_verdict(found: str, before: Levels, after: Levels, has_laws: bool, thr
     """
     if has_laws and explained(before, after, after.keys()) >= 1.0 - ALL_BUT:
         return "law"
-    if found == "none" and (has_laws or max(after.values(), default=1.0) > thresholds.undecided):
+    if found == "none" and (has_laws or max(after.values(), default=1.0) > T.undecided):
         return "unknown"
     if found == "effect" and any(gap_remains(before[axis], level) for axis, level in after.items()):
         return "unknown"

@@ -16,6 +16,7 @@ import numpy as np
 
 from twin.diagnose.candidates import Start
 from twin.diagnose.cross_validation import evidence_needed
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.effects import Setting
@@ -41,7 +42,7 @@ def effects_not_visible(
     answered = iter(state.cached_responses([s for settings in middle for s in settings], mapper))
     columns = [(settings, [next(answered) for _ in settings]) for settings in middle]
     shares = mapper(lambda item: _share(state, item[0], item[1], folds), columns)
-    return {key: math.inf if share < state.thresholds.invisible else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
+    return {key: math.inf if share < T.invisible else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:

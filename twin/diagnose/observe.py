@@ -26,7 +26,7 @@ import numpy as np
 from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
 from twin.diagnose.noise import correlation_of, sigma_of, sigma_of_steps
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_group, simulate_groups
 from twin.diagnose.tolerance import normal_slip
 from twin.diagnose.view import RunView, rests
@@ -59,7 +59,7 @@ class Group:
     nominal: list[dict[tuple[str, str], np.ndarray]]  # per run: (axis, channel) -> values without noise
     shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of the noise in the loop
     seed: int
-    thresholds: Thresholds = DEFAULT
+    shakes: bool = False  # all responses are simulated with noise in the loop
     answers: dict[Hashable, np.ndarray | TwinError] = field(init=False, default_factory=dict, repr=False, compare=False)
     """Remembered responses (row,), not weighted, in single precision."""
 
@@ -123,7 +123,7 @@ class Group:
         """
         keys = keys or [None] * len(variations)
         known = [None if key is None else self.answers.get(key) for key in keys]
-        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken, mapper))
+        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken or self.shakes, mapper))
         out: list[np.ndarray | TwinError] = []
         for key, answer in zip(keys, known):
             rows = next(new) if answer is None else answer
@@ -197,7 +197,7 @@ class Group:
         """
         plain, remaining = change / self.weights, residual / self.weights
         channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
-        group = Group(self.axes, self.views, channels, self.nominal, self.shaken, self.seed, self.thresholds)
+        group = replace(self, channels=channels)
         group.answers.update(self.answers)  # the rows are the same
         return group
 
@@ -222,13 +222,12 @@ class Group:
         """
         out = np.ones(self.size)
         for channel in self.channels:
-            out[channel.rows][~channel.settled(self.views[channel.run], shortest_s)] = self.thresholds.unsettled_weight
+            out[channel.rows][~channel.settled(self.views[channel.run], shortest_s)] = T.unsettled_weight
         return out
 
     def confidence(self, axis: str) -> float:
         """Largest probability of an effect or a law on an axis. If a single run moves the axis, no other run can confirm it."""
-        t = self.thresholds
-        return t.confidence if sum(view.moves(axis) for view in self.views) > 1 else t.confidence_in_one_run
+        return T.confidence if sum(view.moves(axis) for view in self.views) > 1 else T.confidence_in_one_run
 
     def run_rows(self, run: int) -> np.ndarray:
         """Mask of the rows of one run (row,)."""
@@ -257,7 +256,7 @@ def channels_of(
         error = None if name in view.pushed else law_error(trace, view, axis, (added or {}).get(name))
         if error is not None:
             out[name, "controller"] = error
-        if has_both(measured, name) and moving.sum() > view.thresholds.enough_samples:
+        if has_both(measured, name) and moving.sum() > T.enough_samples:
             apart = motor_minus_scale(trace, name)[moving]
             out[name, "motor_minus_scale"] = apart - apart.mean() if name in view.own_zeros else apart
         if name in view.pushed:
@@ -268,7 +267,7 @@ def channels_of(
             out[name, "position"] = trace.get(name, signal)
         if measured.has(name, "velocity"):
             out[name, "velocity"] = trace.get(name, "velocity")
-        if measured.has(name, axis.effort) and moving.sum() > view.thresholds.enough_samples:
+        if measured.has(name, axis.effort) and moving.sum() > T.enough_samples:
             out[name, "current"] = trace.get(name, axis.effort)[moving]
     return out
 
@@ -301,7 +300,7 @@ def axis_groups(machine: Machine, measured: Sequence[str], seen_together: Iterab
     return [g for g in sorted(names, key=lambda g: machine.axis_names.index(g[0])) if any(a in measured for a in g)]
 
 
-def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thresholds: Thresholds = DEFAULT) -> Group:
+def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> Group:
     """Residuals of the nominal twin and their noise, for one group of axes in all runs."""
     channels: list[Channel] = []
     nominal: list[dict[tuple[str, str], np.ndarray]] = []
@@ -329,16 +328,12 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, thre
             if key[1] == "controller":
                 axis = view.machine.axis(key[0])
                 sigma = np.full(len(values), law_sigma(view, axis))
-                channels.append(Channel(r, *key, residual, sigma, 1.0, model=law_model_error(view, axis), thresholds=thresholds))
+                channels.append(Channel(r, *key, residual, sigma, 1.0, model=law_model_error(view, axis)))
                 continue
             model = _model_error(view, *key)
             seen_as = Scatter(deviations, np.var([c[key] for c in clean], axis=0, ddof=1))
-            channels.append(
-                _with_noise(
-                    Channel(r, *key, residual, np.ones(len(residual)), 1.0, model=model, thresholds=thresholds), seen_as, residual, view
-                )
-            )
-    return Group(axes, views, channels, nominal, shaken, seed, thresholds)
+            channels.append(_with_noise(Channel(r, *key, residual, np.ones(len(residual)), 1.0, model=model), seen_as, residual, view))
+    return Group(axes, views, channels, nominal, shaken, seed)
 
 
 def _kept(values: dict[tuple[str, str], np.ndarray]) -> dict[tuple[str, str], np.ndarray]:
@@ -401,12 +396,12 @@ def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[
 
 def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
     """The channel with noise estimated from realisations and from `rough` (sample,), the residual of its own record."""
-    axis, t = view.machine.axis(channel.axis), channel.thresholds
+    axis = view.machine.axis(channel.axis)
     signals = {"motor_minus_scale": BOTH, "current": (axis.effort,)}.get(channel.name, (channel.name,))
-    noisier = t.noisier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
+    noisier = T.noisier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
     sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
     sigma = np.maximum(sigma, sigma_of_steps([view.trace.get(axis.name, s) for s in signals if view.trace.has(axis.name, s)]))
     if channel.name == "position":  # the rest position is random within the normal slip
-        at_rest = rests(view, channel.axis, t.break_away_s)[view.rows_of(channel.axis, channel.name)]
-        sigma = np.hypot(sigma, np.where(at_rest, t.resting * normal_slip(axis, t), 0.0))
-    return replace(channel, sigma=sigma, correlation=correlation_of(scatter.deviations / sigma, t.noise_correlation), scatter=scatter)
+        at_rest = rests(view, channel.axis, T.break_away_s)[view.rows_of(channel.axis, channel.name)]
+        sigma = np.hypot(sigma, np.where(at_rest, T.resting * normal_slip(axis), 0.0))
+    return replace(channel, sigma=sigma, correlation=correlation_of(scatter.deviations / sigma, T.noise_correlation), scatter=scatter)

@@ -6,7 +6,7 @@ import math
 
 from twin.diagnose.candidates import Start
 from twin.diagnose.observe import Group
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.diagnose.state import SHOWS_IN, GroupState
 from twin.diagnose.tolerance import NORMAL, UNIFORM
 from twin.effects import Parameter, Setting
@@ -23,33 +23,32 @@ def is_ruled_out(group: Group, start: Start) -> bool:
     return bool(mine) and all(c.is_clean for c in mine)
 
 
-def is_plausible(setting: Setting, machine: Machine, cut: bool = True, thresholds: Thresholds = DEFAULT) -> bool:
+def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
     """True for a size that is found on machines and exceeds their normal spread, with a shape near the usual ones.
 
     Sizes below the usual ones are plausible only in a block that the signals isolate (`cut`).
     """
-    t = thresholds
     axis, size, value = machine.axis(setting.axis), setting.effect.size, setting.size
     low, high = size.usual_range(machine, axis)
-    if not _has_usual_shape(setting, machine, t):
+    if not _has_usual_shape(setting, machine):
         return False
-    smallest = t.smallest_size if cut and setting.effect.block not in CONTROL_BLOCKS else t.smallest_set_size
+    smallest = T.smallest_size if cut and setting.effect.block not in CONTROL_BLOCKS else T.smallest_set_size
     neutral = size.neutral or 0.0
     within = normal_deviation(setting, machine)
     if size.any_size:
         return not math.isfinite(neutral) or abs(value - neutral) > within
     if size.is_factor:
         least = min(abs(v - neutral) for v in (low, high)) if not low < neutral < high else 0.5 * min(neutral - low, high - neutral)
-        return abs(value - neutral) > max(t.smallest_set_size * least, within)
+        return abs(value - neutral) > max(T.smallest_set_size * least, within)
     if not math.isfinite(neutral):  # a spring: the softer, the larger
-        return low / t.largest_size <= value <= high / t.smallest_set_size
+        return low / T.largest_size <= value <= high / T.smallest_set_size
     if low < neutral < high:
         return abs(value - neutral) > max(smallest * 0.3 * min(neutral - low, high - neutral), within)
     if size.judged_with:
         other = setting.effect.parameter(size.judged_with)
         inner, outer = other.usual_range(machine, axis)
-        value, low, high, smallest = value * setting.parameters[other.name], low * inner, high * outer, t.smallest_set_size
-    return max(smallest * low, within) < abs(value) < t.largest_size * high
+        value, low, high, smallest = value * setting.parameters[other.name], low * inner, high * outer, T.smallest_set_size
+    return max(smallest * low, within) < abs(value) < T.largest_size * high
 
 
 def normal_deviation(setting: Setting, machine: Machine) -> float:
@@ -64,7 +63,7 @@ def normal_deviation(setting: Setting, machine: Machine) -> float:
     )
 
 
-def _has_usual_shape(setting: Setting, machine: Machine, t: Thresholds) -> bool:
+def _has_usual_shape(setting: Setting, machine: Machine) -> bool:
     """Are speeds, wavelengths and frequencies of an effect near the usual ones?"""
     effect, axis = setting.effect, machine.axis(setting.axis)
     for p in effect.parameters:
@@ -78,7 +77,7 @@ def _has_usual_shape(setting: Setting, machine: Machine, t: Thresholds) -> bool:
         ):
             continue
         low, high = p.usual_range(machine, axis)
-        if 0.0 < low <= high and not low / t.usual_shape <= setting.parameters[p.name] <= t.usual_shape * high:
+        if 0.0 < low <= high and not low / T.usual_shape <= setting.parameters[p.name] <= T.usual_shape * high:
             return False
     return True
 
@@ -100,4 +99,4 @@ def is_imitated(state: GroupState, setting: Setting, machine: Machine) -> bool:
     normal = {NORMAL.get(n.quantity) for n in state.tuning.nuisances if n.owner == setting.axis}
     if not normal.intersection(imitators) or size.part_of is None:
         return False
-    return abs(setting.size) < state.thresholds.imitated * machine.parameter_tolerance * size.part_of(machine, machine.axis(setting.axis))
+    return abs(setting.size) < T.imitated * machine.parameter_tolerance * size.part_of(machine, machine.axis(setting.axis))

@@ -14,10 +14,10 @@ from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.judgement import LOUD, above_noise, final_verdict
+from twin.diagnose.law.laws import Laws
 from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
-from twin.diagnose.settings import DEFAULT, Thresholds
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
@@ -44,7 +44,6 @@ def diagnose(
     seed: int = 0,
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
-    thresholds: Thresholds = DEFAULT,
     program: MeasuredRun | None = None,
 ) -> Diagnosis:
     """Diagnose a campaign against a machine. The result depends on the seed, not on the number of threads (default: one per core).
@@ -55,13 +54,13 @@ def diagnose(
     """
     if machine.effects:
         raise InputError(f"machine {machine.name} already has effects; diagnose against the machine without them")
-    check_campaign(campaign, machine, thresholds)
+    check_campaign(campaign, machine)
     machine, of_noise = with_recorded_noise(machine, campaign.runs)
     nominal = with_effects(machine, [])
     runs, zeros = with_common_zeros(campaign.runs, nominal)
     campaign = replace(campaign, runs=runs)
     folds = folds_of(len(campaign.runs))
-    setup = Setup(machine, nominal, folds, quick, seed, threads or os.cpu_count() or 1, thresholds, progress or (lambda _: None))
+    setup = Setup(machine, nominal, folds, quick, seed, threads or os.cpu_count() or 1, progress or (lambda _: None))
 
     views, states = _searched(setup, campaign)
     records = Records(runs, [view.motion for view in views])
@@ -87,12 +86,12 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
 
         def search_group(axes: tuple[str, ...]) -> GroupState | None:
             setup.progress(f"{'+'.join(axes)}: simulating the noise")
-            group = observe(views, axes, setup.seed, setup.thresholds)
+            group = observe(views, axes, setup.seed)
             if not group.size:
                 return None
             return judged(search(group, nominal, setup.folds, mapper, setup.progress, quick), nominal, mapper, quick)
 
-        views = mapper(lambda run: view_of(nominal, run, setup.thresholds), campaign.runs)
+        views = mapper(lambda run: view_of(nominal, run), campaign.runs)
         groups = axis_groups(nominal, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
         largest_first = sorted(groups, key=len, reverse=True)
         results = dict(zip(largest_first, searches.map(search_group, largest_first)))
@@ -104,7 +103,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
     machine, states, held_out = setup.machine, correction.states, correction.held_out
     settings = named(states)
     if correction.laws is not None:
-        settings = kept_in(correction.corrected, settings, setup.thresholds)
+        settings = kept_in(correction.laws, settings)
     verdict = verdict_of(states, settings)
     return Diagnosis(
         campaign=campaign,
@@ -118,7 +117,6 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
         held_out=held_out.runs,
         proposal=propose(machine, states, verdict),
         notes=_notes(setup, campaign, correction, zeros),
-        thresholds=setup.thresholds,
         predictions=held_out.predictions,
         laws=correction.laws.laws if correction.laws else (),
         without_laws=correction.after,
@@ -127,7 +125,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
 
 def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[str, float]) -> list[str]:
     """Limits of this diagnosis: missing signals, encoder zeros, a quick look, laws that one run shows, folds without a stable machine."""
-    notes = [*notes_of(campaign, setup.machine, setup.thresholds), *notes_of_zeros(zeros, setup.machine)]
+    notes = [*notes_of(campaign, setup.machine), *notes_of_zeros(zeros, setup.machine)]
     if setup.quick:
         notes.append(
             "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked; "
@@ -153,23 +151,23 @@ def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[
     return notes
 
 
-def kept_in(
-    corrected: Machine, settings: Sequence[tuple[Setting, GroupState, float]], thresholds: Thresholds
-) -> list[tuple[Setting, GroupState, float]]:
-    """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them, or left a spring that is normal."""
+def kept_in(laws: Laws, settings: Sequence[tuple[Setting, GroupState, float]]) -> list[tuple[Setting, GroupState, float]]:
+    """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them, or left a spring that is normal.
+
+    An effect beside a law is no more probable than what its removal costs there.
+    """
+    corrected = laws.corrected
     held = {s.key: s for s in settings_of(corrected)}
-    kept = [(held[setting.key], setting, state, p) for setting, state, p in settings if setting.key in held]
-    return [
-        (now, state, p)
-        for now, found, state, p in kept
-        if not is_normal(corrected, now, thresholds) or is_normal(corrected, found, thresholds)
+    kept = [
+        (held[setting.key], setting, state, p * laws.beside.get(setting.key, 1.0)) for setting, state, p in settings if setting.key in held
     ]
+    return [(now, state, p) for now, found, state, p in kept if not is_normal(corrected, now) or is_normal(corrected, found)]
 
 
 def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
     """The diagnosis with the verdict that the held-out gaps allow."""
     before, after = diagnosis.levels["before"], diagnosis.levels["after"]
-    verdict = final_verdict(diagnosis.verdict, before, after, bool(diagnosis.laws), setup.thresholds)
+    verdict = final_verdict(diagnosis.verdict, before, after, bool(diagnosis.laws))
     if verdict == "unknown" != diagnosis.verdict:
         # a quick look skips axes whose blocks show no more than noise, so that a gap there is not examined
         decided = not (setup.quick and diagnosis.verdict == "none")
@@ -204,7 +202,7 @@ def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], p
     with ThreadPoolExecutor(setup.threads) as pool:
         budget = budget_of(machine, corrected, states, views, residuals, noise, on_threads(pool), not setup.quick)
         if program is not None:
-            view = view_of(setup.nominal, program, setup.thresholds)
+            view = view_of(setup.nominal, program)
             on_program = program.name, budget_of(machine, corrected, states, [view], [None], noise, on_threads(pool), not setup.quick)
     order = [row.setting.key for row in budget.rows if row.setting is not None]
     settings = sorted(diagnosis.settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))

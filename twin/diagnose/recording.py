@@ -55,7 +55,7 @@ def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list
     signal = next((s for s in COMPARED if run.trace.has(name, s)), None)
     if signal is None:
         return []
-    view = view_of(with_effects(diagnosis.machine, []), run, diagnosis.thresholds)
+    view = view_of(with_effects(diagnosis.machine, []), run)
     machines = one_by_one(diagnosis, name)
     traces = simulated_each([(view, machine, (name,)) for machine in machines.values()], in_turn, lambda i, trace: trace)
     residual = {label: run.trace.get(name, signal) - trace.get(name, signal) for label, trace in zip(machines, traces) if trace is not None}

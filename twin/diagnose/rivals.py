@@ -16,6 +16,7 @@ from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_
 from twin.diagnose.fit import Fit, Slope, fit_effects, fit_with_fixed_effects, simulated_response
 from twin.diagnose.plausible import CONTROL_BLOCKS, is_imitated, is_plausible
 from twin.diagnose.screen import Gain, Screening
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
 from twin.diagnose.tuning import stacked_columns
@@ -68,11 +69,11 @@ class Base(NamedTuple):
 
 def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], context: Context) -> list[Pick]:
     """Effects that together explain the residual, best first. Each is picked with the responses of the earlier ones eliminated."""
-    t, machine = state.thresholds, context.machine
+    machine = context.machine
     picks: list[Pick] = []
     passed = set(refused)
     first = 0.0
-    while len(picks) < t.together:
+    while len(picks) < T.together:
         best = {key: item for key, item in screened.best().items() if key not in passed}
         if not best:
             break
@@ -80,9 +81,9 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], c
         passed.add(key)
         setting = screened.setting(start, gain, machine)
         first, needed = first or gain.gain, evidence_needed(state, setting, len(context.folds))
-        if gain.gain < max(t.span * first, t.promising * needed):
+        if gain.gain < max(T.span * first, T.promising * needed):
             break
-        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < t.promising_single * needed:
+        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < T.promising_single * needed:
             continue  # a fit of the size alone gains no more than the screening
         after = screened.without(start)
         others = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)
@@ -93,13 +94,12 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], c
 
 def _rivals(screened: Screening, after: Screening, others: Sequence[tuple[int, Gain]], gain: Gain) -> list[tuple[int, Gain]]:
     """The starts, at most `most_rivals`, that explain the same as a pick with this gain; `after` has the pick eliminated."""
-    t = screened.thresholds
 
     def is_rival(i: int, g: Gain) -> bool:
-        within = t.rivals_within if screened.starts[i].effect.is_linear else t.nonlinear_rivals_within
-        return g.gain > within * gain.gain and after.gain(i).gain < t.same_gain * g.gain
+        within = T.rivals_within if screened.starts[i].effect.is_linear else T.nonlinear_rivals_within
+        return g.gain > within * gain.gain and after.gain(i).gain < T.same_gain * g.gain
 
-    return [(i, g) for i, g in others if is_rival(i, g)][: t.most_rivals]
+    return [(i, g) for i, g in others if is_rival(i, g)][: T.most_rivals]
 
 
 def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], context: Context) -> list[tuple[Fitted, ...]]:
@@ -136,8 +136,8 @@ def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, context: 
 
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
     """
-    t, group, machine, mapper, fixed = state.thresholds, state.group, context.machine, context.mapper, base.fit
-    steps, nonlinear = t.few_steps if context.quick else t.fit_steps, base.nonlinear
+    group, machine, mapper, fixed = state.group, context.machine, context.mapper, base.fit
+    steps, nonlinear = T.few_steps if context.quick else T.fit_steps, base.nonlinear
     partial = fit_effects(
         group, machine, fixed.about, [*nonlinear, setting], mapper, steps, moving={len(nonlinear)}, residual=base.residual
     )
@@ -146,29 +146,29 @@ def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, context: 
     moving, known = {len(fixed.settings)}, partial.slopes
     settings = [*fixed.settings, partial.settings[-1]]
     together = fit_effects(group, machine, fixed.about, settings, mapper, 1, moving=moving, known=known)
-    if together is None or together.loss < partial.loss + max(t.price, t.doubt * (fixed.loss - partial.loss)):
+    if together is None or together.loss < partial.loss + max(T.price, T.doubt * (fixed.loss - partial.loss)):
         return together
     return fit_effects(group, machine, fixed.about, settings, mapper, steps, moving=moving)
 
 
 def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], context: Context) -> list[Fitted]:
     """The fits as candidates, each with its evidence: the gain in log likelihood on held-out runs, at most the penalised gain on all runs."""
-    t, machine, folds = state.thresholds, context.machine, context.folds
+    machine, folds = context.machine, context.folds
     tolerance = machine.parameter_tolerance
     base_loss = loss_within(state, base, tolerance)
     # a base that needs parameters far outside the tolerance is no alternative to an effect
-    base_held_out = max(held_out_loss(state, base, folds), loss_within(state, base, t.widest * tolerance))
+    base_held_out = max(held_out_loss(state, base, folds), loss_within(state, base, T.widest * tolerance))
     candidates = []
     for fit in fits:
         drop = base.loss - fit.loss
         closes = closed_share(state, drop)
-        penalised = min(drop, base_loss - loss_within(state, fit, tolerance)) - t.price * len(fit.free)
+        penalised = min(drop, base_loss - loss_within(state, fit, tolerance)) - T.price * len(fit.free)
         gain = min(base_held_out - held_out_loss(state, fit, folds), penalised)
         evidence = gain / min(state.inflation, inflation(state.group, fit))
         setting = fit.settings[-1]
-        plausible = is_plausible(setting, machine, is_cut(state.group, setting), t) and not is_imitated(state, setting, machine)
+        plausible = is_plausible(setting, machine, is_cut(state.group, setting)) and not is_imitated(state, setting, machine)
         needed = evidence_needed(state, setting, len(folds))
-        if base.settings and setting.effect.block in CONTROL_BLOCKS and closes < t.least_share:
+        if base.settings and setting.effect.block in CONTROL_BLOCKS and closes < T.least_share:
             plausible = False  # next to another effect, a wrong control law must explain much of the residual
         candidates.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closes, drop), fit.slopes))
     return candidates

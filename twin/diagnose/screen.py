@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.candidates import Start, combine, softened
-from twin.diagnose.settings import Thresholds
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState, Key
 from twin.diagnose.tuning import FREE, solved
@@ -46,19 +46,18 @@ class Screening:
     at: tuple[slice, ...]
     gram: np.ndarray
     own: np.ndarray  # (column,) squares of the columns before elimination
-    thresholds: Thresholds
 
     def gain(self, i: int) -> Gain:
         """Gain of start i."""
         inner, target = self.gram[self.at[i], self.at[i]], self.gram[self.at[i], -1]
-        if not np.all(np.diag(inner) > self.thresholds.collinear * self.own[self.at[i]]):
+        if not np.all(np.diag(inner) > T.collinear * self.own[self.at[i]]):
             return Gain(0.0, ())
-        return _best_size(self.starts[i], inner, target, self.thresholds)
+        return _best_size(self.starts[i], inner, target)
 
     def without(self, i: int) -> Screening:
         """The screening with start i eliminated, at any size."""
         at = np.arange(self.at[i].start, self.at[i].stop)
-        return Screening(self.starts, self.at, eliminated(self.gram, at, np.full(len(at), FREE)), self.own, self.thresholds)
+        return Screening(self.starts, self.at, eliminated(self.gram, at, np.full(len(at), FREE)), self.own)
 
     def best(self) -> dict[Key, tuple[int, Gain]]:
         """The best start of each effect and axis with a positive gain."""
@@ -95,7 +94,7 @@ def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray, 
     for _, of_start in simulated:
         at.append(slice(n, n + len(of_start)))
         n += len(of_start)
-    return Screening(tuple(s for s, _ in simulated), tuple(at), reduced, own, state.thresholds)
+    return Screening(tuple(s for s, _ in simulated), tuple(at), reduced, own)
 
 
 def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -112,10 +111,10 @@ def _gram(before: Sequence[np.ndarray], columns: Sequence[np.ndarray], residual:
     return np.asarray(sum(mapper(part, range(0, len(residual), CHUNK))))
 
 
-def _best_size(start: Start, inner: np.ndarray, target: np.ndarray, t: Thresholds) -> Gain:
+def _best_size(start: Start, inner: np.ndarray, target: np.ndarray) -> Gain:
     size = start.effect.size
     if size.is_spring:
-        share = float(np.clip(target[0] / inner[0, 0], t.stiffest_spring, t.softest_spring))
+        share = float(np.clip(target[0] / inner[0, 0], T.stiffest_spring, T.softest_spring))
         return Gain(share * float(target[0] - 0.5 * share * inner[0, 0]), (share,))
     if not size.is_scaled:
         return Gain(float(target[0] - 0.5 * inner[0, 0]), (1.0,))
@@ -124,7 +123,7 @@ def _best_size(start: Start, inner: np.ndarray, target: np.ndarray, t: Threshold
         neutral = size.neutral or 0.0
         deviation = start.settings[0].parameters[size.name] - neutral
         low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
-        sizes = np.clip(sizes, max(min(low, high), -t.screened_largest), min(max(low, high), t.screened_largest))
+        sizes = np.clip(sizes, max(min(low, high), -T.screened_largest), min(max(low, high), T.screened_largest))
         if size.low >= neutral and not size.is_factor:
-            sizes = np.maximum(sizes, t.screened_delay if size.lag_cycle else t.screened_least)
+            sizes = np.maximum(sizes, T.screened_delay if size.lag_cycle else T.screened_least)
     return Gain(float(sizes @ target - 0.5 * sizes @ inner @ sizes), tuple(sizes.tolist()))

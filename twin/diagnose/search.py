@@ -29,6 +29,7 @@ from twin.diagnose.observe import Group, with_noise_about
 from twin.diagnose.plausible import is_plausible, is_ruled_out
 from twin.diagnose.rivals import Context, Fitted, Folds, fit_picks, picks_of
 from twin.diagnose.screen import Screening, screening
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.slip import with_refitted_slip
 from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, localised_on
@@ -61,18 +62,18 @@ def search(
 
 def _cost(state: GroupState) -> float:
     """Half the squared residual over noise, plus the evidence that its effects and normal imperfections required [nat]."""
-    t, residual = state.thresholds, state.group.in_noise(state.fit.residual(state.group))
+    residual = state.group.in_noise(state.fit.residual(state.group))
     normal = sum(n.quantity in NORMAL for n in state.tuning.nuisances)
-    return 0.5 * float(residual @ residual) + t.evidence_in_sample * len(state.fit.settings) + t.evidence * normal
+    return 0.5 * float(residual @ residual) + T.evidence_in_sample * len(state.fit.settings) + T.evidence * normal
 
 
 def _search_rounds(state: GroupState, context: Context) -> GroupState:
     """The state after the last round: no further effect reaches the evidence it needs."""
-    t, machine, mapper, quick = state.thresholds, context.machine, context.mapper, context.quick
+    machine, mapper, quick = context.machine, context.mapper, context.quick
     axes_of_group = set(state.group.axes)
     times_fitted: Counter[Key] = Counter()
     refitted = False
-    for _ in range(t.rounds):
+    for _ in range(T.rounds):
         if not refitted and _imperfections_need_refit(state):
             state, refitted = _refit_imperfections(state, machine, mapper), True
         axes = axes_above_noise_within_tolerance(state, machine) if quick else axes_of_group
@@ -91,7 +92,7 @@ def _search_rounds(state: GroupState, context: Context) -> GroupState:
 
 def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key], context: Context) -> tuple[GroupState, list[Fitted]]:
     """The state with the candidates of one round on these axes, and the accepted effects. Updates `times_fitted`."""
-    t, label = state.thresholds, "+".join(state.group.axes)
+    label = "+".join(state.group.axes)
     context.progress(f"{label}: screening next to {len(state.fit.settings)} effects")
     starts = [
         s for s in starts_of(state.group, context.machine, state.fit.residual(state.group)) if s.axis in axes and s.key not in state.keys
@@ -102,7 +103,7 @@ def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key],
         if not context.quick:
             not_visible = effects_not_visible(state, starts, context.machine, len(context.folds), context.mapper)
             state = replace(state, not_visible=not_visible)
-    refused = {key for key, times in times_fitted.items() if times >= t.most_fits}
+    refused = {key for key, times in times_fitted.items() if times >= T.most_fits}
     picks = picks_of(state, screened, refused, context)
     if not picks:
         return state, []
@@ -132,20 +133,20 @@ def _initial_state(group: Group, machine: Machine, mapper: Mapper) -> GroupState
 
 def _imperfections_need_refit(state: GroupState) -> bool:
     """Is the residual small, but above noise, on a machine with normal imperfections? These were fitted one by one and may be slightly off."""
-    t, noise = state.thresholds, state.group.expected_loss
-    if not any(n.quantity in NORMAL for n in state.tuning.nuisances) or state.fit.loss > t.small_residual * noise:
+    noise = state.group.expected_loss
+    if not any(n.quantity in NORMAL for n in state.tuning.nuisances) or state.fit.loss > T.small_residual * noise:
         return False
-    return state.fit.loss > (1.0 + t.near_noise) * noise or bool(localised_on(state))
+    return state.fit.loss > (1.0 + T.near_noise) * noise or bool(localised_on(state))
 
 
 def _refit_imperfections(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
     """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them."""
-    t, group = state.thresholds, state.group
-    for _ in range(t.joint_refits):
+    group = state.group
+    for _ in range(T.joint_refits):
         before = state.fit.loss
         try:
             tuning = relinearised_tuning(state.group, state.fit, machine, mapper)
-            fit = fit_effects(state.group, machine, tuning, state.fit.settings, mapper, t.refit_steps, known=state.fit.slopes)
+            fit = fit_effects(state.group, machine, tuning, state.fit.settings, mapper, T.refit_steps, known=state.fit.slopes)
             if fit is None or fit.loss > before:
                 break
             state = replace(state, fit=fit, tuning=tuning)
@@ -153,10 +154,10 @@ def _refit_imperfections(state: GroupState, machine: Machine, mapper: Mapper) ->
         except TwinError:  # nearly unstable: the slopes are not valid at this distance
             break
         if nearer is not state.rigid:
-            moved = fit_effects(nearer, machine, tuning, fit.settings, mapper, t.refit_steps, known=fit.slopes)
-            if moved is not None and moved.loss < fit.loss + t.evidence:
+            moved = fit_effects(nearer, machine, tuning, fit.settings, mapper, T.refit_steps, known=fit.slopes)
+            if moved is not None and moved.loss < fit.loss + T.evidence:
                 state = replace(state, fit=moved, group=nearer, tuning=tuning)
-        if before - state.fit.loss < t.evidence:
+        if before - state.fit.loss < T.evidence:
             break
     if state.group is not group:
         state = replace(state, retuned=no_effect(state.group, state.tuning))
@@ -176,18 +177,17 @@ def _screened_effects(state: GroupState, screened: Screening, machine: Machine) 
 def _with_accepted(state: GroupState, winners: Sequence[Fitted], machine: Machine, mapper: Mapper) -> GroupState:
     """The state with the winners of a round, all effects fitted jointly. The model error of the effects is added to the noise, and the
     normal imperfections are fitted anew."""
-    t = state.thresholds
     settings = [*state.fit.settings, *(w.candidate.setting for w in winners)]
     slopes = {name: column for w in winners for name, column in w.slopes.items()} | state.fit.slopes
     known = slopes_of_linear_effects(slopes, settings)
-    fit = fit_effects(state.group, machine, state.tuning, settings, mapper, t.refit_steps, known=known)
+    fit = fit_effects(state.group, machine, state.tuning, settings, mapper, T.refit_steps, known=known)
     if fit is None:
         return state
     state = replace(state, fit=fit).doubted(fit.response)
     residual = state.rigid.residual - state.fit.response
     tuning = with_imperfections(state.tuning, state.rigid, machine, residual, mapper)
     group, tuning = on_imperfect_machine(state.rigid, tuning, residual, mapper)
-    again = fit_effects(group, machine, tuning, state.fit.settings, mapper, t.refit_steps, known=state.fit.slopes)
+    again = fit_effects(group, machine, tuning, state.fit.settings, mapper, T.refit_steps, known=state.fit.slopes)
     if again is not None and again.loss < state.fit.loss:
         state = replace(state, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
     state = _with_relinearised_tuning(state, machine, mapper)
@@ -203,7 +203,7 @@ def _with_relinearised_tuning(state: GroupState, machine: Machine, mapper: Mappe
         tuning = relinearised_tuning(state.group, state.fit, machine, mapper)
     except TwinError:  # nearly unstable: keep the linearisation without the effects
         return state
-    fit = fit_effects(state.group, machine, tuning, settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes)
+    fit = fit_effects(state.group, machine, tuning, settings, mapper, T.refit_steps, known=state.fit.slopes)
     return state if fit is None or fit.loss > state.fit.loss else replace(state, tuning=tuning, fit=fit)
 
 
@@ -228,8 +228,8 @@ def _evidence_margin(state: GroupState, i: int, all_free: Tuning, context: Conte
 
     `all_free` is the tuning with the slopes of all effects as free columns; the other effects are refitted with it.
     """
-    setting, t = state.fit.settings[i], state.thresholds
-    if not is_plausible(setting, context.machine, is_cut(state.group, setting), t):
+    setting = state.fit.settings[i]
+    if not is_plausible(setting, context.machine, is_cut(state.group, setting)):
         return -math.inf
     needed = evidence_needed(state, setting, len(context.folds))
     columns = [state.tuning.further.size + k for k, f in enumerate(state.fit.free) if f.setting == i]
@@ -237,7 +237,7 @@ def _evidence_margin(state: GroupState, i: int, all_free: Tuning, context: Conte
 
     def margin(response_of_others: np.ndarray) -> float:
         loss = tuning.loss(state.group.residual - response_of_others)
-        return (loss - state.fit.loss - t.price * len(columns)) / state.inflation - needed
+        return (loss - state.fit.loss - T.price * len(columns)) / state.inflation - needed
 
     linear = response_without(state, i) if setting.effect.is_linear else None
     # far above the needed evidence the linear prediction is accurate enough
@@ -265,6 +265,4 @@ def response_without(state: GroupState, i: int) -> np.ndarray | None:
 
 def axes_above_noise_within_tolerance(state: GroupState, machine: Machine) -> set[str]:
     """Axes whose residual exceeds the noise for every machine near the tolerance."""
-    return axes_above_noise(
-        state.group, residual_within(state, state.fit, state.thresholds.widest * machine.parameter_tolerance, normal=False)
-    )
+    return axes_above_noise(state.group, residual_within(state, state.fit, T.widest * machine.parameter_tolerance, normal=False))

@@ -1,8 +1,5 @@
-"""All thresholds of the search for effects in one frozen object, each with value, unit, meaning and provenance. Those of unlisted laws are
+"""All thresholds of the search for effects in one object, each with value, unit, meaning and provenance. Those of unlisted laws are
 constants of the modules in `twin.diagnose.law`, those of levels of a gap are in `twin.diagnose.judgement`.
-
-    replace(DEFAULT, evidence=20.0)     the same diagnosis with one threshold changed
-    listed(DEFAULT)                     all thresholds with unit, meaning and provenance
 
 `devtools/sensitivity.py` varies each threshold by a third and prints which of them change a result. Grids of starting values are not
 thresholds; they are constants of the module that uses them.
@@ -24,7 +21,7 @@ def _of(value: float, unit: str, meaning: str, provenance: str = JUDGEMENT) -> A
     return field(default=value, metadata={"unit": unit, "meaning": meaning, "provenance": provenance})
 
 
-@dataclass(frozen=True)
+@dataclass
 class Thresholds:
     """Thresholds of a diagnosis. Squares are relative to noise, nat is the unit of log likelihood, a share is between 0 and 1."""
 
@@ -85,7 +82,6 @@ class Thresholds:
     fit_steps: int = _of(8, "steps", "largest number of Gauss-Newton steps")
     few_steps: int = _of(3, "steps", "the same in a quick look, and in the final fit after each update of the model error")
     refit_steps: int = _of(4, "steps", "the same for a fit that starts at an earlier optimum")
-    largest_step: float = _of(6.0, "scale units", "largest change of a parameter in one step")
     slope: float = _of(1.0, "scale units", "finite-difference step: wide, because a break-away moves by whole samples")
     narrow_slope: float = _of(0.1, "scale units", "the same once wide steps no longer reduce the loss")
     slopes_hold: float = _of(0.5, "share", "ratio of actual to predicted gain from which slopes are reused")
@@ -188,8 +184,8 @@ class Thresholds:
     accelerating: float = _of(0.03, "share of the top acceleration", "acceleration from which an axis accelerates")
 
 
-DEFAULT = Thresholds()
-"""The default thresholds of `twin diagnose`."""
+T = Thresholds()
+"""The thresholds of every diagnosis."""
 
 
 class Listed(NamedTuple):
@@ -202,7 +198,7 @@ class Listed(NamedTuple):
     provenance: str
 
 
-def listed(thresholds: Thresholds) -> Iterator[Listed]:
+def listed() -> Iterator[Listed]:
     """All thresholds with value, unit, meaning and provenance."""
-    for f in fields(thresholds):
-        yield Listed(f.name, getattr(thresholds, f.name), f.metadata["unit"], f.metadata["meaning"], f.metadata["provenance"])
+    for f in fields(T):
+        yield Listed(f.name, getattr(T, f.name), f.metadata["unit"], f.metadata["meaning"], f.metadata["provenance"])

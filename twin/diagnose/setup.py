@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from twin.diagnose.settings import Thresholds
 from twin.machine.machine import Machine
 
 
@@ -19,5 +18,4 @@ class Setup:
     quick: bool
     seed: int
     threads: int
-    thresholds: Thresholds
     progress: Callable[[str], None]

@@ -16,6 +16,7 @@ import numpy as np
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects, no_effect
 from twin.diagnose.imperfections import channels_above_noise, moved_to, shows_slip
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance, can_be_imperfect, tuned
@@ -37,9 +38,9 @@ def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> G
     """The state with the slip of each axis fitted again. Unchanged if the loss does not improve, if the residual is so large that effects must be
     missing, or for a machine without tolerance, which has no normal imperfections.
     """
-    if state.tuning.spread <= 0.0 or state.fit.loss > state.thresholds.small_residual * state.group.expected_loss:
+    if state.tuning.spread <= 0.0 or state.fit.loss > T.small_residual * state.group.expected_loss:
         return state
-    for slip in [Nuisance(axis, "slip", state.thresholds) for axis in state.group.axes if can_be_imperfect(machine, axis, "slip")]:
+    for slip in [Nuisance(axis, "slip") for axis in state.group.axes if can_be_imperfect(machine, axis, "slip")]:
         residual = state.fit.residual(state.group) / state.group.weights
         if slip in state.tuning.nuisances or shows_slip(channels_above_noise(state.group, residual), slip.owner):
             state = _sized(state, machine, slip, mapper)
@@ -48,7 +49,7 @@ def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> G
 
 def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) -> GroupState:
     """The state with one slip at its best size."""
-    t, tolerance, tuning = state.thresholds, machine.parameter_tolerance, state.tuning
+    tolerance, tuning = machine.parameter_tolerance, state.tuning
     new = slip not in tuning.nuisances
     nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances
     i = nuisances.index(slip)
@@ -72,7 +73,7 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
             return math.inf
         return tuning.loss(residual)
 
-    least, largest = t.least_slip * tolerance, tolerance
+    least, largest = T.least_slip * tolerance, tolerance
     start = 0.0 if new else min(max(float(deviations[i]), least), largest)
     best = min((least, *(share * tolerance for share in FIRST)), key=loss) if new else start
     while (near := min((min(best * STRETCH, largest), max(best / STRETCH, least)), key=loss)) != best and loss(near) < loss(best):
@@ -83,7 +84,7 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
         curve = np.polyfit(around, losses, 2)
         best = min(best, best * math.exp(-0.5 * curve[1] / curve[0]), key=loss) if curve[0] > 0.0 else best
     beyond = best * NEARBY
-    if not loss(start) - loss(best) > t.evidence or not math.isfinite(loss(beyond)):
+    if not loss(start) - loss(best) > T.evidence or not math.isfinite(loss(beyond)):
         return state
     column = np.zeros(state.group.size)
     column[rows] = (response(beyond) - response(best)) * (tuning.spread / (beyond - best))
@@ -104,7 +105,7 @@ def _moved(
     shown = replace(tuning.of(nuisances, columns), base=base)
     try:
         group, about = moved_to(state.rigid, shown, theta, mapper)
-        fit = fit_effects(group, machine, about, state.fit.settings, mapper, state.thresholds.refit_steps, known=state.fit.slopes)
+        fit = fit_effects(group, machine, about, state.fit.settings, mapper, T.refit_steps, known=state.fit.slopes)
     except TwinError:
         return state
     if fit is None or fit.loss > state.fit.loss:  # the creep improves, but the rest gets worse

@@ -11,7 +11,7 @@ import numpy as np
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Fit, Sizes, no_effect, simulated_responses
 from twin.diagnose.observe import Group
-from twin.diagnose.settings import Thresholds
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, in_turn
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
@@ -92,11 +92,6 @@ class GroupState:
     response_cache: dict[str, CachedResponse | TwinError] = field(default_factory=dict, repr=False, compare=False)
 
     @property
-    def thresholds(self) -> Thresholds:
-        """The thresholds of this diagnosis."""
-        return self.group.thresholds
-
-    @property
     def keys(self) -> set[Key]:
         """Keys of the effects of the fit."""
         return {s.key for s in self.fit.settings}
@@ -159,7 +154,7 @@ def expected_of(group: Group, axis: str) -> float:
 def closed_share(state: GroupState, gain: float) -> float:
     """Share of the residual above noise that a drop of the loss by `gain` explains, from 0 to 1."""
     noise = state.group.expected_loss
-    return float(np.clip(gain / max(state.fit.loss - noise, state.thresholds.near_noise * noise), 0.0, 1.0))
+    return float(np.clip(gain / max(state.fit.loss - noise, T.near_noise * noise), 0.0, 1.0))
 
 
 def settled_channels(state: GroupState) -> Iterator[tuple[Channel, np.ndarray]]:
@@ -172,11 +167,11 @@ def settled_channels(state: GroupState) -> Iterator[tuple[Channel, np.ndarray]]:
 
 def localised_on(state: GroupState) -> set[str]:
     """Axes with a residual in a single channel of a single run, even if the overall loss is that of noise."""
-    axes, t = set(), state.thresholds
+    axes = set()
     for channel, u in settled_channels(state):
-        if channel.name != "controller" and len(u) > t.local_samples and float(np.mean(u**2)) > t.noticed_square:
+        if channel.name != "controller" and len(u) > T.local_samples and float(np.mean(u**2)) > T.noticed_square:
             axes.add(channel.axis)
-        if channel.name == "controller" and float(np.mean(u**2)) > t.local_law_square:
+        if channel.name == "controller" and float(np.mean(u**2)) > T.local_law_square:
             axes.add(channel.axis)
     return axes
 
@@ -186,12 +181,11 @@ def is_systematic(state: GroupState) -> bool:
 
     Chance (direction of contact, moment of break-away) leaves a large residual in one run; a wrong law does so in all runs.
     """
-    t = state.thresholds
     levels: dict[tuple[str, str], list[float]] = {}
     for c, u in settled_channels(state):
-        if len(u) > t.enough_samples:
+        if len(u) > T.enough_samples:
             levels.setdefault((c.axis, c.name), []).append(float(np.mean(u**2)))
-    return any(len(runs) > 1 and float(np.median(runs)) > t.systematic for runs in levels.values())
+    return any(len(runs) > 1 and float(np.median(runs)) > T.systematic for runs in levels.values())
 
 
 def is_cut(group: Group, setting: Setting) -> bool:
@@ -208,7 +202,7 @@ def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:
         if c.name == "controller":
             if not replace(c, residual=residual[c.rows]).is_clean:
                 loud.add(c.axis)
-        elif float(np.mean(group.credit[c.rows] * (np.square(residual[c.rows] / c.spread) - 1.0))) > group.thresholds.quiet:
+        elif float(np.mean(group.credit[c.rows] * (np.square(residual[c.rows] / c.spread) - 1.0))) > T.quiet:
             loud.add(c.axis)
     return loud
 

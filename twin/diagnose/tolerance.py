@@ -7,12 +7,12 @@ small slip before break-away. Beyond the limits in the thresholds they are effec
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
 
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import FASTEST_MODE, load_inertia, reduced_mass
 from twin.machine.machine import Axis, Machine
@@ -41,7 +41,6 @@ class Nuisance:
 
     owner: str
     quantity: str
-    thresholds: Thresholds = field(default=DEFAULT, repr=False, compare=False)
 
     def apply(self, machine: Machine, factor: float) -> Machine:
         """The machine with this parameter multiplied by `factor`."""
@@ -53,12 +52,10 @@ class Nuisance:
         if self.quantity in NORMAL:
             share = (factor - 1.0) / machine.parameter_tolerance
             if self.quantity == "damping":
-                return _damped(
-                    machine, self.owner, self.thresholds.normal_damping ** min(max(share, -self.thresholds.widest), self.thresholds.widest)
-                )
-            if share < self.thresholds.least_imperfection:
+                return _damped(machine, self.owner, T.normal_damping ** min(max(share, -T.widest), T.widest))
+            if share < T.least_imperfection:
                 return machine
-            stiffness = min(_softest(machine, axis, self.quantity, self.thresholds) / share, _stiffest(machine, axis, self.quantity))
+            stiffness = min(_softest(machine, axis, self.quantity) / share, _stiffest(machine, axis, self.quantity))
             return with_added(machine, [Setting(EFFECTS[NORMAL[self.quantity]], self.owner, {"stiffness": stiffness})])
         return machine.with_axis(self.owner, **{TOLERANCED[self.quantity]: factor * field_value(axis, self.quantity)})
 
@@ -92,24 +89,24 @@ def can_be_imperfect(machine: Machine, axis: str, quantity: str) -> bool:
     return quantity != "slip" or machine.axis(axis).coulomb_friction > 0.0
 
 
-def normal_slip(axis: Axis, thresholds: Thresholds) -> float:
+def normal_slip(axis: Axis) -> float:
     """Largest normal travel before break-away [m, rad]."""
-    return thresholds.normal_slip_linear_m if axis.kind == "linear" else math.radians(thresholds.normal_slip_rotary_arcsec / 3600.0)
+    return T.normal_slip_linear_m if axis.kind == "linear" else math.radians(T.normal_slip_rotary_arcsec / 3600.0)
 
 
-def _softest(machine: Machine, axis: Axis, quantity: str, thresholds: Thresholds) -> float:
+def _softest(machine: Machine, axis: Axis, quantity: str) -> float:
     """Smallest normal stiffness [N/m, Nm/rad]."""
     if quantity == "elasticity":
-        return float((2.0 * math.pi * thresholds.normal_mode_hz) ** 2 * load_inertia(machine, axis))
-    return axis.coulomb_friction / normal_slip(axis, thresholds)
+        return float((2.0 * math.pi * T.normal_mode_hz) ** 2 * load_inertia(machine, axis))
+    return axis.coulomb_friction / normal_slip(axis)
 
 
-def is_normal(machine: Machine, setting: Setting, thresholds: Thresholds) -> bool:
+def is_normal(machine: Machine, setting: Setting) -> bool:
     """Whether a setting is a normal imperfection: a spring that is no softer than the softest normal one."""
     kind = setting.effect.normal
     if not kind or not can_be_imperfect(machine, setting.axis, kind):
         return False
-    return bool(setting.parameters["stiffness"] >= _softest(machine, machine.axis(setting.axis), kind, thresholds))
+    return bool(setting.parameters["stiffness"] >= _softest(machine, machine.axis(setting.axis), kind))
 
 
 def spring_of(settings: Sequence[Setting], axis: str) -> Setting | None:
@@ -128,13 +125,13 @@ def _stiffest(machine: Machine, axis: Axis, quantity: str) -> float:
     return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * mass
 
 
-def nuisances_of(machine: Machine, axes: Sequence[str], thresholds: Thresholds = DEFAULT) -> tuple[Nuisance, ...]:
+def nuisances_of(machine: Machine, axes: Sequence[str]) -> tuple[Nuisance, ...]:
     """All toleranced parameters of a group of axes, and the bodies if the group has a rotary axis."""
     found = []
     for name in axes:
-        found += [Nuisance(name, quantity, thresholds) for quantity in toleranced(machine.axis(name))]
+        found += [Nuisance(name, quantity) for quantity in toleranced(machine.axis(name))]
     if any(machine.axis(name).kind == "rotary" for name in axes):
-        found += [Nuisance(body.name, "body", thresholds) for body in machine.bodies]
+        found += [Nuisance(body.name, "body") for body in machine.bodies]
     return tuple(found)
 
 

@@ -11,9 +11,10 @@ import numpy as np
 from scipy.linalg import null_space
 
 from twin.diagnose.observe import Group, Variation
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
+from twin.effects import Setting
 from twin.machine.machine import Machine
 from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
@@ -39,7 +40,7 @@ class Tuning:
     normal: np.ndarray  # J'J + w
     inverse: np.ndarray
     base: np.ndarray  # (nuisance,) deviations about which the group is linearised, as fractions
-    prior_weight: float = DEFAULT.prior_weight
+    prior_weight: float = T.prior_weight
     further: np.ndarray = field(default_factory=lambda: np.zeros(0))  # prior weight of each further column
     narrower: Tuning | None = field(default=None, repr=False)  # the tuning that this one extends by further columns
     _products: dict[tuple[tuple[tuple[int, int], ...], ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
@@ -98,6 +99,12 @@ class Tuning:
         further[own] += weight
         return replace(self, normal=normal, inverse=_inverse(normal), further=further)
 
+    def with_prior(self, weight: float) -> Tuning:
+        """The tuning with another prior weight of the nuisances; it shares the jacobian."""
+        normal, n = self.normal.copy(), range(len(self.nuisances))
+        normal[n, n] += weight - self.prior_weight
+        return replace(self, normal=normal, inverse=_inverse(normal), prior_weight=weight)
+
     def project(self, columns: np.ndarray) -> np.ndarray:
         """J' columns, used to eliminate the tuning."""
         return self.jacobian.T @ columns
@@ -137,17 +144,24 @@ class Tuning:
         )
 
 
-def tuning_of(group: Group, machine: Machine, mapper: Mapper) -> Tuning:
-    """Simulate the response to each toleranced parameter; `mapper` maps over simulations."""
-    nuisances = nuisances_of(machine, group.axes, group.thresholds)
+def tuning_of(
+    group: Group, machine: Machine, mapper: Mapper, settings: Sequence[Setting] = (), response: np.ndarray | float = 0.0
+) -> Tuning:
+    """Simulate the response to each toleranced parameter of the machine with these effects, whose own response is `response` (row,)."""
+    nuisances = nuisances_of(machine, group.axes)
     spread = machine.parameter_tolerance * UNIFORM
     if spread <= 0.0 or not nuisances:
-        return _with_zeros(tuning_from((), np.zeros((group.size, 0)), 0.0, group.thresholds.prior_weight), group)
-    step = max(group.thresholds.nearby, spread)
-    variations = [Variation(functools.partial(n.apply, factor=1.0 + step), axes=n.axes(group.axes)) for n in nuisances]
-    columns = all_or_raise(group.responses(variations, mapper=mapper))
-    plain = tuning_from(nuisances, stacked_columns(*(c[:, None] * (spread / step) for c in columns)), spread, group.thresholds.prior_weight)
-    return _with_zeros(plain, group)
+        return _with_zeros(tuning_from((), np.zeros((group.size, 0)), 0.0, T.prior_weight), group)
+    step, own = max(T.nearby, spread), moved_by(settings, group)
+    axes = [tuple(a for a in group.axes if a in own or a in n.axes(group.axes)) for n in nuisances]
+    variations = [Variation(functools.partial(n.apply, factor=1.0 + step), settings, moved) for n, moved in zip(nuisances, axes)]
+    columns = [(c - response)[:, None] * (spread / step) for c in all_or_raise(group.responses(variations, mapper=mapper))]
+    return _with_zeros(tuning_from(nuisances, stacked_columns(*columns), spread, T.prior_weight), group)
+
+
+def moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
+    """Axes on which effects act. In the decoupled plant this is their own axis, unless they edit bodies that several axes carry."""
+    return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
 
 
 def _with_zeros(tuning: Tuning, group: Group) -> Tuning:
@@ -204,7 +218,7 @@ def tuning_from(
     nuisances: Sequence[Nuisance],
     jacobian: np.ndarray,
     spread: float,
-    prior_weight: float = DEFAULT.prior_weight,
+    prior_weight: float = T.prior_weight,
     further: np.ndarray | None = None,
 ) -> Tuning:
     """A tuning from nuisances and `jacobian` (row, column), their weighted response at their spread. Columns beyond the nuisances are free."""

@@ -13,19 +13,20 @@ import math
 
 from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, uncorrected
 from twin.diagnose.judgement import ALL_BUT, gap_remains, is_worse, loudest, remaining_share, unexplained_share, worse_signals
-from twin.diagnose.law.acceptance import LEAST_CLOSED
 from twin.diagnose.law.laws import Laws
-from twin.diagnose.law.step import find_unlisted_laws, many_effects_explain, predictions_with_laws
+from twin.diagnose.law.step import find_unlisted_laws, many_effects_explain
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
+from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import Motion
 from twin.simulation.encoder_zeros import aligned
 from twin.simulation.gap_level import levels, signal_levels
 
-Runs = Sequence[MeasuredRun]
+LARGEST_SHARE = 0.95
+"""Largest share of the held-out gap, in the mean over the signals, that laws may leave."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def validated(setup: Setup, records: Records, states: list[GroupState]) -> Valid
 
     held_out, runs = predicted(states)
     before, after = (levels(held_out.gaps(machine, runs, which)) for which in ("before", "after"))
-    if any(worse := [is_worse(s.group.axes, before, after, setup.thresholds) for s in states]):
+    if any(worse := [is_worse(s.group.axes, before, after) for s in states]):
         states = [uncorrected(s) if w else s for s, w in zip(states, worse)]
         held_out, runs = predicted(states)
         after = levels(held_out.gaps(machine, runs))
@@ -72,7 +73,7 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
     """The correction with those unlisted laws that leave the smallest held-out gap, if they close enough of it."""
     if setup.quick:
         return validated
-    best, least_share = validated, 1.0 - LEAST_CLOSED
+    best, least_share = validated, LARGEST_SHARE
     with ThreadPoolExecutor(setup.threads) as workers:
         for laws in find_unlisted_laws(
             validated.states,
@@ -80,7 +81,6 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
             validated.after,
             loudest(signal_levels(validated.held_out.gaps(setup.machine, validated.runs))),
             setup.nominal,
-            validated.corrected,
             setup.folds,
             on_threads(workers),
             setup.progress,
@@ -117,15 +117,21 @@ def _closes_the_gap(correction: Validated, machine: Machine) -> bool:
 def _with(laws: Laws, setup: Setup, records: Records, validated: Validated) -> tuple[float, Validated]:
     """The share of the held-out gap that laws leave on their axes, and the correction with them; infinite if they are of no use."""
     machine, held_out = setup.machine, validated.held_out
-    predicted = None
-    if laws.laws:
-        predicted = predictions_with_laws(laws, held_out, records.runs, records.motions, setup.folds, engine=True, threads=setup.threads)
-    if predicted is None:
+    if not laws.laws:
         return math.inf, validated
+    try:
+        predicted = held_out_gaps(
+            records.runs, records.motions, setup.nominal, laws.states, setup.folds, True, setup.threads, held_out.predictions["before"]
+        )
+    except TwinError:
+        return math.inf, validated
+    # the only run that shows a law is predicted by the machine fitted to all runs
+    fitted = {records.runs[i].name for law in laws.laws if law.only_fold is not None for i in setup.folds[law.only_fold]}
+    predicted = replace(predicted, runs=[name for name in held_out.runs if name not in fitted])
     axes = {law.axis for law in laws.laws}
     runs = aligned(records.runs, setup.nominal, predicted.traces)
     without, with_them = signal_levels(held_out.gaps(machine, validated.runs)), signal_levels(predicted.gaps(machine, runs))
-    if worse_signals(without, with_them, setup.thresholds):
+    if worse_signals(without, with_them):
         return math.inf, validated
     share = remaining_share(without, with_them, axes)
     return share, replace(validated, runs=runs, held_out=predicted, corrected=laws.corrected, laws=laws)

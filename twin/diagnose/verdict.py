@@ -12,6 +12,7 @@ import numpy as np
 from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
 from twin.diagnose.fit import no_effect
 from twin.diagnose.observe import Group
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.sizes import sized, without_implausible
 from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_cut, is_systematic, localised_on
@@ -24,12 +25,11 @@ def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list
 
     All are 0 if the best candidate had the evidence but was refused, or was removed later.
     """
-    t = state.thresholds
     best = next((c for c in candidates if c.plausible), None)
     if best is None or (best.evidence >= best.needed and best.key not in state.keys):
         return [0.0] * len(candidates)
     evidence = np.array([c.evidence if c.plausible else -math.inf for c in candidates] + [best.needed])
-    odds = np.exp((evidence - evidence.max()) / t.temperature)
+    odds = np.exp((evidence - evidence.max()) / T.temperature)
     return [state.group.confidence(c.key[1]) * float(p) for c, p in zip(candidates, odds / odds.sum())]
 
 
@@ -83,14 +83,14 @@ def is_unknown(state: GroupState) -> bool:
     Also true if an effect has different sizes in different runs, or if only parameters far outside the tolerance explain the gap. Each axis is
     judged by itself: an axis with a small residual does not compensate one with a large residual.
     """
-    group, t = state.group, state.thresholds
+    group = state.group
     before, after = excess_of(group, state.retuned), excess_of(group, state.fit)
     localised = localised_on(state)
-    above = [e for axis, e in after.items() if e > (0.0 if axis in localised else t.noticed_excess * expected_of(group, axis))]
-    if sum(above) > t.remaining * sum(max(e, 0.0) for e in before.values()):
+    above = [e for axis, e in after.items() if e > (0.0 if axis in localised else T.noticed_excess * expected_of(group, axis))]
+    if sum(above) > T.remaining * sum(max(e, 0.0) for e in before.values()):
         return True
     beyond = beyond_tolerance(state) - max(sum(after.values()), 0.0)
-    return is_systematic(state) or differs_between_runs(state) or beyond > t.noticed_excess * group.expected_loss
+    return is_systematic(state) or differs_between_runs(state) or beyond > T.noticed_excess * group.expected_loss
 
 
 def differs_between_runs(state: GroupState) -> bool:
@@ -101,7 +101,7 @@ def differs_between_runs(state: GroupState) -> bool:
     evidence that an effect needs. Effects in blocks that are not isolated are not tested, because all model errors of the loop bias their size.
     Samples that depend on how an axis stuck are excluded: each break-away is different.
     """
-    group, t = state.group, state.thresholds
+    group = state.group
     residual = state.fit.residual(group)
     settled = np.zeros(group.size, bool)
     for c in group.channels:
@@ -117,12 +117,12 @@ def differs_between_runs(state: GroupState) -> bool:
             information = float(slope @ slope)
             if information > 0.0:
                 step = float(slope @ residual[rows]) / information
-                if abs(step) * math.sqrt(information) > t.beyond_chance:
+                if abs(step) * math.sqrt(information) > T.beyond_chance:
                     steps.append(step)
                     gain += 0.5 * step**2 * information
         relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(state.fit.settings)), 1e-30)
         has_evidence = len(steps) > 1 and gain > evidence_needed(state, setting, len(group.views))
-        if has_evidence and (max(steps) - min(steps)) * relative > t.one_size:
+        if has_evidence and (max(steps) - min(steps)) * relative > T.one_size:
             return True
     return False
 

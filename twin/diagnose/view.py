@@ -7,7 +7,7 @@ import functools
 
 import numpy as np
 
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.settings import T
 from twin.effects import with_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.ballbar import Ballbar
@@ -32,7 +32,6 @@ class RunView:
     motion: Motion  # nominal motion of all axes
     started_at: float
     feedforward: str | None = None  # feedforward of this run
-    thresholds: Thresholds = field(default=DEFAULT, repr=False)
     own_zeros: frozenset[str] = frozenset()  # axes whose encoder zeros differ in this run
     ballbar: Ballbar | None = None  # ballbar that measured this run
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
@@ -80,12 +79,12 @@ class RunView:
         return self.trace.moves(name) or name in self.pushed
 
 
-def view_of(machine: Machine, run: MeasuredRun, thresholds: Thresholds = DEFAULT) -> RunView:
+def view_of(machine: Machine, run: MeasuredRun) -> RunView:
     """A run with the nominal motion about which the decoupled plant is linearised."""
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
     motion = nominal_motion(actual, setpoints)
-    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, thresholds, run.own_zeros, run.ballbar)
+    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, run.own_zeros, run.ballbar)
 
 
 def _follows_another(view: RunView, name: str) -> bool:
@@ -95,11 +94,11 @@ def _follows_another(view: RunView, name: str) -> bool:
     moving = [other for other in trace.axes if trace.moves(other)]
     apart = motor_minus_scale(trace, name)
     apart = apart - apart.mean()
-    if not moving or float(np.std(apart)) < view.thresholds.pushed * encoders_noise(view.machine, view.machine.axis(name)):
+    if not moving or float(np.std(apart)) < T.pushed * encoders_noise(view.machine, view.machine.axis(name)):
         return False
     columns = np.column_stack([np.ones(len(apart)), *(trace.get(other, "setpoint") for other in moving)])
     residual = apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0]
-    return float(residual @ residual) < (1.0 - view.thresholds.followed) * float(apart @ apart)
+    return float(residual @ residual) < (1.0 - T.followed) * float(apart @ apart)
 
 
 def _command(view: RunView, axis: Axis) -> np.ndarray:

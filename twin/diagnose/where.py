@@ -12,6 +12,7 @@ from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_re
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.gap_share import share_of_gap
 from twin.diagnose.observe import Group
+from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
@@ -34,7 +35,7 @@ def places(
     """
     listed: list[dict[str, Any]] = []
     levels: dict[tuple[str, str], float] = {}
-    least = max((f.thresholds.place_share for f in states), default=0.0) * max(weights.values(), default=0.0)
+    least = max((T.place_share for f in states), default=0.0) * max(weights.values(), default=0.0)
     with ThreadPoolExecutor(threads) as pool:
         for f in states:
             group = f.group
@@ -47,11 +48,11 @@ def places(
                 share = share_of_gap(f.rigid, axis, block, parts)
                 square = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
                 levels[axis, block] = float(np.sqrt(square))
-                if square > f.thresholds.noticed_square and share > f.thresholds.place_share:
+                if square > T.noticed_square and share > T.place_share:
                     listed.append(_place(group, axis, block, parts, share, levels[axis, block]))
     for setting in settings:
         _assign_effect(listed, setting, machine, levels)
-    _merge_echoes(listed, states[0].thresholds.echo if states else 0.0)
+    _merge_echoes(listed, T.echo if states else 0.0)
     # an axis has the weight of its gap, divided among its blocks by their shares
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
@@ -143,11 +144,11 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
     for part in runs:
         named.append(group.views[part.run].name)
         reached += part.excess
-        if reached >= group.thresholds.most_of_runs * excess:
+        if reached >= T.most_of_runs * excess:
             break
     top = runs[0]
     view = group.views[top.run]
-    start, stop = _stretch(top, view.trace.period, group.thresholds.stretch_s)
+    start, stop = _stretch(top, view.trace.period, T.stretch_s)
     return {
         "axis": axis,
         "block": block,
@@ -171,13 +172,13 @@ def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
             energy[regime] += float(np.sum(part.normed[inside] ** 2 - 1.0)) if inside.any() else 0.0
     total = sum(max(e, 0.0) for e in energy.values()) or 1.0
     best = max(REGIMES, key=lambda regime: energy[regime])
-    return best if energy[best] / total > group.thresholds.regime_share else "all"
+    return best if energy[best] / total > T.regime_share else "all"
 
 
 def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     """The regressor that explains most of a block's residual; '-' if none explains a tenth."""
     names = group.views[0].machine.axis_names
-    best, best_share = "-", group.thresholds.scales_share
+    best, best_share = "-", T.scales_share
     shares: dict[str, list[float]] = {}
     total = sum(float(b.residual @ b.residual) for b in parts) or 1.0
     sums: dict[str, tuple[float, float]] = {}

@@ -24,7 +24,7 @@ from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.fit import simulated_response
 from twin.diagnose.next_measurement import KINDS, move_of
 from twin.diagnose.observe import Group, axis_groups, observe
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, on_threads
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
@@ -132,7 +132,7 @@ def _columns(group: Group, start: Start) -> np.ndarray | None:
 def outlooks(products: np.ndarray, like: Answers) -> list[Outlook]:
     """Outlook of every effect on every axis, from summed products (column, column) after projecting out re-tuning."""
     k = like.nuisances
-    normal = products[:k, :k] + DEFAULT.prior_weight * np.eye(k)
+    normal = products[:k, :k] + T.prior_weight * np.eye(k)
     free = products - products[:, :k] @ np.linalg.solve(normal, products[:k, :]) if k else products
     out = []
     for key, mine in like.places.items():
@@ -156,7 +156,7 @@ def _title(key: Key) -> str:
 
 
 def _smallest(square: float) -> float:
-    return math.sqrt(DEFAULT.evidence / square) if square > 1e-9 else math.inf
+    return math.sqrt(T.evidence / square) if square > 1e-9 else math.inf
 
 
 def without_scale(campaign: Campaign) -> Campaign:

@@ -19,7 +19,7 @@ import functools
 import numpy as np
 
 from twin.diagnose.observe import Group, observe
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.errors import TwinError
 from twin.history.columns import Direction, amplitude, changed, directions_of, waves_of
@@ -239,7 +239,7 @@ def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Diff
         step = np.zeros(len(d))
         step[free] = contrast.sizes(left, free)
         inflation = max(1.0, contrast.level(left - contrast.gram @ step) ** 2)
-        if gain / inflation < DEFAULT.evidence + np.log(len(blocks)) or abs(amplitude((theta + step)[block])) < LEAST:
+        if gain / inflation < T.evidence + np.log(len(blocks)) or abs(amplitude((theta + step)[block])) < LEAST:
             break
         cause = d[block[0]].cause
         entered.append(
@@ -259,9 +259,9 @@ def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Diff
             Difference(
                 d[block[0]].cause,
                 tuple((d[k], float(theta[k])) for k in block),
-                float(np.hypot(error, DEFAULT.model_error * amplitude(theta[block]))),
+                float(np.hypot(error, T.model_error * amplitude(theta[block]))),
                 evidence,
-                float(min(DEFAULT.confidence, 1.0 / (1.0 + odds))),
+                float(min(T.confidence, 1.0 / (1.0 + odds))),
                 tuple(dict.fromkeys(c for c, _ in rivals[:3])),
                 tuple(contrast.groups[i][0] for i in np.argsort(shows)[::-1][:3]),
             )

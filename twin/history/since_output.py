@@ -16,7 +16,7 @@ from twin.diagnose import diagnose
 from twin.diagnose.budget import Part, budget_over, document_of
 from twin.diagnose.check import check_campaign
 from twin.diagnose.output import write_diagnosis
-from twin.diagnose.settings import DEFAULT
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, on_threads
 from twin.diagnose.wording import listed
 from twin.effects import Setting, settings_of
@@ -83,7 +83,7 @@ def since_document(
             effects.append(entry)
     effects.sort(key=lambda e: -tool.get((e["effect"], e["axis"], e.get("from_axis")), 0.0))
     left = max((d.after for d in found), default=1.0)
-    unknown = left > 2.0 * DEFAULT.unexplained_gap
+    unknown = left > 2.0 * T.unexplained_gap
     when = listed([name if day is None else f"{day:%Y-%m-%d}" for name, day in baselines])
     return {
         "verdict": "unknown" if unknown else "effect" if effects else "none",
@@ -157,7 +157,7 @@ def _where(found: Sequence[Differences], several: Sequence[Difference]) -> list[
     rows += [
         {"axis": d.axes[0], "block": "mechanics", "share": 0.0, "scales_with": "-", "regime": "all", "runs": list(d.held_out[:3])}
         for d in found
-        if d.after > 2.0 * DEFAULT.unexplained_gap
+        if d.after > 2.0 * T.unexplained_gap
     ]
     return sorted(rows, key=lambda row: -row["share"])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -10,18 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import found_of, group_of, no_tuning
 from twin.diagnose.cross_validation import folds_of
-from twin.diagnose.law.acceptance import is_significant, remove_needless_slip, replace_laws_by_effects
-from twin.diagnose.law.closed_loop import ClosedLoop, state_of, unknowns_of
-from twin.diagnose.law.laws import _AxisLaws, _search_from, laws_of
+from twin.diagnose.fit import fit_with_fixed_effects, free_parameters, simulated_response
+from twin.diagnose.law import laws as law_search
+from twin.diagnose.law.closed_loop import PRICE, ClosedLoop, Parts, closed_loop, halved
+from twin.diagnose.law.laws import _search_from, laws_of, settled
 from twin.diagnose.law.proposals import STRONG, WEAK
 from twin.diagnose.law.springs import with_rigid_drive_train
-from twin.diagnose.observe import observe
-from twin.diagnose.settings import DEFAULT, Thresholds
+from twin.diagnose.observe import Group, observe
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import in_turn
 from twin.diagnose.tolerance import drive_train_of
 from twin.diagnose.view import view_of
-from twin.effects import settings_of, with_effects
+from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -48,15 +50,34 @@ def runs_of(effects: list[dict], strokes=STROKES) -> list[MeasuredRun]:
     return runs
 
 
-def found(effects: list[dict], thresholds: Thresholds = DEFAULT, strokes=STROKES):
+def observed(runs):
+    return observe([view_of(X, run) for run in runs], ("X",))
+
+
+def laws_beside(effects: list[dict], group, machine=X):
+    """Laws of X beside these effects of a search."""
+    settings = settings_of(with_effects(machine, effects))
+    response = simulated_response(group, settings) if settings else np.zeros(group.size)
+    state = found_of(group, no_tuning(group.size), fit_with_fixed_effects(group, no_tuning(group.size), settings, response))
+    return laws_of([state], machine, ["X"], folds_of(len(group.views)), in_turn)
+
+
+def found(effects: list[dict], strokes=STROKES):
     """Laws of X on these runs."""
-    views = [view_of(X, run) for run in runs_of(effects, strokes)]
-    folds = folds_of(len(views))
-    return laws_of([observe(views, ("X",), thresholds=thresholds)], X, X, ["X"], folds, [X] * len(folds), in_turn)
+    return laws_beside([], observed(runs_of(effects, strokes)))
 
 
-def test_model_error_limits_the_accuracy_of_a_law():
-    (law,) = found([BELL], replace(DEFAULT, model_error=0.2)).laws
+def loop_of(group, shakes: bool = False, count: int = 0) -> ClosedLoop:
+    return closed_loop(group, X, "X", folds_of(count or len(group.views)), in_turn, shakes)
+
+
+def names(settings) -> list[str]:
+    return [s.effect.name for s in settings]
+
+
+def test_model_error_limits_the_accuracy_of_a_law(monkeypatch):
+    monkeypatch.setattr(T, "model_error", 0.2)
+    (law,) = found([BELL]).laws
     height = law.setting.parameters["height"]
     assert 0.2 * abs(height) < law.deviations["height"] < 0.3 * abs(height)
 
@@ -71,26 +92,20 @@ def test_a_law_is_kept_with_its_numbers_and_the_gap_closes():
     assert law.explained > 0.9
     assert laws.left["X"] < 0.1
     # the corrected machine and those fitted without a fold have the law
-    assert all(len(settings_of(m)) == 1 for m in (laws.corrected, *laws.without_fold))
+    assert all(len(settings_of(m)) == 1 for m in (laws.corrected, *(laws.without(X, fold) for fold in folds_of(3))))
 
 
 def test_a_law_replaces_the_effects_that_imitated_it():
-    runs = runs_of([BELL])
-    views = [view_of(X, run) for run in runs]
-    folds = folds_of(len(views))
-    wrong = with_effects(X, [{"name": "viscous_friction", "axis": "X", "factor": 0.7}])
-    laws = laws_of([observe(views, ("X",))], X, wrong, ["X"], folds, [wrong] * len(folds), in_turn)
-    assert [s.effect.name for s in settings_of(laws.corrected)] == ["law"]
+    laws = laws_beside([{"name": "viscous_friction", "axis": "X", "factor": 0.7}], observed(runs_of([BELL])))
+    assert names(settings_of(laws.corrected)) == ["law"]
     assert laws.laws[0].setting.parameters["height"] == pytest.approx(-300.0, rel=0.1)
 
 
 def test_an_effect_that_is_there_stays_beside_the_law():
     there = {"name": "viscous_friction", "axis": "X", "factor": 1.6}
-    views = [view_of(X, run) for run in runs_of([BELL, there])]
-    folds = folds_of(len(views))
-    right = with_effects(X, [there])
-    laws = laws_of([observe(views, ("X",))], X, right, ["X"], folds, [right] * len(folds), in_turn)
-    assert [s.effect.name for s in settings_of(laws.corrected)] == ["viscous_friction", "law"]
+    laws = laws_beside([there], observed(runs_of([BELL, there])))
+    assert sorted(names(settings_of(laws.corrected))) == ["law", "viscous_friction"]
+    assert list(laws.beside.values()) == pytest.approx([1.0], abs=0.05)
 
 
 def test_a_law_that_only_one_run_shows_is_confirmed_within_that_run():
@@ -103,8 +118,7 @@ def test_a_law_that_only_one_run_shows_is_confirmed_within_that_run():
     (law,) = laws.laws
     assert law.setting.parameters["limit"] == pytest.approx(0.05, rel=1e-3)
     assert law.only_fold == 2
-    assert law.probability <= DEFAULT.confidence_in_one_run
-    assert laws.without_fold[2].effects == laws.corrected.effects  # fitted to all runs
+    assert law.probability <= T.confidence_in_one_run
 
 
 def test_a_disturbance_of_one_stretch_of_one_run_is_no_law():
@@ -115,9 +129,7 @@ def test_a_disturbance_of_one_stretch_of_one_run_is_no_law():
         "height": 400.0, "at": 0.5, "width": 0.03,
     }  # fmt: skip
     runs[2] = runs_of([pushed], [*STROKES, (0.030, 0.02)])[2]
-    folds = folds_of(len(runs))
-    laws = laws_of([observe([view_of(X, run) for run in runs], ("X",))], X, X, ["X"], folds, [X] * len(folds), in_turn)
-    assert laws.laws == ()
+    assert laws_beside([], observed(runs)).laws == ()
 
 
 PLAY = {
@@ -128,10 +140,10 @@ PLAY = {
 
 def test_a_play_has_one_number():
     """Height and length of a play are both half its width, and stay equal."""
-    state = state_of(X, with_effects(X, [PLAY]), ("X",), DEFAULT)
-    unknowns = [u for u in unknowns_of(state, ("X",), 0.0) if u.setting is not None]
-    assert [u.name for u in unknowns] == ["length"]
-    (play,) = state.moved(unknowns, np.array([10.0])).settings
+    settings = settings_of(with_effects(X, [PLAY]))
+    (free,) = free_parameters(settings, X)
+    assert free.parameter.name == "length"
+    (play,) = free.moved(settings, 10.0)
     assert play.parameters["length"] > 7e-6
     assert play.parameters["height"] == -play.parameters["length"]
 
@@ -147,24 +159,26 @@ TWO_STAGES = [
 
 
 def test_an_unexplained_gap_does_not_pull_parameters_out_of_their_tolerance():
-    group = observe_once(runs_of(TWO_STAGES))
+    group = observed(runs_of(TWO_STAGES))
     spring, _ = TWO_STAGES  # stiff in its centre, too
-    state = state_of(X, with_effects(X, [spring]), ("X",), group.thresholds)
-    fitted = ClosedLoop(group, ("X",), folds_of(3), in_turn).fit(state, X.parameter_tolerance, steps=2)
+    fitted = loop_of(group).start(settings_of(with_effects(X, [spring])))
     assert fitted is not None
-    assert fitted.loss > 100.0 * group.expected_loss
-    assert np.abs(fitted.state.deviations).max() < 3.0 * X.parameter_tolerance
+    assert fitted.fit.loss > 100.0 * group.expected_loss
+    about = fitted.fit.about
+    assert np.abs(fitted.fit.tuning[: len(about.nuisances)]).max() * about.spread < 3.0 * X.parameter_tolerance
 
 
 def test_the_spring_beside_a_law_of_the_drive_train_is_fitted_with_its_damping():
     """Stiffness, damping, height and width start 5 % to a factor of 2 from the truth."""
-    group = observe_once(runs_of(TWO_STAGES))
+    group = observed(runs_of(TWO_STAGES))
     spring, law = TWO_STAGES
     start = [{**spring, "stiffness": 2.1e8, "damping": 6e4}, {**law, "height": -2650.0, "width": 15.5e-6}]
-    state = state_of(X, with_effects(X, start), ("X",), group.thresholds)
-    fitted = ClosedLoop(group, ("X",), folds_of(3), in_turn).fit(state, X.parameter_tolerance)
+    loop = loop_of(group)
+    first = loop.start(settings_of(with_effects(X, start)))
+    assert first is not None
+    fitted = loop.refit(first, first.settings)
     assert fitted is not None
-    own = {s.effect.name: s.parameters for s in fitted.state.settings}
+    own = {s.effect.name: s.parameters for s in fitted.settings}
     assert own["transmission_compliance"]["stiffness"] == pytest.approx(2e8, rel=0.01)
     assert own["transmission_compliance"]["damping"] == pytest.approx(3e4, rel=0.2)
     assert own["law"]["height"] == pytest.approx(-2800.0, rel=0.01)
@@ -174,28 +188,19 @@ def test_the_spring_beside_a_law_of_the_drive_train_is_fitted_with_its_damping()
 
 def test_a_play_of_the_scale_replaces_effects_that_the_search_put_in_its_place():
     """The search bent the drive train and changed its friction and motor; the law starts from the machine file, too."""
-    wrong = with_effects(
-        X,
-        [
-            {"name": "transmission_compliance", "axis": "X", "stiffness": 5e7},
-            {"name": "coulomb_friction", "axis": "X", "factor": 1.2},
-            {"name": "torque_constant", "axis": "X", "factor": 1.1},
-        ],
-    ).with_values({"axis.X.moving_mass_kg": 1.1 * X.document["axis"]["X"]["moving_mass_kg"]})
-    views = [view_of(X, run) for run in runs_of([PLAY])]
-    folds = folds_of(len(views))
-    laws = laws_of([observe(views, ("X",))], X, wrong, ["X"], folds, [wrong] * len(folds), in_turn)
-    (setting,) = settings_of(laws.corrected)
+    wrong = [
+        {"name": "transmission_compliance", "axis": "X", "stiffness": 5e7},
+        {"name": "coulomb_friction", "axis": "X", "factor": 1.2},
+        {"name": "torque_constant", "axis": "X", "factor": 1.1},
+    ]
+    (setting,) = settings_of(laws_beside(wrong, observed(runs_of([PLAY]))).corrected)
     assert setting.effect.name == "law"
     assert setting.parameters["length"] == pytest.approx(6e-6, rel=0.05)
 
 
 def test_a_play_of_the_scale_replaces_a_spring_that_is_too_soft_to_be_normal():
-    soft = with_effects(X, [{"name": "transmission_compliance", "axis": "X", "stiffness": 2.03e8}])
-    views = [view_of(X, run) for run in runs_of([PLAY])]
-    folds = folds_of(len(views))
-    laws = laws_of([observe(views, ("X",))], X, soft, ["X"], folds, [soft] * len(folds), in_turn)
-    assert [s.effect.name for s in settings_of(laws.corrected)] == ["law"]
+    laws = laws_beside([{"name": "transmission_compliance", "axis": "X", "stiffness": 2.03e8}], observed(runs_of([PLAY])))
+    assert names(settings_of(laws.corrected)) == ["law"]
     assert laws.laws[0].setting.parameters["length"] == pytest.approx(6e-6, rel=0.05)
 
 
@@ -212,9 +217,9 @@ def test_a_play_is_measured_beside_the_elasticity_of_the_drive_train():
 def test_a_lead_error_is_no_part_of_an_elastic_drive_train():
     lead = {"name": "lead_error", "axis": "X", "fraction": 5e-5}
     spring = {"name": "transmission_compliance", "axis": "X", "stiffness": 2e8}
-    state = state_of(X, with_effects(X, [lead, spring]), ("X",), DEFAULT)
-    assert [s.effect.name for s in drive_train_of(state.settings, "X")] == ["transmission_compliance"]
-    assert [s.effect.name for s in with_rigid_drive_train(state, "X").settings] == ["lead_error"]
+    settings = settings_of(with_effects(X, [lead, spring]))
+    assert names(drive_train_of(settings, "X")) == ["transmission_compliance"]
+    assert names(with_rigid_drive_train(settings, "X")) == ["lead_error"]
 
 
 SLIP = {"name": "presliding", "axis": "X", "stiffness": 1.2e10}
@@ -223,20 +228,17 @@ SLIP = {"name": "presliding", "axis": "X", "stiffness": 1.2e10}
 @pytest.mark.parametrize(("shaken", "kept"), [(True, ["presliding"]), (False, [])])
 def test_slip_is_judged_with_noise_in_the_loop(shaken, kept):
     """Noise makes an axis slip at rest. Without noise in the simulation, the slip of this axis seems to be of no use."""
-    group = observe_once(runs_of([SLIP]))
-    loop = ClosedLoop(group, ("X",), folds_of(3), in_turn, shaken)
-    fitted = loop.fit(state_of(X, with_effects(X, [SLIP]), ("X",), DEFAULT), X.parameter_tolerance, steps=2)
+    loop = loop_of(observed(runs_of([SLIP])), shaken)
+    fitted = loop.start(settings_of(with_effects(X, [SLIP])))
     assert fitted is not None
-    fitted = remove_needless_slip(loop, fitted, "X", X.parameter_tolerance)
-    assert [s.effect.name for s in fitted.state.settings] == kept
+    assert names(settled(loop, fitted, ())[0].settings) == kept
 
 
 @pytest.mark.parametrize("effects", [[], [SLIP]])
 def test_laws_of_an_axis_that_slips_are_searched_with_noise_in_the_loop(effects, monkeypatch):
     searched = []
-    monkeypatch.setattr("twin.diagnose.law.laws._search_axis", lambda loop, *_: searched.append(loop.shaken) or _AxisLaws([], None, 1.0))
-    machine = with_effects(X, effects)
-    laws_of([observe_once(runs_of([]))], X, machine, ["X"], folds_of(3), [machine] * 3, in_turn)
+    monkeypatch.setattr(law_search, "_search_axis", lambda loop, *_: searched.append(loop.group.shakes))
+    laws_beside(effects, observed(runs_of([])))
     assert searched == [bool(effects)]
 
 
@@ -254,8 +256,8 @@ def test_a_fine_wave_of_the_scale_is_measured_over_the_position_of_the_motor():
     assert math.remainder(p["phase_rad"] - 0.5, 2.0 * math.pi) == pytest.approx(0.0, abs=0.1)
     assert laws.left["X"] < 0.01
     # a fit without some of the runs keeps the wave in phase over the whole range
-    for machine in laws.without_fold:
-        (setting,) = settings_of(machine)
+    for fold in folds_of(4):
+        (setting,) = settings_of(laws.without(X, fold))
         at = np.linspace(0.0, 0.2, 100)
         wave_of = [q["amplitude"] * np.sin(2.0 * np.pi * at / q["period"] + q["phase_rad"]) for q in (setting.parameters, p)]
         assert np.abs(wave_of[0] - wave_of[1]).max() < 0.1 * 3e-6
@@ -270,144 +272,155 @@ def test_a_machine_without_a_law_gets_none():
 def test_encoder_zeros_are_fitted_with_every_law():
     runs = runs_of([{"name": "transmission_compliance", "axis": "X", "stiffness": 1e8}])
     apart = [replace(run, trace=shifted(run.trace, X.axes[0], (k - 1) * 3e-6)) for k, run in enumerate(runs)]
-    states = [state_of(X, X, ("X",), observe_once(of).thresholds) for of in (runs, apart)]
-    folds = folds_of(len(runs))
-    left = [ClosedLoop(observe_once(of), ("X",), folds, in_turn).left(state) for of, state in zip((runs, apart), states)]
-    np.testing.assert_allclose(left[0], left[1], atol=1e-6 * np.abs(left[0]).max())
-
-
-def observe_once(runs):
-    return observe([view_of(X, run) for run in runs], ("X",))
+    alike, other = (loop_of(observed(of)).start(()) for of in (runs, apart))
+    assert alike is not None
+    assert other is not None
+    assert other.held_out == pytest.approx(alike.held_out, rel=1e-4)
 
 
 def test_an_effect_is_preferred_to_an_equivalent_law():
     """A sine over the motor turn is found as a law; the equivalent effect replaces it."""
     wave = {"name": "cyclic_error", "axis": "X", "amplitude": 4e-6, "phase_rad": 0.5}
-    there = settings_of(with_effects(X, [wave]))
-    group = observe_once(runs_of([wave]))
-    loop = ClosedLoop(group, ("X",), folds_of(len(group.views)), in_turn)
-    start = state_of(X, X, ("X",), group.thresholds)
-    assert _search_from(loop, start, "X", X, lambda _: None).laws
-    both = _search_from(loop, start, "X", X, lambda _: None, restorable=there)
-    assert both.laws == []
-    assert [s.effect.name for s in both.fitted.state.settings] == ["cyclic_error"]
+    loop = loop_of(observed(runs_of([wave])))
+    alone = _search_from(loop, (), (), lambda _: None)
+    assert alone is not None
+    assert alone.laws
+    both = _search_from(loop, (), settings_of(with_effects(X, [wave])), lambda _: None)
+    assert both is not None
+    assert not both.laws
+    assert names(both.fitted.settings) == ["cyclic_error"]
 
 
 def test_a_law_is_found_although_the_noise_of_all_channels_is_overestimated():
     """A notch, for example, roughens one signal, so that its noise is overestimated; the sum over all signals then lies below that of noise."""
-    group = observe_once(runs_of([BELL]))
-    loop = ClosedLoop(group, ("X",), folds_of(len(group.views)), in_turn)
-    start = state_of(X, X, ("X",), group.thresholds)
-    left = loop.left(start)
-    loop.expected = 0.6 * float(left @ left)
-    (law,) = _search_from(loop, start, "X", X, lambda _: None).laws
-    assert law.setting.parameters["height"] == pytest.approx(-300.0, rel=0.1)
+    group = observed(runs_of([BELL]))
+    noisier = replace(
+        group, channels=[replace(c, sigma=c.sigma * max(1.0, 1.1 * np.sqrt(np.mean((c.residual / c.sigma) ** 2)))) for c in group.channels]
+    )
+    loop = loop_of(noisier)
+    first = loop.start(())
+    assert first is not None
+    assert first.held_out < loop.expected
+    found = _search_from(loop, (), (), lambda _: None)
+    assert found is not None
+    (law,) = found.fitted.settings
+    assert law.parameters["height"] == pytest.approx(-300.0, rel=0.1)
 
 
 def test_a_single_run_is_predicted_half_by_half():
     """Random columns reduce the squares of the half that they are fitted to and worsen the prediction of the other half."""
-    group = observe_once(runs_of([])[:1])
-    loop = ClosedLoop(group, ("X",), folds_of(1), in_turn)
-    state = state_of(X, X, ("X",), group.thresholds)
-    (_, first), (_, second) = loop.parts
-    assert np.array_equal(first, ~second)
-    assert abs(int(first.sum()) - int(second.sum())) <= len(group.channels)
+    group = observed(runs_of([])[:1])
+    loop = loop_of(group)
+    first, second = loop.parts.rows
+    assert [r.stop for r in first] == [r.start for r in second]
     rng = np.random.default_rng(0)
-    before, columns = rng.standard_normal(group.size), rng.standard_normal((group.size, 40))
-    left = before - columns @ np.linalg.lstsq(columns, before, rcond=None)[0]
-    nothing = np.zeros(40)
-    fitted = loop._cross_validated(state, [], left, columns, 0.5 * float(left @ left), nothing, nothing)
-    assert fitted.loss < 0.5 * float(before @ before) < fitted.held_out
-    assert fitted.without(0) == state  # the machine file is fitted to all samples
+    columns = rng.standard_normal((group.size, 40))
+    free = group_of([rng.standard_normal(group.size)])
+    tuning = no_tuning(group.size).with_free(columns)
+    fit = fit_with_fixed_effects(free, tuning, (), np.zeros(group.size))
+    alone = ClosedLoop(free, X, "X", halved(Parts(((slice(0, group.size),),)), 0, np.ones(group.size)), in_turn)
+    assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone._judged(fit).held_out
 
 
-@dataclass(frozen=True)
-class _State:
-    settings: tuple
-    machine_of: Any = None
-
-
-@pytest.mark.parametrize(("left_by_effect", "named"), [(103.0, ["backlash"]), (140.0, ["law"])])
+@pytest.mark.parametrize(("left_by_effect", "named"), [(15.0, ["backlash"]), (20.0, ["law"])])
 def test_an_effect_replaces_a_law_only_if_it_predicts_as_well(left_by_effect, named):
-    """Play of a scale explains almost as much of the gap (1000 here) as a backlash, but the difference is large against noise (100)."""
-    play, backlash = (SimpleNamespace(key=name) for name in ("law", "backlash"))
-    left = {("law",): 100.0, ("backlash",): left_by_effect, (): 1000.0}
+    """Play of a scale explains almost as much as a backlash; the difference decides, with the prices of a law (30) and of an effect (14)."""
+    play, backlash = (Setting(settings_of(with_effects(X, [PLAY]))[0].effect, "X", PLAY), Setting(EFFECTS["backlash"], "X", {}))
+    assert play_or_effect({("law",): 0.0, ("backlash",): left_by_effect, (): 1000.0}, play, backlash) == named
 
-    def fit(state, *_: Any, **__: Any):
-        return SimpleNamespace(state=state, held_out=left[tuple(s.key for s in state.settings)])
 
-    loop = SimpleNamespace(fit=fit, expected=100.0)
-    fitted = fit(_State((play,)))
-    assert [s.key for s in replace_laws_by_effects(loop, fitted, [play], [backlash], 0.01).state.settings] == named
+def play_or_effect(misfits, play, backlash):
+    loop = costs_of(misfits)
+    return names(settled(loop, loop.refit(None, (play,)), (backlash,))[0].settings)
+
+
+def costs_of(misfits: dict[tuple[str, ...], float]) -> Any:
+    """A closed loop in which each set of terms has this misfit."""
+
+    def refit(like, settings, steps=None):
+        misfit = misfits.get(tuple(s.effect.name for s in settings), 1e4)
+        cost = misfit + sum(PRICE if s.effect.name == "law" else T.evidence for s in settings)
+        return SimpleNamespace(settings=tuple(settings), misfit=misfit, held_out=misfit, cost=cost, fit=None)
+
+    return SimpleNamespace(axis="X", machine=X, refit=refit, start=lambda settings: refit(None, settings), above_noise=lambda f: f.misfit)
 
 
 def test_a_fit_with_the_slopes_of_another_has_the_same_result(monkeypatch):
-    loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
+    group = observed(runs_of([BELL]))
     simulated = []
-    left = loop.residuals_of_each
-    monkeypatch.setattr(loop, "residuals_of_each", lambda states: simulated.extend(states) or left(states))
+    monkeypatch.setattr(
+        Group, "responses", lambda self, variations, **how: simulated.extend(variations) or RESPONSES(self, variations, **how)
+    )
+    loop = loop_of(group)
+    nothing = loop.start(())
+    assert nothing is not None
 
-    def fitted(height, like=None):
+    def fitted(height, like):
         simulated.clear()
-        fit = loop.fit(state_of(X, with_effects(X, [{**BELL, "height": height}]), ("X",), DEFAULT), X.parameter_tolerance, like=like)
+        fit = loop.refit(like, settings_of(with_effects(X, [{**BELL, "height": height}])))
         assert fit is not None
         return fit, len(simulated)
 
-    first, _ = fitted(-290.0)
-    alone, simulated_alone = fitted(-280.0)
-    beside, simulated_beside = fitted(-280.0, like=first)
-    assert simulated_beside < 0.5 * simulated_alone
-    assert beside.held_out == pytest.approx(alone.held_out, rel=1e-4)
-    assert beside.state.settings[0].parameters["height"] == pytest.approx(alone.state.settings[0].parameters["height"], rel=1e-3)
+    first, simulated_alone = fitted(-280.0, nothing)
+    beside, simulated_beside = fitted(-280.0, first)
+    assert simulated_beside < simulated_alone
+    assert beside.held_out == pytest.approx(first.held_out, rel=1e-3)
+    assert beside.settings[0].parameters["height"] == pytest.approx(first.settings[0].parameters["height"], rel=1e-2)
     # slopes of the wrong sign are computed again
-    wrong, _ = fitted(-280.0, like=replace(first, columns=-first.columns))
-    assert wrong.state.settings[0].parameters["height"] == pytest.approx(alone.state.settings[0].parameters["height"], rel=1e-2)
+    wrong, _ = fitted(-280.0, replace(first, fit=replace(first.fit, columns=-first.fit.columns)))
+    assert wrong.settings[0].parameters["height"] == pytest.approx(first.settings[0].parameters["height"], rel=1e-2)
+
+
+RESPONSES = Group.responses
 
 
 def test_a_height_of_the_wrong_sign_changes_its_sign():
-    loop = ClosedLoop(observe([view_of(X, run) for run in runs_of([BELL])], ("X",)), ("X",), folds_of(3), in_turn)
-    start = state_of(X, with_effects(X, [{**BELL, "height": 1.0}]), ("X",), DEFAULT)
-    fitted = loop.fit(start, X.parameter_tolerance)
+    loop = loop_of(observed(runs_of([BELL])))
+    nothing = loop.start(())
+    assert nothing is not None
+    fitted = loop.refit(nothing, settings_of(with_effects(X, [{**BELL, "height": 1.0}])))
     assert fitted is not None
-    assert fitted.state.settings[0].parameters["height"] == pytest.approx(-300.0, rel=0.1)
+    assert fitted.settings[0].parameters["height"] == pytest.approx(-300.0, rel=0.1)
 
 
-@pytest.mark.parametrize(("height", "kept"), [(-300.0, True), (-0.001, False)])
-def test_a_law_with_an_insignificant_height_is_removed(height, kept):
-    views = [view_of(X, run) for run in runs_of([BELL] if kept else [])]
-    loop = ClosedLoop(observe(views, ("X",)), ("X",), folds_of(3), in_turn)
-    state = state_of(X, with_effects(X, [{**BELL, "height": height}]), ("X",), DEFAULT)
-    fitted = loop.fit(state, X.parameter_tolerance, steps=0)
+@pytest.mark.parametrize(("effects", "height", "kept"), [([BELL], -300.0, True), ([], -0.001, False)])
+def test_a_law_with_an_insignificant_height_is_not_possible(effects, height, kept):
+    loop = loop_of(observed(runs_of(effects)))
+    fitted = loop.start(settings_of(with_effects(X, [{**BELL, "height": height}])))
     assert fitted is not None
-    fitted = replace(fitted, deviations=np.full(len(fitted.unknowns), 0.1 if kept else 1e6))
-    assert is_significant(fitted, 0) is kept
+    assert loop.is_possible(fitted, fitted.settings[0]) is kept
 
 
 def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[list[str]]) -> list[str]:
-    """Laws that a search finds if `left` is the loss of each set of laws and `proposed` the laws that are proposed from call to call."""
-    waiting = [[(name, None, SimpleNamespace(key=name)) for name in names] for names in proposed]
+    """Laws that a search finds if `left` is the misfit of each set of laws and `proposed` the laws that are proposed from call to call."""
 
-    def fit(state, *_: Any, **__: Any):
-        return SimpleNamespace(state=state, held_out=left[tuple(s.key for s in state.settings)], unknowns=[], deviations=[])
+    def law(name):
+        return SimpleNamespace(key=name, effect=SimpleNamespace(name=name, normal=""), axis="X")
 
-    module = "twin.diagnose.law.laws."
+    waiting = [[(name, None, law(name)) for name in some] for some in proposed]
     for name, instead in {
         "residuals_of": lambda *_: [],
+        "tuned": lambda *_: None,
         "propose_laws": lambda *_: None,
         "settings_of_proposals": lambda *_: waiting.pop(0) if waiting else [],
         "label": str,
-        "with_fitted_spring": lambda state, *_: state,
-        "with_normal_elasticity": lambda _, fitted, *__: fitted,
-        "restore_effects": lambda _, fitted, *__: fitted,
-        "replace_laws_by_effects": lambda _, fitted, *__: fitted,
-        "remove_settings_that_add_nothing": lambda _, fitted, *__: fitted,
-        "remove_needless_slip": lambda _, fitted, *__: fitted,
+        "with_fitted_spring": lambda settings, *_: settings,
+        "with_normal_elasticity": lambda _, fitted: fitted,
+        "settled": lambda loop, fitted, _: (fitted, {}),
     }.items():
-        monkeypatch.setattr(module + name, instead)
-    group = SimpleNamespace(views=[], thresholds=DEFAULT, confidence=lambda axis: 0.98)
-    loop = SimpleNamespace(fit=fit, expected=100.0, inflation=lambda loss: 1.0, group=group, mapper=in_turn, only_fold=None)
-    found = _search_from(loop, _State(()), "X", X, lambda _: None, selections=(STRONG, WEAK))
-    return [str(law.measured) for law in found.laws]
+        monkeypatch.setattr(law_search, name, instead)
+    loop = costs_of(left)
+    about = SimpleNamespace(nuisances=(), spread=0.0)
+    plain = loop.refit
+
+    def refit(like, settings, steps=None):
+        fit = plain(like, settings, steps)
+        fit.fit, fit.cost = SimpleNamespace(about=about, tuning=np.zeros(0)), fit.misfit + PRICE * len(settings)
+        return fit
+
+    loop.refit, loop.start, loop.group, loop.mapper = refit, lambda settings: refit(None, settings), SimpleNamespace(views=[]), in_turn
+    found = _search_from(loop, (), (), lambda _: None, (STRONG, WEAK))
+    return [str(name) for name, _, _ in found.laws.values()]
 
 
 def test_a_law_that_was_second_best_is_tried_again_beside_the_best(monkeypatch):
@@ -430,7 +443,8 @@ def test_a_reversal_without_a_stop_is_full_evidence_of_a_law():
     group = observe([view_of(X, MeasuredRun("run", trace, "velocity+torque", 0.0))], ("X",))
     rows = next(c for c in group.channels if c.name == "position").rows
     after_reversal, after_stop = rows.start + 450, rows.start + 1150
-    for credit, expected in ((group.credit, (0.03, 0.03, 1.0)), (ClosedLoop(group, ("X",), [[0]], in_turn).credit, (1.0, 0.03, 1.0))):
+    of_laws = np.concatenate([c.credit for c in loop_of(group, count=1).group.channels])
+    for credit, expected in ((group.credit, (0.03, 0.03, 1.0)), (of_laws, (1.0, 0.03, 1.0))):
         assert (credit[after_reversal], credit[after_stop], credit[rows.start + 700]) == expected
 
 
@@ -438,5 +452,4 @@ def test_a_sine_over_the_turn_is_a_harmonic_of_it():
     """Its period is not fitted: over many turns a small error of it would be a large error of the phase."""
     wave = {**BELL, "variables": ["turn"], "formula": "sine", "amplitude": 20.0, "period": math.pi, "phase_rad": 0.3}
     machine = with_effects(X, [{k: v for k, v in wave.items() if k not in ("height", "width")}])
-    names = [u.name for u in unknowns_of(state_of(X, machine, ("X",), DEFAULT), ("X",), X.parameter_tolerance) if u.setting is not None]
-    assert names == ["amplitude", "phase_rad"]
+    assert [f.parameter.name for f in free_parameters(settings_of(machine), X)] == ["amplitude", "phase_rad"]

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from twin.diagnose.law.candidates import Candidate
-from twin.diagnose.law.closed_loop import State
 from twin.diagnose.law.measure import Curve
 from twin.diagnose.law.proposals import STRONG
 from twin.diagnose.law.residual import SPRING, Samples, deflection_of, transmitted_force
@@ -78,5 +77,5 @@ def test_a_linear_spring_has_no_second_stage():
 def test_a_law_with_a_measured_spring_changes_the_stiffness(mikron):
     found = stage_over_force(two_stages(1.9e9, 30e6, 20e-6), WINDUP)
     spring = check_setting({"name": "transmission_compliance", "axis": "X", "stiffness": 5e7}, mikron, "here")
-    (changed,) = with_fitted_spring(State(mikron, {}, (spring,), (), ()), "X", found, two_stages(1.9e9, 30e6, 20e-6)).settings
+    (changed,) = with_fitted_spring((spring,), mikron, "X", found, two_stages(1.9e9, 30e6, 20e-6))
     assert changed.parameters["stiffness"] == found.spring

@@ -8,13 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from twin.diagnose.cross_validation import folds_of
+from tests.diagnose.law.test_closed_loop import laws_beside
 from twin.diagnose.law.jitter import jitter_of
-from twin.diagnose.law.laws import laws_of
 from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.wording import sentence
 from twin.diagnose.observe import observe
-from twin.diagnose.simulations import in_turn
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
 from twin.geometry.scurve import moves_in_turn
@@ -132,11 +130,10 @@ def test_a_machine_with_jitter_gets_the_law():
         )
         for k, (d, v) in enumerate([(0.02, 0.03), (0.03, 0.06), (0.04, 0.08), (0.03, 0.05)])
     ]
-    folds = folds_of(len(runs))
-    laws = laws_of([observe([view_of(X, run) for run in runs], ("X",))], X, X, ["X"], folds, [X] * len(folds), in_turn)
+    laws = laws_beside([], observe([view_of(X, run) for run in runs], ("X",)))
     (law,) = laws.laws
     assert law.setting.parameters["deviation_s"] == pytest.approx(TAU, rel=0.1)
-    assert all(len(m.effects) == 1 for m in (laws.corrected, *laws.without_fold))
+    assert all(len(m.effects) == 1 for m in (laws.corrected, laws.without(X, [0])))
     assert "too early or too late" in sentence(law, SimpleNamespace(axis=X.axis))
 
 

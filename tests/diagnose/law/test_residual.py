@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.diagnose.law.test_closed_loop import X, runs_of
-from twin.diagnose.cross_validation import folds_of
+from tests.diagnose.law.test_closed_loop import X, laws_beside, runs_of
 from twin.diagnose.law.candidates import Candidate, contribution_to_residual
-from twin.diagnose.law.laws import laws_of
 from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, residuals_of
 from twin.diagnose.law.wording import sentence
 from twin.diagnose.observe import observe
@@ -56,8 +54,7 @@ def test_a_control_that_differentiates_the_position_leaves_no_force():
 def test_the_lag_of_a_drive_is_found_as_a_law():
     """The smoothed force hides it, so it is always tried in closed loop."""
     views = [view_of(DRIVE, run) for run in strokes([LAG], (0.06, 0.1, 0.12))]
-    folds = folds_of(len(views))
-    laws = laws_of([observe(views, ("X",))], DRIVE, DRIVE, ["X"], folds, [DRIVE] * len(folds), in_turn)
+    laws = laws_beside([], observe(views, ("X",)), DRIVE)
     (law,) = laws.laws
     assert law.setting.table()["formula"] == "first-order lag"
     assert law.setting.parameters["time_constant_s"] == pytest.approx(0.4e-3, rel=0.02)
@@ -67,8 +64,7 @@ def test_the_lag_of_a_drive_is_found_as_a_law():
 
 def test_a_drive_without_lag_gets_none():
     views = [view_of(DRIVE, run) for run in strokes([], (0.06, 0.1, 0.12))]
-    folds = folds_of(len(views))
-    assert laws_of([observe(views, ("X",))], DRIVE, DRIVE, ["X"], folds, [DRIVE] * len(folds), in_turn).laws == ()
+    assert laws_beside([], observe(views, ("X",)), DRIVE).laws == ()
 
 
 def changed(run: MeasuredRun, left_out: str = "", every: int = 1) -> MeasuredRun:

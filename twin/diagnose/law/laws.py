@@ -1,46 +1,40 @@
-"""Unlisted laws of unexplained axes: measured, identified, fitted in closed loop, and kept if they reduce the gap on runs left out."""
+"""Unlisted laws of unexplained axes: measured, recognised as formulas, fitted in closed loop, and kept if they lower its cost.
+
+A law is a term like an effect: both are fitted, added, exchanged and removed by the same cost (`twin.diagnose.law.closed_loop`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+import math
 
-import numpy as np
-
-from twin.diagnose.law.acceptance import (
-    LEAST_BESIDE,
-    LEAST_EVIDENCE,
-    LEAST_OF_ALL,
-    deviations_of,
-    justifies_a_law,
-    loss_above_noise,
-    predicts_clearly_better,
-    remove_needless_slip,
-    remove_settings_that_add_nothing,
-    replace_laws_by_effects,
-    restore_effects,
-)
-from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Say, State, state_of, with_law
+from twin.diagnose.corrected import corrected_machine, fitted_without, limited_deviations
+from twin.diagnose.fit import fit_effects, no_effect, simulated_response
+from twin.diagnose.law.closed_loop import FEW_STEPS, ClosedLoop, Fitted, Settings, closed_loop, laws_in
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
-from twin.diagnose.observe import Group
-from twin.diagnose.simulations import Mapper
-from twin.diagnose.tolerance import drive_train_of, is_normal
-from twin.effects import Setting, check_setting, settings_of, with_effects
+from twin.diagnose.settings import T
+from twin.diagnose.simulations import Mapper, Variant
+from twin.diagnose.state import GroupState, Key, inflation
+from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
+from twin.diagnose.tuning import Tuning
+from twin.effects import Setting, check_setting, settings_of
 from twin.machine.machine import Machine
 
 MOST_LAWS = 12
 """Largest number of laws of one axis."""
 
 LITTLE_LEFT = 0.02
-"""Fraction of the gap before the first law below which the search for laws ends."""
+"""Fraction of the gap before the first law below which the search for laws ends: a law is measured to some percent of its size."""
 
 MOST_EFFECTS = 5
 """Largest number of effects of an axis that a law may replace."""
+
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -66,227 +60,232 @@ class Law:
 
 @dataclass(frozen=True)
 class Laws:
-    """The laws of a machine, with the machine fitted to all runs and those fitted without each fold."""
+    """The laws of a machine, the states of its groups with them, and the corrected machine.
+
+    `left` is the unexplained fraction of the gap above noise on runs left out, by axis. `beside` is the probability of each effect that stays
+    beside a law: what its removal costs there.
+    """
 
     laws: tuple[Law, ...]
+    states: tuple[GroupState, ...]
     corrected: Machine
-    without_fold: tuple[Machine, ...]
-    left: dict[str, float]  # by axis, unexplained fraction of the gap above noise on runs left out
+    left: Mapping[str, float]
+    beside: Mapping[Key, float] = field(default_factory=dict)
+
+    def without(self, machine: Machine, fold: Sequence[int]) -> Machine:
+        """The corrected machine fitted without the runs of a fold."""
+        return fitted_without(machine, self.states, fold)
 
 
 def laws_of(
-    groups: Sequence[Group],
+    found: Sequence[GroupState],
     machine: Machine,
-    corrected: Machine,
     axes: Sequence[str],
     folds: Sequence[Sequence[int]],
-    without_fold: Sequence[Machine],
     mapper: Mapper,
     say: Say = lambda _: None,
+    doubted: bool = False,
 ) -> Laws:
-    """Laws of these axes in addition to the corrected machine.
+    """Laws of these axes, beside or instead of the effects that the search found; `machine` is the nominal machine without effects.
 
-    groups          groups of axes, observed against `machine`, the nominal machine without effects
-    corrected       result of the search: the re-tuned machine with its effects
-    axes            axes with an unexplained gap
-    without_fold    the corrected machine fitted without the runs of each of `folds`
+    The search gives little weight to samples with large errors. A law may act just there, so all samples weigh the same, unless `doubted`.
     """
     laws: list[Law] = []
-    without = list(without_fold)
+    states: list[GroupState] = []
     left: dict[str, float] = {}
-    for group in groups:
-        for axis in [a for a in group.axes if a in axes]:
+    beside: dict[Key, float] = {}
+    for state in found:
+        for axis in [a for a in state.group.axes if a in axes]:
             say(f"{axis}: searching for an unlisted law")
-            state = state_of(machine, corrected, (axis,), group.thresholds)
-            blocks = residuals_of(group.views, state.machine_of, (axis,), mapper)
-            if jitter := _jitter(blocks, axis, machine, group.confidence(axis)):
+            if jitter := _jitter(residuals_of(state.group.views, _corrected_by(state), (axis,), mapper), axis, machine, state):
                 laws.append(jitter)
-                corrected, *without = (with_effects(m, [*settings_of(m), jitter.setting]) for m in (corrected, *without))
+                state = replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting)))
                 left[axis] = 1.0 - jitter.explained
                 continue
-            slips = any(s.axis == axis and s.effect.normal == "slip" for s in state.settings)
-            best = _search_axis(ClosedLoop(group, (axis,), folds, mapper, slips), state, blocks, axis, machine, say)
-            left[axis] = best.left
-            if not best.laws or best.fitted is None:
-                continue
-            laws += best.laws
-            fitted = best.fitted
-            corrected = fitted.state.corrected()
-            without = [_with_axis_of(m, fitted.without(i), axis) for i, m in enumerate(without)]
-    return Laws(tuple(laws), corrected, tuple(without), left)
+            settings = settings_of(corrected_machine(machine, [state]))
+            group = state.rigid if doubted else state.rigid.without_doubt()
+            slips = any(s.axis == axis and s.effect.normal == "slip" for s in settings)
+            loop = closed_loop(group, machine, axis, folds, mapper, slips)
+            others = tuple(s for s in settings if s.axis != axis and not s.effect.edits_bodies)
+            own = tuple(s for s in settings if s not in others)
+            if others:
+                response = simulated_response(loop.group, others, mapper) / loop.group.weights
+                channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
+                loop = replace(loop, group=replace(loop.group, channels=channels))
+            best = _search_axis(loop, own, say)
+            left[axis] = best.left if best else 1.0
+            if best and best.laws:
+                laws += _laws_in(loop, best)
+                beside |= _probabilities_beside(loop, best)
+                state = _state_with(closed_loop(group, machine, axis, folds, mapper, slips), best.fitted, others) or state
+        states.append(state)
+    return Laws(tuple(laws), tuple(states), corrected_machine(machine, states), left, beside)
 
 
-def _jitter(blocks: Sequence[Samples], axis: str, machine: Machine, probability: float) -> Law | None:
+def _corrected_by(state: GroupState) -> Variant:
+    """Maps the nominal machine of a run to the one that the search corrected."""
+    of_tuning = tuned(state.tuning.nuisances, limited_deviations(state, state.group.views[0].machine.parameter_tolerance))
+    return lambda machine: with_added(of_tuning(machine), state.fit.settings)
+
+
+def _jitter(blocks: Sequence[Samples], axis: str, machine: Machine, state: GroupState) -> Law | None:
     """The jitter of an axis' scale. Random errors have no response that could be fitted in closed loop; they are sized from the residual."""
     for samples in blocks:
         if samples.block == "transmission" and (found := jitter_of(samples)):
             setting = check_setting(found.table(axis), machine, "a measured law")
-            return Law(setting, found, samples, found.predicts, probability, {})
+            return Law(setting, found, samples, found.predicts, state.group.confidence(axis), {})
     return None
 
 
-def _with_axis_of(machine: Machine, state: State, axis: str) -> Machine:
-    """A machine with the values and effects of one axis taken from a state."""
-    whole = state.corrected()
-    effects = [e for e in machine.effects if e["axis"] != axis] + [e for e in whole.effects if e["axis"] == axis]
-    return machine.with_values({f"axis.{axis}.{k}": v for k, v in _numbers_in(whole.document["axis"][axis])} | {"effect": effects})
+def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupState | None:
+    """The state of a group with the laws and effects of one axis and those of its other axes, fitted together."""
+    group, fit = loop.group, fitted.fit
+    joint = fit_effects(group, loop.machine, fit.about, [*fit.settings, *others], loop.mapper, 1, known=fit.slopes) if others else fit
+    if joint is None:
+        return None
+    return GroupState(group, group, fit.about, joint, no_effect(group, fit.about), inflation(group, joint))
 
 
-def _numbers_in(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _numbers_in(value, f"{prefix}{key}.")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield f"{prefix}{key}", value
+Proposal = tuple[Described, Samples, Setting]
 
 
 @dataclass(frozen=True)
 class _AxisLaws:
-    """Laws of one axis from one start, their fit, and the remaining fraction of the gap above noise."""
+    """Laws of one axis from one start by their keys, their fit, the gap above noise before the first law, and the fit without each term."""
 
-    laws: list[Law]
-    fitted: Fitted | None
+    laws: Mapping[Key, Proposal]
+    fitted: Fitted
     left: float
+    at_first: float
+    without: Mapping[Key, Fitted]
 
 
-def _search_axis(loop: ClosedLoop, state: State, blocks: Sequence[Samples], axis: str, machine: Machine, say: Say) -> _AxisLaws:
-    """Laws of one axis in addition to its effects, or instead of them if that predicts clearly better. `blocks` are the residuals of `state`.
+def _laws_in(loop: ClosedLoop, found: _AxisLaws) -> list[Law]:
+    """The laws of an axis with their share of the gap and their probability."""
+    group = loop.group
+    cap = group.confidence(loop.axis) if loop.only_fold is None else T.confidence_in_one_run
+    laws = []
+    for setting in laws_in(found.fitted.settings):
+        description, samples, _ = found.laws[setting.key]
+        without = found.without.get(setting.key)
+        closed = (without.held_out - found.fitted.held_out) / max(found.at_first, 1e-300) if without else 1.0
+        probability = min(_certain(loop, found, setting), cap)
+        deviations = found.fitted.deviations(setting.key, T.model_error)
+        laws.append(Law(setting, description, samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold))
+    return laws
 
-    A search without the law may find effects that do not exist. The search for laws therefore also starts without the effects of the axis
-    and restores those that reduce the gap.
+
+def _probabilities_beside(loop: ClosedLoop, found: _AxisLaws) -> dict[Key, float]:
+    """Probability of each effect that stays beside the laws."""
+    effects = [s for s in found.fitted.settings if s not in laws_in(found.fitted.settings)]
+    return {s.key: _certain(loop, found, s) for s in effects}
+
+
+def _certain(loop: ClosedLoop, found: _AxisLaws, setting: Setting) -> float:
+    """Probability that a term is there: the odds of the cost without it, as in a round of the search; 1 if nothing can be simulated without it."""
+    without = found.without.get(setting.key)
+    if without is None:
+        return 1.0
+    return 1.0 / (1.0 + math.exp(min((found.fitted.misfit + loop.price(setting) - without.misfit) / T.temperature, 50.0)))
+
+
+def _search_axis(loop: ClosedLoop, settings: Settings, say: Say) -> _AxisLaws | None:
+    """Laws of one axis in addition to its effects, or instead of them if that costs less.
+
+    A search without the law may find effects that do not exist, re-tune the axis, or bend its drive train, only to imitate the law. The search
+    for laws therefore also starts without the effects of the axis, and restores those that lower the cost.
     """
-    loop = loop.halving_its_only_loud_fold(loop.left(state))
-    own = tuple(s for s in state.settings if s.axis == axis and not s.effect.normal)
-    beside = _search_from(loop, state, axis, machine, say, removable=own, blocks=blocks, selections=(STRONG, WEAK))
-    if len(own) > MOST_EFFECTS:
-        return beside
-    bent = any(not is_normal(machine, s, loop.group.thresholds) for s in drive_train_of(state.settings, axis))
-    if not own and (not bent or beside.left < LITTLE_LEFT):
-        return beside
+    axis, machine = loop.axis, loop.machine
+    own = tuple(s for s in settings if s.axis == axis and not s.effect.normal)
+    first = loop.start(settings)
+    if first is None:
+        return None
+    loop = loop.halving_its_only_loud_fold(first)
+    best = _search_from(loop, settings, own, say, (STRONG, WEAK))
+    bent = any(not is_normal(machine, s) for s in drive_train_of(settings, axis))
+    if len(own) > MOST_EFFECTS or best is None or (not own and (not bent or best.left < LITTLE_LEFT)):
+        return best
     say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
-    bare = replace(state, settings=tuple(s for s in state.settings if s not in own))
-    starts = [as_in_the_file(state, axis), bare] if own else [as_in_the_file(state, axis)]
+    bare = tuple(s for s in settings if s not in own)
+    starts = [tuple(s for s in settings if s.axis != axis), *([bare] if own else [])]
     if bent:
-        starts += [with_law(with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
-    best = beside
+        starts += [(*with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     for start in starts:
-        alone = _search_from(loop, start, axis, machine, say, own)
-        if alone.fitted is not None and alone.laws and (best.fitted is None or predicts_clearly_better(loop, alone.fitted, best.fitted)):
+        alone = _search_from(loop, start, own, say)
+        if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
             best = alone
             if best.left < LITTLE_LEFT:
                 break
     return best
 
 
-def as_in_the_file(state: State, axis: str) -> State:
-    """The state with one axis as in the machine file: nominal values, no effects.
-
-    The search may have re-tuned an axis, or bent its drive train, only to imitate a law.
-    """
-    values = {path: value for path, value in state.values.items() if not path.startswith(f"axis.{axis}.")}
-    return replace(state, values=values, settings=tuple(s for s in state.settings if s.axis != axis))
-
-
 def _search_from(
-    loop: ClosedLoop,
-    state: State,
-    axis: str,
-    machine: Machine,
-    say: Say,
-    restorable: Sequence[Setting] = (),
-    removable: Sequence[Setting] = (),
-    blocks: Sequence[Samples] | None = None,
-    selections: Sequence[Selection] = (STRONG,),
-) -> _AxisLaws:
-    """Laws of one axis from a start state, added one by one while each reduces the gap enough. Then effects in `restorable` are restored if they
-    reduce the gap, and effects in `removable` are removed if they no longer do. `blocks` are the residuals of the start state, if known. Candidates
-    of each of the `selections` are tried if none of the one before reduces the gap."""
-    tolerance = machine.parameter_tolerance
-    first = loop.fit(state, tolerance, steps=2)
-    if first is None:
-        return _AxisLaws([], None, 1.0)
-    fitted = first
-    laws: list[Law] = []
-    waiting: list[_Proposal] = []  # laws that reduce the gap, but less than the one that was added
-    while len(laws) < MOST_LAWS and loss_above_noise(loop, fitted) >= LITTLE_LEFT * loss_above_noise(loop, first):
-        if laws or blocks is None:
-            blocks = residuals_of(loop.group.views, (fitted.state if laws else state).machine_of, (axis,), loop.mapper)
-        justified = _justified(loop, fitted, loss_above_noise(loop, first), blocks, waiting, axis, machine, selections, say)
-        if not justified:
-            break
-        (new, description, samples), *others = justified
-        waiting = [(d, x, f.state.settings[-1]) for f, d, x in others]
-        laws.append(_law_of(loop, fitted, new, loss_above_noise(loop, first), description, samples, axis))
-        fitted = with_normal_elasticity(loop, new, axis, tolerance)
-    if laws:
-        fitted = restore_effects(loop, fitted, restorable, tolerance, LEAST_OF_ALL * loss_above_noise(loop, first))
-        # prefer an effect to a law that predicts no better
-        fitted = replace_laws_by_effects(loop, fitted, [law.setting for law in laws], restorable, tolerance)
-        least = LEAST_BESIDE * loss_above_noise(loop, first)
-        fitted = remove_settings_that_add_nothing(loop, fitted, [*removable, *(law.setting for law in laws)], tolerance, least)
-        fitted = remove_needless_slip(loop, fitted, axis, tolerance)
-        kept = {s.key for s in fitted.state.settings}
-        laws = [law for law in laws if law.setting.key in kept]
-    # all sizes are those of the last fit
-    settings = {s.key: i for i, s in enumerate(fitted.state.settings)}
-    at = [settings[law.setting.key] for law in laws]
-    doubt = loop.group.thresholds.model_error
-    laws = [replace(law, setting=fitted.state.settings[i], deviations=deviations_of(fitted, i, doubt)) for law, i in zip(laws, at)]
-    unexplained = loss_above_noise(loop, fitted) / max(loss_above_noise(loop, first), 1e-300)
-    return _AxisLaws(laws, fitted, float(min(max(unexplained, 0.0), 1.0)))
+    loop: ClosedLoop, settings: Settings, effects: Settings, say: Say, selections: Sequence[Selection] = (STRONG,)
+) -> _AxisLaws | None:
+    """Laws of one axis from a start, added one by one while they lower the cost; then terms are exchanged, `effects` among them.
 
-
-_Proposal = tuple[Described, Samples, Setting]
-
-
-def _justified(
-    loop: ClosedLoop,
-    fitted: Fitted,
-    loss_at_first: float,
-    blocks: Sequence[Samples],
-    waiting: Sequence[_Proposal],
-    axis: str,
-    machine: Machine,
-    selections: Sequence[Selection],
-    say: Say,
-) -> list[tuple[Fitted, Described, Samples]]:
-    """Fits of one more law that reduce the gap enough, best first.
-
-    Tried are the laws `waiting` and the candidates of the first of the `selections` that brings one. `loss_at_first`: loss above noise before
-    the first law.
+    Candidates of each of the `selections` are tried if none of the one before lowers the cost.
     """
-    known: set[str] = set()
+    first = loop.start(settings)
+    if first is None:
+        return None
+    fitted, at_first = first, loop.above_noise(first)
+    laws: dict[Key, Proposal] = {}
+    waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
+    while len(laws) < MOST_LAWS and loop.above_noise(fitted) >= LITTLE_LEFT * at_first:
+        cheaper = _cheaper(loop, fitted, waiting, selections, say)
+        if not cheaper:
+            break
+        (new, best), *others = cheaper
+        waiting = [proposal for _, proposal in others]
+        laws[new.settings[-1].key] = best
+        fitted = with_normal_elasticity(loop, new)
+    fitted, without = settled(loop, fitted, effects) if laws else (fitted, {})
+    kept = {s.key for s in fitted.settings}
+    left = loop.above_noise(fitted) / max(at_first, 1e-300)
+    return _AxisLaws({key: law for key, law in laws.items() if key in kept}, fitted, min(left, 1.0), at_first, without)
+
+
+def _cheaper(
+    loop: ClosedLoop, fitted: Fitted, waiting: Sequence[Proposal], selections: Sequence[Selection], say: Say
+) -> list[tuple[Fitted, Proposal]]:
+    """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
+    axis, machine, known = loop.axis, loop.machine, set[str]()
+    about: Tuning = fitted.fit.about
+    of_tuning = tuned(about.nuisances, fitted.fit.tuning[: len(about.nuisances)] * about.spread)
+    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.mapper)
     measured = measured_in(blocks, machine, axis)
     for selection in selections:
         proposed = settings_of_proposals(propose_laws(measured, machine, axis, selection), axis, machine)
         proposed = [p for p in proposed if label(p[0]) not in known]
-        known |= {label(d) for d, _, _ in proposed}
+        known |= {label(p[0]) for p in proposed}
         proposed += [p for p in waiting if label(p[0]) not in known]
         waiting = ()
         if not proposed:
             continue
         say(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
-        tolerance = machine.parameter_tolerance
-        fits = [(loop.fit(with_law(with_fitted_spring(fitted.state, axis, d, x), s), tolerance, like=fitted), d, x) for d, x, s in proposed]
-        tried = sorted(((f, d, x) for f, d, x in fits if f is not None), key=lambda t: t[0].held_out)
-        if found := [t for t in tried if justifies_a_law(loop, fitted.held_out, t[0].held_out, LEAST_OF_ALL * loss_at_first)]:
-            return found
+        fits = [(loop.refit(fitted, (*with_fitted_spring(fitted.settings, machine, axis, d, x), s)), (d, x, s)) for d, x, s in proposed]
+        tried = [(fit, (d, x, fit.settings[-1])) for fit, (d, x, _) in fits if fit is not None and fit.cost < fitted.cost]
+        if tried:
+            return sorted(tried, key=lambda t: t[0].cost)
     return []
 
 
-def _law_of(
-    loop: ClosedLoop, before: Fitted, after: Fitted, loss_at_first: float, description: Described, samples: Samples, axis: str
-) -> Law:
-    """The law that is the last setting of the fit `after`, with its share of the gap and its probability."""
-    gain = before.held_out - after.held_out
-    certain = 1.0 - np.exp(-gain / loop.inflation(after.held_out) / LEAST_EVIDENCE)
-    group = loop.group
-    return Law(
-        after.state.settings[-1],
-        description,
-        samples,
-        float(min(max(gain / max(loss_at_first, 1e-300), 0.0), 1.0)),
-        float(min(certain, group.confidence(axis) if loop.only_fold is None else group.thresholds.confidence_in_one_run)),
-        deviations_of(after, len(after.state.settings) - 1),
-        loop.only_fold,
-    )
+def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted, dict[Key, Fitted]]:
+    """The cheapest fit that is reached by adding one of the `effects`, by an effect in place of a law, and by removing a law, an effect or the
+    slip; and the fits without each of its terms."""
+    while True:
+        settings = fitted.settings
+        held = {s.key for s in settings}
+        absent = [e for e in effects if e.key not in held]
+        laws = laws_in(settings)
+        removable = [
+            s for s in settings if s in laws or s.key in {e.key for e in effects} or (s.effect.normal == "slip" and s.axis == loop.axis)
+        ]
+        without = {s.key: loop.refit(fitted, tuple(o for o in settings if o is not s), FEW_STEPS) for s in removable}
+        tried = [*without.values(), *(loop.refit(fitted, (*settings, e), FEW_STEPS) for e in absent)]
+        tried += [loop.refit(fitted, (*(o for o in settings if o is not law), e)) for law in laws for e in absent]
+        best = min((f for f in tried if f is not None), key=lambda f: f.cost, default=fitted)
+        if best.cost >= fitted.cost:
+            return fitted, {key: f for key, f in without.items() if f is not None}
+        fitted = best

@@ -27,6 +27,7 @@ from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothing_window, speed_of
 from twin.diagnose.law.voltage_to_current import VoltageToCurrent, voltage_to_current
 from twin.diagnose.law.zero_force import zero_force_offset
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects
@@ -279,7 +280,7 @@ def _actuator_run(view: RunView, axis: Axis, difference: np.ndarray, noise: floa
     driven = force_and_acceleration(view, axis, view.trace)
     if driven is None:
         return ()
-    return (ControllerRun("torque", driven[0], driven[0] + difference, noise, view.trace.period, 1.0 / view.thresholds.smooth_s),)
+    return (ControllerRun("torque", driven[0], driven[0] + difference, noise, view.trace.period, 1.0 / T.smooth_s),)
 
 
 def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+import math
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from twin.diagnose.fit import simulated_responses
 from twin.diagnose.imperfections import SHARES
-from twin.diagnose.law.acceptance import LEAST_EVIDENCE
-from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, State, is_between_encoders, laws_in
+from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Settings, is_between_encoders, laws_in
 from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, cross_validated_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, deflection_of, transmitted_force
 from twin.diagnose.law.shapes import Described
@@ -30,65 +31,48 @@ STAGE_FORCES = (0.03, 0.9, 24)
 """Smallest and largest force at which a stiff stage may begin, as fractions of the largest force, and the number of forces that are tried."""
 
 
-def with_rigid_drive_train(state: State, axis: str) -> State:
-    """The state with a rigid drive train on an axis."""
-    elastic = drive_train_of(state.settings, axis)
-    return replace(state, settings=tuple(s for s in state.settings if s not in elastic))
+def with_rigid_drive_train(settings: Settings, axis: str) -> Settings:
+    """The settings with a rigid drive train on an axis."""
+    elastic = drive_train_of(settings, axis)
+    return tuple(s for s in settings if s not in elastic)
 
 
-def with_fitted_spring(state: State, axis: str, law: Described, samples: Samples) -> State:
-    """The state with the spring stiffness that was fitted together with a law over the windup; unchanged for any other law."""
-    if law.candidate.variable != "windup":
-        return state
-    if law.spring is not None:
-        return _with_spring(state, axis, law.spring)
-    columns = np.column_stack([nuisances_in(samples), law.column])
-    loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
-    more = float(loss.coefficients[WINDUP_SLOPE])
-    spring = spring_of(state.settings, axis)
-    stiffness = more + (spring.parameters["stiffness"] if spring else 0.0)
-    return _with_spring(state, axis, stiffness) if stiffness > 0.0 else state
+def with_fitted_spring(settings: Settings, machine: Machine, axis: str, law: Described, samples: Samples) -> Settings:
+    """The settings with the spring stiffness that was fitted together with a law over the windup, and with the damping from which the fit then
+    starts; unchanged for any other law."""
+    spring = spring_of(settings, axis)
+    if law.candidate.variable != "windup" or spring is None:
+        return settings
+    stiffness = law.spring
+    if stiffness is None:
+        columns = np.column_stack([nuisances_in(samples), law.column])
+        loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
+        stiffness = float(loss.coefficients[WINDUP_SLOPE]) + spring.parameters["stiffness"]
+    if not stiffness > 0.0:
+        return settings
+    values = {**spring.parameters, "stiffness": stiffness}
+    values |= {p.name: p.fitted(machine, machine.axis(axis), values) for p in spring.effect.parameters if p.fitted}
+    return tuple(replace(s, parameters=values) if s is spring else s for s in settings)
 
 
-def _with_spring(state: State, axis: str, stiffness: float) -> State:
-    """The state with a stiffness of the spring of an axis, and with the damping from which the fit then starts."""
-    settings, spring = [], spring_of(state.settings, axis)
-    for s in state.settings:
-        if s is spring:
-            values = {**s.parameters, "stiffness": stiffness}
-            started = {p.name: p.fitted(state.machine, state.machine.axis(axis), values) for p in s.effect.parameters if p.fitted}
-            s = replace(s, parameters=values | started)
-        settings.append(s)
-    return replace(state, settings=tuple(settings))
-
-
-def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted, axis: str, tolerance: float) -> Fitted:
+def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted) -> Fitted:
     """The fit with the elasticity that the drive train of any axis has, if a law between the encoders of this axis leaves some of it visible.
 
     The law search may start from a rigid drive train: until the law was known, nothing separated the two.
     """
-    state = fitted.state
-    between = any(s.axis == axis and is_between_encoders(s) for s in laws_in(state))
-    if not between or drive_train_of(state.settings, axis) or not tolerance > 0.0:
+    axis, settings, tolerance = loop.axis, fitted.settings, loop.machine.parameter_tolerance
+    between = any(s.axis == axis and is_between_encoders(s) for s in laws_in(settings))
+    if not between or drive_train_of(settings, axis) or not tolerance > 0.0:
         return fitted
-    elasticity = Nuisance(axis, "elasticity", loop.group.thresholds)
-    started = []
-    for share in SHARES:
-        machine = elasticity.apply(state.corrected(), 1.0 + share * state.machine.parameter_tolerance)
-        if spring := spring_of(settings_of(machine), axis):
-            started.append(replace(state, settings=(*state.settings, spring)))
+    elasticity = Nuisance(axis, "elasticity")
+    elastic = [spring_of(settings_of(elasticity.apply(loop.machine, 1.0 + share * tolerance)), axis) for share in SHARES]
+    started = [(*settings, spring) for spring in elastic if spring]
     # the law took the part of the elasticity that it can imitate, and gives it back in the fit
-    of_laws = fitted.columns[:, [u.setting is not None for u in fitted.unknowns]]
-
-    def beside_laws(rest: np.ndarray) -> float:
-        apart = rest - of_laws @ np.linalg.lstsq(of_laws, rest, rcond=None)[0]
-        return float(apart @ apart)
-
-    left = [(beside_laws(rest), i) for i, rest in enumerate(loop.residuals_of_each(started)) if not isinstance(rest, TwinError)]
-    new = loop.fit(started[min(left)[1]], tolerance, like=fitted) if left else None
-    if new is None or fitted.held_out - new.held_out < LEAST_EVIDENCE * loop.inflation(new.held_out):
-        return fitted
-    return new
+    tuning = fitted.fit.about.with_free(fitted.fit.columns)
+    responses = simulated_responses(loop.group, started, loop.mapper)
+    losses = [math.inf if isinstance(r, TwinError) else tuning.loss(loop.group.residual - r) for r in responses]
+    new = loop.refit(fitted, started[int(np.argmin(losses))]) if started else None
+    return new if new is not None and new.cost < fitted.cost else fitted
 
 
 def stage_over_force(samples: Samples, curve: Curve) -> Described | None:

@@ -5,17 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
 
-from twin.diagnose.corrected import FEWER_REALISATIONS, HeldOut, fitted_without
 from twin.diagnose.judgement import QUIET, is_explained_to_noise, needs_a_law
-from twin.diagnose.law.closed_loop import Say
-from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
+from twin.diagnose.law.laws import MOST_EFFECTS, Laws, Say, laws_of
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.errors import TwinError
 from twin.machine.machine import Machine
-from twin.recordings.campaign import MeasuredRun
-from twin.simulation.decoupled_plant import Motion
-from twin.simulation.gap import REALISATIONS, Job, predict_each
 
 
 def many_effects_explain(found: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
@@ -33,7 +28,6 @@ def find_unlisted_laws(
     after: Mapping[str, float],
     loudest: Mapping[str, float],
     machine: Machine,
-    corrected: Machine,
     folds: Sequence[Sequence[int]],
     mapper: Mapper,
     say: Say,
@@ -51,14 +45,10 @@ def find_unlisted_laws(
 
     loud = [axis for axis in few if is_loud(axis)]
     axes = [axis for f in found for axis in _recorded_axes(f) if f.unknown or axis in loud]
-    if not axes:
-        return
-    without = [fitted_without(machine, found, fold if len(folds) > 1 else []) for fold in folds]
-    # the search down-weights samples with large errors; a law may act just there, so search with equal weights, too
-    for groups, asked in (([f.rigid.without_doubt() for f in found], [a for a in axes if a in few]), ([f.rigid for f in found], axes)):
+    for asked, doubted in (([a for a in axes if a in few], False), (axes, True)):
         if asked:
             with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual
-                yield laws_of(groups, machine, corrected, asked, folds, without, mapper, say)
+                yield laws_of(found, machine, asked, folds, mapper, say, doubted)
 
 
 def _recorded_axes(found: GroupState) -> list[str]:
@@ -74,29 +64,3 @@ def _several_in_one_block(found: GroupState, axis: str) -> bool:
 
 def _effect_count(found: GroupState, axis: str) -> int:
     return sum(s.axis == axis for s in found.fit.settings)
-
-
-def predictions_with_laws(
-    laws: Laws,
-    held_out: HeldOut,
-    runs: Sequence[MeasuredRun],
-    motions: Sequence[Motion],
-    folds: Sequence[Sequence[int]],
-    engine: bool,
-    threads: int,
-) -> HeldOut | None:
-    """Predictions after correction with the laws, of each run by the machine fitted without it; None if a simulation fails.
-
-    The only run that shows a law is predicted by the machine fitted to all runs; it is then not among the held-out runs.
-    """
-    realisations = REALISATIONS if engine else FEWER_REALISATIONS
-    jobs = [
-        Job(laws.without_fold[k], runs[i], realisations, motion=motions[i], engine=engine) for k, fold in enumerate(folds) for i in fold
-    ]
-    try:
-        predictions = {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=threads))}
-    except TwinError:
-        return None
-    fitted = {runs[i].name for law in laws.laws if law.only_fold is not None for i in folds[law.only_fold]}
-    left_out = [name for name in held_out.runs if name not in fitted]
-    return HeldOut({**held_out.predictions, "after": predictions}, left_out)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from twin.diagnose.blocks import moving_mean
+from twin.diagnose.settings import T
 from twin.diagnose.view import RunView
 from twin.machine.machine import Axis
 
@@ -37,4 +38,4 @@ def voltage_to_current(view: RunView, axis: Axis) -> VoltageToCurrent:
     numerator, denominator, _ = cont2discrete(
         ([1.0, 0.0], [motor.inductance_h, motor.resistance_ohm + gain, integral]), period, method="foh"
     )
-    return VoltageToCurrent(np.ravel(numerator), denominator, round(view.thresholds.drift_s / period))
+    return VoltageToCurrent(np.ravel(numerator), denominator, round(T.drift_s / period))
