@@ -6,17 +6,28 @@ keep the values of the machine file. `with_laws` then looks for unlisted laws an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+import contextlib
 from dataclasses import dataclass, replace
 import math
 
 from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, uncorrected
-from twin.diagnose.judgement import ALL_BUT, gap_remains, is_worse, loudest, remaining_share, unexplained_share, worse_signals
-from twin.diagnose.law.laws import Laws
-from twin.diagnose.law.step import find_unlisted_laws, many_effects_explain
+from twin.diagnose.judgement import (
+    ALL_BUT,
+    QUIET,
+    gap_remains,
+    is_explained_to_noise,
+    is_worse,
+    loudest,
+    needs_a_law,
+    remaining_share,
+    unexplained_share,
+    worse_signals,
+)
+from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
 from twin.diagnose.setup import Setup
-from twin.diagnose.simulations import on_threads
+from twin.diagnose.simulations import Mapper, on_threads
 from twin.diagnose.state import GroupState
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -75,22 +86,55 @@ def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated
         return validated
     best, least_share = validated, LARGEST_SHARE
     with ThreadPoolExecutor(setup.threads) as workers:
-        for laws in find_unlisted_laws(
-            validated.states,
-            validated.before,
-            validated.after,
-            loudest(signal_levels(validated.held_out.gaps(setup.machine, validated.runs))),
-            setup.nominal,
-            setup.folds,
-            on_threads(workers),
-            setup.progress,
-        ):
+        for laws in find_unlisted_laws(setup, validated, on_threads(workers)):
             share, corrected = _with(laws, setup, records, validated)
             if share <= least_share:
                 best, least_share = corrected, share
             if least_share < ALL_BUT or _closes_the_gap(best, setup.machine):
                 break
     return _as_probable_as_complete(best, setup.machine)
+
+
+def many_effects_explain(found: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+    """Whether more than MOST_EFFECTS effects of each loud axis of a group explain the runs left out down to noise.
+
+    A missing small effect changes the fitted sizes of the others. Sizes that differ between runs are then no evidence of a law.
+    """
+    loud = [axis for axis in found.group.axes if before.get(axis, 0.0) > QUIET]
+    return bool(loud) and is_explained_to_noise(before, after, loud) and all(_effect_count(found, axis) > MOST_EFFECTS for axis in loud)
+
+
+def find_unlisted_laws(setup: Setup, validated: Validated, mapper: Mapper) -> Iterator[Laws]:
+    """Laws of axes that the search left unknown or that are still loud; up to two results, with different weights of the samples."""
+    found, before, after = validated.states, validated.before, validated.after
+    few = [axis for f in found for axis in _recorded_axes(f) if _effect_count(f, axis) <= MOST_EFFECTS]
+    of_signal = loudest(signal_levels(validated.held_out.gaps(setup.machine, validated.runs)))
+
+    def is_loud(axis: str) -> bool:
+        imitated = any(_several_in_one_block(f, axis) for f in found)
+        return needs_a_law(before.get(axis, 0.0), after.get(axis, 0.0), of_signal.get(axis, 0.0), imitated)
+
+    loud = [axis for axis in few if is_loud(axis)]
+    axes = [axis for f in found for axis in _recorded_axes(f) if f.unknown or axis in loud]
+    for asked, doubted in (([a for a in axes if a in few], False), (axes, True)):
+        if asked:
+            with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual
+                yield laws_of(found, setup.nominal, asked, setup.folds, mapper, setup.progress, doubted)
+
+
+def _recorded_axes(found: GroupState) -> list[str]:
+    """Axes of a group with recorded signals besides set points."""
+    return [axis for axis in found.group.axes if any(channel.axis == axis for channel in found.group.channels)]
+
+
+def _several_in_one_block(found: GroupState, axis: str) -> bool:
+    """Whether several effects share a block of an axis. They may imitate one law: a backlash and a spring, for example, a hardening spring."""
+    blocks = [s.effect.block for s in found.fit.settings if s.axis == axis]
+    return len(set(blocks)) < len(blocks)
+
+
+def _effect_count(found: GroupState, axis: str) -> int:
+    return sum(s.axis == axis for s in found.fit.settings)
 
 
 def _as_probable_as_complete(correction: Validated, machine: Machine) -> Validated:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
-from twin.diagnose.law import step
+from twin.diagnose import validation
 from twin.diagnose.law.laws import MOST_EFFECTS
 from twin.diagnose.law.proposals import settings_of_proposals
 from twin.effects import EFFECTS, Setting
@@ -17,11 +17,14 @@ def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None, e
     """Axes for which a law is sought, in a group of which only X was recorded, with `effects` on X; without `before`, they explain nothing."""
     group = replace(group_of([np.full(50, 3.0)], "X"), axes=axes)
     asked = []
-    monkeypatch.setattr(step, "laws_of", lambda found, machine, axes, *rest: asked.append(axes))
+    monkeypatch.setattr(validation, "laws_of", lambda found, machine, axes, *rest: asked.append(axes))
     state = found_of(group)
     fit = replace(state.fit, settings=tuple(Setting(EFFECTS[name], "X", {}) for name in effects))
     found = [replace(state, unknown=unknown, fit=fit)]
-    list(step.find_unlisted_laws(found, before or levels, levels, loudest, mikron, [[0]], map, print))
+    monkeypatch.setattr(validation, "signal_levels", lambda _: {(axis, "position"): level for axis, level in loudest.items()})
+    held_out = SimpleNamespace(gaps=lambda *_: {})
+    validated = validation.Validated((), found, held_out, before or levels, levels, mikron)
+    list(validation.find_unlisted_laws(SimpleNamespace(machine=mikron, nominal=mikron, folds=[[0]], progress=print), validated, map))
     return asked
 
 
@@ -54,10 +57,10 @@ def test_many_effects_that_leave_only_noise_are_a_result():
     group = group_of([np.full(50, 3.0)], "X")
     effects = [Setting(EFFECTS[name], "X", {}) for name in list(EFFECTS)[: MOST_EFFECTS + 1]]
     many, few = (SimpleNamespace(group=group, fit=SimpleNamespace(settings=some)) for some in (effects, effects[:3]))
-    assert step.many_effects_explain(many, {"X": 90.0}, {"X": 1.1})
-    assert not step.many_effects_explain(many, {"X": 90.0}, {"X": 1.6})
-    assert not step.many_effects_explain(few, {"X": 90.0}, {"X": 1.1})
-    assert not step.many_effects_explain(many, {"X": 1.0}, {"X": 1.0})
+    assert validation.many_effects_explain(many, {"X": 90.0}, {"X": 1.1})
+    assert not validation.many_effects_explain(many, {"X": 90.0}, {"X": 1.6})
+    assert not validation.many_effects_explain(few, {"X": 90.0}, {"X": 1.1})
+    assert not validation.many_effects_explain(many, {"X": 1.0}, {"X": 1.0})
 
 
 def test_the_length_of_a_play_is_its_height(mikron):
