@@ -104,6 +104,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
     settings = named(states)
     if correction.laws is not None:
         settings = kept_in(correction.laws, settings)
+    settings = _as_probable_as_complete(correction, settings, machine)
     verdict = verdict_of(states, settings)
     return Diagnosis(
         campaign=campaign,
@@ -162,6 +163,18 @@ def kept_in(laws: Laws, settings: Sequence[tuple[Setting, GroupState, float]]) -
         (held[setting.key], setting, state, p * laws.beside.get(setting.key, 1.0)) for setting, state, p in settings if setting.key in held
     ]
     return [(now, state, p) for now, found, state, p in kept if not is_normal(corrected, now) or is_normal(corrected, found)]
+
+
+Named = Sequence[tuple[Setting, GroupState, float]]
+"""Effects with the state that found them and their probability."""
+
+
+def _as_probable_as_complete(correction: Validated, settings: Named, machine: Machine) -> list[tuple[Setting, GroupState, float]]:
+    """The effects; where a law or something unknown is beside one, it is at most as probable as the share of its axis' gap that the correction closes:
+    an effect that only resembles the true cause leaves a part of it.
+    """
+    closed, doubtful = correction.closed(machine), correction.doubtful(machine)
+    return [(s, f, p * closed.get(s.axis, 1.0) if s.axis in doubtful else p) for s, f, p in settings]
 
 
 def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:

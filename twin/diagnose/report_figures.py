@@ -11,7 +11,7 @@ import html
 from textwrap import fill
 from typing import Any
 
-from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 import numpy as np
@@ -22,7 +22,7 @@ from twin.diagnose.wording import effect_title, percent, times
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.report import Figure as Picture
-from twin.report import figure_svg
+from twin.report import figure_svg, new_figure
 from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.gap import gap_unit, is_moving, sensor_noise
 from twin.simulation.two_encoders import has_both, motor_minus_scale
@@ -30,6 +30,8 @@ from twin.units import plain
 
 MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"
 NOISE, CLOSED = "#8b929c", "#b9d3f0"
+HEAT = LinearSegmentedColormap.from_list("heat", ["#fff7e6", "#ffcc73", "#ed7333", "#b81c1c"], gamma=0.7)
+"""Colour of a share, from white over yellow to red."""
 WORTH_A_SHARE = 0.1
 """Drop of the squared level below which shares are not shown."""
 MOST_POINTS = 4000
@@ -44,8 +46,7 @@ def image(figure: Figure, caption: str) -> Picture:
 
 def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
     """Gap in multiples of noise; each bar is what one step closes, the last bar what remains."""
-    figure = Figure(figsize=(6.2, 3.5), layout="constrained")
-    ax = figure.add_subplot()
+    figure, ((ax,),) = new_figure(1, 1, 6.2, 3.5)
     levels = [level for _, level in steps]
     ax.bar(0, levels[0], color=NOMINAL, width=0.62)
     for i in range(1, len(steps)):
@@ -70,7 +71,6 @@ def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
     ax.set_xticks(range(len(labels)), labels, fontsize=8.5 if len(labels) < 7 else 7.5)
     ax.set_ylim(0.0, 1.16 * top)
     ax.set_ylabel("gap, multiples of noise (RMS)", fontsize=9)
-    _plain(ax)
     return figure
 
 
@@ -94,8 +94,7 @@ def budget_figure(budget: dict[str, Any]) -> Figure:
         if group:
             bars.append((label, float(np.sqrt(sum(r["tool_point"] ** 2 for r in group))), CLOSED))
     names, values = [name for name, _, _ in bars], [value for _, value, _ in bars]
-    figure = Figure(figsize=(8.6, 1.1 + 0.27 * (len(bars) + measured)), layout="constrained")
-    ax = figure.add_subplot()
+    figure, ((ax,),) = new_figure(1, 1, 8.6, 1.1 + 0.27 * (len(bars) + measured))
     for i, (_, value, color) in enumerate(bars):
         ax.barh(i, value, color=color, height=0.64)
     for i, row in enumerate(shown, start=1):
@@ -112,17 +111,16 @@ def budget_figure(budget: dict[str, Any]) -> Figure:
     ax.set_ylim(len(names) - 0.4, -1.1)
     ax.set_xlim(0.0, 1.14 * max(*values, budget.get("floor", 0.0), 1e-9))
     ax.set_xlabel(f"um at the tool point, RMS over {'the campaign' if measured else budget['program']}", fontsize=9)
-    _plain(ax)
     return figure
 
 
 def map_figure(axes: Sequence[str], rows: Sequence[Sequence[tuple[str, float, float]]]) -> Figure:
     """Share of the gap by axis and block, with the level of the block's residual over noise."""
-    figure = Figure(figsize=(6.2, 1.1 + 0.48 * len(axes)), layout="constrained")
-    ax = figure.add_subplot()
+    figure, ((ax,),) = new_figure(1, 1, 6.2, 1.1 + 0.48 * len(axes))
+    ax.grid(visible=False)
     for r, row in enumerate(rows):
         for b, (state, share, level) in enumerate(row):
-            colour = _heat(share) if state == "place" else "#eef3ee" if state == "healthy" else "#ffffff"
+            colour = HEAT(share) if state == "place" else "#eef3ee" if state == "healthy" else "#ffffff"
             hatch = "////" if state == "unseen" else None
             ax.add_patch(Rectangle((b + 0.03, r + 0.04), 0.94, 0.92, facecolor=colour, edgecolor="#d8dce2", hatch=hatch, linewidth=0.8))
             if state == "place":
@@ -148,15 +146,6 @@ def map_figure(axes: Sequence[str], rows: Sequence[Sequence[tuple[str, float, fl
     return figure
 
 
-def _heat(share: float) -> tuple[float, float, float]:
-    """Colour scale from white over yellow to red."""
-    stops = np.array([[1.0, 0.97, 0.90], [1.0, 0.80, 0.45], [0.93, 0.45, 0.20], [0.72, 0.11, 0.11]])
-    at = np.clip(share, 0.0, 1.0) ** 0.7 * 3.0
-    low = min(int(at), 2)
-    r, g, b = stops[low] + (at - low) * (stops[low + 1] - stops[low])
-    return float(r), float(g), float(b)
-
-
 def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
     """Following error, signal of the block, and gap, measured against both machines."""
     run = next(r for r in diagnosis.campaign.runs if r.name == stretch.run)
@@ -170,8 +159,8 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
         ("corrected machine", CORRECTED, diagnosis.predictions["after"][run.name].trace),
     ]
     panels = _panels(axis, run.trace, stretch.block)
-    figure = Figure(figsize=(12.6, 2.0 * len(panels) + 2.4), layout="constrained")
-    parts = figure.subplots(len(panels) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.15] * len(panels) + [1.0])[:, 0]
+    figure, parts = new_figure(len(panels) + 1, 1, 12.6, 2.2, sharex=True)
+    parts = parts[:, 0]
     time = run.trace.time[shown]
     for ax, (label, signals) in zip(parts, panels):
         for name, colour, trace in series:
@@ -196,7 +185,6 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
     for ax in parts:
         ax.axvspan(stretch.start, stretch.stop, color="#fff6d6", zorder=-1)
         ax.margins(x=0)
-        _plain(ax)
     for ax in (parts[0], parts[-1]):
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, fontsize=9, frameon=False, borderpad=0.1)
     figure.align_ylabels()
@@ -232,11 +220,3 @@ def _gap_signal(measured: Trace, axis: Axis, block: str) -> str:
     """The signal whose gap is drawn: the current for faults of the mechanics, otherwise the position."""
     first = (axis.effort,) if block in ("mechanics", "current loop", "speed controller") else ()
     return next(s for s in (*first, "position", "motor_position", "velocity", axis.effort) if measured.has(axis.name, s))
-
-
-def _plain(ax: Axes) -> None:
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.spines[["left", "bottom"]].set_color("#b5bbc4")
-    ax.tick_params(labelsize=9, colors="#3a4048")
-    ax.grid(axis="y", color="#eceff3", linewidth=0.8)
-    ax.set_axisbelow(True)

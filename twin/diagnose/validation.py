@@ -60,6 +60,18 @@ class Validated:
     corrected: Machine
     laws: Laws | None = None
 
+    def closed(self, machine: Machine) -> dict[str, float]:
+        """Share of the squared gap above noise of each axis that the correction closes, with its laws."""
+        after = levels(self.held_out.gaps(machine, self.runs))
+        return {axis: 1.0 - min(unexplained_share(before, after[axis]), 1.0) for axis, before in self.before.items() if axis in after}
+
+    def doubtful(self, machine: Machine) -> set[str]:
+        """Axes with an unlisted law, with a residual that no effect explains, or with a considerable gap."""
+        after = levels(self.held_out.gaps(machine, self.runs))
+        with_law = {law.axis for law in self.laws.laws} if self.laws else set()
+        unknown = {axis for f in self.states if f.unknown for axis in f.group.axes}
+        return with_law | unknown | {axis for axis, before in self.before.items() if gap_remains(before, after.get(axis, 1.0))}
+
 
 def validated(setup: Setup, records: Records, states: list[GroupState]) -> Validated:
     """Predictions of all runs. Groups of axes that the correction makes worse are left uncorrected and marked as unknown."""
@@ -144,8 +156,7 @@ def _as_probable_as_complete(correction: Validated, machine: Machine) -> Validat
     """
     if correction.laws is None:
         return correction
-    after = levels(correction.held_out.gaps(machine, correction.runs))
-    closed = {axis: 1.0 - min(unexplained_share(before, after[axis]), 1.0) for axis, before in correction.before.items() if axis in after}
+    closed = correction.closed(machine)
     laws = tuple(replace(law, probability=min(law.probability, closed[law.axis])) for law in correction.laws.laws)
     return replace(correction, laws=replace(correction.laws, laws=laws))
 

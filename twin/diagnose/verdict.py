@@ -37,17 +37,14 @@ def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float
     """Effects of all groups, most evidence first, with their probability in the round that accepted them."""
     out = []
     for f in states:
-        residual = excess_of(f.group, f.fit)
         for setting in f.fit.settings:
             probability, gain = f.group.confidence(setting.axis), math.inf
             for candidates in f.rounds:
                 for candidate, p in zip(candidates, probabilities_of(candidates, f)):
                     if candidate.key == setting.key:
                         probability, gain = p, candidate.gain
-            # an effect that only resembles the true law leaves about as much as it explains
-            over = max(residual[setting.axis], 0.0) if f.unknown else 0.0
-            out.append((setting, f, probability * (gain / (gain + over) if math.isfinite(gain) else 1.0), gain))
-    return [(s, f, p) for s, f, p, gain in sorted(out, key=lambda item: -item[3])]
+            out.append((setting, f, probability, gain))
+    return [(s, f, p) for s, f, p, _ in sorted(out, key=lambda item: -item[3])]
 
 
 def judged(state: GroupState, machine: Machine, mapper: Mapper, quick: bool = False) -> GroupState:
