@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
+from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.verdict import judged
 from twin.diagnose.view import view_of
@@ -62,7 +63,8 @@ def main() -> None:
             start = time.perf_counter()
             views = [view_of(machine, run) for run in runs]
             group = observe(views, next(g for g in axis_groups(machine, machine.axis_names) if axis in g))
-            found = judged(search(group, machine, folds_of(len(views)), mapper, lambda _: None), machine, mapper)
+            setup = Setup(machine, machine, folds_of(len(views)), mapper, lambda _: None)
+            found = judged(search(group, setup), machine, mapper)
             named = [(s.effect.name, s.axis) for s in found.fit.settings]
             first += named[:1] == [(effect, axis)]
             right += named == [(effect, axis)]

@@ -129,11 +129,10 @@ def with_proposed_laws(monkeypatch, levels, laws):
     monkeypatch.setattr(corrected.HeldOut, "traces", {})
     monkeypatch.setattr(validation, "aligned", lambda runs, *_: runs)
     monkeypatch.setattr(validation, "held_out_gaps", lambda runs, motions, machine, law, *_, **__: corrected.HeldOut(predictions[law], []))
-    records = SimpleNamespace(runs=RUNS, motions=[])
     setup = SimpleNamespace(quick=False, machine="m", nominal="m", folds=FOLDS, threads=1, progress=None)
     before = {"X": math.sqrt(sum(level**2 for level in levels["nominal"].values()) / len(levels["nominal"]))}
     without = validation.Validated(tuple(RUNS), [], corrected.HeldOut(predictions["nominal"], []), before, before, "nominal")
-    return validation.with_laws(setup, records, without).corrected, asked
+    return validation.with_laws(setup, RUNS, [], without).corrected, asked
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from twin.diagnose.law.laws import Laws
-from twin.diagnose.procedure import kept_in
+from twin.diagnose.procedure import _as_probable_as_complete, kept_in
 from twin.effects import settings_of, with_effects
 
 
@@ -32,3 +34,17 @@ def test_an_effect_beside_a_law_is_as_probable_as_what_its_removal_costs_there(m
     corrected, found = spring(mikron, 3e8)
     ((_, _, p),) = kept_in(Laws((), (), corrected, {}, {found.key: 0.5}), [(found, None, 0.98)])
     assert p == pytest.approx(0.49)
+
+
+@pytest.mark.parametrize(("after", "doubtful", "probability"), [(33.9, {"X"}, 0.235), (33.9, {"Y"}, 0.98), (1.0, {"X"}, 0.98)])
+def test_an_effect_beside_something_unknown_is_as_probable_as_the_gap_of_its_axis_is_closed(mikron, after, doubtful, probability):
+    """An integral time in place of a dead band of the position controller closed a quarter of the squared gap."""
+    _, found = spring(mikron, 3e8)
+    correction = SimpleNamespace(closed=lambda _: {"X": 1.0 - (after**2 - 1.0) / (38.82**2 - 1.0)}, doubtful=lambda _: doubtful)
+    ((_, _, p),) = _as_probable_as_complete(correction, [(found, None, 0.98)], mikron)
+    assert p == pytest.approx(probability, abs=0.01)
+
+
+def test_the_spring_of_a_law_is_a_part_of_it(mikron):
+    corrected, found = spring(mikron, 3e8)
+    assert kept_in(Laws((), (), corrected, {}, {found.key: 0.0}), [(found, None, 0.98)]) == []

@@ -6,6 +6,7 @@ import numpy as np
 
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import search
+from twin.diagnose.setup import Setup
 from twin.diagnose.state import GroupState
 
 
@@ -31,7 +32,7 @@ def searched(monkeypatch, mikron, winners: list[list[str]], slips: int, quick: b
     monkeypatch.setattr(search, "_with_accepted", with_effects)
     monkeypatch.setattr(search, "_without_redundant_effects", lambda found, *_: found)
     found = found_of(group_of([np.full(50, 3.0)]))
-    search._search_rounds(found, search.Context(mikron, [[0]], map, lambda _: None, quick))
+    search._search_rounds(found, Setup(mikron, mikron, [[0]], map, lambda _: None, quick))
     return done
 
 

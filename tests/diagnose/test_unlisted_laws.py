@@ -24,7 +24,7 @@ def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None, e
     monkeypatch.setattr(validation, "signal_levels", lambda _: {(axis, "position"): level for axis, level in loudest.items()})
     held_out = SimpleNamespace(gaps=lambda *_: {})
     validated = validation.Validated((), found, held_out, before or levels, levels, mikron)
-    list(validation.find_unlisted_laws(SimpleNamespace(machine=mikron, nominal=mikron, folds=[[0]], progress=print), validated, map))
+    list(validation.find_unlisted_laws(SimpleNamespace(machine=mikron, nominal=mikron, folds=[[0]], progress=print, mapper=map), validated))
     return asked
 
 

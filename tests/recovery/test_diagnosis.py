@@ -18,6 +18,8 @@ from twin.diagnose import diagnose
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
 from twin.diagnose.settings import T
+from twin.diagnose.setup import Setup
+from twin.diagnose.simulations import on_threads
 from twin.diagnose.sizes import sized
 from twin.diagnose.state import settled_channels
 from twin.diagnose.verdict import is_unknown
@@ -75,7 +77,8 @@ def group_of(campaign, axis):
 
 def searched(group):
     with ThreadPoolExecutor(2) as pool:
-        return search(group, load_machine(), [[0], [1], [2]], lambda f, items: list(pool.map(f, items)), lambda _: None)
+        machine = load_machine()
+        return search(group, Setup(machine, machine, [[0], [1], [2]], on_threads(pool), lambda _: None))
 
 
 def found_on(folder, kind, effect, axis, richness=RIGID):

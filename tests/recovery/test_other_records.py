@@ -15,6 +15,8 @@ from twin.diagnose.observe import observe
 from twin.diagnose.output import summary_text
 from twin.diagnose.search import search
 from twin.diagnose.settings import T
+from twin.diagnose.setup import Setup
+from twin.diagnose.simulations import in_turn
 from twin.diagnose.sizes import without_implausible
 from twin.diagnose.verdict import named
 from twin.diagnose.view import view_of
@@ -61,7 +63,7 @@ def test_a_machine_without_tolerance_is_searched(tmp_path):
     campaign, _ = campaign_of(tmp_path, "single", "backlash", "X", [*short_runs("X"), travel("X")])
     machine = load_machine().with_values({"parameter_tolerance": 0.0})
     group = observe([view_of(machine, run) for run in campaign.runs], ("X",))
-    found = search(group, machine, FOLDS, lambda f, items: list(map(f, items)), lambda _: None)
+    found = search(group, Setup(machine, machine, FOLDS, in_turn, lambda _: None))
     assert found.fit.settings[0].effect.name == "backlash"
 
 

@@ -22,7 +22,7 @@ from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import is_normal
-from twin.diagnose.validation import Records, Validated, validated, with_laws
+from twin.diagnose.validation import Validated, validated, with_laws
 from twin.diagnose.verdict import judged, named, verdict_of
 from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
@@ -60,18 +60,19 @@ def diagnose(
     runs, zeros = with_common_zeros(campaign.runs, nominal)
     campaign = replace(campaign, runs=runs)
     folds = folds_of(len(campaign.runs))
-    setup = Setup(machine, nominal, folds, quick, seed, threads or os.cpu_count() or 1, progress or (lambda _: None))
-
-    views, states = _searched(setup, campaign)
-    records = Records(runs, [view.motion for view in views])
-    correction = with_laws(setup, records, validated(setup, records, states))
-    zeros = clear_zeros(zeros_left(runs, nominal, correction.held_out.traces), nominal) | zeros
-    diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, zeros)
-    diagnosis = replace(diagnosis, notes=[*diagnosis.notes, *of_noise])
-    diagnosis = _with_verdict(setup, diagnosis)
-    by_certainty = [setting for setting, _, _ in diagnosis.settings]
-    diagnosis = _with_budget(setup, diagnosis, views, program)
-    return _with_places(setup, diagnosis, by_certainty)
+    count = threads or os.cpu_count() or 1
+    with ThreadPoolExecutor(count) as workers:
+        setup = Setup(machine, nominal, folds, on_threads(workers), progress or (lambda _: None), quick, seed, count)
+        views, states = _searched(setup, campaign)
+        motions = [view.motion for view in views]
+        correction = with_laws(setup, runs, motions, validated(setup, runs, motions, states))
+        zeros = clear_zeros(zeros_left(runs, nominal, correction.held_out.traces), nominal) | zeros
+        diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, zeros)
+        diagnosis = replace(diagnosis, notes=[*diagnosis.notes, *of_noise])
+        diagnosis = _with_verdict(setup, diagnosis)
+        by_certainty = [setting for setting, _, _ in diagnosis.settings]
+        diagnosis = _with_budget(setup, diagnosis, views, program)
+        return _with_places(setup, diagnosis, by_certainty)
 
 
 def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[GroupState]]:
@@ -79,21 +80,18 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
 
     The groups are searched in parallel, largest first; all of them share one pool for simulations.
     """
-    nominal, quick = setup.nominal, setup.quick
+    nominal, mapper = setup.nominal, setup.mapper
+
+    def search_group(axes: tuple[str, ...]) -> GroupState | None:
+        setup.progress(f"{'+'.join(axes)}: simulating the noise")
+        group = observe(views, axes, setup.seed)
+        return judged(search(group, setup), nominal, mapper, setup.quick) if group.size else None
+
+    views = mapper(lambda run: view_of(nominal, run), campaign.runs)
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
-    with ThreadPoolExecutor(setup.threads) as workers, ThreadPoolExecutor(setup.threads) as searches:
-        mapper = on_threads(workers)
-
-        def search_group(axes: tuple[str, ...]) -> GroupState | None:
-            setup.progress(f"{'+'.join(axes)}: simulating the noise")
-            group = observe(views, axes, setup.seed)
-            if not group.size:
-                return None
-            return judged(search(group, nominal, setup.folds, mapper, setup.progress, quick), nominal, mapper, quick)
-
-        views = mapper(lambda run: view_of(nominal, run), campaign.runs)
-        groups = axis_groups(nominal, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
-        largest_first = sorted(groups, key=len, reverse=True)
+    groups = axis_groups(nominal, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
+    largest_first = sorted(groups, key=len, reverse=True)
+    with ThreadPoolExecutor(setup.threads) as searches:
         results = dict(zip(largest_first, searches.map(search_group, largest_first)))
     return views, [state for axes in groups if (state := results[axes])]
 
@@ -152,21 +150,20 @@ def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[
     return notes
 
 
-def kept_in(laws: Laws, settings: Sequence[tuple[Setting, GroupState, float]]) -> list[tuple[Setting, GroupState, float]]:
+Named = Sequence[tuple[Setting, GroupState, float]]
+"""Effects with the state that found them and their probability."""
+
+
+def kept_in(laws: Laws, settings: Named) -> list[tuple[Setting, GroupState, float]]:
     """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them, or left a spring that is normal.
 
-    An effect beside a law is no more probable than what its removal costs there.
+    An effect beside a law is no more probable than what its removal costs there. The spring of a law over the windup is a part of the law.
     """
     corrected = laws.corrected
     held = {s.key: s for s in settings_of(corrected)}
-    kept = [
-        (held[setting.key], setting, state, p * laws.beside.get(setting.key, 1.0)) for setting, state, p in settings if setting.key in held
-    ]
+    named = [item for item in settings if item[0].key in held and laws.beside.get(item[0].key, 1.0) > 0.0]
+    kept = [(held[setting.key], setting, state, p * laws.beside.get(setting.key, 1.0)) for setting, state, p in named]
     return [(now, state, p) for now, found, state, p in kept if not is_normal(corrected, now) or is_normal(corrected, found)]
-
-
-Named = Sequence[tuple[Setting, GroupState, float]]
-"""Effects with the state that found them and their probability."""
 
 
 def _as_probable_as_complete(correction: Validated, settings: Named, machine: Machine) -> list[tuple[Setting, GroupState, float]]:
@@ -212,11 +209,10 @@ def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], p
     setup.progress("computing the gap budget")
     noise = noise_of(diagnosis.gaps["before"], machine)
     on_program = None
-    with ThreadPoolExecutor(setup.threads) as pool:
-        budget = budget_of(machine, corrected, states, views, residuals, noise, on_threads(pool), not setup.quick)
-        if program is not None:
-            view = view_of(setup.nominal, program)
-            on_program = program.name, budget_of(machine, corrected, states, [view], [None], noise, on_threads(pool), not setup.quick)
+    budget = budget_of(machine, corrected, states, views, residuals, noise, setup.mapper, not setup.quick)
+    if program is not None:
+        view = view_of(setup.nominal, program)
+        on_program = program.name, budget_of(machine, corrected, states, [view], [None], noise, setup.mapper, not setup.quick)
     order = [row.setting.key for row in budget.rows if row.setting is not None]
     settings = sorted(diagnosis.settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
     return replace(diagnosis, budget=budget, on_program=on_program, settings=settings)
@@ -229,4 +225,4 @@ def _with_places(setup: Setup, diagnosis: Diagnosis, effects: Sequence[Setting])
     weights = {axis: above_noise(level) for axis, level in diagnosis.levels["before"].items()}
     setup.progress("locating the gap")
     claims = [*(law.setting for law in diagnosis.laws), *effects]
-    return replace(diagnosis, where=places(diagnosis.found, claims, setup.machine, weights, setup.threads))
+    return replace(diagnosis, where=places(diagnosis.found, claims, setup.machine, weights, setup.mapper))

@@ -6,7 +6,7 @@ to the effects found, while the linear responses of the other picks stay free.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -17,27 +17,14 @@ from twin.diagnose.fit import Fit, Slope, fit_effects, fit_with_fixed_effects, s
 from twin.diagnose.plausible import CONTROL_BLOCKS, is_imitated, is_plausible
 from twin.diagnose.screen import Gain, Screening
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
+from twin.diagnose.setup import Setup
 from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
 from twin.diagnose.tuning import stacked_columns
 from twin.effects import Setting
-from twin.machine.machine import Machine
 from twin.simulation.run import all_or_raise
-
-Folds = Sequence[Sequence[int]]
 
 CONCURRENT_PICKS = 2
 """Picks that are fitted at the same time."""
-
-
-class Context(NamedTuple):
-    """What all steps of a search share."""
-
-    machine: Machine
-    folds: Folds
-    mapper: Mapper
-    progress: Callable[[str], None]
-    quick: bool
 
 
 class Fitted(NamedTuple):
@@ -67,9 +54,9 @@ class Base(NamedTuple):
     residual: np.ndarray
 
 
-def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], context: Context) -> list[Pick]:
+def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], setup: Setup) -> list[Pick]:
     """Effects that together explain the residual, best first. Each is picked with the responses of the earlier ones eliminated."""
-    machine = context.machine
+    machine = setup.nominal
     picks: list[Pick] = []
     passed = set(refused)
     first = 0.0
@@ -80,7 +67,7 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], c
         key, (start, gain) = max(best.items(), key=lambda item: item[1][1].gain)
         passed.add(key)
         setting = screened.setting(start, gain, machine)
-        first, needed = first or gain.gain, evidence_needed(state, setting, len(context.folds))
+        first, needed = first or gain.gain, evidence_needed(state, setting, len(setup.folds))
         if gain.gain < max(T.span * first, T.promising * needed):
             break
         if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < T.promising_single * needed:
@@ -102,9 +89,9 @@ def _rivals(screened: Screening, after: Screening, others: Sequence[tuple[int, G
     return [(i, g) for i, g in others if is_rival(i, g)][: T.most_rivals]
 
 
-def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], context: Context) -> list[tuple[Fitted, ...]]:
+def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], setup: Setup) -> list[tuple[Fitted, ...]]:
     """Each pick and its rivals fitted in closed loop next to the effects found, best first. The responses of the other picks are free."""
-    fit, mapper = state.fit, context.mapper
+    fit, mapper = state.fit, setup.mapper
     starts = [screened.starts[pick.start].settings for pick in picks]
     responses = [stacked_columns(*(column[:, None] for column in all_or_raise(state.cached_responses(settings)))) for settings in starts]
     nonlinear = tuple(s for s in fit.settings if not s.effect.is_linear)
@@ -117,27 +104,27 @@ def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], con
     def fit_pick(i: int) -> tuple[Fitted, ...]:
         others_free = all_free.holding(range(ends[i], ends[i + 1]))
         base = Base(fit_with_fixed_effects(state.group, others_free, fit.settings, fit.response), nonlinear, residual)
-        return _fit_with_rivals(state, base, (picks[i].setting, *picks[i].rivals), context)
+        return _fit_with_rivals(state, base, (picks[i].setting, *picks[i].rivals), setup)
 
     with ThreadPoolExecutor(CONCURRENT_PICKS) as pool:
         return list(pool.map(fit_pick, range(len(picks))))
 
 
-def _fit_with_rivals(state: GroupState, base: Base, settings: Sequence[Setting], context: Context) -> tuple[Fitted, ...]:
+def _fit_with_rivals(state: GroupState, base: Base, settings: Sequence[Setting], setup: Setup) -> tuple[Fitted, ...]:
     """A pick and its rivals, each fitted by itself next to the base, best first; implausible ones last."""
     with ThreadPoolExecutor(len(settings)) as pool:  # these threads wait for the simulations of the workers
-        fits = [fit for fit in pool.map(lambda setting: _fit_next_to_base(state, base, setting, context), settings) if fit is not None]
-    candidates = _candidates(state, base.fit, fits, context)
+        fits = [fit for fit in pool.map(lambda setting: _fit_next_to_base(state, base, setting, setup), settings) if fit is not None]
+    candidates = _candidates(state, base.fit, fits, setup)
     return tuple(sorted(candidates, key=lambda f: -(f.candidate.evidence - (0.0 if f.candidate.plausible else 1e9))))
 
 
-def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, context: Context) -> Fit | None:
+def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, setup: Setup) -> Fit | None:
     """One setting fitted next to the base: first with the nonlinear effects only, then simulated once with all effects.
 
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
     """
-    group, machine, mapper, fixed = state.group, context.machine, context.mapper, base.fit
-    steps, nonlinear = T.few_steps if context.quick else T.fit_steps, base.nonlinear
+    group, machine, mapper, fixed = state.group, setup.nominal, setup.mapper, base.fit
+    steps, nonlinear = T.few_steps if setup.quick else T.fit_steps, base.nonlinear
     partial = fit_effects(
         group, machine, fixed.about, [*nonlinear, setting], mapper, steps, moving={len(nonlinear)}, residual=base.residual
     )
@@ -151,9 +138,9 @@ def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, context: 
     return fit_effects(group, machine, fixed.about, settings, mapper, steps, moving=moving)
 
 
-def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], context: Context) -> list[Fitted]:
+def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup) -> list[Fitted]:
     """The fits as candidates, each with its evidence: the gain in log likelihood on held-out runs, at most the penalised gain on all runs."""
-    machine, folds = context.machine, context.folds
+    machine, folds = setup.nominal, setup.folds
     tolerance = machine.parameter_tolerance
     base_loss = loss_within(state, base, tolerance)
     # a base that needs parameters far outside the tolerance is no alternative to an effect

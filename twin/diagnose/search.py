@@ -13,7 +13,7 @@ The search ends when no effect reaches the evidence it needs.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 import contextlib
 from dataclasses import replace
 import math
@@ -27,9 +27,10 @@ from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imp
 from twin.diagnose.not_visible import effects_not_visible
 from twin.diagnose.observe import Group, with_noise_about
 from twin.diagnose.plausible import is_plausible, is_ruled_out
-from twin.diagnose.rivals import Context, Fitted, Folds, fit_picks, picks_of
+from twin.diagnose.rivals import Fitted, fit_picks, picks_of
 from twin.diagnose.screen import Screening, screening
 from twin.diagnose.settings import T
+from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.slip import with_refitted_slip
 from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, localised_on
@@ -39,24 +40,22 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 
-def search(
-    group: Group, machine: Machine, folds: Folds, mapper: Mapper, progress: Callable[[str], None], quick: bool = False
-) -> GroupState:
+def search(group: Group, setup: Setup) -> GroupState:
     """The final state of a group of axes, with every accepted effect and the rivals it was compared with.
 
     A ballbar radius does not separate normal imperfections from effects. Imperfections that are fitted first may absorb an effect. The axes
     of a ballbar are therefore searched a second time without imperfections at the start; the state with the lower cost is returned.
     """
-    context = Context(machine, folds, mapper, progress, quick)
+    machine, mapper = setup.nominal, setup.mapper
     initial = _initial_state(group, machine, mapper)
-    initial = initial if quick else with_refitted_slip(initial, machine, mapper)
-    state = _search_rounds(initial, context)
+    initial = initial if setup.quick else with_refitted_slip(initial, machine, mapper)
+    state = _search_rounds(initial, setup)
     imperfect = any(n.quantity in NORMAL for n in initial.tuning.nuisances)
     if imperfect and state.fit.settings and group.by_radius:
         tuning = tuning_of(group, machine, mapper)
         retuned = no_effect(group, tuning)
         rigid = GroupState(group, group, tuning, retuned, retuned, inflation(group, retuned))
-        state = min(state, _search_rounds(rigid, context), key=_cost)
+        state = min(state, _search_rounds(rigid, setup), key=_cost)
     return replace(state, response_cache={})  # only the search asks for responses again
 
 
@@ -67,9 +66,9 @@ def _cost(state: GroupState) -> float:
     return 0.5 * float(residual @ residual) + T.evidence_in_sample * len(state.fit.settings) + T.evidence * normal
 
 
-def _search_rounds(state: GroupState, context: Context) -> GroupState:
+def _search_rounds(state: GroupState, setup: Setup) -> GroupState:
     """The state after the last round: no further effect reaches the evidence it needs."""
-    machine, mapper, quick = context.machine, context.mapper, context.quick
+    machine, mapper, quick = setup.nominal, setup.mapper, setup.quick
     axes_of_group = set(state.group.axes)
     times_fitted: Counter[Key] = Counter()
     refitted = False
@@ -79,36 +78,36 @@ def _search_rounds(state: GroupState, context: Context) -> GroupState:
         axes = axes_above_noise_within_tolerance(state, machine) if quick else axes_of_group
         if not axes:
             break
-        state, winners = _round(state, axes, times_fitted, context)
+        state, winners = _round(state, axes, times_fitted, setup)
         if winners:
             state = _with_accepted(state, winners, machine, mapper)
         elif quick or (with_slip := with_refitted_slip(state, machine, mapper)) is state:
             break
         else:  # slip is sized only now: sized earlier, it would absorb missing effects
             state = with_slip
-        state, refitted = _without_redundant_effects(state, context), False
+        state, refitted = _without_redundant_effects(state, setup), False
     return state
 
 
-def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key], context: Context) -> tuple[GroupState, list[Fitted]]:
+def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key], setup: Setup) -> tuple[GroupState, list[Fitted]]:
     """The state with the candidates of one round on these axes, and the accepted effects. Updates `times_fitted`."""
     label = "+".join(state.group.axes)
-    context.progress(f"{label}: screening next to {len(state.fit.settings)} effects")
+    setup.progress(f"{label}: screening next to {len(state.fit.settings)} effects")
     starts = [
-        s for s in starts_of(state.group, context.machine, state.fit.residual(state.group)) if s.axis in axes and s.key not in state.keys
+        s for s in starts_of(state.group, setup.nominal, state.fit.residual(state.group)) if s.axis in axes and s.key not in state.keys
     ]
-    screened = _screened(state, starts, context.mapper)
+    screened = _screened(state, starts, setup.mapper)
     if not state.screened:
-        state = replace(state, screened=_screened_effects(state, screened, context.machine))
-        if not context.quick:
-            not_visible = effects_not_visible(state, starts, context.machine, len(context.folds), context.mapper)
+        state = replace(state, screened=_screened_effects(state, screened, setup.nominal))
+        if not setup.quick:
+            not_visible = effects_not_visible(state, starts, setup.nominal, len(setup.folds), setup.mapper)
             state = replace(state, not_visible=not_visible)
     refused = {key for key, times in times_fitted.items() if times >= T.most_fits}
-    picks = picks_of(state, screened, refused, context)
+    picks = picks_of(state, screened, refused, setup)
     if not picks:
         return state, []
-    context.progress(f"{label}: fitting {', '.join(' '.join(p.setting.key[:2]) for p in picks)}")
-    fitted = fit_picks(state, screened, picks, context)
+    setup.progress(f"{label}: fitting {', '.join(' '.join(p.setting.key[:2]) for p in picks)}")
+    fitted = fit_picks(state, screened, picks, setup)
     state = replace(state, rounds=(*state.rounds, *(tuple(f.candidate for f in of_pick) for of_pick in fitted)))
     best = [next((f for f in of_pick if f.candidate.plausible), None) for of_pick in fitted]
     winners = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
@@ -207,31 +206,31 @@ def _with_relinearised_tuning(state: GroupState, machine: Machine, mapper: Mappe
     return state if fit is None or fit.loss > state.fit.loss else replace(state, tuning=tuning, fit=fit)
 
 
-def _without_redundant_effects(state: GroupState, context: Context) -> GroupState:
+def _without_redundant_effects(state: GroupState, setup: Setup) -> GroupState:
     """The state without redundant effects: those whose removal, with the others fitted anew, costs less than the evidence they need."""
     while state.fit.settings:
         all_free = state.tuning.with_free(state.fit.columns)
-        margins = [_evidence_margin(state, i, all_free, context) for i in range(len(state.fit.settings))]
+        margins = [_evidence_margin(state, i, all_free, setup) for i in range(len(state.fit.settings))]
         worst = int(np.argmin(margins))
         if margins[worst] >= 0.0:
             break
         kept = [s for j, s in enumerate(state.fit.settings) if j != worst]
-        refitted = fit_effects(state.group, context.machine, state.tuning, kept, context.mapper, 2, known=state.fit.slopes)
+        refitted = fit_effects(state.group, setup.nominal, state.tuning, kept, setup.mapper, 2, known=state.fit.slopes)
         if refitted is None:
             break
         state = state.with_fit(refitted).inflated()
     return state
 
 
-def _evidence_margin(state: GroupState, i: int, all_free: Tuning, context: Context) -> float:
+def _evidence_margin(state: GroupState, i: int, all_free: Tuning, setup: Setup) -> float:
     """Evidence for effect i next to the others, minus the evidence it needs [nat]; -inf if its size is implausible, inf if the others need it.
 
     `all_free` is the tuning with the slopes of all effects as free columns; the other effects are refitted with it.
     """
     setting = state.fit.settings[i]
-    if not is_plausible(setting, context.machine, is_cut(state.group, setting)):
+    if not is_plausible(setting, setup.nominal, is_cut(state.group, setting)):
         return -math.inf
-    needed = evidence_needed(state, setting, len(context.folds))
+    needed = evidence_needed(state, setting, len(setup.folds))
     columns = [state.tuning.further.size + k for k, f in enumerate(state.fit.free) if f.setting == i]
     tuning = all_free.holding(columns)
 
@@ -245,7 +244,7 @@ def _evidence_margin(state: GroupState, i: int, all_free: Tuning, context: Conte
         return clear
     others = [s for j, s in enumerate(state.fit.settings) if j != i]
     try:
-        return margin(simulated_response(state.group, others, context.mapper) if others else np.zeros(state.group.size))
+        return margin(simulated_response(state.group, others, setup.mapper) if others else np.zeros(state.group.size))
     except TwinError:  # the others cannot be simulated without it: a spring that is too stiff alone, behind a backlash
         return math.inf
 

@@ -7,7 +7,6 @@ keep the values of the machine file. `with_laws` then looks for unlisted laws an
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 import contextlib
 from dataclasses import dataclass, replace
 import math
@@ -27,7 +26,6 @@ from twin.diagnose.judgement import (
 )
 from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
 from twin.diagnose.setup import Setup
-from twin.diagnose.simulations import Mapper, on_threads
 from twin.diagnose.state import GroupState
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -36,16 +34,12 @@ from twin.simulation.decoupled_plant import Motion
 from twin.simulation.encoder_zeros import aligned
 from twin.simulation.gap_level import levels, signal_levels
 
+Runs = Sequence[MeasuredRun]
+Motions = Sequence[Motion]
+"""Measured runs, and their nominal motions."""
+
 LARGEST_SHARE = 0.95
 """Largest share of the held-out gap, in the mean over the signals, that laws may leave."""
-
-
-@dataclass(frozen=True)
-class Records:
-    """Measured runs and their nominal motions."""
-
-    runs: tuple[MeasuredRun, ...]
-    motions: Sequence[Motion]
 
 
 @dataclass(frozen=True)
@@ -73,37 +67,36 @@ class Validated:
         return with_law | unknown | {axis for axis, before in self.before.items() if gap_remains(before, after.get(axis, 1.0))}
 
 
-def validated(setup: Setup, records: Records, states: list[GroupState]) -> Validated:
+def validated(setup: Setup, runs: Runs, motions: Motions, states: list[GroupState]) -> Validated:
     """Predictions of all runs. Groups of axes that the correction makes worse are left uncorrected and marked as unknown."""
     setup.progress("simulating the held-out runs")
     machine, nominal = setup.machine, setup.nominal
 
     def predicted(of: Sequence[GroupState]) -> tuple[HeldOut, tuple[MeasuredRun, ...]]:
-        held_out = held_out_gaps(records.runs, records.motions, nominal, of, setup.folds, engine=not setup.quick, threads=setup.threads)
-        return held_out, aligned(records.runs, nominal, held_out.traces)
+        held_out = held_out_gaps(runs, motions, nominal, of, setup.folds, engine=not setup.quick, threads=setup.threads)
+        return held_out, aligned(runs, nominal, held_out.traces)
 
-    held_out, runs = predicted(states)
-    before, after = (levels(held_out.gaps(machine, runs, which)) for which in ("before", "after"))
+    held_out, alike = predicted(states)
+    before, after = (levels(held_out.gaps(machine, alike, which)) for which in ("before", "after"))
     if any(worse := [is_worse(s.group.axes, before, after) for s in states]):
         states = [uncorrected(s) if w else s for s, w in zip(states, worse)]
-        held_out, runs = predicted(states)
-        after = levels(held_out.gaps(machine, runs))
+        held_out, alike = predicted(states)
+        after = levels(held_out.gaps(machine, alike))
     states = [replace(s, unknown=s.unknown and not many_effects_explain(s, before, after)) for s in states]
-    return Validated(runs, states, held_out, before, after, corrected_machine(machine, states))
+    return Validated(alike, states, held_out, before, after, corrected_machine(machine, states))
 
 
-def with_laws(setup: Setup, records: Records, validated: Validated) -> Validated:
+def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> Validated:
     """The correction with those unlisted laws that leave the smallest held-out gap, if they close enough of it."""
     if setup.quick:
         return validated
     best, least_share = validated, LARGEST_SHARE
-    with ThreadPoolExecutor(setup.threads) as workers:
-        for laws in find_unlisted_laws(setup, validated, on_threads(workers)):
-            share, corrected = _with(laws, setup, records, validated)
-            if share <= least_share:
-                best, least_share = corrected, share
-            if least_share < ALL_BUT or _closes_the_gap(best, setup.machine):
-                break
+    for laws in find_unlisted_laws(setup, validated):
+        share, corrected = _with(laws, setup, runs, motions, validated)
+        if share <= least_share:
+            best, least_share = corrected, share
+        if least_share < ALL_BUT or _closes_the_gap(best, setup.machine):
+            break
     return _as_probable_as_complete(best, setup.machine)
 
 
@@ -116,7 +109,7 @@ def many_effects_explain(found: GroupState, before: Mapping[str, float], after: 
     return bool(loud) and is_explained_to_noise(before, after, loud) and all(_effect_count(found, axis) > MOST_EFFECTS for axis in loud)
 
 
-def find_unlisted_laws(setup: Setup, validated: Validated, mapper: Mapper) -> Iterator[Laws]:
+def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
     """Laws of axes that the search left unknown or that are still loud; up to two results, with different weights of the samples."""
     found, before, after = validated.states, validated.before, validated.after
     few = [axis for f in found for axis in _recorded_axes(f) if _effect_count(f, axis) <= MOST_EFFECTS]
@@ -131,7 +124,7 @@ def find_unlisted_laws(setup: Setup, validated: Validated, mapper: Mapper) -> It
     for asked, doubted in (([a for a in axes if a in few], False), (axes, True)):
         if asked:
             with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual
-                yield laws_of(found, setup.nominal, asked, setup.folds, mapper, setup.progress, doubted)
+                yield laws_of(found, setup.nominal, asked, setup.folds, setup.mapper, setup.progress, doubted)
 
 
 def _recorded_axes(found: GroupState) -> list[str]:
@@ -169,24 +162,24 @@ def _closes_the_gap(correction: Validated, machine: Machine) -> bool:
     return not any(gap_remains(correction.before[law.axis], after[law.axis]) for law in correction.laws.laws)
 
 
-def _with(laws: Laws, setup: Setup, records: Records, validated: Validated) -> tuple[float, Validated]:
+def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> tuple[float, Validated]:
     """The share of the held-out gap that laws leave on their axes, and the correction with them; infinite if they are of no use."""
     machine, held_out = setup.machine, validated.held_out
     if not laws.laws:
         return math.inf, validated
     try:
         predicted = held_out_gaps(
-            records.runs, records.motions, setup.nominal, laws.states, setup.folds, True, setup.threads, held_out.predictions["before"]
+            runs, motions, setup.nominal, laws.states, setup.folds, True, setup.threads, held_out.predictions["before"]
         )
     except TwinError:
         return math.inf, validated
     # the only run that shows a law is predicted by the machine fitted to all runs
-    fitted = {records.runs[i].name for law in laws.laws if law.only_fold is not None for i in setup.folds[law.only_fold]}
+    fitted = {runs[i].name for law in laws.laws if law.only_fold is not None for i in setup.folds[law.only_fold]}
     predicted = replace(predicted, runs=[name for name in held_out.runs if name not in fitted])
     axes = {law.axis for law in laws.laws}
-    runs = aligned(records.runs, setup.nominal, predicted.traces)
-    without, with_them = signal_levels(held_out.gaps(machine, validated.runs)), signal_levels(predicted.gaps(machine, runs))
+    alike = aligned(runs, setup.nominal, predicted.traces)
+    without, with_them = signal_levels(held_out.gaps(machine, validated.runs)), signal_levels(predicted.gaps(machine, alike))
     if worse_signals(without, with_them):
         return math.inf, validated
     share = remaining_share(without, with_them, axes)
-    return share, replace(validated, runs=runs, held_out=predicted, corrected=laws.corrected, laws=laws)
+    return share, replace(validated, runs=alike, held_out=predicted, corrected=laws.corrected, laws=laws)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.gap_share import share_of_gap
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
@@ -23,7 +23,7 @@ LEAST_SHARE = 1e-3
 
 
 def places(
-    states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], threads: int
+    states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], mapper: Mapper
 ) -> list[dict[str, Any]]:
     """Places of the gap, largest share first. Blocks with an effect lead their axis.
 
@@ -36,20 +36,19 @@ def places(
     listed: list[dict[str, Any]] = []
     levels: dict[tuple[str, str], float] = {}
     least = max((T.place_share for f in states), default=0.0) * max(weights.values(), default=0.0)
-    with ThreadPoolExecutor(threads) as pool:
-        for f in states:
-            group = f.group
-            if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
-                continue
-            healthy = tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread)
-            residuals = block_residuals(group, healthy, pool.map)
-            for axis, block in sorted({(b.axis, b.block) for b in residuals}):
-                parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
-                share = share_of_gap(f.rigid, axis, block, parts)
-                square = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
-                levels[axis, block] = float(np.sqrt(square))
-                if square > T.noticed_square and share > T.place_share:
-                    listed.append(_place(group, axis, block, parts, share, levels[axis, block]))
+    for f in states:
+        group = f.group
+        if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
+            continue
+        healthy = tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread)
+        residuals = block_residuals(group, healthy, mapper)
+        for axis, block in sorted({(b.axis, b.block) for b in residuals}):
+            parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
+            share = share_of_gap(f.rigid, axis, block, parts)
+            square = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
+            levels[axis, block] = float(np.sqrt(square))
+            if square > T.noticed_square and share > T.place_share:
+                listed.append(_place(group, axis, block, parts, share, levels[axis, block]))
     for setting in settings:
         _assign_effect(listed, setting, machine, levels)
     _merge_echoes(listed, T.echo if states else 0.0)

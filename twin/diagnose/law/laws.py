@@ -151,12 +151,11 @@ Proposal = tuple[Described, Samples, Setting]
 
 @dataclass(frozen=True)
 class _AxisLaws:
-    """Laws of one axis from one start by their keys, their fit, the gap above noise before the first law, and the fit without each term."""
+    """Laws of one axis from one start by their keys, their fit, the unexplained share of the gap, and the fit without each term."""
 
-    laws: Mapping[Key, Proposal]
+    laws: Mapping[Key, tuple[Proposal, float]]  # with the share of the gap that it closed when it was added
     fitted: Fitted
     left: float
-    at_first: float
     without: Mapping[Key, Fitted]
 
 
@@ -166,9 +165,7 @@ def _laws_in(loop: ClosedLoop, found: _AxisLaws) -> list[Law]:
     cap = group.confidence(loop.axis) if loop.only_fold is None else T.confidence_in_one_run
     laws = []
     for setting in laws_in(found.fitted.settings):
-        description, samples, _ = found.laws[setting.key]
-        without = found.without.get(setting.key)
-        closed = (without.held_out - found.fitted.held_out) / max(found.at_first, 1e-300) if without else 1.0
+        (description, samples, _), closed = found.laws[setting.key]
         probability = min(_certain(loop, found, setting), cap)
         deviations = found.fitted.deviations(setting.key, T.model_error)
         laws.append(Law(setting, description, samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold))
@@ -176,9 +173,12 @@ def _laws_in(loop: ClosedLoop, found: _AxisLaws) -> list[Law]:
 
 
 def _probabilities_beside(loop: ClosedLoop, found: _AxisLaws) -> dict[Key, float]:
-    """Probability of each effect that stays beside the laws."""
-    effects = [s for s in found.fitted.settings if s not in laws_in(found.fitted.settings)]
-    return {s.key: _certain(loop, found, s) for s in effects}
+    """Probability of each effect that stays beside the laws; 0 for the spring that a law over the windup complements, which is a part of it."""
+    settings = found.fitted.settings
+    laws = laws_in(settings)
+    wound = any(law.effect.definition["variables"] == ["windup"] for law in laws)
+    spring = drive_train_of(settings, loop.axis) if wound else []
+    return {s.key: 0.0 if s in spring else _certain(loop, found, s) for s in settings if s not in laws}
 
 
 def _certain(loop: ClosedLoop, found: _AxisLaws, setting: Setting) -> float:
@@ -230,7 +230,7 @@ def _search_from(
     if first is None:
         return None
     fitted, at_first = first, loop.above_noise(first)
-    laws: dict[Key, Proposal] = {}
+    laws: dict[Key, tuple[Proposal, float]] = {}
     waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
     while len(laws) < MOST_LAWS and loop.above_noise(fitted) >= LITTLE_LEFT * at_first:
         cheaper = _cheaper(loop, fitted, waiting, selections, say)
@@ -238,12 +238,12 @@ def _search_from(
             break
         (new, best), *others = cheaper
         waiting = [proposal for _, proposal in others]
-        laws[new.settings[-1].key] = best
+        laws[new.settings[-1].key] = best, (fitted.held_out - new.held_out) / max(at_first, 1e-300)
         fitted = with_normal_elasticity(loop, new)
     fitted, without = settled(loop, fitted, effects) if laws else (fitted, {})
     kept = {s.key for s in fitted.settings}
     left = loop.above_noise(fitted) / max(at_first, 1e-300)
-    return _AxisLaws({key: law for key, law in laws.items() if key in kept}, fitted, min(left, 1.0), at_first, without)
+    return _AxisLaws({key: law for key, law in laws.items() if key in kept}, fitted, min(left, 1.0), without)
 
 
 def _cheaper(
@@ -272,16 +272,14 @@ def _cheaper(
 
 
 def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted, dict[Key, Fitted]]:
-    """The cheapest fit that is reached by adding one of the `effects`, by an effect in place of a law, and by removing a law, an effect or the
-    slip; and the fits without each of its terms."""
+    """The cheapest fit that is reached by adding one of the `effects`, by an effect in place of a law, and by removing a term other
+    than a normal elasticity; and the fits without each of its terms."""
     while True:
         settings = fitted.settings
         held = {s.key for s in settings}
         absent = [e for e in effects if e.key not in held]
         laws = laws_in(settings)
-        removable = [
-            s for s in settings if s in laws or s.key in {e.key for e in effects} or (s.effect.normal == "slip" and s.axis == loop.axis)
-        ]
+        removable = [s for s in settings if s.axis == loop.axis and (s.effect.normal != "elasticity" or not is_normal(loop.machine, s))]
         without = {s.key: loop.refit(fitted, tuple(o for o in settings if o is not s), FEW_STEPS) for s in removable}
         tried = [*without.values(), *(loop.refit(fitted, (*settings, e), FEW_STEPS) for e in absent)]
         tried += [loop.refit(fitted, (*(o for o in settings if o is not law), e)) for law in laws for e in absent]
