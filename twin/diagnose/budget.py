@@ -114,23 +114,6 @@ class _Change(NamedTuple):
 UNCHANGED = _Change(0.0, 0.0, {}, 0.0, 0.0, ())
 
 
-def budget_of(
-    machine: Machine,
-    corrected: Machine,
-    states: Sequence[GroupState],
-    views: Sequence[RunView],
-    residual: Sequence[Trace | None],
-    noise: Mapping[tuple[str, str], float],
-    mapper: Mapper = in_turn,
-    retuned: bool = True,
-) -> Budget:
-    """The budget over the motion of `views`. `residual` is the position residual of the corrected machine in each run (None: not measured), `noise`
-    the noise of each recorded signal [SI]. `retuned` False leaves out the rows of re-tuned parameters.
-    """
-    parts = [part for part in _parts(machine, corrected, states) if retuned or part.kind != "re-tuned"]
-    return budget_over(parts, machine, corrected, views, residual, noise, mapper)
-
-
 def budget_over(
     parts: Sequence[Part],
     machine: Machine,
@@ -140,7 +123,10 @@ def budget_over(
     noise: Mapping[tuple[str, str], float],
     mapper: Mapper = in_turn,
 ) -> Budget:
-    """The budget of these differences between two machines."""
+    """The budget of these differences between two machines over the motion of `views`.
+
+    `residual` is the position residual of the corrected machine in each run (None: not measured), `noise` the noise of each recorded signal [SI].
+    """
     tool = ToolPoint(machine)
     both = simulated_each(
         [(view, own, machine.axis_names) for own in (corrected, machine) for view in views], mapper, lambda i, trace: trace
@@ -169,7 +155,7 @@ def budget_over(
     return Budget(tuple(order), explained, whole, floor, by_axis)
 
 
-def _parts(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -> Iterable[Part]:
+def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -> Iterable[Part]:
     """All differences between the corrected and the nominal machine."""
     rotary = tuple(a.name for a in machine.axes if a.kind == "rotary")
     settings = list(settings_of(corrected))

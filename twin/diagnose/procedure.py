@@ -9,7 +9,7 @@ import os
 
 from threadpoolctl import threadpool_limits
 
-from twin.diagnose.budget import budget_of, noise_of, positions_left
+from twin.diagnose.budget import budget_over, noise_of, parts_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
@@ -209,10 +209,11 @@ def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], p
     setup.progress("computing the gap budget")
     noise = noise_of(diagnosis.gaps["before"], machine)
     on_program = None
-    budget = budget_of(machine, corrected, states, views, residuals, noise, setup.mapper, not setup.quick)
+    parts = [part for part in parts_of(machine, corrected, states) if not (setup.quick and part.kind == "re-tuned")]
+    budget = budget_over(parts, machine, corrected, views, residuals, noise, setup.mapper)
     if program is not None:
         view = view_of(setup.nominal, program)
-        on_program = program.name, budget_of(machine, corrected, states, [view], [None], noise, setup.mapper, not setup.quick)
+        on_program = program.name, budget_over(parts, machine, corrected, [view], [None], noise, setup.mapper)
     order = [row.setting.key for row in budget.rows if row.setting is not None]
     settings = sorted(diagnosis.settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
     return replace(diagnosis, budget=budget, on_program=on_program, settings=settings)

@@ -117,71 +117,53 @@ _Block = Callable[[RunView, Axis, Trace], tuple[np.ndarray, np.ndarray] | None]
 def residuals_of(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: Sequence[str], mapper: Mapper) -> list[Samples]:
     """Residuals of all blocks of these axes; `machine_of` turns the nominal machine of a run into the corrected one."""
     runs = mapper(functools.partial(_residuals_of_run, views, machine_of, tuple(axes)), range(len(views)))
-    found: dict[tuple[str, str], list[_Piece]] = {}
+    found: dict[tuple[str, str], list[Samples]] = {}
     for pieces in runs:
         for piece in pieces:
             found.setdefault((piece.axis, piece.block), []).append(piece)
-    return [_concatenate(axis, block, pieces) for (axis, block), pieces in found.items()]
+    return [_concatenate(pieces) for pieces in found.values()]
 
 
-@dataclass(frozen=True)
-class _Piece:
-    run: int
-    axis: str
-    block: str
-    y: np.ndarray
-    noise: np.ndarray
-    motion: dict[str, np.ndarray]
-    others: dict[str, dict[str, np.ndarray]]
-    passed: tuple[ControllerRun, ...] = ()
-    through: VoltageToCurrent | None = None
-
-
-def _concatenate(axis: str, block: str, pieces: Sequence[_Piece]) -> Samples:
-    """The pieces of all runs joined. Up to three runs are divided into stretches for cross-validation, and so is a run with almost all of the
+def _concatenate(pieces: Sequence[Samples]) -> Samples:
+    """The samples of all runs. Up to three runs are divided into stretches for cross-validation, and so is a run with almost all of the
     residual: a law that acts in one run only is predicted from the other stretches of that run."""
     power = np.array([float(np.sum(np.square(p.y - np.median(p.y)))) for p in pieces])
     alone = power > ONE_RUN * power.sum() if len(pieces) > 3 else np.zeros(len(pieces), bool)
     stretches = 1 if len(pieces) > 3 else 4 if len(pieces) > 1 else 6
-    part, run, first, at = [], [], [], 0
+    part = []
     for i, p in enumerate(pieces):
-        n = len(p.y)
-        place = np.arange(n) / n
+        place = np.arange(len(p)) / len(p)
         if alone[i]:  # stretches with equal shares of the residual
             loss = np.cumsum(np.square(p.y - np.median(p.y)))
             place = (loss - loss[0]) / loss[-1]
         count = MOST_STRETCHES if alone[i] else stretches
         part.append(i * MOST_STRETCHES + np.minimum((place * count).astype(int), count - 1))
-        run.append(np.full(n, p.run))
-        first.append(np.full(n, at))
-        at += n
-    names = {name for p in pieces for name in p.others}
+    lengths = np.array([len(p) for p in pieces])
+    zeros = {name: np.zeros(1) for name in ("position", "velocity", "acceleration")}
 
-    def column(of: Callable[[_Piece], dict[str, np.ndarray] | None], name: str) -> np.ndarray:
-        return np.concatenate([found[name] if (found := of(p)) is not None else np.zeros(len(p.y)) for p in pieces])
+    def other(axis: str, name: str) -> np.ndarray:
+        return np.concatenate([np.broadcast_to(p.others.get(axis, zeros)[name], len(p)) for p in pieces])
 
-    return Samples(
-        axis,
-        block,
-        np.concatenate([p.y for p in pieces]),
-        max(float(np.sqrt(np.mean(np.concatenate([p.noise for p in pieces]) ** 2))), 1e-12),
-        np.concatenate(part),
-        np.concatenate(run),
-        np.concatenate(first),
-        {name: column(lambda p: p.motion, name) for name in pieces[0].motion if all(name in p.motion for p in pieces)},
-        {
-            other: {name: column(lambda p, o=other: p.others.get(o), name) for name in ("position", "velocity", "acceleration")}  # type: ignore[misc]
-            for other in sorted(names)
+    return replace(
+        pieces[0],
+        y=np.concatenate([p.y for p in pieces]),
+        sigma=float(np.sqrt(np.average([p.sigma**2 for p in pieces], weights=lengths))),
+        part=np.concatenate(part),
+        run=np.concatenate([p.run for p in pieces]),
+        first=np.repeat(np.cumsum(lengths) - lengths, lengths),
+        motion={
+            name: np.concatenate([p.motion[name] for p in pieces]) for name in pieces[0].motion if all(name in p.motion for p in pieces)
         },
-        tuple(passed for p in pieces for passed in p.passed),
-        tuple(p.through for p in pieces if p.through is not None),
+        others={axis: {name: other(axis, name) for name in zeros} for axis in sorted({axis for p in pieces for axis in p.others})},
+        passed=tuple(passed for p in pieces for passed in p.passed),
+        through=tuple(through for p in pieces for through in p.through),
     )
 
 
-def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: tuple[str, ...], r: int) -> list[_Piece]:
+def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: tuple[str, ...], r: int) -> list[Samples]:
     """All blocks of these axes in one run."""
     view = views[r]
-    pieces: list[_Piece] = []
+    pieces: list[Samples] = []
     for name in axes:
         if not view.moves(name) or not any(view.trace.has(name, s) for s in MOTION):
             continue
@@ -227,16 +209,18 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
                 moving = view.reference(name)[2]
                 own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], smoothing_window(view)))}
             pieces.append(
-                _Piece(
-                    r,
+                Samples(
                     name,
                     block,
                     difference[index],
-                    noise,
+                    level,
+                    np.zeros(len(index), int),
+                    np.full(len(index), r),
+                    np.zeros(len(index), int),
                     {key: values[index] for key, values in own.items()},
                     {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
                     passed,
-                    voltage_to_current(actual, axis) if block == CURRENT_LOOP else None,
+                    (voltage_to_current(actual, axis),) if block == CURRENT_LOOP else (),
                 )
             )
     return pieces
