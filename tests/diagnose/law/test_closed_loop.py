@@ -420,7 +420,7 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
 
     loop.refit, loop.start, loop.group, loop.mapper = refit, lambda settings: refit(None, settings), SimpleNamespace(views=[]), in_turn
     found = _search_from(loop, (), (), lambda _: None, (STRONG, WEAK))
-    return [str(name) for name, _, _ in found.laws.values()]
+    return [str(name) for (name, _, _), _ in found.laws.values()]
 
 
 def test_a_law_that_was_second_best_is_tried_again_beside_the_best(monkeypatch):

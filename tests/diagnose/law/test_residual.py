@@ -59,7 +59,7 @@ def test_the_lag_of_a_drive_is_found_as_a_law():
     assert law.setting.table()["formula"] == "first-order lag"
     assert law.setting.parameters["time_constant_s"] == pytest.approx(0.4e-3, rel=0.02)
     assert laws.left["X"] < 0.2
-    assert sentence(law, DRIVE).startswith("a first-order lag in the delivered torque of X, of (0.398 +- 0.007) ms")
+    assert sentence(law, DRIVE).startswith("a first-order lag in the delivered torque of X, of (0.399 +- 0.007) ms")
 
 
 def test_a_drive_without_lag_gets_none():

@@ -24,7 +24,7 @@ from twin.diagnose.plausible import is_plausible
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import SPRING_EFFECT
-from twin.diagnose.tuning import Tuning, tuning_of
+from twin.diagnose.tuning import Tuning, tuning_of, zeros_of
 from twin.effects import Setting
 from twin.effects.law import NAME
 from twin.errors import TwinError
@@ -99,6 +99,12 @@ class ClosedLoop:
         """Half the expected squares of the axis from noise."""
         return 0.5 * sum(float(self.group.expected[c.rows].sum()) for c in self.group.channels if c.axis == self.axis)
 
+    @functools.cached_property
+    def zeros(self) -> np.ndarray:
+        """Orthonormal response (row, n) to the encoder zeros. Each run has its own; no other run predicts them."""
+        columns = zeros_of(self.group)
+        return np.asarray(np.linalg.qr(columns[:, np.any(columns != 0.0, axis=0)])[0])
+
     @property
     def only_fold(self) -> int | None:
         """The fold that was halved because no other one shows the gap; None for a single fold, which is always halved."""
@@ -136,6 +142,7 @@ class ClosedLoop:
         """The fit with its cost. A term with an implausible size, or with one that may be zero, costs `IMPOSSIBLE`."""
         group = self.group
         left = linear_in(group, fit, self.parts.rows).held_out(fit, [[i] for i in range(len(self.parts.rows))], 1.0)
+        left -= self.zeros @ (self.zeros.T @ left)
         misfit, held_out = 0.0, 0.0
         for c in group.channels:
             if c.axis == self.axis:
@@ -154,8 +161,8 @@ class ClosedLoop:
         return significant and (bool(setting.effect.normal) or is_plausible(setting, self.machine))
 
     def price(self, setting: Setting) -> float:
-        """Price of a law or effect [nat]."""
-        return PRICE if setting.effect.name == NAME else T.evidence
+        """Price of a law or effect [nat]; none for a normal imperfection, which every axis may have."""
+        return PRICE if setting.effect.name == NAME else 0.0 if setting.effect.normal else T.evidence
 
     def above_noise(self, fitted: Fitted) -> float:
         """Held-out loss above that of noise."""

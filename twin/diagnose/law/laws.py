@@ -115,8 +115,8 @@ def laws_of(
             best = _search_axis(loop, own, say)
             left[axis] = best.left if best else 1.0
             if best and best.laws:
-                laws += _laws_in(loop, best)
-                beside |= _probabilities_beside(loop, best)
+                laws += _laws_in(best)
+                beside |= _probabilities_beside(best)
                 state = _state_with(closed_loop(group, machine, axis, folds, mapper, slips), best.fitted, others) or state
         states.append(state)
     return Laws(tuple(laws), tuple(states), corrected_machine(machine, states), left, beside)
@@ -153,40 +153,41 @@ Proposal = tuple[Described, Samples, Setting]
 class _AxisLaws:
     """Laws of one axis from one start by their keys, their fit, the unexplained share of the gap, and the fit without each term."""
 
+    loop: ClosedLoop
     laws: Mapping[Key, tuple[Proposal, float]]  # with the share of the gap that it closed when it was added
     fitted: Fitted
     left: float
     without: Mapping[Key, Fitted]
 
 
-def _laws_in(loop: ClosedLoop, found: _AxisLaws) -> list[Law]:
+def _laws_in(found: _AxisLaws) -> list[Law]:
     """The laws of an axis with their share of the gap and their probability."""
-    group = loop.group
-    cap = group.confidence(loop.axis) if loop.only_fold is None else T.confidence_in_one_run
+    loop = found.loop
+    cap = loop.group.confidence(loop.axis) if loop.only_fold is None else T.confidence_in_one_run
     laws = []
     for setting in laws_in(found.fitted.settings):
         (description, samples, _), closed = found.laws[setting.key]
-        probability = min(_certain(loop, found, setting), cap)
+        probability = min(_certain(found, setting), cap)
         deviations = found.fitted.deviations(setting.key, T.model_error)
         laws.append(Law(setting, description, samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold))
     return laws
 
 
-def _probabilities_beside(loop: ClosedLoop, found: _AxisLaws) -> dict[Key, float]:
+def _probabilities_beside(found: _AxisLaws) -> dict[Key, float]:
     """Probability of each effect that stays beside the laws; 0 for the spring that a law over the windup complements, which is a part of it."""
     settings = found.fitted.settings
     laws = laws_in(settings)
     wound = any(law.effect.definition["variables"] == ["windup"] for law in laws)
-    spring = drive_train_of(settings, loop.axis) if wound else []
-    return {s.key: 0.0 if s in spring else _certain(loop, found, s) for s in settings if s not in laws}
+    spring = drive_train_of(settings, found.loop.axis) if wound else []
+    return {s.key: 0.0 if s in spring else _certain(found, s) for s in settings if s not in laws}
 
 
-def _certain(loop: ClosedLoop, found: _AxisLaws, setting: Setting) -> float:
+def _certain(found: _AxisLaws, setting: Setting) -> float:
     """Probability that a term is there: the odds of the cost without it, as in a round of the search; 1 if nothing can be simulated without it."""
     without = found.without.get(setting.key)
     if without is None:
         return 1.0
-    return 1.0 / (1.0 + math.exp(min((found.fitted.misfit + loop.price(setting) - without.misfit) / T.temperature, 50.0)))
+    return 1.0 / (1.0 + math.exp(min((found.fitted.misfit + found.loop.price(setting) - without.misfit) / T.temperature, 50.0)))
 
 
 def _search_axis(loop: ClosedLoop, settings: Settings, say: Say) -> _AxisLaws | None:
@@ -243,7 +244,7 @@ def _search_from(
     fitted, without = settled(loop, fitted, effects) if laws else (fitted, {})
     kept = {s.key for s in fitted.settings}
     left = loop.above_noise(fitted) / max(at_first, 1e-300)
-    return _AxisLaws({key: law for key, law in laws.items() if key in kept}, fitted, min(left, 1.0), without)
+    return _AxisLaws(loop, {key: law for key, law in laws.items() if key in kept}, fitted, min(left, 1.0), without)
 
 
 def _cheaper(

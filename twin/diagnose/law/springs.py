@@ -18,6 +18,7 @@ from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Settings, is_betwe
 from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, cross_validated_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, deflection_of, transmitted_force
 from twin.diagnose.law.shapes import Described
+from twin.diagnose.settings import T
 from twin.diagnose.tolerance import SPRING_EFFECT, Nuisance, drive_train_of, spring_of
 from twin.diagnose.view import RunView
 from twin.effects import Setting, check_setting, settings_of
@@ -72,7 +73,7 @@ def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted) -> Fitted:
     responses = simulated_responses(loop.group, started, loop.mapper)
     losses = [math.inf if isinstance(r, TwinError) else tuning.loss(loop.group.residual - r) for r in responses]
     new = loop.refit(fitted, started[int(np.argmin(losses))]) if started else None
-    return new if new is not None and new.cost < fitted.cost else fitted
+    return new if new is not None and new.cost + T.evidence < fitted.cost else fitted
 
 
 def stage_over_force(samples: Samples, curve: Curve) -> Described | None:
