@@ -6,7 +6,7 @@ The scatter inside a stroke is that of the means of its parts, because neighbour
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,36 +37,32 @@ class Odd(NamedTuple):
 
 def oddities(facts: Sequence[AxisFacts]) -> list[Odd]:
     """All remarks on a recording, axis by axis."""
-    found = [odd for one in facts for odd in (*_direction(one), *_strokes(one), *_starts(one), *_encoders(one))]
-    return found + _axes(facts)
+    checks = {"direction": _direction, "stroke": _strokes, "start": _starts, "transmission": _encoders}
+    return [Odd(one.name, kind, sentence) for one in facts for kind, check in checks.items() for sentence in check(one)] + list(
+        _axes(facts)
+    )
 
 
-def _direction(one: AxisFacts) -> list[Odd]:
+def _direction(one: AxisFacts) -> Iterator[str]:
     """A constant part of the effort: it needs more in one direction."""
     f = one.friction
     if f is None or f.constant is None or not f.constant.known or one.kind == "rotary":
-        return []
+        return
     size = shown_effort(f.effort)
     more, less = abs(f.at_speed.value + abs(f.constant.value)), abs(f.at_speed.value - abs(f.constant.value))
     way = ("negative", "positive") if f.constant.value < 0 else ("positive", "negative")
-    return [
-        Odd(
-            one.name,
-            "direction",
-            f"needs {size.text(more)} in {way[0]} and {size.text(less)} in {way[1]} direction: a constant {f.effort} of "
-            f"{size.interval(abs(f.constant.value), f.constant.half)} (weight, counterbalance, cable drag, or friction that differs by direction)",
-        )
-    ]
+    yield (
+        f"needs {size.text(more)} in {way[0]} and {size.text(less)} in {way[1]} direction: a constant {f.effort} of "
+        f"{size.interval(abs(f.constant.value), f.constant.half)} (weight, counterbalance, cable drag, or friction that differs by direction)"
+    )
 
 
-def _strokes(one: AxisFacts) -> list[Odd]:
+def _strokes(one: AxisFacts) -> Iterator[str]:
     """Strokes of one direction that differ in what their motion does not explain."""
-    out = []
-    if one.rows is None:
-        return []
-    for name, values in one.left.items():
+    for name, values in one.left.items() if one.rows is not None else ():
         size = shown_error(one.kind) if name == "error" else shown_effort(name)
         for sign, way in ((1.0, "positive"), (-1.0, "negative")):
+            assert one.rows is not None
             means, errors, numbers = _means(one.rows, values, sign)
             if len(means) < LEAST_STROKES or (worst := _different(means, errors)) is None:
                 continue
@@ -74,15 +70,10 @@ def _strokes(one: AxisFacts) -> list[Odd]:
             others = np.delete(means, worst)
             more = (means[worst] - others.mean()) * (sign if name != "error" else 1.0)
             what = "following error" if name == "error" else name
-            out.append(
-                Odd(
-                    one.name,
-                    "stroke",
-                    f"the stroke in {way} direction that starts at {begin:.2f} s has about {size.text(abs(more))} {'more' if more > 0 else 'less'} "
-                    f"{what} than the {len(others)} others of this direction, which scatter by {size.text(float(np.ptp(others)))}",
-                )
+            yield (
+                f"the stroke in {way} direction that starts at {begin:.2f} s has about {size.text(abs(more))} {'more' if more > 0 else 'less'} "
+                f"{what} than the {len(others)} others of this direction, which scatter by {size.text(float(np.ptp(others)))}"
             )
-    return out
 
 
 def _means(rows: Strokes, values: np.ndarray, sign: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -112,54 +103,41 @@ def _different(means: np.ndarray, errors: np.ndarray) -> int | None:
     return worst if t.sf(scores[worst], len(means) - 2 + PARTS - 1) * 2.0 * len(means) < LEVEL else None
 
 
-def _starts(one: AxisFacts) -> list[Odd]:
+def _starts(one: AxisFacts) -> Iterator[str]:
     """Peaks of the effort at the starts of strokes that acceleration and friction do not explain."""
     f, rows = one.friction, one.rows
     if f is None or rows is None:
-        return []
+        return
     peaks = []
     for stroke in np.unique(rows.stroke):
         own = (rows.stroke == stroke) & (rows.time < rows.time[rows.stroke == stroke].min() + START_S)
         peaks.append(float(np.abs(one.left[f.effort][own]).max()))
     size, middle = shown_effort(f.effort), float(np.median(peaks))
-    if middle < MANY_TIMES * f.at_speed.half or middle < f.at_speed.value / MANY_TIMES:
-        return []
-    return [
-        Odd(
-            one.name,
-            "start",
+    if middle >= max(MANY_TIMES * f.at_speed.half, f.at_speed.value / MANY_TIMES):
+        yield (
             f"the {f.effort} peaks at {size.text(f.peak)}; at the starts of its {len(peaks)} strokes up to {size.text(max(peaks))} "
-            f"(median {size.text(middle)}) are explained neither by friction ({size.text(f.at_speed.value)}) nor by acceleration",
+            f"(median {size.text(middle)}) are explained neither by friction ({size.text(f.at_speed.value)}) nor by acceleration"
         )
-    ]
 
 
-def _encoders(one: AxisFacts) -> list[Odd]:
+def _encoders(one: AxisFacts) -> Iterator[str]:
     """Lost motion between motor encoder and scale."""
     found = one.transmission
-    if found is None or found.lost is None or not found.lost.known or abs(found.lost.value) < one.noise:
-        return []
-    size = shown_error(one.kind)
-    return [
-        Odd(
-            one.name,
-            "transmission",
+    if found is not None and found.lost is not None and found.lost.known and abs(found.lost.value) >= one.noise:
+        size = shown_error(one.kind)
+        yield (
             f"motor encoder and scale differ by {size.interval(abs(found.lost.value), found.lost.half)} between the directions of motion: "
-            "play or wind-up of the drive train",
+            "play or wind-up of the drive train"
         )
-    ]
 
 
-def _axes(facts: Sequence[AxisFacts]) -> list[Odd]:
+def _axes(facts: Sequence[AxisFacts]) -> Iterator[Odd]:
     """Axes of one kind whose lags differ: they do not meet on a contour."""
     by_flag: dict[tuple[str, str], list[AxisFacts]] = {}
     for one in facts:
         for flag in one.lags:
             by_flag.setdefault((one.kind, flag), []).append(one)
-    out = []
     for (kind, flag), own in by_flag.items():
-        if len(own) < 2:
-            continue
         ordered = sorted(own, key=lambda one: one.lags[flag].value)
         low, high = ordered[0], ordered[-1]
         more = high.lags[flag].value - low.lags[flag].value
@@ -169,16 +147,10 @@ def _axes(facts: Sequence[AxisFacts]) -> list[Odd]:
         left = max(float(np.std(one.left["error"])) for one in (low, high))
         if more > half and more * at > left:
             size, speed = shown_error(kind), AXIS_UNITS[kind].speed
-            out.append(
-                Odd(
-                    high.name,
-                    "axes",
-                    f"lags {more * 1e3:.2f} +- {half * 1e3:.2f} ms more than axis {low.name}{_with(flag)}: {size.text(more * at)} apart "
-                    f"at {at * speed[1]:.3g} {speed[0]} on a common path",
-                )
+            with_flag = f" with feedforward {flag}" if flag else ""
+            yield Odd(
+                high.name,
+                "axes",
+                f"lags {more * 1e3:.2f} +- {half * 1e3:.2f} ms more than axis {low.name}{with_flag}: {size.text(more * at)} apart "
+                f"at {at * speed[1]:.3g} {speed[0]} on a common path",
             )
-    return out
-
-
-def _with(flag: str) -> str:
-    return f" with feedforward {flag}" if flag else ""

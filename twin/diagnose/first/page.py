@@ -11,6 +11,7 @@ import numpy as np
 from twin.diagnose.first.axis_facts import AxisFacts
 from twin.diagnose.first.card import HEADING, Card, rows_of
 from twin.diagnose.first.people import shown_effort, shown_error, shown_position, shown_speed
+from twin.identify.recorded_axis import Strokes
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.colours import axis_colour, hexadecimal
 from twin.report.figure import SOFT
@@ -46,58 +47,36 @@ _CAPTION = (
 
 def card_figure(card: Card) -> MplFigure | None:
     """A row for each axis that moves; None if none does."""
-    moving = [one for one in card.facts if one.rows is not None]
+    moving = [(one, one.rows) for one in card.facts if one.rows is not None]
     if not moving:
         return None
     figure, panels = new_figure(len(moving), 3, width=13.0, height=2.2)
-    for i, (one, row) in enumerate(zip(moving, panels)):
-        colour = hexadecimal(axis_colour(one.name, i))
-        _position(one, row[0], colour)
-        _error(one, row[1], colour)
-        _effort(one, row[2], colour)
+    for i, ((one, rows), row) in enumerate(zip(moving, panels)):
+        colour, thin = hexadecimal(axis_colour(one.name, i)), slice(None, None, max(1, len(rows.time) // MOST_POINTS))
+        ends = [float(rows.time[rows.run == r].max(initial=0.0)) for r in range(int(rows.run.max()) + 1)]
+        time = rows.time + np.concatenate([[0.0], np.cumsum(ends)])[rows.run]  # the runs one after the other
+        size = shown_position(one.kind)
+        row[0].plot(time[thin], rows.position[thin] * size.factor, ".", ms=1.5, color=colour)
+        row[0].set_title(f"position in motion [{size.unit}]")
         row[0].set_ylabel(one.name, rotation=0, fontsize=13, fontweight="bold", labelpad=14)
-    for panel, label in zip(panels[-1], ("time [s]", "time [s]", None)):
-        if label:
-            panel.set_xlabel(label)
+        if "error" in one.left:
+            size = shown_error(one.kind)
+            row[1].plot(time[thin], one.left["error"][thin] * size.factor, ".", ms=1.5, color=colour)
+            row[1].set_title(f"error beside the lag [{size.unit}]")
+        else:
+            _empty(row[1], "no following error recorded")
+        _effort(one, rows, row[2], colour, thin)
+    for panel in panels[-1][:2]:
+        panel.set_xlabel("time [s]")
     return figure
 
 
-def _runs_in_a_row(one: AxisFacts) -> np.ndarray:
-    """Times (row,) [s] with the runs one after the other."""
-    assert one.rows is not None
-    ends = [float(one.rows.time[one.rows.run == r].max(initial=0.0)) for r in range(int(one.rows.run.max()) + 1)]
-    return one.rows.time + np.concatenate([[0.0], np.cumsum(ends)])[one.rows.run]
-
-
-def _thinned(count: int) -> slice:
-    return slice(None, None, max(1, count // MOST_POINTS))
-
-
-def _position(one: AxisFacts, panel: Axes, colour: str) -> None:
-    assert one.rows is not None
-    size, thin = shown_position(one.kind), _thinned(len(one.rows.time))
-    panel.plot(_runs_in_a_row(one)[thin], one.rows.position[thin] * size.factor, ".", ms=1.5, color=colour)
-    panel.set_title(f"position in motion [{size.unit}]")
-
-
-def _error(one: AxisFacts, panel: Axes, colour: str) -> None:
-    assert one.rows is not None
-    if "error" not in one.left:
-        _empty(panel, "no following error recorded")
-        return
-    size, thin = shown_error(one.kind), _thinned(len(one.rows.time))
-    panel.plot(_runs_in_a_row(one)[thin], one.left["error"][thin] * size.factor, ".", ms=1.5, color=colour)
-    panel.set_title(f"error beside the lag [{size.unit}]")
-
-
-def _effort(one: AxisFacts, panel: Axes, colour: str) -> None:
-    assert one.rows is not None
+def _effort(one: AxisFacts, rows: Strokes, panel: Axes, colour: str, thin: slice) -> None:
     f = one.friction
     if f is None:
         _empty(panel, "no friction seen")
         return
-    size, speed, thin = shown_effort(f.effort), shown_speed(one.kind), _thinned(len(one.rows.time))
-    v = one.rows.speed
+    size, speed, v = shown_effort(f.effort), shown_speed(one.kind), rows.speed
     coulomb, viscous = (f.coulomb.value, f.viscous.value) if f.coulomb and f.viscous else (f.at_speed.value, 0.0)
     law = coulomb * np.sign(v) + viscous * v + (f.constant.value if f.constant else 0.0)
     panel.plot(v[thin] * speed.factor, (law + one.left[f.effort])[thin], ".", ms=1.5, color=SOFT)
