@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 import random
 import tempfile
@@ -64,7 +65,7 @@ def main() -> None:
             views = [view_of(machine, run) for run in runs]
             group = observe(views, next(g for g in axis_groups(machine, machine.axis_names) if axis in g))
             setup = Setup(machine, machine, folds_of(len(views)), mapper, lambda _: None)
-            found = judged(search(group, setup), machine, mapper)
+            found = judged(search(replace(group, mapper=mapper), setup))
             named = [(s.effect.name, s.axis) for s in found.fit.settings]
             first += named[:1] == [(effect, axis)]
             right += named == [(effect, axis)]

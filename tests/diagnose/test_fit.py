@@ -6,7 +6,6 @@ from tests.diagnose.law.test_closed_loop import X, runs_of
 from twin.diagnose import fit
 from twin.diagnose.fit import fit_effects
 from twin.diagnose.observe import observe
-from twin.diagnose.simulations import in_turn
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import parse_setting
@@ -18,8 +17,8 @@ START = parse_setting("stribeck:X:excess=100,velocity=0.006", X)
 @pytest.fixture(scope="module")
 def fitted():
     group = observe([view_of(X, run) for run in runs_of([FRICTION])], ("X",))
-    tuning = tuning_of(group, X, in_turn)
-    found = fit_effects(group, X, tuning, [START], in_turn)
+    tuning = tuning_of(group)
+    found = fit_effects(group, tuning, [START])
     assert found is not None
     return group, tuning, found
 
@@ -30,7 +29,7 @@ def fitted_from(monkeypatch, fitted, start, known):
     taken = []
     slopes = fit._slopes
     monkeypatch.setattr(fit, "_slopes", lambda *arguments: taken.extend(arguments[3]) or slopes(*arguments))
-    found = fit_effects(group, X, tuning, [start], in_turn, known=known)
+    found = fit_effects(group, tuning, [start], known=known)
     assert found is not None
     return found, len(taken)
 

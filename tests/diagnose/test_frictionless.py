@@ -1,5 +1,7 @@
 """An axis without Coulomb friction, on air bearings for example, has no break-away and no slip before it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -23,10 +25,9 @@ def test_no_slip_is_tried_without_friction(frictionless: Machine, monkeypatch: p
     tuning = tuning_from(nuisances_of(frictionless, ("X",)), np.eye(group.size)[:, :7], 0.01)
     for machine, can_slip in ((frictionless, False), (frictionless.with_axis("X", coulomb_friction_nm=1.0), True)):
         tried: list[str] = []
-        monkeypatch.setattr(
-            imperfections, "_at_shares", lambda current, group, machine, nuisance, *_, to=tried: to.append(nuisance.quantity) or []
-        )
-        imperfections.with_imperfections(tuning, group, machine, group.residual, map)
+        monkeypatch.setattr(imperfections, "_at_shares", lambda current, group, nuisance, *_, to=tried: to.append(nuisance.quantity) or [])
+        group = replace(group, views=[replace(view, file=machine) for view in group.views])
+        imperfections.with_imperfections(tuning, group, group.residual)
         assert ("slip" in tried) is can_slip
 
 

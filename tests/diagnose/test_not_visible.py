@@ -1,5 +1,6 @@
 """Size from which an effect is visible: its squared response over noise, beyond re-tuning, compared with the needed evidence."""
 
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -23,19 +24,18 @@ ACROSS = np.repeat([0.0, 1.0], ROWS // 2)
 def sizes_of(columns, monkeypatch, moving=None):
     """Multiples of the usual size from which effects with these responses are visible; a nuisance absorbs the part along ALONG."""
     tuning = tuning_from([Nuisance("X", "moving_mass")], np.asfortranarray(1e6 * ALONG[:, None]), 0.01)
-    found = found_of(group_of([np.zeros(ROWS)], moving=moving), tuning)
+    group = group_of([np.zeros(ROWS)], moving=moving)
+    group = replace(group, views=[replace(view, file=load_machine()) for view in group.views])
+    found = found_of(group, tuning)
     axes = dict(zip("XYZ", columns))
 
-    def cached_responses(found, settings, mapper):
+    def cached_responses(found, settings):
         columns = [axes[setting.axis] for setting in settings]
         return [SimulationError("unstable") if column is None else column for column in columns]
 
     monkeypatch.setattr(type(found), "cached_responses", cached_responses)
     starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]
-    return {
-        axis: sizes
-        for (_, axis, _), sizes in not_visible.effects_not_visible(found, starts, load_machine(), 3, lambda f, x: list(map(f, x))).items()
-    }
+    return {axis: sizes for (_, axis, _), sizes in not_visible.effects_not_visible(found, starts, 3).items()}
 
 
 def of_evidence(evidence):

@@ -8,7 +8,6 @@ import pytest
 from tests.builders.diagnosis_state import found_of, group_of, no_tuning
 from twin.diagnose.fit import Fit, free_parameters
 from twin.diagnose.plausible import is_plausible
-from twin.diagnose.simulations import in_turn
 from twin.diagnose.sizes import without_implausible
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
@@ -52,7 +51,7 @@ def test_an_effect_with_an_undetermined_size_is_removed(slope: float, kept: bool
     settings = (Setting(EFFECTS["backlash"], "Z", {"clearance": 4e-6}),)
     free = free_parameters(settings, MACHINE)
     fit = Fit(settings, free, 1.0, np.zeros(0), np.zeros(group.size), np.full((group.size, 1), slope), no_tuning(group.size))
-    rest = without_implausible(found_of(group, fit=fit), MACHINE, in_turn)
+    rest = without_implausible(found_of(group, fit=fit))
     assert (rest.fit.settings == settings) == kept
 
 
@@ -80,5 +79,5 @@ def test_a_size_that_may_be_zero_or_tolerance_is_removed(effect: str, size: floa
     fit = Fit((setting,), free, 1.0, np.zeros(0), np.zeros(group.size), np.ones((group.size, 1)), no_tuning(group.size))
     steep = float(np.sqrt(fit.sizes().covariance()[0, 0])) * scale / known
     fit = replace(fit, columns=fit.columns * steep)
-    rest = without_implausible(found_of(group, fit=fit), MACHINE, in_turn)
+    rest = without_implausible(found_of(group, fit=fit))
     assert (rest.fit.settings == (setting,)) == kept

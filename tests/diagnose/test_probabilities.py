@@ -73,9 +73,9 @@ def test_the_residual_of_a_removed_effect_makes_the_verdict_unknown(monkeypatch:
     monkeypatch.setattr(verdict, "sized", lambda *_: after)
     monkeypatch.setattr(verdict, "is_unknown", lambda found: not found.fit.settings)
     monkeypatch.setattr(verdict, "with_zeros_out", lambda found: found)
-    assert verdict.judged(before, None, map).unknown
+    assert verdict.judged(before).unknown
     monkeypatch.setattr(verdict, "sized", lambda found, *_: found)
-    assert not verdict.judged(before, None, map).unknown
+    assert not verdict.judged(before).unknown
 
 
 @pytest.mark.parametrize(("of_a", "of_c", "unknown"), [(1.3, 0.5, True), (1.0, 0.5, False), (1.0, 1.3, True), (1.0, 1.0, False)])

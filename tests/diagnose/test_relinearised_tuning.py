@@ -6,7 +6,6 @@ import pytest
 from tests.conftest import swings
 from twin.diagnose.fit import Fit, free_parameters, relinearised_tuning, simulated_response
 from twin.diagnose.observe import observe
-from twin.diagnose.simulations import in_turn
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import parse_setting
@@ -20,7 +19,7 @@ def table(mikron: Machine):
     """Both rotary axes on a nominal machine, and the fit of an unbalance that changes both."""
     trace = simulate(mikron, swings(mikron, 1.5), noise_seed=1).trace
     group = observe([view_of(mikron, MeasuredRun("swings", trace, None, 0.0))], ("A", "C"))
-    tuning = tuning_of(group, mikron, in_turn)
+    tuning = tuning_of(group)
     settings = (parse_setting("table_unbalance:A:mass_kg=50,radius_m=0.2,angle_rad=1.0,height_m=0.15", mikron),)
     response = simulated_response(group, settings)
     free = free_parameters(settings, mikron)
@@ -40,7 +39,7 @@ def test_an_unbalance_on_the_tilting_axis_changes_the_table_axis(table):
 def test_relinearising_leaves_the_tuning_as_it_was(table, mikron: Machine):
     group, fit = table
     before = fit.about.jacobian.copy()
-    beside = relinearised_tuning(group, fit, mikron, in_turn)
+    beside = relinearised_tuning(group, fit)
     np.testing.assert_array_equal(fit.about.jacobian, before)
     assert np.abs(beside.jacobian - before).max() > 0.1
     with pytest.raises(ValueError, match="read-only"):
@@ -51,7 +50,7 @@ def test_relinearising_leaves_the_tuning_as_it_was(table, mikron: Machine):
 def test_a_motor_parameter_changes_its_own_axis_only(table, mikron: Machine, quantity: str):
     """Regression: the column of one axis contained minus the effect on the other, so that re-tuning could cancel the effect."""
     group, fit = table
-    beside = relinearised_tuning(group, fit, mikron, in_turn)
+    beside = relinearised_tuning(group, fit)
     (i,) = (i for i, n in enumerate(beside.nuisances) if (n.owner, n.quantity) == ("A", quantity))
     own, other = (np.abs(beside.jacobian[rows(group, axis), i]).max() for axis in "AC")
     assert own > 0.1

@@ -25,7 +25,7 @@ def test_a_response_is_simulated_once_and_follows_the_weights(monkeypatch):
     found = GroupState(SimpleNamespace(weights=np.ones(ROWS)), None, None, None, None, 1.0)
     simulated = []
 
-    def simulated_responses(group, several, mapper):
+    def simulated_responses(group, several):
         simulated.extend(several)
         return [SimulationError("unstable") if setting is UNSTABLE else column * group.weights for (setting,) in several]
 

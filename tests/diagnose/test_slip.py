@@ -13,7 +13,6 @@ from twin.diagnose.fit import fit_effects, no_effect, simulated_response
 from twin.diagnose.imperfections import moved_to, with_imperfections
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import in_turn
 from twin.diagnose.slip import with_refitted_slip
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance
@@ -47,7 +46,7 @@ def test_noise_in_the_loop_does_not_change_the_control_law(group):
 
 
 def test_slip_is_found_with_its_size(group):
-    tuning = with_imperfections(tuning_of(group, X, in_turn), group, X, group.residual, in_turn)
+    tuning = with_imperfections(tuning_of(group), group, group.residual)
     found = {n.quantity: float(v) for n, v in zip(tuning.nuisances, tuning.solve(group.residual) * tuning.spread)}
     assert found["slip"] / X.parameter_tolerance * T.normal_slip_linear_m == pytest.approx(TRAVEL, rel=0.3)
 
@@ -74,12 +73,12 @@ def wound_up():
     rigid = observe([view_of(X, run) for run in runs], ("X",))
     there = [Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.3})]
     left = rigid.residual - simulated_response(rigid, there)
-    tuning = with_imperfections(tuning_of(rigid, X, in_turn), rigid, X, left, in_turn)
+    tuning = with_imperfections(tuning_of(rigid), rigid, left)
     theta = tuning.solve(left)[: len(tuning.nuisances)]
     i = [n.quantity for n in tuning.nuisances].index("slip")
     theta[i] = SHARE * X.parameter_tolerance / tuning.spread
-    group, tuning = moved_to(rigid, tuning, theta, in_turn)
-    fit = fit_effects(group, X, tuning, there, in_turn, 2)
+    group, tuning = moved_to(rigid, tuning, theta)
+    fit = fit_effects(group, tuning, there, 2)
     assert fit is not None
     return GroupState(group, rigid, tuning, fit, no_effect(group, tuning), 1.0, (fit,))
 
@@ -90,24 +89,24 @@ def slip_of(found):
 
 
 def test_slip_is_sized_by_the_creep_of_a_resting_axis(wound_up):
-    better = with_refitted_slip(wound_up, X, in_turn)
+    better = with_refitted_slip(wound_up)
     assert slip_of(better) == pytest.approx(TRAVEL, rel=0.25)
     assert better.fit.loss < 0.9 * wound_up.fit.loss
 
 
 def test_slip_of_the_right_size_is_kept(wound_up):
-    better = with_refitted_slip(wound_up, X, in_turn)
-    again = with_refitted_slip(better, X, in_turn)
+    better = with_refitted_slip(wound_up)
+    again = with_refitted_slip(better)
     assert slip_of(again) == pytest.approx(slip_of(better), rel=0.1)
 
 
 def test_missed_slip_is_found(group):
     """The residual is near noise but the slip is missing: all sizes tried on a rigid machine may have been far from the true one."""
-    plain = tuning_of(group, X, in_turn)
+    plain = tuning_of(group)
     bare = no_effect(group, plain)
     missed = GroupState(group, group, plain, bare, bare, 1.0, ())
     assert missed.fit.loss < T.small_residual * group.expected_loss
-    found = with_refitted_slip(missed, X, in_turn)
+    found = with_refitted_slip(missed)
     assert slip_of(found) == pytest.approx(TRAVEL, rel=0.3)
     assert found.fit.loss < missed.fit.loss
 
@@ -115,4 +114,4 @@ def test_missed_slip_is_found(group):
 def test_slip_is_not_fitted_while_effects_are_missing(wound_up):
     bare = replace(wound_up, fit=no_effect(wound_up.group, wound_up.tuning))
     assert bare.fit.loss > T.small_residual * wound_up.group.expected_loss
-    assert with_refitted_slip(bare, X, in_turn) is bare
+    assert with_refitted_slip(bare) is bare

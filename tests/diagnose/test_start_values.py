@@ -60,7 +60,7 @@ def record_of(position, current):
         rows_of=lambda axis, channel: np.ones(len(time), bool),
     )
     channel = SimpleNamespace(axis="X", run=0, name="current", rows=slice(0, len(current)))
-    return SimpleNamespace(channels=[channel], views=[view], weights=np.ones(len(current)))
+    return SimpleNamespace(channels=[channel], views=[view], weights=np.ones(len(current)), machine=view.machine)
 
 
 @pytest.mark.parametrize("wavelength", [0.02, 0.11, 0.22, 0.29, 0.33])
@@ -72,7 +72,7 @@ def test_the_wavelength_of_friction_is_read_from_the_current(wavelength):
     wave = direction * np.sin(2.0 * np.pi * position / wavelength)
     current = 0.05 * wave + 0.4 * direction + 0.2 + np.random.default_rng(0).normal(0.0, 0.05, len(position))
     machine = load_machine()
-    read = StartValues(record_of(position, current), machine, machine.axis("X"), current)
+    read = StartValues(record_of(position, current), machine.axis("X"), current)
     assert read.of(EFFECTS["position_dependent_friction"].parameter("wavelength"))[0] == pytest.approx(wavelength, rel=0.05)
 
 
@@ -81,7 +81,7 @@ def test_wavelengths_are_read_from_motions_of_any_length(reach):
     """No motion, almost none, and 40 m: a fast result without excessive memory."""
     position = reach * np.sin(np.linspace(0.0, 6.0, 5000))
     machine = load_machine()
-    read = StartValues(record_of(position, np.sin(30.0 * position)), machine, machine.axis("X"), np.sin(30.0 * position))
+    read = StartValues(record_of(position, np.sin(30.0 * position)), machine.axis("X"), np.sin(30.0 * position))
     found = read.of(EFFECTS["position_dependent_friction"].parameter("wavelength"))
     assert found
     assert all(value > 0.0 for value in found)
@@ -95,6 +95,6 @@ def test_a_wave_that_repeats_once_a_turn_is_among_the_starts_beside_spikes_at_th
     position = 0.05 * np.sin(np.linspace(0.0, 8.0 * np.pi, 40_000)) * np.linspace(0.4, 1.0, 40_000)
     spikes = sum(np.exp(-(((position - place) / (0.05 * turn)) ** 2)) for place in (-0.049, -0.0311, 0.0177, 0.0412))
     current = 0.1 * np.sin(2.0 * np.pi * order * position / turn) + 2.0 * spikes
-    read = StartValues(record_of(position, current), machine, machine.axis("X"), current)
+    read = StartValues(record_of(position, current), machine.axis("X"), current)
     found = read.of(EFFECTS["torque_ripple"].parameter("periods_per_rev"))
     assert any(value == pytest.approx(order, rel=0.02) for value in found)

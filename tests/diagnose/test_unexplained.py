@@ -112,4 +112,5 @@ def test_a_residual_that_exceeds_the_tolerance_is_above_noise(size, loud):
     group = found.group
     group.credit, group.residual = np.ones(group.size), group.residual + size * wave
     found.fit = no_effect(group, tuning)
-    assert axes_above_noise_within_tolerance(found, SimpleNamespace(parameter_tolerance=TOLERANCE)) == loud
+    group.machine = SimpleNamespace(parameter_tolerance=TOLERANCE)
+    assert axes_above_noise_within_tolerance(found) == loud

@@ -498,8 +498,8 @@ def test_detectability_adds_up_over_runs_with_zeros_of_their_own() -> None:
 
     def seen(runs: list[MeasuredRun]) -> tuple[Group, Answers]:
         group = observe([view_of(machine, run) for run in runs], ("X",))
-        starts = {k: s for k, s in starts_by_key(group, machine).items() if k[0] in ("backlash", "inertia", "lead_error")}
-        return group, answers_of(group, machine, starts, lambda work, items: list(map(work, items)))
+        starts = {k: s for k, s in starts_by_key(group).items() if k[0] in ("backlash", "inertia", "lead_error")}
+        return group, answers_of(group, starts, lambda work, items: list(map(work, items)))
 
     _, own = seen([recorded(0.02, 1), recorded(0.03, 2), recorded(-0.02, 3)])
     _, extra = seen([recorded(0.05, 4)])

@@ -73,7 +73,7 @@ def test_an_effect_that_shrinks_below_belief_is_taken_out_of_the_machine_too(tmp
     found = searched(group)
     assert len(named([found])) == 1
     small = replace(found.fit.settings[0], parameters={"factor": 1.001})
-    found = without_implausible(replace(found, fit=replace(found.fit, settings=(small,))), load_machine(), map)
+    found = without_implausible(replace(found, fit=replace(found.fit, settings=(small,))))
     assert found.fit.settings == () == tuple(named([found]))
 
 

@@ -39,12 +39,12 @@ class Start:
         return self.settings[0].key
 
 
-def starts_of(group: Group, machine: Machine, residual: np.ndarray) -> list[Start]:
+def starts_of(group: Group, residual: np.ndarray) -> list[Start]:
     """All starts of all effects on the axes of a group; `residual` (row,) weighted, for the spectra."""
-    starts = []
+    starts, machine = [], group.machine
     for name in group.axes:
         axis = machine.axis(name)
-        read = StartValues(group, machine, axis, residual)
+        read = StartValues(group, axis, residual)
         for effect in EFFECTS.values():
             if axis not in effect.axes(machine):
                 continue

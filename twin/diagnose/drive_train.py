@@ -15,7 +15,6 @@ import numpy as np
 
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import Trial, Tuning, tuning_from
 from twin.errors import TwinError
@@ -38,7 +37,7 @@ Point = tuple[float, float]
 class _TrialLosses:
     """Losses of trial drive trains in the runs with the largest response; each trial is simulated once."""
 
-    def __init__(self, group: Group, tuning: Tuning, axis: str, residual: np.ndarray, shows: np.ndarray, tolerance: float) -> None:
+    def __init__(self, group: Group, tuning: Tuning, axis: str, residual: np.ndarray, shows: np.ndarray) -> None:
         runs = _runs_that_show(group, axis, shows)
         channels = [c for c in group.channels if c.axis == axis and c.run in runs]
         rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
@@ -46,13 +45,13 @@ class _TrialLosses:
         self.tuning = tuning_from(
             tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread, tuning.prior_weight, tuning.further
         )
-        self.residual, self.axis, self.tolerance = residual[rows], axis, tolerance
+        self.residual, self.axis = residual[rows], axis
         self.losses: dict[Point, float] = {}  # loss after re-tuning
 
-    def best_of(self, points: Sequence[Point], mapper: Mapper) -> Point:
+    def best_of(self, points: Sequence[Point]) -> Point:
         """The point with the smallest loss after re-tuning; the smallest point among equals."""
         new = [at for at in dict.fromkeys(points) if at not in self.losses]
-        for at, answer in zip(new, responses_of(self.group, self.axis, new, self.tolerance, mapper)):
+        for at, answer in zip(new, responses_of(self.group, self.axis, new)):
             self.losses[at] = self.tuning.loss(self.residual - answer) if isinstance(answer, np.ndarray) else math.inf
         return min((self.losses[at], at) for at in points)[1]
 
@@ -68,24 +67,23 @@ def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
     return set(order[: int(np.searchsorted(parts, T.train_shown)) + 1])
 
 
-def responses_of(group: Group, axis: str, points: Sequence[Point], tolerance: float, mapper: Mapper) -> list[np.ndarray | TwinError]:
+def responses_of(group: Group, axis: str, points: Sequence[Point]) -> list[np.ndarray | TwinError]:
     """Response (row,) to the drive train at each point, or the error of its simulation."""
+    tolerance = group.machine.parameter_tolerance
     elasticity, damping = (Nuisance(axis, quantity) for quantity in ("elasticity", "damping"))
 
     def with_train(machine: Machine, at: Point) -> Machine:
         return damping.apply(elasticity.apply(machine, 1.0 + at[0] * tolerance), 1.0 + at[1] * tolerance)
 
-    return group.responses([Variation(functools.partial(with_train, at=at), axes=(axis,)) for at in points], mapper=mapper)
+    return group.responses([Variation(functools.partial(with_train, at=at), axes=(axis,)) for at in points])
 
 
 def with_drive_train(
     tuning: Tuning,
     group: Group,
-    machine: Machine,
     axis: str,
     linear: Trial,
     residual: np.ndarray,
-    mapper: Mapper,
     largest: float,
 ) -> Tuning:
     """The tuning with the elasticity of an axis' drive train, and its damping if that has enough evidence; each linear about its size.
@@ -93,17 +91,15 @@ def with_drive_train(
     `linear` is the estimate for a linear response, `largest` the share of the normal elasticity from which it is an effect. The tuning is
     unchanged if no size near the estimate explains `residual` (row,).
     """
-    tolerance = machine.parameter_tolerance
-    tried = _TrialLosses(group, tuning, axis, residual, linear.column, tolerance)
+    tried = _TrialLosses(group, tuning, axis, residual, linear.column)
 
-    def best_of(points: Sequence[Point]) -> Point:
-        return tried.best_of(points, mapper)
+    best_of = tried.best_of
 
     def at(mode_hz: float) -> Point:
         return (T.normal_mode_hz / mode_hz) ** 2, 0.0
 
     linear_hz = T.normal_mode_hz / math.sqrt(linear.size)
-    near_cycle = [r / machine.position_cycle for r in MEETING]
+    near_cycle = [r / group.machine.position_cycle for r in MEETING]
     modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > T.train_finer for r in AROUND)]
     found = best_of([at(f) for f in modes])
     if tried.tuning.loss(tried.residual) - tried.losses[found] < T.evidence:
@@ -118,7 +114,7 @@ def with_drive_train(
     best_of([(share, 0.0)])
     worth = tried.losses[share, 0.0] - tried.losses[found]
     points = [(share, 0.0), found] if damping and worth >= T.evidence else [(share, 0.0)]
-    plain, *damped_response = responses_of(group, axis, points, tolerance, mapper)
+    plain, *damped_response = responses_of(group, axis, points)
     whole = damped_response[0] if damped_response else None
     if isinstance(plain, TwinError) or isinstance(whole, TwinError):  # unstable in one of the other runs
         return tuning

@@ -20,7 +20,6 @@ import numpy as np
 
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, in_turn
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import Tuning, moved_by, stacked_columns
 from twin.effects import Setting
@@ -207,17 +206,15 @@ def fit_with_fixed_effects(group: Group, tuning: Tuning, settings: tuple[Setting
 
 def fit_effects(
     group: Group,
-    machine: Machine,
     tuning: Tuning,
     settings: Sequence[Setting],
-    mapper: Mapper,
     steps: int | None = None,
     narrowest: float | None = None,
     moving: Collection[int] | None = None,
     known: Mapping[Slope, np.ndarray] = MappingProxyType({}),
     residual: np.ndarray | None = None,
 ) -> Fit | None:
-    """Gauss-Newton from these settings; None if they cannot be simulated. `mapper` maps over simulations.
+    """Gauss-Newton from these settings; None if they cannot be simulated.
 
     Finite-difference steps start at `slope` and then follow the last move, down to `narrowest`: parameters that are known to a thousandth need
     small steps. `steps` and `narrowest` default to the thresholds. `moving` are the indices of the settings that are fitted (default: all); the
@@ -228,13 +225,13 @@ def fit_effects(
     residual = group.residual if residual is None else residual
     narrowest = T.narrow_slope if narrowest is None else narrowest
     try:
-        response = simulated_response(group, settings, mapper) if settings else np.zeros(group.size)
+        response = simulated_response(group, settings) if settings else np.zeros(group.size)
     except TwinError:
         return None
     left = residual - response
     of_left = tuning.project(left)
     best = tuning.loss(left, of_left)
-    free = [f for f in free_parameters(settings, machine) if moving is None or f.setting in moving]
+    free = [f for f in free_parameters(settings, group.machine) if moving is None or f.setting in moving]
     if not free:
         return Fit(settings, [], best, tuning.solve_projected(of_left), response, np.zeros((group.size, 0)), tuning)
     farthest = np.array([f.farthest for f in free])
@@ -246,7 +243,7 @@ def fit_effects(
     projected = information = None
     for _ in range(T.fit_steps if steps is None else steps):
         try:
-            for i, column in zip(outdated, _slopes(group, settings, response, [(free[i], step_sizes[i]) for i in outdated], mapper)):
+            for i, column in zip(outdated, _slopes(group, settings, response, [(free[i], step_sizes[i]) for i in outdated])):
                 columns[:, i] = column
         except TwinError:
             return None
@@ -255,7 +252,7 @@ def fit_effects(
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
         gradient = tuning.inner(columns, left, projected, of_left)
         move = np.clip(np.linalg.solve(information, gradient), -farthest, farthest)
-        lower = _lower(group, residual, tuning, settings, free, move, best, mapper)
+        lower = _lower(group, residual, tuning, settings, free, move, best)
         if lower is not None:
             gain, predicted = best - lower.loss, _predicted_gain(gradient, information, lower.move)
             best, settings, response, left, of_left = lower.loss, lower.settings, lower.response, lower.left, lower.projected
@@ -302,7 +299,6 @@ def _lower(
     free: Sequence[Free],
     move: np.ndarray,
     best: float,
-    mapper: Mapper,
 ) -> _Lower | None:
     """The largest of three fractions of a move that reduces the loss below `best`; None if none does."""
     for part in (1.0, 0.4, 0.1):
@@ -310,7 +306,7 @@ def _lower(
         for f, m in zip(free, part * move):
             tried = f.moved(tried, float(m))
         try:
-            response = simulated_response(group, tried, mapper)
+            response = simulated_response(group, tried)
         except TwinError:
             continue
         left = residual - response
@@ -321,18 +317,18 @@ def _lower(
     return None
 
 
-def simulated_response(group: Group, settings: Sequence[Setting], mapper: Mapper = in_turn) -> np.ndarray:
-    """Simulated response of the group's channels to these effects (row,); `mapper` maps over simulations."""
-    return all_or_raise(simulated_responses(group, [settings], mapper))[0]
+def simulated_response(group: Group, settings: Sequence[Setting]) -> np.ndarray:
+    """Simulated response of the group's channels to these effects (row,)."""
+    return all_or_raise(simulated_responses(group, [settings]))[0]
 
 
-def simulated_responses(group: Group, several: Sequence[Sequence[Setting]], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+def simulated_responses(group: Group, several: Sequence[Sequence[Setting]]) -> list[np.ndarray | TwinError]:
     """Response to each of several sets of effects, or the error of its simulation."""
     moved = [moved_by(settings, group) for settings in several]
-    return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)], mapper=mapper)
+    return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)])
 
 
-def relinearised_tuning(group: Group, fit: Fit, machine: Machine, mapper: Mapper, only: Collection[str] = ()) -> Tuning:
+def relinearised_tuning(group: Group, fit: Fit, only: Collection[str] = ()) -> Tuning:
     """The tuning of a fit, linearised on the machine with the fit's effects: backlash, for example, decides when the load changes sides.
 
     `only` restricts it to these quantities.
@@ -347,27 +343,27 @@ def relinearised_tuning(group: Group, fit: Fit, machine: Machine, mapper: Mapper
             continue
         step = max(T.nearby, tuning.spread)
         if nuisance.quantity == "damping":
-            step = T.nearby * machine.parameter_tolerance
+            step = T.nearby * group.machine.parameter_tolerance
         elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
-            step = max(T.within_mode * abs(float(tuning.base[i])), 1.05 * T.least_imperfection * machine.parameter_tolerance)
+            step = max(T.within_mode * abs(float(tuning.base[i])), 1.05 * T.least_imperfection * group.machine.parameter_tolerance)
         steps[i] = step
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
         variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + step), fit.settings, axes))
     columns = np.array(tuning.jacobian[:, : len(tuning.nuisances)], order="F")
-    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations, mapper=mapper))):
+    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations))):
         columns[:, i] = (changed - fit.response) * (tuning.spread / step)
     return replace(tuning.of(tuning.nuisances, columns), base=tuning.base)
 
 
 def _slopes(
-    group: Group, settings: tuple[Setting, ...], response: np.ndarray, step_sizes: Sequence[tuple[Free, float]], mapper: Mapper
+    group: Group, settings: tuple[Setting, ...], response: np.ndarray, step_sizes: Sequence[tuple[Free, float]]
 ) -> list[np.ndarray]:
     """Finite-difference slope per scale unit of each parameter for the given step, taken towards the inside of the bounds."""
     steps = []
     for f, size in step_sizes:
         both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (size, -size))]
         steps.append(next(((moved, actual) for moved, actual in both if abs(actual) > 1e-6), None))
-    changed = iter(all_or_raise(simulated_responses(group, [step[0] for step in steps if step is not None], mapper)))
+    changed = iter(all_or_raise(simulated_responses(group, [step[0] for step in steps if step is not None])))
     return [np.zeros(group.size) if step is None else (next(changed) - response) / step[1] for step in steps]
 
 

@@ -12,11 +12,10 @@ import numpy as np
 from twin.diagnose.drive_train import with_drive_train
 from twin.diagnose.observe import Group, Variation, channels_of, noise_seed
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_groups
+from twin.diagnose.simulations import SimulationRequest, Variant, simulate_groups
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, can_be_imperfect, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
 from twin.errors import TwinError
-from twin.machine.machine import Machine
 from twin.simulation.run import all_or_raise
 
 SHARES = (0.05, 0.2, 0.8)
@@ -44,7 +43,7 @@ def largest_normal(group: Group, quantity: str) -> float:
     return T.widest if quantity == "elasticity" and group.by_radius else 1.0
 
 
-def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual: np.ndarray, mapper: Mapper) -> Tuning:
+def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tuning:
     """The tuning with the normal imperfections that `residual` (row,) contains, each linear about its size.
 
     An imperfection is tried only if a channel exceeds noise: elasticity in motor minus scale (in position or current if one of the two
@@ -58,17 +57,17 @@ def with_imperfections(tuning: Tuning, group: Group, machine: Machine, residual:
     above_noise = channels_above_noise(group, remaining)
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
     elastic = [a for a in group.axes if above_noise & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
-    slipping = [a for a in group.axes if can_be_imperfect(machine, a, "slip") and shows_slip(above_noise, a)]
+    slipping = [a for a in group.axes if can_be_imperfect(group.machine, a, "slip") and shows_slip(above_noise, a)]
     tried = [Nuisance(a, "elasticity") for a in elastic] + [Nuisance(a, "slip") for a in slipping]
     current = plain
     for nuisance in tried:
-        trials = functools.partial(_at_shares, current, group, machine, nuisance, residual, mapper)
+        trials = functools.partial(_at_shares, current, group, nuisance, residual)
         best = max(trials(SHARES), key=lambda trial: trial.gain, default=None)
         largest = largest_normal(group, nuisance.quantity)
         if best is None or not 0.0 < best.size < largest or best.gain < T.evidence:
             continue
         if nuisance.quantity == "elasticity":
-            current = with_drive_train(current, group, machine, nuisance.owner, best, residual, mapper, largest)
+            current = with_drive_train(current, group, nuisance.owner, best, residual, largest)
         else:
             current = _with_slip(current, nuisance, best, trials)
     return current
@@ -89,7 +88,7 @@ def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trials: Callable[[Se
     return tuning.with_column(slip, best.column)
 
 
-def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, mapper: Mapper) -> tuple[Group, Tuning]:
+def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> tuple[Group, Tuning]:
     """Group and tuning linearised about the machine with the normal imperfections that `residual` (row,) contains; effects act on that machine.
 
     A force on an elastic drive train also winds it up, which the sum of the two responses does not contain. Two stiff springs may ring together
@@ -104,7 +103,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, map
         nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
         part = tuning if kept.all() else tuning.of(nuisances, tuning.jacobian[:, : len(kept)][:, kept])
         try:
-            there, about = moved_to(group, part, theta[kept], mapper)
+            there, about = moved_to(group, part, theta[kept])
         except TwinError:
             return math.inf, group, part
         return about.loss(there.residual - explained), there, about
@@ -117,31 +116,29 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray, map
     return best[1:]
 
 
-def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray, mapper: Mapper) -> tuple[Group, Tuning]:
+def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tuning]:
     """Group and tuning about the machine whose normal imperfections are increased by `theta` (nuisance,); `rigid` is the group without any."""
     normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
     if not normal.any():
         return rigid, tuning
     base = np.where(normal, tuning.base + theta * tuning.spread, 0.0)
-    return rebased(rigid, tuned(tuning.nuisances, base), mapper), replace(tuning, base=base)
+    return rebased(rigid, tuned(tuning.nuisances, base)), replace(tuning, base=base)
 
 
-def _at_shares(
-    tuning: Tuning, group: Group, machine: Machine, nuisance: Nuisance, residual: np.ndarray, mapper: Mapper, shares: Sequence[float]
-) -> list[Trial]:
+def _at_shares(tuning: Tuning, group: Group, nuisance: Nuisance, residual: np.ndarray, shares: Sequence[float]) -> list[Trial]:
     """A nuisance simulated at these shares of the largest normal size; sizes that cannot be simulated are omitted."""
     variations = [
-        Variation(functools.partial(nuisance.apply, factor=1.0 + share * machine.parameter_tolerance), axes=(nuisance.owner,))
+        Variation(functools.partial(nuisance.apply, factor=1.0 + share * group.machine.parameter_tolerance), axes=(nuisance.owner,))
         for share in shares
     ]
     keys = [(nuisance, share) if share in SHARES else None for share in shares]  # each round of the search asks for SHARES again
-    answers = group.responses(variations, shaken=nuisance.quantity == "slip", mapper=mapper, keys=keys)
+    answers = group.responses(variations, shaken=nuisance.quantity == "slip", keys=keys)
     return [
         trial_of(tuning, answer * (UNIFORM / share), residual) for share, answer in zip(shares, answers) if isinstance(answer, np.ndarray)
     ]
 
 
-def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Group:
+def rebased(group: Group, machine_of: Variant) -> Group:
     """The group about another machine: the same channels, residuals of that machine's nominal motion."""
     views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
 
@@ -150,7 +147,7 @@ def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Grou
     seeds = [None] * len(runs) + [noise_seed(group.seed, run) for run in runs]
     requests = [SimulationRequest(views[run], present[run], noise_seed=seed) for run, seed in zip([*runs, *runs], seeds)]
     found = all_or_raise(
-        simulate_groups(requests, mapper, lambda i, run: channels_of(run.without_noise, requests[i].view, requests[i].axes))
+        simulate_groups(requests, group.mapper, lambda i, run: channels_of(run.without_noise, requests[i].view, requests[i].axes))
     )
     nominal: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
     shaken: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
@@ -164,4 +161,4 @@ def rebased(group: Group, machine_of: Variant, mapper: Mapper = in_turn) -> Grou
         else:
             shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]
         channels.append(replace(c, residual=c.residual - shift))
-    return Group(group.axes, views, channels, nominal, shaken, group.seed)
+    return Group(group.axes, views, channels, nominal, shaken, group.seed, mapper=group.mapper)

@@ -17,20 +17,13 @@ import numpy as np
 from twin.diagnose.candidates import Start
 from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 
-def effects_not_visible(
-    state: GroupState,
-    starts: Sequence[Start],
-    machine: Machine,
-    folds: int,
-    mapper: Mapper,
-) -> dict[tuple[str, str, str | None], float]:
+def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) -> dict[tuple[str, str, str | None], float]:
     """Effects that are not visible at their usual size, with the multiple of it from which they would be (inf: at no size).
 
     The middle start of each effect is used, and the worse of two phases.
@@ -38,10 +31,10 @@ def effects_not_visible(
     by_key: dict[tuple[str, str, str | None], list[Start]] = {}
     for start in starts:
         by_key.setdefault(start.key, []).append(start)
-    middle = [_usual(same[len(same) // 2], machine) for same in by_key.values()]
-    answered = iter(state.cached_responses([s for settings in middle for s in settings], mapper))
+    middle = [_usual(same[len(same) // 2], state.group.machine) for same in by_key.values()]
+    answered = iter(state.cached_responses([s for settings in middle for s in settings]))
     columns = [(settings, [next(answered) for _ in settings]) for settings in middle]
-    shares = mapper(lambda item: _share(state, item[0], item[1], folds), columns)
+    shares = state.group.mapper(lambda item: _share(state, item[0], item[1], folds), columns)
     return {key: math.inf if share < T.invisible else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
 
 

@@ -60,6 +60,7 @@ class Group:
     shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of the noise in the loop
     seed: int
     shakes: bool = False  # all responses are simulated with noise in the loop
+    mapper: Mapper = field(default=in_turn, repr=False, compare=False)  # maps over batches of simulations
     answers: dict[Hashable, np.ndarray | TwinError] = field(init=False, default_factory=dict, repr=False, compare=False)
     """Remembered responses (row,), not weighted, in single precision."""
 
@@ -74,6 +75,11 @@ class Group:
     def size(self) -> int:
         """Number of rows of all channels."""
         return self.channels[-1].rows.stop if self.channels else 0
+
+    @property
+    def machine(self) -> Machine:
+        """The machine file without effects."""
+        return self.views[0].file or self.views[0].machine
 
     @property
     def by_radius(self) -> bool:
@@ -103,27 +109,24 @@ class Group:
         axes: Sequence[str] = (),
         *,
         shaken: bool = False,
-        mapper: Mapper = in_turn,
     ) -> np.ndarray:
         """Response to one variation, see `responses`. Raises TwinError if it cannot be simulated."""
-        return all_or_raise(self.responses([Variation(machine_of, settings, axes)], shaken=shaken, mapper=mapper))[0]
+        return all_or_raise(self.responses([Variation(machine_of, settings, axes)], shaken=shaken))[0]
 
     def responses(
         self,
         variations: Sequence[Variation],
         *,
         shaken: bool = False,
-        mapper: Mapper = in_turn,
         keys: Sequence[Hashable | None] = (),
     ) -> list[np.ndarray | TwinError]:
         """Response (row,), weighted, to each variation: its simulation minus the nominal one, or the error of the simulation.
 
-        With `shaken` both simulations have the same noise in the loop: an axis that creeps at rest creeps because of noise. `mapper` maps over
-        batches of simulations. `keys` name variations whose response is remembered for the next call (None: not remembered).
+        With `shaken` both simulations have the same noise in the loop: an axis that creeps at rest creeps because of noise. `keys` name variations whose response is remembered for the next call (None: not remembered).
         """
         keys = keys or [None] * len(variations)
         known = [None if key is None else self.answers.get(key) for key in keys]
-        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken or self.shakes, mapper))
+        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken or self.shakes))
         out: list[np.ndarray | TwinError] = []
         for key, answer in zip(keys, known):
             rows = next(new) if answer is None else answer
@@ -134,7 +137,7 @@ class Group:
             out.append(rows * self.weights if answer is not None and isinstance(rows, np.ndarray) else rows)
         return out
 
-    def _simulated(self, variations: Sequence[Variation], shaken: bool, mapper: Mapper) -> list[np.ndarray | TwinError]:
+    def _simulated(self, variations: Sequence[Variation], shaken: bool) -> list[np.ndarray | TwinError]:
         """Response (row,) to each variation, not weighted."""
         requests: list[SimulationRequest] = []
         of_request: list[
@@ -172,7 +175,7 @@ class Group:
             return _kept(values_of)
 
         nominal = self.shaken if shaken else self.nominal
-        for request, (v, run, _), values in zip(requests, of_request, simulate_groups(requests, mapper, channels)):
+        for request, (v, run, _), values in zip(requests, of_request, simulate_groups(requests, self.mapper, channels)):
             rows = out[v]
             if isinstance(rows, TwinError):
                 continue

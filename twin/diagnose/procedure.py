@@ -84,8 +84,8 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
 
     def search_group(axes: tuple[str, ...]) -> GroupState | None:
         setup.progress(f"{'+'.join(axes)}: simulating the noise")
-        group = observe(views, axes, setup.seed)
-        return judged(search(group, setup), nominal, mapper, setup.quick) if group.size else None
+        group = replace(observe(views, axes, setup.seed), mapper=mapper)
+        return judged(search(group, setup), setup.quick) if group.size else None
 
     views = mapper(lambda run: view_of(nominal, run), campaign.runs)
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})

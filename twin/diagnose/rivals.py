@@ -56,7 +56,7 @@ class Base(NamedTuple):
 
 def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], setup: Setup) -> list[Pick]:
     """Effects that together explain the residual, best first. Each is picked with the responses of the earlier ones eliminated."""
-    machine = setup.nominal
+    machine = state.group.machine
     picks: list[Pick] = []
     passed = set(refused)
     first = 0.0
@@ -91,12 +91,12 @@ def _rivals(screened: Screening, after: Screening, others: Sequence[tuple[int, G
 
 def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], setup: Setup) -> list[tuple[Fitted, ...]]:
     """Each pick and its rivals fitted in closed loop next to the effects found, best first. The responses of the other picks are free."""
-    fit, mapper = state.fit, setup.mapper
+    fit = state.fit
     starts = [screened.starts[pick.start].settings for pick in picks]
     responses = [stacked_columns(*(column[:, None] for column in all_or_raise(state.cached_responses(settings)))) for settings in starts]
     nonlinear = tuple(s for s in fit.settings if not s.effect.is_linear)
     # responses of linear effects add up, so those are simulated together only once, at the end
-    residual = state.group.residual - fit.response + (simulated_response(state.group, nonlinear, mapper) if nonlinear else 0.0)
+    residual = state.group.residual - fit.response + (simulated_response(state.group, nonlinear) if nonlinear else 0.0)
     first = state.tuning.further.size + fit.columns.shape[1]
     ends = first + np.cumsum([0, *(r.shape[1] for r in responses)])
     all_free = state.tuning.with_free(stacked_columns(fit.columns, *responses))
@@ -123,24 +123,22 @@ def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, setup: Se
 
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
     """
-    group, machine, mapper, fixed = state.group, setup.nominal, setup.mapper, base.fit
+    group, fixed = state.group, base.fit
     steps, nonlinear = T.few_steps if setup.quick else T.fit_steps, base.nonlinear
-    partial = fit_effects(
-        group, machine, fixed.about, [*nonlinear, setting], mapper, steps, moving={len(nonlinear)}, residual=base.residual
-    )
+    partial = fit_effects(group, fixed.about, [*nonlinear, setting], steps, moving={len(nonlinear)}, residual=base.residual)
     if partial is None or len(nonlinear) == len(fixed.settings):
         return partial
     moving, known = {len(fixed.settings)}, partial.slopes
     settings = [*fixed.settings, partial.settings[-1]]
-    together = fit_effects(group, machine, fixed.about, settings, mapper, 1, moving=moving, known=known)
+    together = fit_effects(group, fixed.about, settings, 1, moving=moving, known=known)
     if together is None or together.loss < partial.loss + max(T.price, T.doubt * (fixed.loss - partial.loss)):
         return together
-    return fit_effects(group, machine, fixed.about, settings, mapper, steps, moving=moving)
+    return fit_effects(group, fixed.about, settings, steps, moving=moving)
 
 
 def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup) -> list[Fitted]:
     """The fits as candidates, each with its evidence: the gain in log likelihood on held-out runs, at most the penalised gain on all runs."""
-    machine, folds = setup.nominal, setup.folds
+    machine, folds = state.group.machine, setup.folds
     tolerance = machine.parameter_tolerance
     base_loss = loss_within(state, base, tolerance)
     # a base that needs parameters far outside the tolerance is no alternative to an effect

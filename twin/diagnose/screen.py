@@ -76,16 +76,16 @@ class Screening:
         return combine(start, gain.sizes, machine) if start.effect.size.is_scaled else start.settings[0]
 
 
-def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray, mapper: Mapper) -> Screening:
+def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray) -> Screening:
     """All starts that can be simulated, next to the tuning and the effects of the last fit; `residual` (row,) weighted."""
 
-    answered = iter(state.cached_responses([s for start in starts for s in start.settings], mapper))
+    answered = iter(state.cached_responses([s for start in starts for s in start.settings]))
     both = [(start, [next(answered) for _ in start.settings]) for start in starts]
     simulated = [(start, [c for c in of_start if isinstance(c, np.ndarray)]) for start, of_start in both]
     simulated = [(start, of_start) for start, of_start in simulated if len(of_start) == len(start.settings)]
     columns = [c for _, of_start in simulated for c in of_start]
     before = (state.tuning.jacobian, state.fit.columns)
-    gram = _gram(before, columns, residual, mapper)
+    gram = _gram(before, columns, residual, state.group.mapper)
     first = sum(b.shape[1] for b in before)
     prior = np.concatenate([state.tuning.prior, np.full(state.fit.columns.shape[1], FREE)])
     own = np.diag(gram)[first:-1].copy()

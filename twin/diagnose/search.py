@@ -31,13 +31,11 @@ from twin.diagnose.rivals import Fitted, fit_picks, picks_of
 from twin.diagnose.screen import Screening, screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.slip import with_refitted_slip
 from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, localised_on
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import Tuning, tuning_of
 from twin.errors import TwinError
-from twin.machine.machine import Machine
 
 
 def search(group: Group, setup: Setup) -> GroupState:
@@ -46,13 +44,12 @@ def search(group: Group, setup: Setup) -> GroupState:
     A ballbar radius does not separate normal imperfections from effects. Imperfections that are fitted first may absorb an effect. The axes
     of a ballbar are therefore searched a second time without imperfections at the start; the state with the lower cost is returned.
     """
-    machine, mapper = setup.nominal, setup.mapper
-    initial = _initial_state(group, machine, mapper)
-    initial = initial if setup.quick else with_refitted_slip(initial, machine, mapper)
+    initial = _initial_state(group)
+    initial = initial if setup.quick else with_refitted_slip(initial)
     state = _search_rounds(initial, setup)
     imperfect = any(n.quantity in NORMAL for n in initial.tuning.nuisances)
     if imperfect and state.fit.settings and group.by_radius:
-        tuning = tuning_of(group, machine, mapper)
+        tuning = tuning_of(group)
         retuned = no_effect(group, tuning)
         rigid = GroupState(group, group, tuning, retuned, retuned, inflation(group, retuned))
         state = min(state, _search_rounds(rigid, setup), key=_cost)
@@ -68,20 +65,20 @@ def _cost(state: GroupState) -> float:
 
 def _search_rounds(state: GroupState, setup: Setup) -> GroupState:
     """The state after the last round: no further effect reaches the evidence it needs."""
-    machine, mapper, quick = setup.nominal, setup.mapper, setup.quick
+    quick = setup.quick
     axes_of_group = set(state.group.axes)
     times_fitted: Counter[Key] = Counter()
     refitted = False
     for _ in range(T.rounds):
         if not refitted and _imperfections_need_refit(state):
-            state, refitted = _refit_imperfections(state, machine, mapper), True
-        axes = axes_above_noise_within_tolerance(state, machine) if quick else axes_of_group
+            state, refitted = _refit_imperfections(state), True
+        axes = axes_above_noise_within_tolerance(state) if quick else axes_of_group
         if not axes:
             break
         state, winners = _round(state, axes, times_fitted, setup)
         if winners:
-            state = _with_accepted(state, winners, machine, mapper)
-        elif quick or (with_slip := with_refitted_slip(state, machine, mapper)) is state:
+            state = _with_accepted(state, winners)
+        elif quick or (with_slip := with_refitted_slip(state)) is state:
             break
         else:  # slip is sized only now: sized earlier, it would absorb missing effects
             state = with_slip
@@ -93,14 +90,12 @@ def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key],
     """The state with the candidates of one round on these axes, and the accepted effects. Updates `times_fitted`."""
     label = "+".join(state.group.axes)
     setup.progress(f"{label}: screening next to {len(state.fit.settings)} effects")
-    starts = [
-        s for s in starts_of(state.group, setup.nominal, state.fit.residual(state.group)) if s.axis in axes and s.key not in state.keys
-    ]
-    screened = _screened(state, starts, setup.mapper)
+    starts = [s for s in starts_of(state.group, state.fit.residual(state.group)) if s.axis in axes and s.key not in state.keys]
+    screened = _screened(state, starts)
     if not state.screened:
-        state = replace(state, screened=_screened_effects(state, screened, setup.nominal))
+        state = replace(state, screened=_screened_effects(state, screened))
         if not setup.quick:
-            not_visible = effects_not_visible(state, starts, setup.nominal, len(setup.folds), setup.mapper)
+            not_visible = effects_not_visible(state, starts, len(setup.folds))
             state = replace(state, not_visible=not_visible)
     refused = {key for key, times in times_fitted.items() if times >= T.most_fits}
     picks = picks_of(state, screened, refused, setup)
@@ -115,17 +110,17 @@ def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key],
     return state, winners
 
 
-def _initial_state(group: Group, machine: Machine, mapper: Mapper) -> GroupState:
+def _initial_state(group: Group) -> GroupState:
     """The state without effects, linearised about the machine with its normal imperfections, with the noise of that machine."""
     rigid = group
-    tuning = with_imperfections(tuning_of(group, machine, mapper), group, machine, group.residual, mapper)
-    group, tuning = on_imperfect_machine(group, tuning, group.residual, mapper)
+    tuning = with_imperfections(tuning_of(group), group, group.residual)
+    group, tuning = on_imperfect_machine(group, tuning, group.residual)
     if group is not rigid:
         weights = group.weights
         rigid, group = with_noise_about(rigid, group, no_effect(group, tuning).residual(group))
         tuning = tuning.reweighted(group.weights / weights)
         with contextlib.suppress(TwinError):  # nearly unstable: keep the linearisation of the rigid machine
-            tuning = relinearised_tuning(group, no_effect(group, tuning), machine, mapper, only=NORMAL)
+            tuning = relinearised_tuning(group, no_effect(group, tuning), only=NORMAL)
     retuned = no_effect(group, tuning)
     return GroupState(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
 
@@ -138,22 +133,22 @@ def _imperfections_need_refit(state: GroupState) -> bool:
     return state.fit.loss > (1.0 + T.near_noise) * noise or bool(localised_on(state))
 
 
-def _refit_imperfections(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
+def _refit_imperfections(state: GroupState) -> GroupState:
     """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them."""
     group = state.group
     for _ in range(T.joint_refits):
         before = state.fit.loss
         try:
-            tuning = relinearised_tuning(state.group, state.fit, machine, mapper)
-            fit = fit_effects(state.group, machine, tuning, state.fit.settings, mapper, T.refit_steps, known=state.fit.slopes)
+            tuning = relinearised_tuning(state.group, state.fit)
+            fit = fit_effects(state.group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
             if fit is None or fit.loss > before:
                 break
             state = replace(state, fit=fit, tuning=tuning)
-            nearer, tuning = moved_to(state.rigid, tuning, fit.tuning[: len(tuning.nuisances)], mapper)
+            nearer, tuning = moved_to(state.rigid, tuning, fit.tuning[: len(tuning.nuisances)])
         except TwinError:  # nearly unstable: the slopes are not valid at this distance
             break
         if nearer is not state.rigid:
-            moved = fit_effects(nearer, machine, tuning, fit.settings, mapper, T.refit_steps, known=fit.slopes)
+            moved = fit_effects(nearer, tuning, fit.settings, T.refit_steps, known=fit.slopes)
             if moved is not None and moved.loss < fit.loss + T.evidence:
                 state = replace(state, fit=moved, group=nearer, tuning=tuning)
         if before - state.fit.loss < T.evidence:
@@ -163,46 +158,46 @@ def _refit_imperfections(state: GroupState, machine: Machine, mapper: Mapper) ->
     return state.with_fit(state.fit).inflated()
 
 
-def _screened(state: GroupState, starts: Sequence[Start], mapper: Mapper) -> Screening:
-    return screening(state, [s for s in starts if not is_ruled_out(state.group, s)], state.group.residual - state.fit.response, mapper)
+def _screened(state: GroupState, starts: Sequence[Start]) -> Screening:
+    return screening(state, [s for s in starts if not is_ruled_out(state.group, s)], state.group.residual - state.fit.response)
 
 
-def _screened_effects(state: GroupState, screened: Screening, machine: Machine) -> tuple[Screened, ...]:
+def _screened_effects(state: GroupState, screened: Screening) -> tuple[Screened, ...]:
     """All effects with their gain in the screening, best first."""
     order = sorted(screened.best().items(), key=lambda item: -item[1][1].gain)
-    return tuple(Screened(key, g.gain, screened.setting(i, g, machine), closed_share(state, g.gain)) for key, (i, g) in order)
+    return tuple(Screened(key, g.gain, screened.setting(i, g, state.group.machine), closed_share(state, g.gain)) for key, (i, g) in order)
 
 
-def _with_accepted(state: GroupState, winners: Sequence[Fitted], machine: Machine, mapper: Mapper) -> GroupState:
+def _with_accepted(state: GroupState, winners: Sequence[Fitted]) -> GroupState:
     """The state with the winners of a round, all effects fitted jointly. The model error of the effects is added to the noise, and the
     normal imperfections are fitted anew."""
     settings = [*state.fit.settings, *(w.candidate.setting for w in winners)]
     slopes = {name: column for w in winners for name, column in w.slopes.items()} | state.fit.slopes
     known = slopes_of_linear_effects(slopes, settings)
-    fit = fit_effects(state.group, machine, state.tuning, settings, mapper, T.refit_steps, known=known)
+    fit = fit_effects(state.group, state.tuning, settings, T.refit_steps, known=known)
     if fit is None:
         return state
     state = replace(state, fit=fit).doubted(fit.response)
     residual = state.rigid.residual - state.fit.response
-    tuning = with_imperfections(state.tuning, state.rigid, machine, residual, mapper)
-    group, tuning = on_imperfect_machine(state.rigid, tuning, residual, mapper)
-    again = fit_effects(group, machine, tuning, state.fit.settings, mapper, T.refit_steps, known=state.fit.slopes)
+    tuning = with_imperfections(state.tuning, state.rigid, residual)
+    group, tuning = on_imperfect_machine(state.rigid, tuning, residual)
+    again = fit_effects(group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
     if again is not None and again.loss < state.fit.loss:
         state = replace(state, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
-    state = _with_relinearised_tuning(state, machine, mapper)
+    state = _with_relinearised_tuning(state)
     return replace(state, accepted=(*state.accepted, state.fit)).inflated()
 
 
-def _with_relinearised_tuning(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
+def _with_relinearised_tuning(state: GroupState) -> GroupState:
     """The state with re-tuning linearised on the machine with its effects, if one of these is nonlinear."""
     settings = state.fit.settings
     if all(s.effect.is_linear for s in settings):
         return state
     try:
-        tuning = relinearised_tuning(state.group, state.fit, machine, mapper)
+        tuning = relinearised_tuning(state.group, state.fit)
     except TwinError:  # nearly unstable: keep the linearisation without the effects
         return state
-    fit = fit_effects(state.group, machine, tuning, settings, mapper, T.refit_steps, known=state.fit.slopes)
+    fit = fit_effects(state.group, tuning, settings, T.refit_steps, known=state.fit.slopes)
     return state if fit is None or fit.loss > state.fit.loss else replace(state, tuning=tuning, fit=fit)
 
 
@@ -215,7 +210,7 @@ def _without_redundant_effects(state: GroupState, setup: Setup) -> GroupState:
         if margins[worst] >= 0.0:
             break
         kept = [s for j, s in enumerate(state.fit.settings) if j != worst]
-        refitted = fit_effects(state.group, setup.nominal, state.tuning, kept, setup.mapper, 2, known=state.fit.slopes)
+        refitted = fit_effects(state.group, state.tuning, kept, 2, known=state.fit.slopes)
         if refitted is None:
             break
         state = state.with_fit(refitted).inflated()
@@ -228,7 +223,7 @@ def _evidence_margin(state: GroupState, i: int, all_free: Tuning, setup: Setup) 
     `all_free` is the tuning with the slopes of all effects as free columns; the other effects are refitted with it.
     """
     setting = state.fit.settings[i]
-    if not is_plausible(setting, setup.nominal, is_cut(state.group, setting)):
+    if not is_plausible(setting, state.group.machine, is_cut(state.group, setting)):
         return -math.inf
     needed = evidence_needed(state, setting, len(setup.folds))
     columns = [state.tuning.further.size + k for k, f in enumerate(state.fit.free) if f.setting == i]
@@ -244,7 +239,7 @@ def _evidence_margin(state: GroupState, i: int, all_free: Tuning, setup: Setup) 
         return clear
     others = [s for j, s in enumerate(state.fit.settings) if j != i]
     try:
-        return margin(simulated_response(state.group, others, setup.mapper) if others else np.zeros(state.group.size))
+        return margin(simulated_response(state.group, others) if others else np.zeros(state.group.size))
     except TwinError:  # the others cannot be simulated without it: a spring that is too stiff alone, behind a backlash
         return math.inf
 
@@ -262,6 +257,8 @@ def response_without(state: GroupState, i: int) -> np.ndarray | None:
     return None
 
 
-def axes_above_noise_within_tolerance(state: GroupState, machine: Machine) -> set[str]:
+def axes_above_noise_within_tolerance(state: GroupState) -> set[str]:
     """Axes whose residual exceeds the noise for every machine near the tolerance."""
-    return axes_above_noise(state.group, residual_within(state, state.fit, T.widest * machine.parameter_tolerance, normal=False))
+    return axes_above_noise(
+        state.group, residual_within(state, state.fit, T.widest * state.group.machine.parameter_tolerance, normal=False)
+    )

@@ -16,41 +16,41 @@ import numpy as np
 from twin.diagnose.fit import fit_effects, relinearised_tuning
 from twin.diagnose.plausible import is_plausible, normal_deviation
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState, is_cut
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 
-def sized(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
+def sized(state: GroupState) -> GroupState:
     """The state with its effects fitted with this model error; unchanged without effects."""
     if not state.fit.settings:
         return state
     state = replace(state, response_cache={})
     with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning linearised without effects
-        state = replace(state, tuning=relinearised_tuning(state.group, state.fit, machine, mapper))
+        state = replace(state, tuning=relinearised_tuning(state.group, state.fit))
     change = state.fit.response / state.group.weights
     for _ in range(T.size_rounds):
         state = state.doubted(change * state.group.weights, state.fit.residual(state.group))
         known = state.fit.linear_effect_slopes
-        fit = fit_effects(state.group, machine, state.tuning, state.fit.settings, mapper, T.few_steps, narrowest=T.slope, known=known)
+        fit = fit_effects(state.group, state.tuning, state.fit.settings, T.few_steps, narrowest=T.slope, known=known)
         if fit is None:
             break
         state = state.with_fit(fit)
-    return without_implausible(state.inflated(), machine, mapper)
+    return without_implausible(state.inflated())
 
 
-def without_implausible(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
+def without_implausible(state: GroupState) -> GroupState:
     """The state without effects whose final size is implausible or too uncertain."""
     if not state.fit.settings:
         return state
+    machine = state.group.machine
     determined = _sizes_are_determined(state, machine)
     kept = [
         s for s, is_determined in zip(state.fit.settings, determined) if is_determined and is_plausible(s, machine, is_cut(state.group, s))
     ]
     if len(kept) == len(state.fit.settings):
         return state
-    fit = fit_effects(state.group, machine, state.tuning, kept, mapper, T.few_steps)
+    fit = fit_effects(state.group, state.tuning, kept, T.few_steps)
     if fit is None:
         return state
     accepted = (*state.accepted[: len(kept)][:-1], fit) if kept else ()

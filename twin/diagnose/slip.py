@@ -17,12 +17,10 @@ from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects, no_effect
 from twin.diagnose.imperfections import channels_above_noise, moved_to, shows_slip
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance, can_be_imperfect, tuned
 from twin.diagnose.tuning import stacked_columns
 from twin.errors import TwinError
-from twin.machine.machine import Machine
 
 STRETCH = 1.8
 """Ratio of successive trial sizes."""
@@ -34,22 +32,22 @@ FIRST = (0.2, 0.8)
 """First trial sizes on an axis without slip, besides the smallest one, as shares of the largest normal one."""
 
 
-def with_refitted_slip(state: GroupState, machine: Machine, mapper: Mapper) -> GroupState:
+def with_refitted_slip(state: GroupState) -> GroupState:
     """The state with the slip of each axis fitted again. Unchanged if the loss does not improve, if the residual is so large that effects must be
     missing, or for a machine without tolerance, which has no normal imperfections.
     """
     if state.tuning.spread <= 0.0 or state.fit.loss > T.small_residual * state.group.expected_loss:
         return state
-    for slip in [Nuisance(axis, "slip") for axis in state.group.axes if can_be_imperfect(machine, axis, "slip")]:
+    for slip in [Nuisance(axis, "slip") for axis in state.group.axes if can_be_imperfect(state.group.machine, axis, "slip")]:
         residual = state.fit.residual(state.group) / state.group.weights
         if slip in state.tuning.nuisances or shows_slip(channels_above_noise(state.group, residual), slip.owner):
-            state = _sized(state, machine, slip, mapper)
+            state = _sized(state, slip)
     return state
 
 
-def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) -> GroupState:
+def _sized(state: GroupState, slip: Nuisance) -> GroupState:
     """The state with one slip at its best size."""
-    tolerance, tuning = machine.parameter_tolerance, state.tuning
+    tolerance, tuning = state.group.machine.parameter_tolerance, state.tuning
     new = slip not in tuning.nuisances
     nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances
     i = nuisances.index(slip)
@@ -61,7 +59,7 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
     def response(deviation: float) -> np.ndarray:
         there = deviations.copy()
         there[i] = deviation
-        whole = state.rigid.response(tuned(nuisances, there), state.fit.settings, (slip.owner,), shaken=True, mapper=mapper)
+        whole = state.rigid.response(tuned(nuisances, there), state.fit.settings, (slip.owner,), shaken=True)
         return whole[rows]
 
     @functools.cache
@@ -88,12 +86,10 @@ def _sized(state: GroupState, machine: Machine, slip: Nuisance, mapper: Mapper) 
         return state
     column = np.zeros(state.group.size)
     column[rows] = (response(beyond) - response(best)) * (tuning.spread / (beyond - best))
-    return _moved(state, machine, nuisances, i, best, column, mapper)
+    return _moved(state, nuisances, i, best, column)
 
 
-def _moved(
-    state: GroupState, machine: Machine, nuisances: tuple[Nuisance, ...], i: int, deviation: float, column: np.ndarray, mapper: Mapper
-) -> GroupState:
+def _moved(state: GroupState, nuisances: tuple[Nuisance, ...], i: int, deviation: float, column: np.ndarray) -> GroupState:
     """The state about the machine with nuisance `i` at this deviation, where its response at its spread is `column` (row,); effects are refitted."""
     tuning, count = state.tuning, len(state.tuning.nuisances)
     missing = np.zeros(len(nuisances) - count)
@@ -104,8 +100,8 @@ def _moved(
     columns[:, i] = column
     shown = replace(tuning.of(nuisances, columns), base=base)
     try:
-        group, about = moved_to(state.rigid, shown, theta, mapper)
-        fit = fit_effects(group, machine, about, state.fit.settings, mapper, T.refit_steps, known=state.fit.slopes)
+        group, about = moved_to(state.rigid, shown, theta)
+        fit = fit_effects(group, about, state.fit.settings, T.refit_steps, known=state.fit.slopes)
     except TwinError:
         return state
     if fit is None or fit.loss > state.fit.loss:  # the creep improves, but the rest gets worse

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from twin.diagnose.observe import Group
 from twin.effects.effect import Parameter
 from twin.effects.scan import AlongTravel, AlongTurn, InTime, LargestCurrent, Resonance
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Axis
 
 PEAKS = 2
 """Spectral lines tried for an effect that is periodic in position or time."""
@@ -50,14 +50,13 @@ SLOW_ENOUGH = 0.1
 class StartValues:
     """Starting values for one axis from the weighted residual (row,) of its group."""
 
-    def __init__(self, group: Group, machine: Machine, axis: Axis, residual: np.ndarray) -> None:
+    def __init__(self, group: Group, axis: Axis, residual: np.ndarray) -> None:
         self.group, self.axis = group, axis
         self.values = residual / group.weights
         self.channels = {}
         for channel in group.channels:
             if channel.axis == axis.name:
                 self.channels[channel.run, channel.name] = channel
-        self.machine = machine
 
     def of(self, parameter: Parameter) -> list[float]:
         """Starting values of a parameter with a scan: the strongest spectral lines, or levels of a limit."""
@@ -66,7 +65,7 @@ class StartValues:
                 waves, power = self._along_turn(low, high, 2.0 * math.pi * self.axis.ratio)
                 return _with_whole_number(_strongest(waves, power), waves, power)
             case AlongTravel():
-                shortest, longest = parameter.usual_range(self.machine, self.axis)
+                shortest, longest = parameter.usual_range(self.group.machine, self.axis)
                 return _strongest(*self._along_travel(shortest / 3.0, LONGEST_WAVE * longest))
             case InTime() as scan:
                 return _strongest(*self._in_time(scan))

@@ -12,7 +12,6 @@ from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Fit, Sizes, no_effect, simulated_responses
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, in_turn
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
 from twin.errors import TwinError
@@ -96,14 +95,14 @@ class GroupState:
         """Keys of the effects of the fit."""
         return {s.key for s in self.fit.settings}
 
-    def cached_responses(self, settings: Sequence[Setting], mapper: Mapper = in_turn) -> list[np.ndarray | TwinError]:
+    def cached_responses(self, settings: Sequence[Setting]) -> list[np.ndarray | TwinError]:
         """Response (row,) to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once."""
         keys = [repr(setting.table()) for setting in settings]
         missing = {key: setting for key, setting in zip(keys, settings) if key not in self.response_cache}
         names = list(missing)
         for first in range(0, len(names), AT_ONCE):
             some = names[first : first + AT_ONCE]
-            for key, column in zip(some, simulated_responses(self.group, [[missing[key]] for key in some], mapper)):
+            for key, column in zip(some, simulated_responses(self.group, [[missing[key]] for key in some])):
                 self.response_cache[key] = (
                     column if isinstance(column, TwinError) else CachedResponse(column.astype(np.float32), self.group.weights)
                 )

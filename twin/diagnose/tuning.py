@@ -12,10 +12,8 @@ from scipy.linalg import null_space
 
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.effects import Setting
-from twin.machine.machine import Machine
 from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
 
@@ -144,18 +142,16 @@ class Tuning:
         )
 
 
-def tuning_of(
-    group: Group, machine: Machine, mapper: Mapper, settings: Sequence[Setting] = (), response: np.ndarray | float = 0.0
-) -> Tuning:
+def tuning_of(group: Group, settings: Sequence[Setting] = (), response: np.ndarray | float = 0.0) -> Tuning:
     """Simulate the response to each toleranced parameter of the machine with these effects, whose own response is `response` (row,)."""
-    nuisances = nuisances_of(machine, group.axes)
-    spread = machine.parameter_tolerance * UNIFORM
+    nuisances = nuisances_of(group.machine, group.axes)
+    spread = group.machine.parameter_tolerance * UNIFORM
     if spread <= 0.0 or not nuisances:
         return _with_zeros(tuning_from((), np.zeros((group.size, 0)), 0.0, T.prior_weight), group)
     step, own = max(T.nearby, spread), moved_by(settings, group)
     axes = [tuple(a for a in group.axes if a in own or a in n.axes(group.axes)) for n in nuisances]
     variations = [Variation(functools.partial(n.apply, factor=1.0 + step), settings, moved) for n, moved in zip(nuisances, axes)]
-    columns = [(c - response)[:, None] * (spread / step) for c in all_or_raise(group.responses(variations, mapper=mapper))]
+    columns = [(c - response)[:, None] * (spread / step) for c in all_or_raise(group.responses(variations))]
     return _with_zeros(tuning_from(nuisances, stacked_columns(*columns), spread, T.prior_weight), group)
 
 

@@ -124,7 +124,7 @@ def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
     for asked, doubted in (([a for a in axes if a in few], False), (axes, True)):
         if asked:
             with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual
-                yield laws_of(found, setup.nominal, asked, setup.folds, setup.mapper, setup.progress, doubted)
+                yield laws_of(found, asked, setup.folds, setup.progress, doubted)
 
 
 def _recorded_axes(found: GroupState) -> list[str]:

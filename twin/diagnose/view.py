@@ -34,6 +34,7 @@ class RunView:
     feedforward: str | None = None  # feedforward of this run
     own_zeros: frozenset[str] = frozenset()  # axes whose encoder zeros differ in this run
     ballbar: Ballbar | None = None  # ballbar that measured this run
+    file: Machine | None = None  # machine file without effects, with its own feedforward
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -84,7 +85,9 @@ def view_of(machine: Machine, run: MeasuredRun) -> RunView:
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
     motion = nominal_motion(actual, setpoints)
-    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, run.own_zeros, run.ballbar)
+    return RunView(
+        run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, run.own_zeros, run.ballbar, file=machine
+    )
 
 
 def _follows_another(view: RunView, name: str) -> bool:

@@ -88,9 +88,9 @@ class Answers:
         )
 
 
-def answers_of(group: Group, machine: Machine, starts: Mapping[Key, Start], mapper: Mapper) -> Answers:
+def answers_of(group: Group, starts: Mapping[Key, Start], mapper: Mapper) -> Answers:
     """Simulate the response to every toleranced parameter and every start on the runs of a group."""
-    tuning = tuning_of(group, machine, mapper)
+    tuning = tuning_of(replace(group, mapper=mapper))
     simulated = mapper(lambda s: _columns(group, s), starts.values())
     at = len(tuning.nuisances)
     blocks = [tuning.jacobian[:, :at].astype(np.float32)]
@@ -115,9 +115,9 @@ def _eliminated(products: np.ndarray, kept: int, prior: np.ndarray) -> np.ndarra
     return np.asarray(products[:kept, :kept] - cross.T @ np.linalg.solve(products[kept:, kept:] + np.diag(prior), cross))
 
 
-def starts_by_key(group: Group, machine: Machine) -> dict[Key, Start]:
+def starts_by_key(group: Group) -> dict[Key, Start]:
     """One start per effect and axis: the middle one of its sizes and shapes."""
-    starts = starts_of(group, machine, np.zeros(group.size))
+    starts = starts_of(group, np.zeros(group.size))
     keys = dict.fromkeys(s.key for s in starts)
     return {key: (same := [s for s in starts if s.key == key])[len(same) // 2] for key in keys}
 
@@ -197,7 +197,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
         mapper = on_threads(pool)
 
         def answers(runs: Sequence[MeasuredRun], group_axes: tuple[str, ...], actual: Machine, starts: Mapping[Key, Start]) -> Answers:
-            return answers_of(observe([view_of(actual, run) for run in runs], group_axes), actual, starts, mapper)
+            return answers_of(observe([view_of(actual, run) for run in runs], group_axes), starts, mapper)
 
         further = {kind: added_run(machine, kind, axes, campaign.runs[0]) for kind in KINDS}
         for group_axes in axis_groups(machine, axes):
@@ -205,8 +205,8 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
             if not group.size:
                 continue
             say(f"{'+'.join(group_axes)}: as recorded")
-            starts = starts_by_key(group, machine)
-            own = answers_of(group, machine, starts, mapper)
+            starts = starts_by_key(group)
+            own = answers_of(group, starts, mapper)
             seen = {"scale": own}
             if motor:
                 say(f"{'+'.join(group_axes)}: motor encoder")

@@ -60,7 +60,7 @@ def projected(machine: Machine, run: MeasuredRun, axes: tuple[str, ...], mapper:
 
 def responses(group: Group, directions: Sequence[Direction], mapper: Mapper) -> np.ndarray:
     """Weighted response (row, direction) to each unit effect; zero where it cannot be simulated."""
-    found: list[Any] = group.responses([variation([(d, 1.0)]) for d in directions], mapper=mapper)
+    found: list[Any] = replace(group, mapper=mapper).responses([variation([(d, 1.0)]) for d in directions])
     return np.column_stack([c if isinstance(c, np.ndarray) else np.zeros(group.size) for c in found])
 
 

@@ -138,7 +138,7 @@ class Contrast:
         changes = [(self.directions[k], float(theta[k])) for k in np.flatnonzero(theta).tolist()]
         out = []
         for _, group, columns in self.groups:
-            answer = group.responses([variation(changes)], mapper=mapper)[0]
+            answer = replace(group, mapper=mapper).responses([variation(changes)])[0]
             if isinstance(answer, TwinError):
                 return None
             out.append(projection_of(group, columns, answer).right)

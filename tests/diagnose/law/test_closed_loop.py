@@ -59,7 +59,7 @@ def laws_beside(effects: list[dict], group, machine=X):
     settings = settings_of(with_effects(machine, effects))
     response = simulated_response(group, settings) if settings else np.zeros(group.size)
     state = found_of(group, no_tuning(group.size), fit_with_fixed_effects(group, no_tuning(group.size), settings, response))
-    return laws_of([state], machine, ["X"], folds_of(len(group.views)), in_turn)
+    return laws_of([state], ["X"], folds_of(len(group.views)))
 
 
 def found(effects: list[dict], strokes=STROKES):
@@ -68,7 +68,7 @@ def found(effects: list[dict], strokes=STROKES):
 
 
 def loop_of(group, shakes: bool = False, count: int = 0) -> ClosedLoop:
-    return closed_loop(group, X, "X", folds_of(count or len(group.views)), in_turn, shakes)
+    return closed_loop(group, "X", folds_of(count or len(group.views)), shakes)
 
 
 def names(settings) -> list[str]:
@@ -318,7 +318,7 @@ def test_a_single_run_is_predicted_half_by_half():
     free = group_of([rng.standard_normal(group.size)])
     tuning = no_tuning(group.size).with_free(columns)
     fit = fit_with_fixed_effects(free, tuning, (), np.zeros(group.size))
-    alone = ClosedLoop(free, X, "X", halved(Parts(((slice(0, group.size),),)), 0, np.ones(group.size)), in_turn)
+    alone = ClosedLoop(free, "X", halved(Parts(((slice(0, group.size),),)), 0, np.ones(group.size)))
     assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone._judged(fit).held_out
 
 
@@ -342,7 +342,13 @@ def costs_of(misfits: dict[tuple[str, ...], float]) -> Any:
         cost = misfit + sum(PRICE if s.effect.name == "law" else T.evidence for s in settings)
         return SimpleNamespace(settings=tuple(settings), misfit=misfit, held_out=misfit, cost=cost, fit=None)
 
-    return SimpleNamespace(axis="X", machine=X, refit=refit, start=lambda settings: refit(None, settings), above_noise=lambda f: f.misfit)
+    return SimpleNamespace(
+        axis="X",
+        group=SimpleNamespace(machine=X, views=[], mapper=in_turn),
+        refit=refit,
+        start=lambda settings: refit(None, settings),
+        above_noise=lambda f: f.misfit,
+    )
 
 
 def test_a_fit_with_the_slopes_of_another_has_the_same_result(monkeypatch):
@@ -418,7 +424,7 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
         fit.fit, fit.cost = SimpleNamespace(about=about, tuning=np.zeros(0)), fit.misfit + PRICE * len(settings)
         return fit
 
-    loop.refit, loop.start, loop.group, loop.mapper = refit, lambda settings: refit(None, settings), SimpleNamespace(views=[]), in_turn
+    loop.refit, loop.start = refit, lambda settings: refit(None, settings)
     found = _search_from(loop, (), (), lambda _: None, (STRONG, WEAK))
     return [str(name) for (name, _, _), _ in found.laws.values()]
 

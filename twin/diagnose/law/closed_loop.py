@@ -10,7 +10,7 @@ correlated over many samples. It is the negative log density with a model error 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import functools
 import math
 
@@ -22,13 +22,11 @@ from twin.diagnose.law.residual import ONE_RUN
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.tolerance import SPRING_EFFECT
 from twin.diagnose.tuning import Tuning, tuning_of, zeros_of
 from twin.effects import Setting
 from twin.effects.law import NAME
 from twin.errors import TwinError
-from twin.machine.machine import Machine
 
 PRICE = 30.0
 """Price of a law [nat]. It is higher than that of an effect of the library, `evidence`, because a law may have many shapes."""
@@ -84,15 +82,12 @@ class ClosedLoop:
     """One axis of a group about the machine file, without the encoder zeros of each run, with the parts of the cross-validation.
 
     `group` weighs its rows as evidence of laws. If it shakes, all simulations have the same noise in the loop: an axis that slips before
-    break-away needs it, and so does a set of effects without the slip that is compared with one that has it. `others` are the effects of the other
-    axes of the group.
+    break-away needs it, and so does a set of effects without the slip that is compared with one that has it.
     """
 
     group: Group
-    machine: Machine  # nominal, without effects
     axis: str
     parts: Parts
-    mapper: Mapper = field(repr=False)
 
     @functools.cached_property
     def expected(self) -> float:
@@ -113,8 +108,8 @@ class ClosedLoop:
     def start(self, settings: Settings) -> Fitted | None:
         """The fit from these settings on the machine file, re-tuned with their slopes; None if they cannot be simulated."""
         try:
-            response = simulated_response(self.group, settings, self.mapper) if settings else np.zeros(self.group.size)
-            tuning = tuning_of(self.group, self.machine, self.mapper, settings, response)
+            response = simulated_response(self.group, settings) if settings else np.zeros(self.group.size)
+            tuning = tuning_of(self.group, settings, response)
         except TwinError:
             return None
         return self._fitted(settings, tuning, self._inflation(self.group.residual - response), FEW_STEPS)
@@ -128,7 +123,7 @@ class ClosedLoop:
         tuning = tuning.with_prior(T.prior_weight * inflation)
         known = like.fit.slopes if like else {}
         moving = {i for i, s in enumerate(settings) if self._is_free(s, settings)}
-        fit = fit_effects(self.group, self.machine, tuning, settings, self.mapper, steps, moving=moving, known=known)
+        fit = fit_effects(self.group, tuning, settings, steps, moving=moving, known=known)
         return None if fit is None else self._judged(fit)
 
     def _is_free(self, setting: Setting, settings: Settings) -> bool:
@@ -158,7 +153,7 @@ class ClosedLoop:
         size = setting.effect.size
         deviation = fitted.deviations(setting.key).get(size.name, 0.0)
         significant = abs(size.deviation(setting.size)) > 1.96 * deviation
-        return significant and (bool(setting.effect.normal) or is_plausible(setting, self.machine))
+        return significant and (bool(setting.effect.normal) or is_plausible(setting, self.group.machine))
 
     def price(self, setting: Setting) -> float:
         """Price of a law or effect [nat]; none for a normal imperfection, which every axis may have."""
@@ -187,7 +182,7 @@ class ClosedLoop:
         return replace(self, parts=halved(self.parts, loudest, left))
 
 
-def closed_loop(group: Group, machine: Machine, axis: str, folds: Sequence[Sequence[int]], mapper: Mapper, shakes: bool) -> ClosedLoop:
+def closed_loop(group: Group, axis: str, folds: Sequence[Sequence[int]], shakes: bool) -> ClosedLoop:
     """The closed loop of an axis of a group that was observed against the machine file."""
     credit = group.credit_after_rests(SHORTEST_REST_S)
     channels = [replace(c, credit=credit[c.rows]) for c in group.channels]
@@ -195,7 +190,7 @@ def closed_loop(group: Group, machine: Machine, axis: str, folds: Sequence[Seque
     parts = Parts(tuple(tuple(c.rows for c in group.channels if c.run in fold) for fold in folds))
     if len(folds) == 1:
         parts = halved(parts, 0, np.ones(group.size))
-    return ClosedLoop(group, machine, axis, parts, mapper)
+    return ClosedLoop(group, axis, parts)
 
 
 def halved(parts: Parts, fold: int, left: np.ndarray) -> Parts:

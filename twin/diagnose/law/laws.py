@@ -18,7 +18,7 @@ from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, Variant
+from twin.diagnose.simulations import Variant
 from twin.diagnose.state import GroupState, Key, inflation
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
 from twin.diagnose.tuning import Tuning
@@ -79,17 +79,16 @@ class Laws:
 
 def laws_of(
     found: Sequence[GroupState],
-    machine: Machine,
     axes: Sequence[str],
     folds: Sequence[Sequence[int]],
-    mapper: Mapper,
     say: Say = lambda _: None,
     doubted: bool = False,
 ) -> Laws:
-    """Laws of these axes, beside or instead of the effects that the search found; `machine` is the nominal machine without effects.
+    """Laws of these axes, beside or instead of the effects that the search found.
 
     The search gives little weight to samples with large errors. A law may act just there, so all samples weigh the same, unless `doubted`.
     """
+    machine = found[0].group.machine
     laws: list[Law] = []
     states: list[GroupState] = []
     left: dict[str, float] = {}
@@ -97,7 +96,7 @@ def laws_of(
     for state in found:
         for axis in [a for a in state.group.axes if a in axes]:
             say(f"{axis}: searching for an unlisted law")
-            if jitter := _jitter(residuals_of(state.group.views, _corrected_by(state), (axis,), mapper), axis, machine, state):
+            if jitter := _jitter(residuals_of(state.group.views, _corrected_by(state), (axis,), state.group.mapper), axis, state):
                 laws.append(jitter)
                 state = replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting)))
                 left[axis] = 1.0 - jitter.explained
@@ -105,11 +104,11 @@ def laws_of(
             settings = settings_of(corrected_machine(machine, [state]))
             group = state.rigid if doubted else state.rigid.without_doubt()
             slips = any(s.axis == axis and s.effect.normal == "slip" for s in settings)
-            loop = closed_loop(group, machine, axis, folds, mapper, slips)
+            loop = closed_loop(group, axis, folds, slips)
             others = tuple(s for s in settings if s.axis != axis and not s.effect.edits_bodies)
             own = tuple(s for s in settings if s not in others)
             if others:
-                response = simulated_response(loop.group, others, mapper) / loop.group.weights
+                response = simulated_response(loop.group, others) / loop.group.weights
                 channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
                 loop = replace(loop, group=replace(loop.group, channels=channels))
             best = _search_axis(loop, own, say)
@@ -117,22 +116,22 @@ def laws_of(
             if best and best.laws:
                 laws += _laws_in(best)
                 beside |= _probabilities_beside(best)
-                state = _state_with(closed_loop(group, machine, axis, folds, mapper, slips), best.fitted, others) or state
+                state = _state_with(closed_loop(group, axis, folds, slips), best.fitted, others) or state
         states.append(state)
     return Laws(tuple(laws), tuple(states), corrected_machine(machine, states), left, beside)
 
 
 def _corrected_by(state: GroupState) -> Variant:
     """Maps the nominal machine of a run to the one that the search corrected."""
-    of_tuning = tuned(state.tuning.nuisances, limited_deviations(state, state.group.views[0].machine.parameter_tolerance))
+    of_tuning = tuned(state.tuning.nuisances, limited_deviations(state, state.group.machine.parameter_tolerance))
     return lambda machine: with_added(of_tuning(machine), state.fit.settings)
 
 
-def _jitter(blocks: Sequence[Samples], axis: str, machine: Machine, state: GroupState) -> Law | None:
+def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> Law | None:
     """The jitter of an axis' scale. Random errors have no response that could be fitted in closed loop; they are sized from the residual."""
     for samples in blocks:
         if samples.block == "transmission" and (found := jitter_of(samples)):
-            setting = check_setting(found.table(axis), machine, "a measured law")
+            setting = check_setting(found.table(axis), state.group.machine, "a measured law")
             return Law(setting, found, samples, found.predicts, state.group.confidence(axis), {})
     return None
 
@@ -140,7 +139,7 @@ def _jitter(blocks: Sequence[Samples], axis: str, machine: Machine, state: Group
 def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupState | None:
     """The state of a group with the laws and effects of one axis and those of its other axes, fitted together."""
     group, fit = loop.group, fitted.fit
-    joint = fit_effects(group, loop.machine, fit.about, [*fit.settings, *others], loop.mapper, 1, known=fit.slopes) if others else fit
+    joint = fit_effects(group, fit.about, [*fit.settings, *others], 1, known=fit.slopes) if others else fit
     if joint is None:
         return None
     return GroupState(group, group, fit.about, joint, no_effect(group, fit.about), inflation(group, joint))
@@ -196,7 +195,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, say: Say) -> _AxisLaws | 
     A search without the law may find effects that do not exist, re-tune the axis, or bend its drive train, only to imitate the law. The search
     for laws therefore also starts without the effects of the axis, and restores those that lower the cost.
     """
-    axis, machine = loop.axis, loop.machine
+    axis, machine = loop.axis, loop.group.machine
     own = tuple(s for s in settings if s.axis == axis and not s.effect.normal)
     first = loop.start(settings)
     if first is None:
@@ -251,10 +250,10 @@ def _cheaper(
     loop: ClosedLoop, fitted: Fitted, waiting: Sequence[Proposal], selections: Sequence[Selection], say: Say
 ) -> list[tuple[Fitted, Proposal]]:
     """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
-    axis, machine, known = loop.axis, loop.machine, set[str]()
+    axis, machine, known = loop.axis, loop.group.machine, set[str]()
     about: Tuning = fitted.fit.about
     of_tuning = tuned(about.nuisances, fitted.fit.tuning[: len(about.nuisances)] * about.spread)
-    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.mapper)
+    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.group.mapper)
     measured = measured_in(blocks, machine, axis)
     for selection in selections:
         proposed = settings_of_proposals(propose_laws(measured, machine, axis, selection), axis, machine)
@@ -280,7 +279,9 @@ def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted
         held = {s.key for s in settings}
         absent = [e for e in effects if e.key not in held]
         laws = laws_in(settings)
-        removable = [s for s in settings if s.axis == loop.axis and (s.effect.normal != "elasticity" or not is_normal(loop.machine, s))]
+        removable = [
+            s for s in settings if s.axis == loop.axis and (s.effect.normal != "elasticity" or not is_normal(loop.group.machine, s))
+        ]
         without = {s.key: loop.refit(fitted, tuple(o for o in settings if o is not s), FEW_STEPS) for s in removable}
         tried = [*without.values(), *(loop.refit(fitted, (*settings, e), FEW_STEPS) for e in absent)]
         tried += [loop.refit(fitted, (*(o for o in settings if o is not law), e)) for law in laws for e in absent]

@@ -61,16 +61,16 @@ def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted) -> Fitted:
 
     The law search may start from a rigid drive train: until the law was known, nothing separated the two.
     """
-    axis, settings, tolerance = loop.axis, fitted.settings, loop.machine.parameter_tolerance
+    axis, settings, tolerance = loop.axis, fitted.settings, loop.group.machine.parameter_tolerance
     between = any(s.axis == axis and is_between_encoders(s) for s in laws_in(settings))
     if not between or drive_train_of(settings, axis) or not tolerance > 0.0:
         return fitted
     elasticity = Nuisance(axis, "elasticity")
-    elastic = [spring_of(settings_of(elasticity.apply(loop.machine, 1.0 + share * tolerance)), axis) for share in SHARES]
+    elastic = [spring_of(settings_of(elasticity.apply(loop.group.machine, 1.0 + share * tolerance)), axis) for share in SHARES]
     started = [(*settings, spring) for spring in elastic if spring]
     # the law took the part of the elasticity that it can imitate, and gives it back in the fit
     tuning = fitted.fit.about.with_free(fitted.fit.columns)
-    responses = simulated_responses(loop.group, started, loop.mapper)
+    responses = simulated_responses(loop.group, started)
     losses = [math.inf if isinstance(r, TwinError) else tuning.loss(loop.group.residual - r) for r in responses]
     new = loop.refit(fitted, started[int(np.argmin(losses))]) if started else None
     return new if new is not None and new.cost + T.evidence < fitted.cost else fitted
