@@ -69,8 +69,7 @@ def is_explained_to_noise(before: Levels, after: Levels, axes: Collection[str]) 
 
 def needs_a_law(before: float, after: float, loudest_signal: float, imitated: bool) -> bool:
     """Whether a law is sought for an axis; `imitated`: several effects share a block and may imitate one law."""
-    one_is = loudest_signal > LOUD_SIGNAL and (imitated or unexplained_share(before, after) > NEXT_TO_NOTHING)
-    return after > LOUD or gap_remains(before, after) or one_is
+    return after > LOUD or (loudest_signal > LOUD_SIGNAL and (imitated or unexplained_share(before, after) > NEXT_TO_NOTHING))
 
 
 def loudest(of_signals: SignalLevels) -> dict[str, float]:

@@ -138,10 +138,13 @@ def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> Law | No
 
 def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupState | None:
     """The state of a group with the laws and effects of one axis and those of its other axes, fitted together."""
-    group, fit = loop.group, fitted.fit
-    joint = fit_effects(group, fit.about, [*fit.settings, *others], 1, known=fit.slopes) if others else fit
-    if joint is None:
-        return None
+    group, fit, joint = loop.group, fitted.fit, fitted.fit
+    if others:
+        moving = {f.setting for f in fit.free} | {i for i, s in enumerate(others, len(fit.settings)) if not s.effect.normal}
+        together = fit_effects(group, fit.about, [*fit.settings, *others], 1, moving=moving, known=fit.slopes)
+        if together is None:
+            return None
+        joint = together
     return GroupState(group, group, fit.about, joint, no_effect(group, fit.about), inflation(group, joint))
 
 
