@@ -16,8 +16,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from twin.diagnose import diagnose  # noqa: E402
-from twin.diagnose.evidence import blocks_map, stretches  # noqa: E402
 from twin.diagnose.output import summary_text  # noqa: E402
+from twin.diagnose.report_contents import blocks_map, stretches  # noqa: E402
 from twin.diagnose.report_figures import map_figure, stretch_figure, waterfall_figure  # noqa: E402
 from twin.exam.draw import draw_case, write_campaign  # noqa: E402
 from twin.exam.plant.parameters import Richness  # noqa: E402

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from twin.diagnose.budget import simulated_each
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.evidence import stretches
+from twin.diagnose.report_contents import stretches
 from twin.diagnose.simulations import in_turn
 from twin.diagnose.state import Key
 from twin.diagnose.view import view_of

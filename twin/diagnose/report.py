@@ -8,8 +8,8 @@ from typing import Any
 
 from twin.diagnose.budget import overlap_text
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.evidence import Stretch, blocks_map, retuned_values, run_levels, stretches
 from twin.diagnose.law.figures import laws_figure
+from twin.diagnose.report_contents import Stretch, blocks_map, retuned_values, run_levels, stretches
 from twin.diagnose.report_figures import budget_figure, image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import (
     calibration_text,

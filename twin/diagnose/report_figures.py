@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 import numpy as np
 
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.evidence import BLOCKS_NEED, MARGIN, Stretch
+from twin.diagnose.report_contents import BLOCKS_NEED, MARGIN, Stretch
 from twin.diagnose.wording import effect_title, percent, times
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace

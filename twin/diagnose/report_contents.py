@@ -1,4 +1,4 @@
-"""Contents of the report besides numbers: the intervals to show, the map of blocks, levels by run, re-tuned values."""
+"""Contents of the report beside the document: the intervals to show, the map of blocks, levels by run, re-tuned values."""
 
 from __future__ import annotations
 
