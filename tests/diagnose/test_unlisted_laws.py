@@ -17,7 +17,7 @@ def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None, e
     """Axes for which a law is sought, in a group of which only X was recorded, with `effects` on X; without `before`, they explain nothing."""
     group = replace(group_of([np.full(50, 3.0)], "X"), axes=axes)
     asked = []
-    monkeypatch.setattr(validation, "laws_of", lambda found, machine, axes, *rest: asked.append(axes))
+    monkeypatch.setattr(validation, "laws_of", lambda found, axes, *rest: asked.append(axes))
     state = found_of(group)
     fit = replace(state.fit, settings=tuple(Setting(EFFECTS[name], "X", {}) for name in effects))
     found = [replace(state, unknown=unknown, fit=fit)]
