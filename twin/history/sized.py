@@ -7,6 +7,7 @@ theta <- theta y / y(theta)                           until y(theta) = y
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def _shown(
     def shown(theta: float) -> float | None:
         total = 0.0
         for group, own in zip(groups, columns):
-            [response] = group.responses([variation([(direction, theta)])], mapper=mapper)
+            [response] = replace(group, mapper=mapper).responses([variation([(direction, theta)])])
             if not isinstance(response, np.ndarray):
                 return None
             total += float(w @ projection_of(group, own, response).right)
