@@ -99,7 +99,8 @@ def choose(
         base = with_changes(machine, chosen)
         say(f"tuning {len(pool)} changes beside {len(chosen)}")
         tried = [tuned(change, base, [on]) for change in pool]
-        for change in sorted(tried, key=lambda c: judged(c.applied(base), on).rms):
+        first = [error.rms for error in _all_judged([change.applied(base) for change in tried], on)]
+        for change in (tried[i] for i in np.argsort(first, kind="stable")):
             if goal.met(now):
                 break
             base = with_changes(machine, chosen)
@@ -117,8 +118,12 @@ def choose(
 
 def judged(machine: Machine, on: Motionful) -> ToolError:
     """The error of a machine on a motion; an infinite one where the simulation diverges."""
-    found = errors_of([machine], on)[0]
-    return ToolError(np.array([np.inf]), {}, {}) if found is None else found
+    return _all_judged([machine], on)[0]
+
+
+def _all_judged(machines: Sequence[Machine], on: Motionful) -> list[ToolError]:
+    """The same of several machines, simulated side by side."""
+    return [ToolError(np.array([np.inf]), {}, {}) if found is None else found for found in errors_of(machines, on)]
 
 
 def _tried(change: Change, base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked) -> tuple[Change, ToolError, str]:
@@ -136,10 +141,11 @@ def _harm(change: Change, base: Machine, on: Motionful, elsewhere: Sequence[Moti
     if change.function == SET_BACK:
         missed = asked.missed_by(change.applied(base), change.axis) if _raises_a_gain(change.setting) else ""
         return f"with the commissioned values {missed}: tune the loops (twin tune)" if missed else ""
+    frictions = (1.0, *FRICTIONS)
+    machines = [with_friction(base, change.axis, friction) for friction in frictions]
     for motion in (on, *elsewhere):
-        for friction in (1.0, *FRICTIONS):
-            machine = with_friction(base, change.axis, friction)
-            without, with_it = (judged(m, motion) for m in (machine, change.applied(machine)))
+        found = _all_judged([*machines, *(change.applied(machine) for machine in machines)], motion)
+        for friction, without, with_it in zip(frictions, found, found[len(frictions) :]):
             if with_it.rms > NO_WORSE * without.rms:
                 said = [f"{e.rms * 1e6:.2f} um" if math.isfinite(e.rms) else "unstable" for e in (without, with_it)]
                 return f"on {motion.name} with {friction:.0%} of the friction it makes {said[0]} to {said[1]}: it helps at one feed only"
