@@ -31,8 +31,7 @@ from twin.exam.draw import (
 )
 from twin.exam.paths import limits_of, within_limits
 from twin.exam.plant.effects import LIBRARY, DrawContext, apply_effect, draw_effect
-from twin.exam.plant.friction import bristle_force
-from twin.exam.plant.mechanics import CURRENT, QM, STATES, VM, Q, V, advance
+from twin.exam.plant.mechanics import CURRENT, QM, STATES, VM, Q, V, advance, bristle_force
 from twin.exam.plant.outside import OUTSIDE
 from twin.exam.plant.parameters import AXES, Richness, settings_of, unit_factors
 from twin.exam.plant.plant import PlantError, machine_of, run

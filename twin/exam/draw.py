@@ -21,9 +21,8 @@ import pyarrow.parquet as pq
 from .paths import PERIOD, limits_of, path_of, together
 from .plant.effects import LIBRARY, DrawContext, apply_effect, draw_effect
 from .plant.outside import OUTSIDE
-from .plant.parameters import AXES, Richness, Settings, draw_factors, load_of, pair_of, settings_of
+from .plant.parameters import AXES, Richness, Settings, apply_richness, draw_factors, load_of, pair_of, settings_of
 from .plant.plant import SUBSTEPS, PlantError, Trace, run
-from .plant.richness import apply_richness
 from .programme import TestRun, programme
 
 COUNTS = {"healthy": 0, "single": 1, "outside": 1, "pair": 2, "triple": 3}  # kind of case -> number of effects

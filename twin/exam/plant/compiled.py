@@ -17,7 +17,7 @@ from typing import Any
 
 import numba
 
-SOURCES = ("compensation", "compiled", "control", "friction", "measurement", "mechanics", "plant", "tilting_pair")
+SOURCES = ("compensation", "compiled", "control", "mechanics", "plant", "tilting_pair")
 DIGEST = hashlib.sha256(b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in SOURCES)).hexdigest()
 
 njit: Any = numba.njit  # its type does not know _nrt

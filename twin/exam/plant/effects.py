@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .parameters import AXES, LINEAR, Settings, load_of
+from .parameters import AXES, LINEAR, SCREW, Settings, load_of
 
 ARCSEC = math.pi / 180.0 / 3600.0
-SCREW = 0.010 / (2.0 * math.pi)  # screw ratio [m/rad] behind the ranges in mm
 
 LEAST_FACTOR, MOST_FRACTION = 0.3, 0.95  # limits of wide draws of gains and friction; the twin accepts no more
 

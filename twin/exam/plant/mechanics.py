@@ -12,8 +12,14 @@ A and C share the mass matrix of tilting_pair.py; rotors and added inertia are d
 Drive train: d = QM + ahead(QM) - Q with the transmission error `ahead`, which on a rigid axis appears only at the motor encoder;
 e = deflection beyond the edge of the gap:
     P = k e + k3 e^3 + soft k clip(d, +-gap/2) + damping (VM - V) [without soft only in contact]
-Friction is constant over a step and computed at its start from the free acceleration (friction.py). Units SI at the axis.
-Source: effects.md; ordinary mechanics.
+Friction of the load, exact stick-slip, or a bristle if the axis has pre-sliding:
+    level        F(v, q) = Coulomb (1 + fraction sin(k q)) (1 + warming) + excess exp(-(v / velocity)^2)
+    stick-slip   force = clip(-(v / h + a) m, -F, F): brings the free motion v + h a to rest in a step h; the exact level while sliding, and no creep
+    bristle      z' = v - stiffness |v| z / F,  force = -(stiffness z + damping z'), integrated exactly over a step of constant v, because at rapid
+                 speed it saturates much faster than any step: z -> zs + (z - zs) e^-x, mean z = zs + (z - zs)(1 - e^-x)/x,
+                 zs = F sign(v) / stiffness, x = stiffness |v| h / F
+Friction is constant over a step and computed at its start from the free acceleration. Units SI at the axis (N, m, s; Nm, rad, s).
+Source: effects.md; ordinary mechanics; the exact step is the linear ODE's solution.
 """
 
 from __future__ import annotations
@@ -24,7 +30,6 @@ from typing import Any
 import numpy as np
 
 from .compiled import compiled
-from .friction import bristle_force, friction_level, stick_slip_force
 from .parameters import Settings, load_of
 from .tilting_pair import pair_terms
 
@@ -65,6 +70,43 @@ def mechanics_values(s: Settings) -> dict[str, Any]:
         "on_bed": np.where(s.bed_mass > 0, inertia, 0.0),  # mass of the load on the bed at A = C = 0
         "warming_time": np.where(s.warming_time > 0, s.warming_time, 1.0),
     }
+
+
+@compiled(inline=True)
+def friction_level(axis: Any, warm: float, q: float, v: float) -> float:
+    """F(v, q) of the module's docstring, at least 0; `warm` is 1 + warming."""
+    level = axis.coulomb * warm
+    if axis.friction_wave != 0.0:
+        level *= 1.0 + axis.friction_wave * math.sin(axis.friction_wave_number * q)
+    if axis.stribeck_excess != 0.0:
+        x = v / axis.stribeck_velocity
+        if abs(x) < 6.0:
+            level += axis.stribeck_excess * math.exp(-x * x)
+    return max(level, 0.0)
+
+
+@compiled(inline=True)
+def stick_slip_force(level: float, v: float, free_acceleration: float, mass: float, step: float) -> float:
+    """Friction force of the implicit Coulomb law over one step."""
+    force = -(v / step + free_acceleration) * mass
+    return min(max(force, -level), level)
+
+
+@compiled(inline=True)
+def bristle_force(level: float, stiffness: float, damping: float, z: float, v: float, step: float) -> tuple[float, float]:
+    """(mean force over the step, z at its end)."""
+    if level <= 0.0:
+        return 0.0, 0.0
+    x = stiffness * abs(v) * step / level
+    if x < 1e-6:
+        z_end = z + v * step
+        z_mean = z + 0.5 * v * step
+    else:
+        steady = level / stiffness * (1.0 if v > 0.0 else -1.0)
+        decay = math.exp(-x)
+        z_end = steady + (z - steady) * decay
+        z_mean = steady + (z - steady) * (1.0 - decay) / x
+    return -(stiffness * z_mean + damping * (z_end - z) / step), z_end
 
 
 @compiled(inline=True)
@@ -202,9 +244,7 @@ def find_friction(m, y, dy, friction, z, warm, step, maa, mac, mcc, free):  # ty
         axis = m[k]
         free[k] = dy[V, k]
         v = y[V, k]
-        level = friction_level(
-            axis.coulomb * warm[k], axis.friction_wave, axis.friction_wave_number, axis.stribeck_excess, axis.stribeck_velocity, y[Q, k], v
-        )
+        level = friction_level(axis, warm[k], y[Q, k], v)
         friction[k] = level  # the level for now
         if axis.presliding_stiffness != 0.0:
             friction[k], z[k] = bristle_force(level, axis.presliding_stiffness, axis.presliding_damping, z[k], v, step)
