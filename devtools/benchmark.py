@@ -25,8 +25,8 @@ import numpy as np
 from tests.reference.cascade_reference import ReferenceSimulation
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.engine_calls import call_address_2, engine_function_address
-from twin.simulation.lanes import STRETCH_TICKS
 from twin.simulation.plant_spec import Plant, build_plant
+from twin.simulation.prepared import STRETCH_TICKS
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

@@ -17,8 +17,8 @@ from devtools.benchmark import BareEngine, in_turns, moving_setpoints
 from twin.effects import EFFECTS, apply_effects, with_effects
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.engine_calls import engine_function_address
-from twin.simulation.lanes import STRETCH_TICKS
 from twin.simulation.plant_spec import build_plant
+from twin.simulation.prepared import STRETCH_TICKS
 
 TWO_EFFECTS = [
     {"name": "transmission_compliance", "axis": "X", "stiffness": 8e7},

@@ -22,7 +22,7 @@ from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import write_trace
-from twin.simulation.lanes import with_commissioned_inertia
+from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

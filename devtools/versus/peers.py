@@ -25,8 +25,8 @@ from twin.cli.demo import AXIS, paper_test
 from twin.machine.machine import Machine, load_machine
 from twin.program import interpolate, read_program
 from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.lanes import commissioned_inertia
 from twin.simulation.nominal_motion import nominal_motion
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, setpoints_of
 from twin.simulation.summary import table

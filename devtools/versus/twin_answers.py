@@ -11,7 +11,7 @@ import sys
 from typing import Any
 
 from twin.machine.machine import load_machine
-from twin.simulation.lanes import with_commissioned_inertia
+from twin.simulation.plant_spec import with_commissioned_inertia
 
 from .answer import Answer
 from .inputs import Input

@@ -15,8 +15,7 @@ from twin.identify.regressions import regress_blocks
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
-from twin.simulation.lanes import with_commissioned_inertia
-from twin.simulation.plant_spec import home_inertia_at_motor
+from twin.simulation.plant_spec import home_inertia_at_motor, with_commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

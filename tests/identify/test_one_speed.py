@@ -14,7 +14,7 @@ from twin.identify.recording import prepare_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
-from twin.simulation.lanes import with_commissioned_inertia
+from twin.simulation.plant_spec import with_commissioned_inertia
 
 SPEED, COULOMB, VISCOUS, MASS = 0.0168, 2.4, 60.0, 1.5
 SUM = COULOMB + VISCOUS * SPEED

@@ -16,7 +16,7 @@ from twin.geometry.scurve import moves_in_turn
 from twin.machine.loops import loops_of, margins_of
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.simulation.errors_of_run import error_without_delay
-from twin.simulation.lanes import commissioned_inertia
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import command_of
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints

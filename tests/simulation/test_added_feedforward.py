@@ -5,7 +5,7 @@ import pytest
 
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.lanes import commissioned_inertia
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import command_of
 from twin.simulation.setpoints import recorded_setpoints
 

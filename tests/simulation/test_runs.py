@@ -54,7 +54,7 @@ def test_noise_depends_on_the_seed_and_is_absent_without(mikron: Machine) -> Non
 def test_longer_than_a_stretch_is_the_same(mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     points = swings(mikron, 1.0)
     whole = simulate(mikron, points).trace
-    monkeypatch.setattr("twin.simulation.lanes.STRETCH_TICKS", 1_600)
+    monkeypatch.setattr("twin.simulation.prepared.STRETCH_TICKS", 1_600)
     parts = simulate(mikron, points).trace
     for key, values in whole.signals.items():
         np.testing.assert_allclose(parts.signals[key], values, rtol=1e-9, atol=1e-11, err_msg=str(key))

@@ -14,8 +14,7 @@ from tests.builders.study_files import FACTOR, GRID, RUN, write_meshes, write_mo
 from twin.effects import with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
-from twin.simulation.lanes import commissioned_inertia
-from twin.simulation.plant_spec import home_inertia_at_motor
+from twin.simulation.plant_spec import commissioned_inertia, home_inertia_at_motor
 from twin.study.design import machine_of, nominal_of, variants_of
 from twin.study.execution import fingerprint
 from twin.study.paths import matching_paths, number_at, numbers_of, unit_at, with_numbers

@@ -30,7 +30,7 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.cascade import Drives, DriveState, drives_at_rest, drives_of
 from twin.simulation.drive_setpoints import received_from_nc, speed_set_point
-from twin.simulation.lanes import commissioned_inertia
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import command_of
 
 CHANNEL_SHOWS = {"controller": "position controller", "motor_minus_scale": "transmission"}

@@ -35,8 +35,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
-from twin.simulation.lanes import commissioned_inertia
-from twin.simulation.plant_spec import build_plant, full_inertia
+from twin.simulation.plant_spec import build_plant, commissioned_inertia, full_inertia
 from twin.simulation.run import Run, all_or_raise
 from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale, with_equal_means
 

@@ -43,7 +43,7 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.excitation import one_speed
 from twin.recordings.force_sign import recorded_sign
 from twin.recordings.profile_speed import PROFILE
-from twin.simulation.lanes import with_commissioned_inertia
+from twin.simulation.plant_spec import with_commissioned_inertia
 
 EXPLAINED = 0.5
 """Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""

@@ -33,7 +33,7 @@ from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
-from twin.simulation.lanes import with_commissioned_inertia
+from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, check_travel
 from twin.units import AXIS_UNITS

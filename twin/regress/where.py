@@ -30,7 +30,7 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common
 from twin.simulation.drive_setpoints import closed_on, received_from_nc, speed_set_point
-from twin.simulation.lanes import commissioned_inertia
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import delay_weights
 
 Law = tuple[np.ndarray, np.ndarray, np.ndarray]

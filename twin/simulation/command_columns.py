@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.lanes import commissioned_inertia
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import command_of
 from twin.simulation.setpoints import Setpoints
 

@@ -23,8 +23,8 @@ from twin.recordings.ballbar import FINEST, Ballbar
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.lanes import PlantInterface
 from twin.simulation.mujoco_plant import MujocoPlant
+from twin.simulation.prepared import PlantInterface
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
 from twin.simulation.two_encoders import BOTH, with_equal_means

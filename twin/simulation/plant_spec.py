@@ -220,6 +220,22 @@ def home_inertia_at_motor(machine: Machine) -> np.ndarray:
     return inertia * np.array([axis.ratio for axis in machine.axes]) ** 2
 
 
+def commissioned_inertia(machine: Machine) -> np.ndarray:
+    """J_ff (axis,) [kg m2 at the motor]: from the machine file, or else from the model in the home pose."""
+    known = [axis.commissioned_inertia for axis in machine.axes]
+    if all(value is not None for value in known):
+        return np.array(known, float)
+    return np.where([value is None for value in known], home_inertia_at_motor(machine), np.array(known, float))
+
+
+def with_commissioned_inertia(machine: Machine) -> Machine:
+    """The machine with J_ff written down for every axis. A later change of its masses then leaves the control as it was commissioned."""
+    for axis, inertia in zip(machine.axes, commissioned_inertia(machine).tolist()):
+        if axis.commissioned_inertia is None:
+            machine = machine.with_axis(axis.name, commissioned_inertia=inertia)
+    return machine
+
+
 def full_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """Joint-space inertia matrix (dof, dof) with reflected rotor inertias, for the state last passed to mj_forward."""
     full = np.zeros((model.nv, model.nv))

@@ -20,18 +20,18 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace, read_trace
 from twin.simulation import cascade, loop, loop_record
 from twin.simulation.drive_load import drive_load
-from twin.simulation.lanes import DIVERGED_SPEED, Lane, LaneResults, PlantInterface, lane_of, run_lanes
 from twin.simulation.mujoco_plant import MujocoPlant
+from twin.simulation.prepared import DIVERGED_SPEED, LoopResults, PlantInterface, PreparedRun, prepared_run, run_together
 from twin.simulation.result import Run
 from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
 
 Outcome = TypeVar("Outcome")
 
-MAX_LANES = 8
+MOST_TOGETHER = 8
 """Largest number of machines in one loop. With more, their state no longer fits in the first-level cache and nothing is gained."""
 
 MIN_LENGTH_RATIO = 0.5
-"""Smallest ratio of a run's length to the longest run in its batch. A lane in a batch costs about half of a lane alone, even after its run has ended."""
+"""Smallest ratio of a run's length to the longest run in its batch. A run in a batch costs about half of a run alone, even after its run has ended."""
 
 SPLINE_SAMPLES = 20_000
 """Largest number of set points in one spline evaluation for the record."""
@@ -75,7 +75,7 @@ def simulate(
         raise InputError(
             f"simulate: set points are a Setpoints or a trace, not {type(setpoints).__name__}; see twin.read_trace, twin.interpolate"
         )
-    lane = lane_of(
+    one = prepared_run(
         machine,
         setpoints,
         plant_of or MujocoPlant,
@@ -84,7 +84,7 @@ def simulate(
         noise_seed=noise_seed,
         count_load=count_load,
     )
-    return _run_of(lane, run_lanes([lane], progress))
+    return _run_of(one, run_together([one], progress))
 
 
 class SimulationJob(NamedTuple):
@@ -107,18 +107,18 @@ def simulate_each(
     thread pool.
     """
     outcomes: list[Any] = [None] * len(jobs)
-    lanes: dict[int, Lane] = {}
+    prepared: dict[int, PreparedRun] = {}
     for i, job in enumerate(jobs):
         try:
-            lanes[i] = lane_of(**job._asdict())
+            prepared[i] = prepared_run(**job._asdict())
         except TwinError as error:
             outcomes[i] = error
 
     def simulate_batch(numbers: Sequence[int]) -> list[Any]:
-        runs = _runs_of([lanes[i] for i in numbers])
+        runs = _runs_of([prepared[i] for i in numbers])
         return [run if isinstance(run, TwinError) else of(i, run) for i, run in zip(numbers, runs)]
 
-    batches = _batches(lanes)
+    batches = _batches(prepared)
     for batch, results in zip(batches, mapper(simulate_batch, batches)):
         for i, result in zip(batch, results):
             outcomes[i] = result
@@ -135,65 +135,65 @@ def all_or_raise(outcomes: Iterable[Outcome | TwinError]) -> list[Outcome]:
     return runs
 
 
-def _batches(lanes: dict[int, Lane]) -> list[list[int]]:
-    """Group lanes, by number, into batches that share a loop; long runs first."""
+def _batches(prepared: dict[int, PreparedRun]) -> list[list[int]]:
+    """Group prepared runs, by number, into batches that share a loop; long runs first."""
     batches: list[list[int]] = []
     open_batches: dict[object, list[int]] = {}
-    for i in sorted(lanes, key=lambda i: -lanes[i].ticks):
-        key = lanes[i].batch_key
+    for i in sorted(prepared, key=lambda i: -prepared[i].ticks):
+        key = prepared[i].batch_key
         batch = open_batches.get(key) if key is not None else None
-        if batch is None or len(batch) == MAX_LANES or lanes[i].ticks < MIN_LENGTH_RATIO * lanes[batch[0]].ticks:
+        if batch is None or len(batch) == MOST_TOGETHER or prepared[i].ticks < MIN_LENGTH_RATIO * prepared[batch[0]].ticks:
             batch = open_batches[key] = []
             batches.append(batch)
         batch.append(i)
     return batches
 
 
-def _runs_of(lanes: Sequence[Lane]) -> list[Run | TwinError]:
-    """Run a batch. If one lane diverges, run it alone and the remaining lanes again without it."""
-    results = run_lanes(lanes)
+def _runs_of(prepared: Sequence[PreparedRun]) -> list[Run | TwinError]:
+    """Run a batch. If one run diverges, run it alone and the remaining prepared runs again without it."""
+    results = run_together(prepared)
     if results.diverged_at < 0:
         runs: list[Run | TwinError] = []
-        for i, lane in enumerate(lanes):
+        for i, one in enumerate(prepared):
             try:
-                runs.append(_run_of(lane, results.of(lanes, i)))
+                runs.append(_run_of(one, results.of(prepared, i)))
             except TwinError as error:
                 runs.append(error)
         return runs
-    if len(lanes) == 1:
-        return [_divergence(lanes[0], results)]
-    lane_of_axis = np.repeat(np.arange(len(lanes)), [lane.axes for lane in lanes])
-    culprit = int(lane_of_axis[results.diverged_at % len(lane_of_axis)])
-    others = _runs_of([lane for i, lane in enumerate(lanes) if i != culprit])
-    return [*others[:culprit], *_runs_of([lanes[culprit]]), *others[culprit:]]
+    if len(prepared) == 1:
+        return [_divergence(prepared[0], results)]
+    run_of_axis = np.repeat(np.arange(len(prepared)), [one.axes for one in prepared])
+    culprit = int(run_of_axis[results.diverged_at % len(run_of_axis)])
+    others = _runs_of([one for i, one in enumerate(prepared) if i != culprit])
+    return [*others[:culprit], *_runs_of([prepared[culprit]]), *others[culprit:]]
 
 
-def _run_of(lane: Lane, results: LaneResults) -> Run:
-    """The result of one lane. Raises SimulationError if an axis diverged or oscillates after its last set point."""
+def _run_of(one: PreparedRun, results: LoopResults) -> Run:
+    """The result of one run. Raises SimulationError if an axis diverged or oscillates after its last set point."""
     if results.diverged_at >= 0:
-        raise _divergence(lane, results)
-    machine, limited = lane.machine, results.limited
+        raise _divergence(one, results)
+    machine, limited = one.machine, results.limited
     names = machine.axis_names
-    trace, without_noise = _traces(lane, results.record, lane.rows)
-    _check_standstill(trace, machine, lane.drives)
+    trace, without_noise = _traces(one, results.record, one.rows)
+    _check_standstill(trace, machine, one.drives)
     return Run(
         trace,
         without_noise,
         dict(zip(names, (limited[:, loop.CURRENT_LIMIT] * machine.speed_cycle).tolist())),
         dict(zip(names, (limited[:, loop.VOLTAGE_LIMIT] * machine.current_cycle).tolist())),
         machine,
-        {axis.name: drive_load(axis, results.load_sums, a) for a, axis in enumerate(machine.axes)} if lane.count_load else {},
+        {axis.name: drive_load(axis, results.load_sums, a) for a, axis in enumerate(machine.axes)} if one.count_load else {},
     )
 
 
-def _divergence(lane: Lane, results: LaneResults) -> SimulationError:
+def _divergence(one: PreparedRun, results: LoopResults) -> SimulationError:
     """The error of an axis that diverged, with the trace so far."""
-    tick, axis = divmod(results.diverged_at, lane.axes)
-    rows = tick // lane.schedule.record_ticks
+    tick, axis = divmod(results.diverged_at, one.axes)
+    rows = tick // one.schedule.record_ticks
     return SimulationError(
-        f"simulation diverges: axis {lane.machine.axes[axis].name} at {tick * lane.schedule.tick:.4f} s is faster than {DIVERGED_SPEED:g} times its limit; "
+        f"simulation diverges: axis {one.machine.axes[axis].name} at {tick * one.schedule.tick:.4f} s is faster than {DIVERGED_SPEED:g} times its limit; "
         "lower its gains or the size of its effects",
-        _traces(lane, results.record, rows)[0] if rows >= 2 else None,
+        _traces(one, results.record, rows)[0] if rows >= 2 else None,
     )
 
 
@@ -211,11 +211,11 @@ def _check_standstill(trace: Trace, machine: Machine, drives: cascade.Drives) ->
             )
 
 
-def _traces(lane: Lane, record: loop_record.Record, rows: int) -> tuple[Trace, Trace]:
+def _traces(one: PreparedRun, record: loop_record.Record, rows: int) -> tuple[Trace, Trace]:
     """The first `rows` rows of the record as two traces: as the control sees its signals, and without measuring noise."""
-    machine = lane.machine
+    machine = one.machine
     signals = {}
-    positions = _recorded_setpoints(lane, rows)
+    positions = _recorded_setpoints(one, rows)
     for a, axis in enumerate(machine.axes):
         signals[axis.name, "setpoint"] = positions[:, a]
         for channel in loop_record.RECORDED:
@@ -232,13 +232,13 @@ def _traces(lane: Lane, record: loop_record.Record, rows: int) -> tuple[Trace, T
             key = (axis.name, axis.recorded_as(channel))
             if key != (axis.name, "torque"):  # a commanded torque is not measured
                 seen[key] = getattr(record, loop_record.SEEN + channel)[:rows, a]
-    time = np.arange(rows) * lane.period
+    time = np.arange(rows) * one.period
     return Trace(time, seen, machine.kinds, machine.forces), Trace(time, signals, machine.kinds, machine.forces)
 
 
-def _recorded_setpoints(lane: Lane, rows: int) -> np.ndarray:
+def _recorded_setpoints(one: PreparedRun, rows: int) -> np.ndarray:
     """Set points (row, axis) at the times of the record, evaluated in parts so that a long program needs no more memory than a short one."""
-    setpoints, period = lane.setpoints, lane.period
+    setpoints, period = one.setpoints, one.period
     parts = -(-max(rows, len(setpoints.position)) // SPLINE_SAMPLES)
     ends = np.linspace(0, rows, parts + 1).astype(int).tolist()
     return np.concatenate([setpoints.at_cycles(i, j - i, period, [0.0])[0] for i, j in itertools.pairwise(ends) if j > i])

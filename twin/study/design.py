@@ -13,8 +13,7 @@ from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Machine
-from twin.simulation.lanes import commissioned_inertia
-from twin.simulation.plant_spec import home_inertia_at_motor
+from twin.simulation.plant_spec import commissioned_inertia, home_inertia_at_motor
 from twin.study.catalogue import with_choices
 from twin.study.factors import INERTIA, Factor
 from twin.study.paths import number_at, with_numbers

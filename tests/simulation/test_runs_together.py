@@ -12,9 +12,9 @@ from twin.effects import with_effects
 from twin.errors import InputError, SimulationError
 from twin.machine.machine import Machine
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.lanes import lane_of
 from twin.simulation.mujoco_plant import MujocoPlant
-from twin.simulation.run import MAX_LANES, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
+from twin.simulation.prepared import prepared_run
+from twin.simulation.run import MOST_TOGETHER, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
 from twin.simulation.setpoints import Setpoints
 
 BACKLASH = {"name": "backlash", "axis": "X", "clearance": 12e-6}
@@ -93,20 +93,20 @@ def test_a_result_function_receives_number_and_run(mikron: Machine) -> None:
     assert simulate_each(jobs, of=lambda i, run: (i, len(run.trace.time))) == [(0, 301), (1, 501), (2, 401)]
 
 
-def test_batches_hold_compatible_lanes_up_to_the_maximum(mikron: Machine) -> None:
-    def lane(of: SimulationJob, plant_of=None):
-        return lane_of(of.machine, of.setpoints, plant_of or of.plant_of, noise_seed=of.noise_seed)
+def test_batches_hold_compatible_runs_up_to_the_maximum(mikron: Machine) -> None:
+    def one(of: SimulationJob, plant_of=None):
+        return prepared_run(of.machine, of.setpoints, plant_of or of.plant_of, noise_seed=of.noise_seed)
 
-    lanes = [lane(job(mikron, 0.5)) for _ in range(MAX_LANES + 1)]
-    lanes += [
-        lane(job(mikron, 0.1)),
-        lane(job(mikron, 0.5, seed=1)),
-        lane(job(mikron, 0.5), MujocoPlant),
-        lane(job(mikron, 0.5), MujocoPlant),
+    prepared = [one(job(mikron, 0.5)) for _ in range(MOST_TOGETHER + 1)]
+    prepared += [
+        one(job(mikron, 0.1)),
+        one(job(mikron, 0.5, seed=1)),
+        one(job(mikron, 0.5), MujocoPlant),
+        one(job(mikron, 0.5), MujocoPlant),
     ]
-    sizes = [len(batch) for batch in _batches(dict(enumerate(lanes)))]
+    sizes = [len(batch) for batch in _batches(dict(enumerate(prepared)))]
     # a full batch, its remainder, a short run, a run with noise, and two MuJoCo runs alone
-    assert sorted(sizes) == [1, 1, 1, 1, 1, MAX_LANES]
+    assert sorted(sizes) == [1, 1, 1, 1, 1, MOST_TOGETHER]
 
 
 def test_mujoco_runs_are_simulated_one_by_one(mikron: Machine) -> None:

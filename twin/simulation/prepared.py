@@ -1,8 +1,8 @@
-"""Lanes: machines that are ready to run, several of them in one compiled loop.
+"""Prepared runs: machines that are ready to run, several of them in one compiled loop.
 
-The arithmetic of one axis is a chain of dependent operations, so the processor mostly waits for latency. Lanes are independent of each
-other and their chains overlap: eight lanes in one loop take a third to two thirds of the time of eight separate loops. The loop sees one
-machine with the axes of all lanes. Each lane keeps its own command, noise, terms and record and computes exactly the numbers that it
+The arithmetic of one axis is a chain of dependent operations, so the processor mostly waits for latency. Prepared runs are independent of each
+other and their chains overlap: eight prepared runs in one loop take a third to two thirds of the time of eight separate loops. The loop sees one
+machine with the axes of all prepared runs. Each run keeps its own command, noise, terms and record and computes exactly the numbers that it
 computes alone.
 """
 
@@ -22,7 +22,7 @@ from twin.simulation import cascade, loop, loop_record
 from twin.simulation.decoupled_plant import DecoupledPlant, JoinedPlants
 from twin.simulation.drive_load import NO_SUMS, DriveSums, empty_sums
 from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
-from twin.simulation.plant_spec import home_inertia_at_motor
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import Command, command_of
 from twin.simulation.setpoints import Setpoints
 
@@ -47,7 +47,7 @@ class PlantInterface(Protocol):
 
 
 @dataclass(frozen=True)
-class Lane:
+class PreparedRun:
     """One machine at rest on its first set point.
 
     `actual` is the machine with its effects, `inertia` (axis,) [kg m2 at the motor] the commissioned inertia of the torque feedforward,
@@ -88,12 +88,12 @@ class Lane:
 
     @property
     def noise_key(self) -> object:
-        """Lanes with equal keys draw the same random numbers."""
+        """Prepared runs with equal keys draw the same random numbers."""
         return self.noise_seed, self.axes
 
     @property
     def batch_key(self) -> object:
-        """Lanes with equal keys can share a loop; None: this lane runs alone, because MuJoCo steps one machine at a time."""
+        """Prepared runs with equal keys can share a loop; None: this run runs alone, because MuJoCo steps one machine at a time."""
         if not isinstance(self.plant, DecoupledPlant):
             return None
         s = self.schedule
@@ -101,7 +101,7 @@ class Lane:
         return cycles, self.plant.times, self.noise_seed is None, self.count_load, self.setpoints.external_force is None
 
 
-def lane_of(
+def prepared_run(
     machine: Machine,
     setpoints: Setpoints,
     plant_of: Callable[[Change], PlantInterface],
@@ -110,7 +110,7 @@ def lane_of(
     started_at: float = 0.0,
     noise_seed: int | None = None,
     count_load: bool = False,
-) -> Lane:
+) -> PreparedRun:
     """The machine with its effects, at rest; arguments as for `simulate`. Raises InputError if it cannot be held or recorded."""
     # effects change the machine, not the values that the control was commissioned with
     inertia = commissioned_inertia(machine)
@@ -121,12 +121,12 @@ def lane_of(
     plant = plant_of(actual)
     drives = cascade.drives_of(actual.machine)
     held = _place_at_rest(actual, plant, drives, setpoints)
-    lane = Lane(machine, setpoints, actual, plant, drives, schedule, inertia, held, noise_seed, count_load)
-    if lane.rows < 2:
+    one = PreparedRun(machine, setpoints, actual, plant, drives, schedule, inertia, held, noise_seed, count_load)
+    if one.rows < 2:
         raise InputError(
-            f"a run of {setpoints.duration:.4g} s has less than two samples at a period of {lane.period:.4g} s; record it more often"
+            f"a run of {setpoints.duration:.4g} s has less than two samples at a period of {one.period:.4g} s; record it more often"
         )
-    return lane
+    return one
 
 
 def _check_length(machine: Machine, setpoints: Setpoints, schedule: loop.Schedule) -> None:
@@ -206,25 +206,9 @@ def _check_held(machine: Machine, current: np.ndarray, drives: cascade.Drives) -
         )
 
 
-def commissioned_inertia(machine: Machine) -> np.ndarray:
-    """J_ff (axis,) [kg m2 at the motor]: from the machine file, or else from the model in the home pose."""
-    known = [axis.commissioned_inertia for axis in machine.axes]
-    if all(value is not None for value in known):
-        return np.array(known, float)
-    return np.where([value is None for value in known], home_inertia_at_motor(machine), np.array(known, float))
-
-
-def with_commissioned_inertia(machine: Machine) -> Machine:
-    """The machine with J_ff written down for every axis. A later change of its masses then leaves the control as it was commissioned."""
-    for axis, inertia in zip(machine.axes, commissioned_inertia(machine).tolist()):
-        if axis.commissioned_inertia is None:
-            machine = machine.with_axis(axis.name, commissioned_inertia=inertia)
-    return machine
-
-
 @dataclass(frozen=True)
-class LaneResults:
-    """Results of lanes that have run in one loop; axes of all lanes in order.
+class LoopResults:
+    """Results of prepared runs that have run in one loop; axes of all prepared runs in order.
 
     `record` holds (row, axis) arrays, `limited` (axis, 2) the cycles at the current and voltage limit, `load_sums` the drive loads.
     `diverged_at` is -1, or tick * axes + axis of the first divergence.
@@ -235,31 +219,31 @@ class LaneResults:
     load_sums: DriveSums
     diverged_at: int
 
-    def of(self, lanes: Sequence[Lane], i: int) -> LaneResults:
-        """Results of lane number `i`."""
-        first = sum(lane.axes for lane in lanes[:i])
-        axes = slice(first, first + lanes[i].axes)
-        record = loop_record.Record(*(values[: lanes[i].rows, axes] for values in self.record))
+    def of(self, prepared: Sequence[PreparedRun], i: int) -> LoopResults:
+        """Results of run number `i`."""
+        first = sum(one.axes for one in prepared[:i])
+        axes = slice(first, first + prepared[i].axes)
+        record = loop_record.Record(*(values[: prepared[i].rows, axes] for values in self.record))
         load_sums = DriveSums(*(values[axes] for values in self.load_sums))
-        return LaneResults(record, self.limited[axes], load_sums, -1)
+        return LoopResults(record, self.limited[axes], load_sums, -1)
 
 
-def run_lanes(lanes: Sequence[Lane], progress: Callable[[float], None] | None = None) -> LaneResults:
-    """Run lanes of one `batch_key` to the end of the longest. Shorter runs stand still after their end."""
-    simulation, _memory = _joined(lanes)
+def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], None] | None = None) -> LoopResults:
+    """Run prepared runs of one `batch_key` to the end of the longest. Shorter runs stand still after their end."""
+    simulation, _memory = _joined(prepared)
     schedule, axes = simulation.schedule, len(simulation.signals)
-    longest = max(lanes, key=lambda lane: lane.ticks)
+    longest = max(prepared, key=lambda one: one.ticks)
     record = loop_record.empty_record(longest.rows, axes)
     limited = np.zeros((axes, 2), np.int64)
-    all_axes = tuple(axis for lane in lanes for axis in lane.machine.axes)
-    load_sums = empty_sums(all_axes) if lanes[0].count_load else NO_SUMS
-    generators = {lane.noise_key: _Generators.of(lane.noise_seed) for lane in lanes}
-    for first, ticks in _stretches(schedule, longest.ticks, lanes[0].actual.lead_ticks):
+    all_axes = tuple(axis for one in prepared for axis in one.machine.axes)
+    load_sums = empty_sums(all_axes) if prepared[0].count_load else NO_SUMS
+    generators = {one.noise_key: _Generators.of(one.noise_seed) for one in prepared}
+    for first, ticks in _stretches(schedule, longest.ticks, prepared[0].actual.lead_ticks):
         lead_in = first < 0  # nothing is recorded or counted before the first sample
         diverged_at = loop.advance(
             simulation,
-            _command(lanes, first // schedule.position_ticks, -(-ticks // schedule.position_ticks)),
-            _sensing(lanes, generators, ticks),
+            _command(prepared, first // schedule.position_ticks, -(-ticks // schedule.position_ticks)),
+            _sensing(prepared, generators, ticks),
             first,
             ticks,
             loop_record.empty_record(-first // schedule.record_ticks + 1, axes) if lead_in else record.rows(first // schedule.record_ticks),
@@ -267,39 +251,39 @@ def run_lanes(lanes: Sequence[Lane], progress: Callable[[float], None] | None = 
             NO_SUMS if lead_in else load_sums,
         )
         if diverged_at >= 0:
-            return LaneResults(record, limited, load_sums, diverged_at)
+            return LoopResults(record, limited, load_sums, diverged_at)
         if progress:
             progress((first + ticks) / longest.ticks)
-    return LaneResults(record, limited, load_sums, -1)
+    return LoopResults(record, limited, load_sums, -1)
 
 
-def _joined(lanes: Sequence[Lane]) -> tuple[loop.Simulation, object]:
-    """All lanes as one machine, and the owner of the memory that its engine addresses. Keep the owner alive while the loop runs."""
-    plants = [lane.plant for lane in lanes]
-    drives = cascade.Drives(*(np.concatenate(values) for values in zip(*(lane.drives for lane in lanes))))
-    schedule = lanes[0].schedule._replace(
-        speed_bound=np.concatenate([lane.schedule.speed_bound for lane in lanes]),
-        end=np.repeat([lane.ticks for lane in lanes], [lane.axes for lane in lanes]),
+def _joined(prepared: Sequence[PreparedRun]) -> tuple[loop.Simulation, object]:
+    """All prepared runs as one machine, and the owner of the memory that its engine addresses. Keep the owner alive while the loop runs."""
+    plants = [one.plant for one in prepared]
+    drives = cascade.Drives(*(np.concatenate(values) for values in zip(*(one.drives for one in prepared))))
+    schedule = prepared[0].schedule._replace(
+        speed_bound=np.concatenate([one.schedule.speed_bound for one in prepared]),
+        end=np.repeat([one.ticks for one in prepared], [one.axes for one in prepared]),
     )
-    first = np.cumsum([0, *(lane.axes for lane in lanes)]).tolist()
-    terms = [replace(term, first=at) for lane, at in zip(lanes, first) for term in lane.actual.terms]
+    first = np.cumsum([0, *(one.axes for one in prepared)]).tolist()
+    terms = [replace(term, first=at) for one, at in zip(prepared, first) for term in one.actual.terms]
     memory = plants[0] if len(plants) == 1 else JoinedPlants([plant for plant in plants if isinstance(plant, DecoupledPlant)])
-    state = cascade.drives_at_rest(drives, np.concatenate([lane.held_torque for lane in lanes]))
+    state = cascade.drives_at_rest(drives, np.concatenate([one.held_torque for one in prepared]))
     signals = np.zeros((first[-1], SIGNAL_COUNT))
     return loop.Simulation(memory.engine, schedule, drives, state, term_table(terms, first[-1]), signals), memory
 
 
-def _command(lanes: Sequence[Lane], first_cycle: int, count: int) -> Command:
-    """The command of all lanes over `count` position cycles. A lane keeps its last set point after its end."""
-    commands = [command_of(lane.actual.machine, lane.inertia, lane.setpoints, first_cycle, count) for lane in lanes]
-    if len(lanes) == 1:
+def _command(prepared: Sequence[PreparedRun], first_cycle: int, count: int) -> Command:
+    """The command of all prepared runs over `count` position cycles. A run keeps its last set point after its end."""
+    commands = [command_of(one.actual.machine, one.inertia, one.setpoints, first_cycle, count) for one in prepared]
+    if len(prepared) == 1:
         return commands[0]
     return Command(
-        np.concatenate([_padded(c.setpoint, count, lane.setpoints.position[-1]) for lane, c in zip(lanes, commands)], axis=1),
+        np.concatenate([_padded(c.setpoint, count, one.setpoints.position[-1]) for one, c in zip(prepared, commands)], axis=1),
         np.concatenate([_padded(c.velocity_feedforward, count) for c in commands], axis=1),
         np.concatenate([_padded(c.torque_feedforward, count) for c in commands], axis=1),
         commands[0].external_force
-        if lanes[0].setpoints.external_force is None
+        if prepared[0].setpoints.external_force is None
         else np.concatenate([_padded(c.external_force, count) for c in commands], axis=1),
     )
 
@@ -311,7 +295,7 @@ def _padded(values: np.ndarray, count: int, last: np.ndarray | float = 0.0) -> n
 
 
 class _Generators(NamedTuple):
-    """Random numbers of a lane: for the sensors that its control reads, and for the encoder that no loop reads. The first are the same with
+    """Random numbers of a run: for the sensors that its control reads, and for the encoder that no loop reads. The first are the same with
     and without the second."""
 
     read: np.random.Generator
@@ -322,23 +306,23 @@ class _Generators(NamedTuple):
         return cls(np.random.default_rng(seed), np.random.default_rng(None if seed is None else [seed, 1]))
 
 
-def _sensing(lanes: Sequence[Lane], generators: Mapping[object, _Generators], ticks: int) -> loop.Sensing:
-    """Noise of all lanes over a stretch. Lanes with equal seeds get the same random numbers, scaled to their own sensors."""
-    noises = [[lane.machine.noise(axis) for axis in lane.machine.axes] for lane in lanes]
-    flat = [n for of_lane in noises for n in of_lane]
-    if lanes[0].noise_seed is None:
+def _sensing(prepared: Sequence[PreparedRun], generators: Mapping[object, _Generators], ticks: int) -> loop.Sensing:
+    """Noise of all prepared runs over a stretch. Prepared runs with equal seeds get the same random numbers, scaled to their own sensors."""
+    noises = [[one.machine.noise(axis) for axis in one.machine.axes] for one in prepared]
+    flat = [n for of_run in noises for n in of_run]
+    if prepared[0].noise_seed is None:
         noise = np.zeros((0, 0, 0))
     else:
-        axes_of = {lane.noise_key: lane.axes for lane in lanes}
+        axes_of = {one.noise_key: one.axes for one in prepared}
         read = {key: generators[key].read.standard_normal((ticks, axes, 3)) for key, axes in axes_of.items()}
-        by_motor = np.array([axis.encoder == "motor" for lane in lanes for axis in lane.machine.axes])
+        by_motor = np.array([axis.encoder == "motor" for one in prepared for axis in one.machine.axes])
         silent = not any(n.position if motor else n.motor for n, motor in zip(flat, by_motor))
         beside = {
             key: np.zeros((ticks, axes)) if silent else generators[key].beside.standard_normal((ticks, axes))
             for key, axes in axes_of.items()
         }
-        closing, speed, current = np.moveaxis(np.concatenate([read[lane.noise_key] for lane in lanes], axis=1), -1, 0)
-        other = np.concatenate([beside[lane.noise_key] for lane in lanes], axis=1)
+        closing, speed, current = np.moveaxis(np.concatenate([read[one.noise_key] for one in prepared], axis=1), -1, 0)
+        other = np.concatenate([beside[one.noise_key] for one in prepared], axis=1)
         drawn = (np.where(by_motor, other, closing), np.where(by_motor, closing, other), speed, current)
         noise = np.stack([d * s for d, s in zip(drawn, np.array([[n.position, n.motor, n.speed, n.current] for n in flat]).T)], axis=-1)
     return loop.Sensing(
