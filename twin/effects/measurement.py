@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from scipy.linalg import expm
-
 from twin.effects.change import Change
 from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect
 from twin.effects.scan import Resonance
+from twin.effects.structural_mode import advance_swing, swing_parameters
 from twin.machine.machine import Axis
 from twin.simulation.loop_terms import MEASURE, X_LOAD_ACCELERATION, X_LOAD_POSITION, X_SCALE, X_TIME, arrays, term
 from twin.simulation.sine import sine
@@ -37,11 +35,8 @@ def frame_vibration(change: Change, axis: Axis, frequency_hz: float, mass_ratio:
     Scale = q + f with f'' + 2 damping_ratio w f' + w^2 f = mass_ratio q'', w = 2 pi frequency. Source: base mode of a machine
     on its levelling elements, 20 to 60 Hz.
     """
-    w = 2.0 * math.pi * frequency_hz
-    # exact over a tick for constant acceleration: [f, f'](k+1) = P [f, f'](k) + g q''
-    system = np.array([[0.0, 1.0, 0.0], [-(w**2), -2.0 * damping_ratio * w, mass_ratio], [0.0, 0.0, 0.0]])
-    step = expm(system * change.machine.base_tick)
-    change.add_term(frame, MEASURE, axis, [*step[0], *step[1]])
+    swing = swing_parameters(2.0 * math.pi * frequency_hz, damping_ratio, mass_ratio, change.machine.base_tick)
+    change.add_term(frame, MEASURE, axis, swing)
 
 
 @effect(
@@ -86,12 +81,9 @@ def thermal_drift(change: Change, axis: Axis, rate: float) -> None:
 
 @term
 def frame(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """Advance [f, f'] over the last tick with its mean acceleration; the scale shows q + f."""
+    """The scale shows q + f."""
     p, s, x = arrays(parameters, state, signals)
-    a = x[axis, X_LOAD_ACCELERATION]
-    f, rate = s[0], s[1]
-    s[0] = p[0] * f + p[1] * rate + p[2] * a
-    s[1] = p[3] * f + p[4] * rate + p[5] * a
+    advance_swing(p, s, x[axis, X_LOAD_ACCELERATION])
     x[axis, X_SCALE] += s[0]
 
 

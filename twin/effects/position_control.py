@@ -79,15 +79,16 @@ def set_point_filter(change: Change, axis: Axis, time_constant_s: float) -> None
     y += (s - y)(1 - exp(-Tp / T)) at every position cycle, s the delayed set point. Source: jerk filter of the control
     (MD32402), set on one axis only.
     """
-    change.add_term(lagged_setpoint, SETPOINT, axis, [-math.expm1(-change.machine.position_cycle / time_constant_s)])
+    change.add_term(lagged, SETPOINT, axis, [-math.expm1(-change.machine.position_cycle / time_constant_s), X_SETPOINT])
 
 
 @term
-def lagged_setpoint(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """y += p[0] (s - y); y starts at the first set point."""
+def lagged(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
+    """y += p[0] (x - y) of signal number p[1]; y starts at its first value."""
     p, s, x = arrays(parameters, state, signals)
+    signal = int(p[1])
     if s[1] == 0.0:
-        s[0] = x[axis, X_SETPOINT]
+        s[0] = x[axis, signal]
         s[1] = 1.0
-    s[0] += p[0] * (x[axis, X_SETPOINT] - s[0])
-    x[axis, X_SETPOINT] = s[0]
+    s[0] += p[0] * (x[axis, signal] - s[0])
+    x[axis, signal] = s[0]

@@ -6,9 +6,10 @@ import math
 
 from twin.effects.change import Change, held_force
 from twin.effects.effect import Parameter, Picture, effect
+from twin.effects.position_control import lagged
 from twin.effects.scan import LargestCurrent
 from twin.machine.machine import Axis, Machine
-from twin.simulation.loop_terms import CURRENT, X_CURRENT_SETPOINT, arrays, term
+from twin.simulation.loop_terms import CURRENT, X_CURRENT_SETPOINT
 
 
 @effect(
@@ -80,7 +81,7 @@ def current_filter(change: Change, axis: Axis, time_constant_s: float) -> None:
     y += (i* - y)(1 - exp(-Ti / T)) at every current cycle: phase lag in the speed loop. Source: current set point filters
     of the drive (611D has four).
     """
-    change.add_term(lagged_current, CURRENT, axis, [-math.expm1(-change.machine.current_cycle / time_constant_s)])
+    change.add_term(lagged, CURRENT, axis, [-math.expm1(-change.machine.current_cycle / time_constant_s), X_CURRENT_SETPOINT])
 
 
 def _usual_limit(machine: Machine, axis: Axis) -> tuple[float, float]:
@@ -108,14 +109,3 @@ def current_limit(change: Change, axis: Axis, limit_a: float) -> None:
     module derating.
     """
     change.set(axis, peak_current_a=min(limit_a, axis.motor.peak_current_a))
-
-
-@term
-def lagged_current(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """y += p[0] (i* - y); y starts at the first current set point."""
-    p, s, x = arrays(parameters, state, signals)
-    if s[1] == 0.0:
-        s[0] = x[axis, X_CURRENT_SETPOINT]
-        s[1] = 1.0
-    s[0] += p[0] * (x[axis, X_CURRENT_SETPOINT] - s[0])
-    x[axis, X_CURRENT_SETPOINT] = s[0]
