@@ -72,11 +72,10 @@ def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float,
     Point mass at (radius cos angle, radius sin angle, height above the tilting axis) in the table frame: gravity torque
     m g r about both rotary axes, inertia and coupling. Source: rigid-body mechanics.
     """
-    carried = _table_body(change.machine, axis)
+    carried, above = _last_carried(change.machine, axis)
 
     def edit(spec: mujoco.MjSpec) -> None:
-        offset = change.machine.geometry.get("a_axis_to_c_axis_z_m", 0.0)
-        position = [radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), height_m - offset]
+        position = [radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), height_m - above]
         spec.body(carried).add_body(
             name="unbalance", pos=position, ipos=[0.0, 0.0, 0.0], mass=mass_kg, inertia=[1e-9 * mass_kg] * 3, explicitinertial=True
         )
@@ -84,16 +83,15 @@ def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float,
     change.model_edits.append(edit)
 
 
-def _table_body(machine: Machine, axis: Axis) -> str:
-    """Body of the last rotary axis carried by this one."""
+def _last_carried(machine: Machine, axis: Axis) -> tuple[str, float]:
+    """Body of the last rotary axis that this one carries, and the height of its frame above this axis in the home pose [m]."""
     model = frames_of_model(machine)
-    carrier = int(model.joint(axis.name).bodyid[0])
-    name = model.body(carrier).name
-    for joint in range(model.njnt):
-        body = int(model.jnt_bodyid[joint])
-        above = body
-        while above > 0 and above != carrier:
-            above = int(model.body_parentid[above])
-        if above == carrier and body != carrier and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
-            name = model.body(body).name
-    return str(name)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    carrier = last = int(model.joint(axis.name).bodyid[0])
+    for body in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE].tolist():
+        parent = body
+        while parent > carrier:  # a body has a higher number than its parent
+            parent = int(model.body_parentid[parent])
+        last = body if parent == carrier else last
+    return str(model.body(last).name), float(data.xpos[last][2] - data.xanchor[model.joint(axis.name).id][2])

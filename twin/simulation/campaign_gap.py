@@ -66,6 +66,15 @@ class CampaignGap:
         return sorted(found, key=lambda row: -row.times_noise)
 
     @property
+    def _axes(self) -> list[str]:
+        return list(dict.fromkeys(axis for run in self.runs.values() for axis in run))
+
+    @property
+    def _signals(self) -> list[str]:
+        """The compared signals that some run has."""
+        return [s for s in COMPARED if any(s in signals for axes in self.runs.values() for signals in axes.values())]
+
+    @property
     def outliers(self) -> list[Outlier]:
         """The signals above AS_EXPECTED, largest first."""
         return [row for row in self.rows() if row.times_noise > AS_EXPECTED]
@@ -73,7 +82,7 @@ class CampaignGap:
     @property
     def verdict(self) -> str:
         """One sentence: axes that agree with the twin, then each other axis with its largest gap."""
-        axes = list(dict.fromkeys(axis for run in self.runs.values() for axis in run))
+        axes = self._axes
         compared = {row.axis for row in self.rows()}
         worst: dict[str, Outlier] = {}
         for row in self.outliers:
@@ -90,8 +99,8 @@ class CampaignGap:
     def summary_table(self) -> str:
         """Text table with one line per axis: largest gap of each signal over all runs, and its ratio to noise."""
         lines = []
-        shown = [s for s in COMPARED if any(s in signals for axes in self.runs.values() for signals in axes.values())]
-        for axis in dict.fromkeys(axis for run in self.runs.values() for axis in run):
+        shown = self._signals
+        for axis in self._axes:
             cells = [axis]
             for signal in shown:
                 rows = [row for row in self.rows() if (row.axis, row.signal) == (axis, signal)]
@@ -103,8 +112,7 @@ class CampaignGap:
 
     def full_table(self) -> str:
         """Text table of every run, axis and signal: RMS, maximum, RMS of noise alone."""
-        shown = [s for s in COMPARED if any(s in signals for axes in self.runs.values() for signals in axes.values())]
-        rows = []
+        shown, rows = self._signals, []
         for run, axes in self.runs.items():
             for axis, signals in axes.items():
                 cells = [
@@ -139,10 +147,8 @@ class CampaignGap:
         """Plot gap over noise of every axis and run, one panel per signal, on a logarithmic scale; returns a matplotlib figure."""
         from twin.report.ratio_map import ratio_figure
 
-        axes = list(dict.fromkeys(axis for run in self.runs.values() for axis in run))
-        signals = [s for s in COMPARED if any(s in found for run in self.runs.values() for found in run.values())]
         ratios = {(r.signal, r.run, r.axis): r.times_noise for r in self.rows()}
-        return ratio_figure(signals, list(self.runs), axes, ratios, AS_EXPECTED)
+        return ratio_figure(self._signals, list(self.runs), self._axes, ratios, AS_EXPECTED)
 
     def __repr__(self) -> str:
         return f"CampaignGap of {self.campaign} against {self.machine}: {self.verdict}"

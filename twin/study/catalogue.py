@@ -30,6 +30,7 @@ from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of
+from twin.study.paths import number_at
 from twin.tables import NotNegative, Positive, Table, Text, known_keys, typed
 
 INERTIA = "inertia_kg_m2"
@@ -144,10 +145,5 @@ def with_choices(choices: Sequence[Choice], machine: Machine) -> dict[str, float
     for choice in choices:
         values |= dict(choice.values)
         for path, more in choice.added_inertia:
-            if path not in values:
-                at: Any = machine.document
-                for key in path.split("."):
-                    at = at[key]
-                values[path] = float(at)
-            values[path] += more
+            values[path] = values.get(path, number_at(machine, path) or 0.0) + more
     return values
