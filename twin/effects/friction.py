@@ -10,7 +10,6 @@ from twin.effects.scan import AlongTravel
 from twin.machine.machine import Axis
 from twin.simulation import loop_terms
 from twin.simulation.loop_terms import FORCE, arrays, term
-from twin.simulation.sine import sine
 
 
 @effect(
@@ -97,7 +96,7 @@ def position_dependent_friction(change: Change, axis: Axis, fraction: float, wav
 def friction_along_travel(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F *= 1 + p[0] sin(p[1] q)."""
     p, s, x = arrays(parameters, state, signals)
-    x[axis, loop_terms.X_FRICTION_LEVEL] *= 1.0 + p[0] * sine(p[1] * x[axis, loop_terms.X_LOAD_MIDDLE])
+    x[axis, loop_terms.X_FRICTION_LEVEL] *= 1.0 + p[0] * math.sin(p[1] * x[axis, loop_terms.X_LOAD_MIDDLE])
 
 
 @term

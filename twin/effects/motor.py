@@ -9,7 +9,6 @@ from twin.effects.effect import DEGREES, Parameter, Picture, effect
 from twin.effects.scan import AlongTurn
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, X_MOTOR_TORQUE, X_ROTOR_MIDDLE, arrays, term
-from twin.simulation.sine import sine
 
 
 @effect(
@@ -74,4 +73,4 @@ def torque_ripple(change: Change, axis: Axis, amplitude_nm: float, periods_per_r
 def ripple(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """T += p[0] sin(p[1] q + p[2])."""
     p, s, x = arrays(parameters, state, signals)
-    x[axis, X_MOTOR_TORQUE] += p[0] * sine(p[1] * x[axis, X_ROTOR_MIDDLE] + p[2])
+    x[axis, X_MOTOR_TORQUE] += p[0] * math.sin(p[1] * x[axis, X_ROTOR_MIDDLE] + p[2])
