@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
@@ -95,26 +96,14 @@ def _reversals(axis: Axis, trace: Trace) -> Iterator[Event]:
 
 
 def turning_points(position: np.ndarray, least_move: float) -> list[tuple[int, int]]:
-    """Reversals between moves of more than `least_move`: (index, direction before); for a rest the index of its last sample."""
-    # ends of monotonic parts, then extremes: a turn once the signal has left an extreme by more than the least move
-    steps = np.diff(position)
-    moving = np.flatnonzero(steps)
-    if not len(moving):
-        return []
-    turns = np.flatnonzero(np.diff(np.sign(steps[moving]))) + 1
-    ends = [int(moving[0]), *(int(moving[i]) for i in turns), int(moving[-1]) + 1]
-    points: list[tuple[int, int]] = []
-    extreme, direction = ends[0], 0
-    for end in ends[1:]:
-        move = float(position[end] - position[extreme])
-        if direction == 0 and abs(move) > least_move:
-            direction, extreme = (1 if move > 0 else -1), end
-        elif move * direction > 0.0:
-            extreme = end
-        elif direction and abs(move) > least_move:
-            points.append((extreme, direction))
-            direction, extreme = -direction, end
-    return points
+    """Reversals between moves of at least `least_move`: (index, direction before); for a rest the index of its last sample."""
+    found: list[tuple[int, int]] = []
+    for direction in (1, -1):
+        _, peaks = find_peaks(direction * position, prominence=least_move, plateau_size=1)
+        found += [(int(i), direction) for i in peaks["right_edges"]]
+    found.sort()
+    # of equal extremes without such a move between them the first counts
+    return [turn for i, turn in enumerate(found) if not i or turn[1] != found[i - 1][1]]
 
 
 def _sticking(axis: Axis, trace: Trace) -> Iterator[Event]:
