@@ -187,32 +187,23 @@ class DecoupledPlant:
         return held
 
 
-class JoinedPlants:
-    """Several decoupled plants of equal `times` as one, in their current state; owns the memory that its engine addresses.
+def joined(plants: Sequence[DecoupledPlant]) -> _Memory:
+    """Several decoupled plants of equal `times` as one, in their current state. A plant keeps its last loads after the end of its motion."""
+    parts = [plant._memory for plant in plants]
+    first = np.cumsum([0, *(part.inertia.shape[1] for part in parts)])
+    rows = max(len(part.inertia) for part in parts)
 
-    A plant keeps its last loads after the end of its motion.
-    """
+    def side_by_side(series: Sequence[np.ndarray]) -> np.ndarray:
+        return np.concatenate([np.pad(values, ((0, rows - len(values)), (0, 0)), mode="edge") for values in series], axis=1)
 
-    def __init__(self, plants: Sequence[DecoupledPlant]) -> None:
-        parts = [plant._memory for plant in plants]
-        first = np.cumsum([0, *(part.inertia.shape[1] for part in parts)])
-        rows = max(len(part.inertia) for part in parts)
-        self._memory = _Memory(
-            parts[0].header,
-            np.concatenate([part.constants for part in parts]),
-            np.concatenate([_extended(part.inertia, rows) for part in parts], axis=1),
-            np.concatenate([_extended(part.bias, rows) for part in parts], axis=1),
-            np.concatenate([part.vectors for part in parts], axis=1),
-            np.concatenate([part.load + at for part, at in zip(parts, first)]),
-            np.concatenate([part.rotor + at for part, at in zip(parts, first)]),
-            np.concatenate([part.friction + at for part, at in zip(parts, first)]),
-        )
-        self.engine = self._memory.engine
-
-
-def _extended(series: np.ndarray, rows: int) -> np.ndarray:
-    """A series (row, dof), extended to `rows` by repeating its last row."""
-    return np.concatenate([series, np.repeat(series[-1:], rows - len(series), axis=0)]) if len(series) < rows else series
+    return _Memory(
+        parts[0].header,
+        np.concatenate([part.constants for part in parts]),
+        side_by_side([part.inertia for part in parts]),
+        side_by_side([part.bias for part in parts]),
+        np.concatenate([part.vectors for part in parts], axis=1),
+        *(np.concatenate([getattr(part, name) + at for part, at in zip(parts, first)]) for name in ("load", "rotor", "friction")),
+    )
 
 
 _MAX_CACHED = 64

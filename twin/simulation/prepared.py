@@ -19,7 +19,7 @@ from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
 from twin.simulation import cascade, loop, loop_record
-from twin.simulation.decoupled_plant import DecoupledPlant, JoinedPlants
+from twin.simulation.decoupled_plant import DecoupledPlant, joined
 from twin.simulation.drive_load import NO_SUMS, DriveSums, empty_sums
 from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
 from twin.simulation.plant_spec import commissioned_inertia
@@ -267,7 +267,7 @@ def _joined(prepared: Sequence[PreparedRun]) -> tuple[loop.Simulation, object]:
     )
     first = np.cumsum([0, *(one.axes for one in prepared)]).tolist()
     terms = [replace(term, first=at) for one, at in zip(prepared, first) for term in one.actual.terms]
-    memory = plants[0] if len(plants) == 1 else JoinedPlants([plant for plant in plants if isinstance(plant, DecoupledPlant)])
+    memory = plants[0] if len(plants) == 1 else joined([plant for plant in plants if isinstance(plant, DecoupledPlant)])
     state = cascade.drives_at_rest(drives, np.concatenate([one.held_torque for one in prepared]))
     signals = np.zeros((first[-1], SIGNAL_COUNT))
     return loop.Simulation(memory.engine, schedule, drives, state, term_table(terms, first[-1]), signals), memory

@@ -268,7 +268,7 @@ def surrogate_of(factors: np.ndarray, y: np.ndarray, listed: Collection[int] = (
 
 def middle_of(table: np.ndarray, listed: Collection[int] = ()) -> np.ndarray:
     """The median of each factor (factor,); for `listed` (catalogue) factors one of their values."""
-    low = np.sort(table, axis=0)[(len(table) - 1) // 2]
+    low = np.quantile(table, 0.5, axis=0, method="lower")
     return np.where(np.isin(np.arange(table.shape[1]), list(listed)), low, np.median(table, axis=0))
 
 
