@@ -10,6 +10,7 @@ import functools
 import math
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -22,6 +23,7 @@ from twin.effects.effect import Parameter
 from twin.effects.user_files import effects_of
 from twin.errors import InputError, SimulationError, TwinError
 from twin.machine.machine import load_machine
+from twin.simulation.plant_spec import build_plant
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -492,3 +494,21 @@ def test_usual_sizes_lie_within_the_bounds():
     axis = MACHINE.axis("X")
     for usual, expected in (((0.0, 0.0), (1.0, 1.0)), ((0.5, 20.0), (1.0, 9.0)), ((2.0, 3.0), (2.0, 3.0))):
         assert Parameter("stiffness", "stiffness", 1.0, 9.0, usual).usual_range(MACHINE, axis) == expected
+
+
+def test_a_clamped_mass_stands_above_the_tilting_axis_wherever_the_table_is():
+    """The torque that holds the tilted table does not depend on where the frame of the table lies."""
+    held = []
+    for above in (0.0, 0.03):
+        machine = load_machine().with_values({"geometry.a_axis_to_c_axis_z_m": above})
+        weight = {"name": "table_unbalance", "axis": "A", "mass_kg": 50.0, "radius_m": 0.0, "angle_rad": 0.0, "height_m": 0.2}
+        torques = []
+        for effects in ([], [weight]):
+            change = apply_effects(with_effects(machine, effects))
+            plant = build_plant(change.machine, change.model_edits)
+            plant.data.qpos[plant.load_position[machine.axis_names.index("A")]] = 0.5
+            mujoco.mj_forward(plant.model, plant.data)
+            torques.append(plant.data.qfrc_bias[plant.load_dof[machine.axis_names.index("A")]])
+        held.append(torques[1] - torques[0])
+    assert held[1] == pytest.approx(held[0], rel=1e-9)
+    assert abs(held[0]) > 10.0

@@ -1,6 +1,7 @@
 """Contour error, decimation and events against what they must be by construction."""
 
 from dataclasses import replace
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,19 @@ def test_reversals_at_the_turning_points_and_not_in_the_rounding() -> None:
     assert "- to +" in turns[1].text
     jitter = 1e-8 * (-1.0) ** np.arange(3001)
     assert turning_points(time * 0.01 + jitter, 1e-6) == []
+
+
+def test_turning_points_alternate_and_lie_at_least_a_move_apart() -> None:
+    rng, least = np.random.default_rng(1), 1.13
+    for _ in range(300):
+        position = np.round(np.cumsum(rng.standard_normal(60) * rng.choice([0, 1, 3], 60)), 1)
+        turns = turning_points(position, least)
+        for (i, before), (j, after) in itertools.pairwise(turns):
+            assert i < j
+            assert before == -after
+            assert before * (position[i] - position[j]) >= least
+    # the move from the lowest sample counts, not that from the first one
+    assert turning_points(np.array([1.4, 0.7, 2.1, -2.0]), least) == [(2, 1)]
 
 
 def test_a_rest_at_the_turn_reverses_when_it_leaves() -> None:
