@@ -34,7 +34,7 @@ from twin.identify.result import Identification, Parameter
 from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
-from twin.simulation.lanes import with_commissioned_inertia
+from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.recorded_noise import measurement_values
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import recorded_setpoints
