@@ -16,10 +16,9 @@ from twin.replay.clock import on_clock_of
 from twin.replay.curves import SET_POINT, Curve, axis_curves, line_width, not_recorded, torque_parts
 from twin.replay.decimate import SAME_LINE, decimate, thinned
 from twin.replay.events import find_events, stretches, turning_points
-from twin.replay.paths import PATH_TOLERANCE, error_scale, kept_points, magnifications
 from twin.replay.recording import LEAST_CURVE_POINTS
 from twin.replay.scene import scene_of
-from twin.replay.toolpaths import tool_paths_of
+from twin.replay.toolpaths import PATH_TOLERANCE, error_scale, kept_points, magnifications, tool_paths_of
 
 MACHINE = load_machine()
 

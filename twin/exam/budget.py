@@ -23,8 +23,7 @@ import numpy as np
 
 from .draw import PAUSE_S, Case, runs_of, simulate
 from .paths import PERIOD
-from .plant.measurement import sensor_values
-from .plant.parameters import AXES, settings_of
+from .plant.parameters import AXES, sensor_values, settings_of
 from .plant.plant import Trace
 from .programme import TestRun
 

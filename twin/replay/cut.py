@@ -25,10 +25,9 @@ from twin.machine.machine import Machine
 from twin.replay.blueprint import PATH_FROM, around_the_part, scene_view, whole_window
 from twin.replay.legends import colour_bar_view, log_colour_bar
 from twin.replay.names import LEGEND, SUMMARY, entity
-from twin.replay.paths import log_whole_path
 from twin.replay.recording import log_machine, log_text, recording_to
 from twin.replay.scene import scene_bounds, scene_of
-from twin.replay.toolpaths import followed_joints, log_tool_point, shapes_of_tool
+from twin.replay.toolpaths import followed_joints, log_tool_point, log_whole_path, shapes_of_tool
 from twin.report.colours import PROGRAM_COLOUR, SETPOINT_COLOUR, axis_colour
 from twin.surface.export import deviation_colours, thinned, triangles
 from twin.surface.height_rays import HeightRays

@@ -23,11 +23,10 @@ from twin.replay.events import MOST_EVENTS, Event, find_events
 from twin.replay.legends import log_keys
 from twin.replay.marks import log_events
 from twin.replay.names import APPLICATION, LEGEND, SUMMARY, TIMELINE
-from twin.replay.paths import tip_in_world
 from twin.replay.scene import Scene, scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import summary_text
-from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of
+from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tip_in_world, tool_paths_of
 from twin.simulation.errors_of_run import error_without_delay
 from twin.stopping import leave_behind
 

@@ -21,9 +21,8 @@ from scipy.interpolate import CubicSpline
 from .compensation import compensation_at_rest, compensation_of
 from .compiled import compiled
 from .control import W_SENT, control_at_rest, control_values, current_cycle, drive_cycle, position_cycle
-from .measurement import sensor_values
 from .mechanics import CURRENT, DEAD_TIME_A, QM, STATES, VM, F, Q, V, advance, ahead, mechanics_values, motor_position, motor_speed
-from .parameters import AXES, Settings, axis_records, pair_of
+from .parameters import AXES, Settings, axis_records, pair_of, sensor_values
 from .tilting_pair import holding_torque
 
 SUBSTEPS = 8  # RK4 steps per 125 us tick; errors at 450 Hz contacts and 250 Hz modes stay far below a nanometre
