@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-import json
 from pathlib import Path
+from typing import Any
 import warnings
 
 import msgspec
 import numpy as np
+import tomlkit
 
 from twin.errors import InputError
 from twin.files import output_folder, write_whole
@@ -29,7 +30,7 @@ def write_campaign(runs: Mapping[str, Run | Trace | MeasuredRun], folder: str | 
     if not runs:
         raise InputError("write_campaign: no run; give at least one as {'stroke': run}")
     out = output_folder(Path(folder))
-    lines: list[str] = []
+    entries = []
     for name, run in runs.items():
         if not name or Path(name).name != name or name in (".", ".."):
             raise InputError(f"write_campaign: '{name}' cannot name a file; use letters, digits, - and _")
@@ -40,15 +41,15 @@ def write_campaign(runs: Mapping[str, Run | Trace | MeasuredRun], folder: str | 
         trace = run if isinstance(run, Trace) else run.trace
         measured = run if isinstance(run, MeasuredRun) else MeasuredRun(name, trace, feedforward, 0.0)
         write_trace(trace, out / f"{name}.parquet")
-        lines += ["[[run]]", f"file = {json.dumps(name + '.parquet')}", f"started_at_s = {measured.started_at:.6f}"]
-        lines += [f"feedforward = {json.dumps(measured.feedforward)}"] if measured.feedforward else []
-        for fact in measured.facts.values():
-            lines += ["[[run.channel]]", *(f"{key} = {json.dumps(value)}" for key, value in msgspec.to_builtins(fact).items())]
-        lines += ["[run.labels]", *(f"{json.dumps(k)} = {v!r}" for k, v in measured.labels.items())] if measured.labels else []
-        if measured.ballbar is not None:
-            lines += ["[run.ballbar]", f"axes = {json.dumps(list(measured.ballbar.axes))}", f"noise_m = {measured.ballbar.noise!r}"]
-        lines.append("")
-    write_whole(out / "campaign.toml", "\n".join(lines))
+        entry: dict[str, Any] = {"file": f"{name}.parquet", "started_at_s": round(measured.started_at, 6)}
+        optional = {
+            "feedforward": measured.feedforward,
+            "channel": [msgspec.to_builtins(fact) for fact in measured.facts.values()],
+            "labels": dict(measured.labels),
+            "ballbar": measured.ballbar and {"axes": list(measured.ballbar.axes), "noise_m": measured.ballbar.noise},
+        }
+        entries.append(entry | {key: value for key, value in optional.items() if value})
+    write_whole(out / "campaign.toml", tomlkit.dumps({"run": entries}))
     return out
 
 
