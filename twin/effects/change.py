@@ -65,11 +65,9 @@ class Change:
         """Replace fields of the axis, its motor or its loops."""
         self.machine = self.machine.with_axis(axis.name, **values)
 
-    def add_term(
-        self, law: Any, stage: int, axis: Axis, parameters: Sequence[float] = (), state: Sequence[float] = (), order: int = 0
-    ) -> None:
+    def add_term(self, law: Any, stage: int, axis: Axis, parameters: Sequence[float] = (), order: int = 0) -> None:
         """Add a term of the compiled loop."""
-        self.terms.append(Term(law, stage, self.index(axis), parameters, state, order))
+        self.terms.append(Term(law, stage, self.index(axis), parameters, order))
 
     def add_force(self, axis: Axis, force: float) -> None:
         """Add a constant force on the load, towards +q; the integrators carry it at the start of a run."""

@@ -80,7 +80,7 @@ def serve(paths: str | Path | Sequence[str | Path], port: int = WEB_PORT) -> Non
     _check_port(port)
     data = free_port()
     arguments = ["--serve-web", "--web-viewer-port", str(port), "--port", str(data), "--bind", LOCAL, *map(str, files)]
-    with _viewer(arguments, quiet=True) as process:
+    with _viewer(arguments) as process:
         _wait_for(port, process)
         source = urllib.parse.quote(f"rerun+http://{LOCAL}:{data}/proxy", safe="")
         print(f"open http://{LOCAL}:{port}/?url={source} in a browser; Ctrl-C ends", flush=True)
@@ -104,8 +104,7 @@ def screenshot(
     width, height = size
     port = free_port()
     with _viewer(
-        ["--headless", "--port", str(port), "--bind", LOCAL, "--hide-welcome-screen", "--window-size", f"{width}x{height + TOP_BAR}"],
-        quiet=True,
+        ["--headless", "--port", str(port), "--bind", LOCAL, "--hide-welcome-screen", "--window-size", f"{width}x{height + TOP_BAR}"]
     ) as process:
         client = _connected(ViewerClient, port, process)
         try:
@@ -190,12 +189,12 @@ def _ended(process: subprocess.Popen[bytes]) -> bool:
 
 
 @contextmanager
-def _viewer(arguments: list[str], quiet: bool = False) -> Iterator[subprocess.Popen[bytes]]:
+def _viewer(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     """A viewer process that ends with the block."""
     # CI=1: send no usage statistics
     environment = {**os.environ, "CI": "1", "XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR", tempfile.gettempdir())}
-    output = subprocess.DEVNULL if quiet else None
-    process = start_apart([*_executable(), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment)
+    silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    process = start_apart([*_executable(), *arguments], **silent, env=environment)
     try:
         yield process
     finally:

@@ -99,7 +99,7 @@ class _LazyTerm:
 
 @dataclass(frozen=True)
 class Term:
-    """One active term: law, stage, axis index, parameters and initial state.
+    """One active term: law, stage, axis index and parameters; its state begins with zeros.
 
     `order` sorts the terms of a stage: terms that change the friction level (0) precede the bristle that uses it (1). `first` is the row of
     the signals at which the axes of its machine begin, not 0 if several machines share a loop.
@@ -109,7 +109,6 @@ class Term:
     stage: int
     axis: int
     parameters: Sequence[float]
-    state: Sequence[float] = ()
     order: int = 0
     first: int = 0
 
@@ -160,5 +159,4 @@ def term_table(terms: Sequence[Term], axes: int) -> TermTable:
     )
     for i, t in enumerate(ordered):
         table.parameters[i, : len(t.parameters)] = t.parameters
-        table.state[i, : len(t.state)] = t.state
     return table

@@ -111,15 +111,6 @@ def scallop_height(profile: np.ndarray) -> float:
     return float(np.mean(profile[peaks]) - np.mean(profile[valleys]))
 
 
-def section(rays: HeightRays, *, u: float | None = None, v: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """A profile section [m]: heights over v at constant u, or over u at constant v; the nearest row or column."""
-    if not rays.is_grid or (u is None) == (v is None):
-        raise InputError("section: give either u or v of a surface whose rays lie on a grid")
-    if u is not None:
-        return rays.v, rays.map()[:, int(np.argmin(np.abs(rays.u - u)))]
-    return rays.u, rays.map()[int(np.argmin(np.abs(rays.v - v)))]
-
-
 def _width(x: np.ndarray, y: np.ndarray, at: int, level: float) -> float:
     """Length of the interval around index `at` in which y exceeds the level, with interpolated ends."""
     if level <= 0.0:
