@@ -221,43 +221,42 @@ def fit_effects(
     others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if their predicted gain does not come true. `residual` (row,) is
     the residual to explain (default: that of the group).
     """
-    settings = tuple(settings)
     residual = group.residual if residual is None else residual
     narrowest = T.narrow_slope if narrowest is None else narrowest
-    try:
-        response = simulated_response(group, settings) if settings else np.zeros(group.size)
-    except TwinError:
-        return None
-    left = residual - response
-    of_left = tuning.project(left)
-    best = tuning.loss(left, of_left)
+    here = _point(group, tuning, residual, tuple(settings))
     free = [f for f in free_parameters(settings, group.machine) if moving is None or f.setting in moving]
-    if not free:
-        return Fit(settings, [], best, tuning.solve_projected(of_left), response, np.zeros((group.size, 0)), tuning)
+    if here is None or not free:
+        return here and here.as_fit([], np.zeros((group.size, 0)), tuning)
     farthest = np.array([f.farthest for f in free])
-    columns, step_sizes = (
-        stacked_columns(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free)),
-        np.full(len(free), T.slope),
-    )
+    columns = stacked_columns(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free))
+    step_sizes = np.full(len(free), T.slope)
     outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     projected = information = None
     for _ in range(T.fit_steps if steps is None else steps):
         try:
-            for i, column in zip(outdated, _slopes(group, settings, response, [(free[i], step_sizes[i]) for i in outdated])):
+            for i, column in zip(outdated, _slopes(group, here.settings, here.response, [(free[i], step_sizes[i]) for i in outdated])):
                 columns[:, i] = column
         except TwinError:
             return None
         if outdated or projected is None or information is None:
             projected = tuning.project(columns)
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
-        gradient = tuning.inner(columns, left, projected, of_left)
+        gradient = tuning.inner(columns, here.left, projected, here.projected)
         move = np.clip(np.linalg.solve(information, gradient), -farthest, farthest)
-        lower = _lower(group, residual, tuning, settings, free, move, best)
-        if lower is not None:
-            gain, predicted = best - lower.loss, _predicted_gain(gradient, information, lower.move)
-            best, settings, response, left, of_left = lower.loss, lower.settings, lower.response, lower.left, lower.projected
-            step_sizes = np.clip(np.abs(lower.move), narrowest, T.slope)
-            if gain < T.converged * max(1.0, 0.002 * best):
+        for part in (1.0, 0.4, 0.1):
+            tried = here.settings
+            for f, m in zip(free, part * move):
+                tried = f.moved(tried, float(m))
+            there = _point(group, tuning, residual, tried)
+            if there is not None and there.loss < here.loss:
+                break
+        else:
+            there = None
+        if there is not None:
+            gain, predicted = here.loss - there.loss, _predicted_gain(gradient, information, part * move)
+            here = there
+            step_sizes = np.clip(np.abs(part * move), narrowest, T.slope)
+            if gain < T.converged * max(1.0, 0.002 * here.loss):
                 break
             # reuse slopes whose predicted gain came true, or is too small to matter
             valid = gain > T.slopes_hold * predicted or predicted - gain < T.price
@@ -266,11 +265,35 @@ def fit_effects(
             if _predicted_gain(gradient, information, move) < T.price:
                 break
             outdated = list(range(len(free)))  # the known slopes did not reduce the loss
-        elif best < T.above_noise * group.expected_loss or np.all(step_sizes <= narrowest):
+        elif here.loss < T.above_noise * group.expected_loss or np.all(step_sizes <= narrowest):
             break
         else:
             step_sizes = np.full(len(free), narrowest)
-    return Fit(settings, free, best, tuning.solve_projected(of_left), response, columns, tuning)
+    return here.as_fit(free, columns, tuning)
+
+
+class _Point(NamedTuple):
+    """Settings with their response (row,), what is left of the residual (row,), its projection, and the loss."""
+
+    settings: tuple[Setting, ...]
+    response: np.ndarray
+    left: np.ndarray
+    projected: np.ndarray
+    loss: float
+
+    def as_fit(self, free: list[Free], columns: np.ndarray, tuning: Tuning) -> Fit:
+        return Fit(self.settings, free, self.loss, tuning.solve_projected(self.projected), self.response, columns, tuning)
+
+
+def _point(group: Group, tuning: Tuning, residual: np.ndarray, settings: tuple[Setting, ...]) -> _Point | None:
+    """The point of these settings; None if they cannot be simulated."""
+    try:
+        response = simulated_response(group, settings) if settings else np.zeros(group.size)
+    except TwinError:
+        return None
+    left = residual - response
+    projected = tuning.project(left)
+    return _Point(settings, response, left, projected, tuning.loss(left, projected))
 
 
 def _predicted_gain(gradient: np.ndarray, information: np.ndarray, move: np.ndarray) -> float:
@@ -280,41 +303,6 @@ def _predicted_gain(gradient: np.ndarray, information: np.ndarray, move: np.ndar
 
 def _name(free: Free, settings: Sequence[Setting]) -> Slope:
     return (settings[free.setting].key, free.parameter.name)
-
-
-class _Lower(NamedTuple):
-    loss: float
-    settings: tuple[Setting, ...]
-    response: np.ndarray
-    move: np.ndarray
-    left: np.ndarray
-    projected: np.ndarray
-
-
-def _lower(
-    group: Group,
-    residual: np.ndarray,
-    tuning: Tuning,
-    settings: tuple[Setting, ...],
-    free: Sequence[Free],
-    move: np.ndarray,
-    best: float,
-) -> _Lower | None:
-    """The largest of three fractions of a move that reduces the loss below `best`; None if none does."""
-    for part in (1.0, 0.4, 0.1):
-        tried = settings
-        for f, m in zip(free, part * move):
-            tried = f.moved(tried, float(m))
-        try:
-            response = simulated_response(group, tried)
-        except TwinError:
-            continue
-        left = residual - response
-        projected = tuning.project(left)
-        loss = tuning.loss(left, projected)
-        if loss < best:
-            return _Lower(loss, tried, response, part * move, left, projected)
-    return None
 
 
 def simulated_response(group: Group, settings: Sequence[Setting]) -> np.ndarray:

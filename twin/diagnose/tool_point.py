@@ -35,9 +35,7 @@ class ToolPoint:
 
     def squares(self, base: Trace | None, other: Trace | None, axes: Sequence[str]) -> float:
         """Mean square [m2] of that distance."""
-        if base is None or other is None:
-            return 0.0
-        return float(np.mean(self.distance(base, other, axes) ** 2))
+        return 0.0 if base is None or other is None else float(np.mean(self.distance(base, other, axes) ** 2))
 
     def squares_of(self, base: Trace | None, residual: Trace | None, axes: Sequence[str]) -> float:
         """Mean square [m2] at the tool of position deviations (a trace of `position`)."""

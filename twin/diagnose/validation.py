@@ -59,12 +59,19 @@ class Validated:
         after = levels(self.held_out.gaps(machine, self.runs))
         return {axis: 1.0 - min(unexplained_share(before, after[axis]), 1.0) for axis, before in self.before.items() if axis in after}
 
+    def remaining(self, machine: Machine) -> set[str]:
+        """Axes on which a considerable gap remains."""
+        after = levels(self.held_out.gaps(machine, self.runs))
+        return {axis for axis, before in self.before.items() if gap_remains(before, after.get(axis, 1.0))}
+
+    @property
+    def with_law(self) -> set[str]:
+        """Axes with an unlisted law."""
+        return {law.axis for law in self.laws.laws} if self.laws else set()
+
     def doubtful(self, machine: Machine) -> set[str]:
         """Axes with an unlisted law, with a residual that no effect explains, or with a considerable gap."""
-        after = levels(self.held_out.gaps(machine, self.runs))
-        with_law = {law.axis for law in self.laws.laws} if self.laws else set()
-        unknown = {axis for f in self.states if f.unknown for axis in f.group.axes}
-        return with_law | unknown | {axis for axis, before in self.before.items() if gap_remains(before, after.get(axis, 1.0))}
+        return self.with_law | {axis for f in self.states if f.unknown for axis in f.group.axes} | self.remaining(machine)
 
 
 def validated(setup: Setup, runs: Runs, motions: Motions, states: list[GroupState]) -> Validated:
@@ -95,7 +102,8 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
         share, corrected = _with(laws, setup, runs, motions, validated)
         if share <= least_share:
             best, least_share = corrected, share
-        if least_share < ALL_BUT or _closes_the_gap(best, setup.machine):
+        # where laws leave no considerable gap, other weights of the samples find no better ones
+        if least_share < ALL_BUT or (best.laws and not best.with_law & best.remaining(setup.machine)):
             break
     return _as_probable_as_complete(best, setup.machine)
 
@@ -152,14 +160,6 @@ def _as_probable_as_complete(correction: Validated, machine: Machine) -> Validat
     closed = correction.closed(machine)
     laws = tuple(replace(law, probability=min(law.probability, closed[law.axis])) for law in correction.laws.laws)
     return replace(correction, laws=replace(correction.laws, laws=laws))
-
-
-def _closes_the_gap(correction: Validated, machine: Machine) -> bool:
-    """Whether laws leave no considerable gap on any of their axes. Other weights of the samples then find no better laws."""
-    if correction.laws is None:
-        return False
-    after = levels(correction.held_out.gaps(machine, correction.runs))
-    return not any(gap_remains(correction.before[law.axis], after[law.axis]) for law in correction.laws.laws)
 
 
 def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> tuple[float, Validated]:

@@ -89,7 +89,7 @@ def test_a_voltage_passes_the_current_loop_at_the_period_of_each_run() -> None:
     voltage = np.sign(np.sin(np.arange(len(samples)) / 50.0))[:, None]
     current = contribution_to_residual(samples, Candidate(CURRENT_LOOP, "voltage", "current"), X.axes[0], voltage)
     first, second = samples.through
-    assert first.window == 2 * second.window
+    assert not np.allclose(first(voltage), second(voltage))
     for loop, run in ((first, 0), (second, 1)):
         rows = samples.run == run
-        assert np.array_equal(current[rows], loop.current(voltage[rows]))
+        assert np.array_equal(current[rows], loop(voltage[rows]))

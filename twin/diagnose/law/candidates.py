@@ -42,39 +42,38 @@ class Candidate:
         return self.period or (2.0 * math.pi if self.variable == "turn" else 0.0)
 
 
+OVER = {
+    MECHANICS: (
+        # a friction is odd in the speed, a force even
+        *((MECHANICS, "force", variable) for variable in ("position", "turn", "speed", "time")),
+        *((MECHANICS, "friction", variable) for variable in ("speed", "position", "turn", "acceleration_size", "time")),
+        ("current loop", "torque", "current"),
+    ),
+    "transmission": (
+        *(("measurement", "displacement", variable) for variable in ("position", "turn", "time")),
+        ("transmission", "displacement", "acceleration"),
+    ),
+    SPRING: (("transmission", "force", "windup"),),
+    CURRENT_LOOP: ((CURRENT_LOOP, "voltage", "current"),),
+    "position controller": tuple(
+        ("position controller", "speed", variable) for variable in ("following_error", "speed_setpoint", "position", "velocity")
+    ),
+}
+"""Block, output and variable of the candidates without memory, by the block whose residual is measured."""
+
+
 def candidates_of(samples: Samples, axis: Axis) -> Iterator[Candidate]:
     """All candidates for the residual of a block whose variables were recorded."""
     metre = 1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD
-    turns = axis.drive != "direct"
+    recorded = {*samples.motion, "speed", "acceleration_size"} - ({"turn"} if axis.drive == "direct" else set())
+    yield from (Candidate(*over) for over in OVER.get(samples.block, ()) if over[2] in recorded)
     if samples.block == MECHANICS:
-        # a friction is odd in the speed, a force even
-        for variable in ("position", *(("turn",) if turns else ()), "speed", "time"):
-            yield Candidate(MECHANICS, "force", variable)
-        for variable in ("speed", "position", *(("turn",) if turns else ()), "acceleration_size", "time"):
-            yield Candidate(MECHANICS, "friction", variable)
-        if "current" in samples.motion:
-            yield Candidate("current loop", "torque", "current")
-        for length in LENGTHS:
-            yield Candidate(MECHANICS, "force", "direction", length=length * metre)
-        for other in samples.others:
-            for variable in ("position", "velocity", "acceleration"):
-                yield Candidate(MECHANICS, "force", variable, other)
+        yield from (Candidate(MECHANICS, "force", "direction", length=length * metre) for length in LENGTHS)
+        for variable in ("position", "velocity", "acceleration"):
+            yield from (Candidate(MECHANICS, "force", variable, other) for other in samples.others)
     elif samples.block == "transmission":
-        for variable in ("position", *(("turn",) if turns else ()), "time"):
-            yield Candidate("measurement", "displacement", variable)
-        yield Candidate("transmission", "displacement", "acceleration")
-        for length in PLAYS:
-            yield Candidate("measurement", "displacement", "slack", length=length * metre)
-        for other in samples.others:
-            yield Candidate("measurement", "displacement", "position", other)
-    elif samples.block == SPRING:
-        yield Candidate("transmission", "force", "windup")
-    elif samples.block == CURRENT_LOOP:
-        yield Candidate(CURRENT_LOOP, "voltage", "current")
-    elif samples.block == "position controller":
-        for variable in ("following_error", "speed_setpoint", "position", "velocity"):
-            if variable in samples.motion:
-                yield Candidate("position controller", "speed", variable)
+        yield from (Candidate("measurement", "displacement", "slack", length=length * metre) for length in PLAYS)
+        yield from (Candidate("measurement", "displacement", "position", other) for other in samples.others)
 
 
 def variable_of(samples: Samples, candidate: Candidate) -> np.ndarray:
@@ -116,7 +115,7 @@ def contribution_to_residual(samples: Samples, candidate: Candidate, axis: Axis,
     """Contribution (sample, n) of values of a law to the residual."""
     if samples.through:
         begins = np.unique(samples.first)[1:]
-        return np.concatenate([loop.current(run) for loop, run in zip(samples.through, np.split(columns, begins), strict=True)])
+        return np.concatenate([current(run) for current, run in zip(samples.through, np.split(columns, begins), strict=True)])
     acting = columns * (factor if np.isscalar(factor := factor_of(samples, candidate, axis)) else np.asarray(factor)[:, None])
     return zeroed_at_run_start(samples, acting) if candidate.output == "displacement" else acting
 

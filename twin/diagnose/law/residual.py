@@ -20,12 +20,11 @@ import functools
 import math
 
 import numpy as np
-from scipy.signal import lfilter, savgol_filter
+from scipy.signal import cont2discrete, lfilter, savgol_filter
 
 from twin.diagnose.blocks import commanded_current, current_error, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothing_window, speed_of
-from twin.diagnose.law.voltage_to_current import VoltageToCurrent, voltage_to_current
 from twin.diagnose.law.zero_force import zero_force_offset
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, simulate_group
@@ -105,7 +104,7 @@ class Samples:
     motion: dict[str, np.ndarray]
     others: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
     passed: tuple[ControllerRun, ...] = ()
-    through: tuple[VoltageToCurrent, ...] = ()
+    through: tuple[Callable[[np.ndarray], np.ndarray], ...] = ()
 
     def __len__(self) -> int:
         return len(self.y)
@@ -350,3 +349,22 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
         found["following_error"] = delayed - position
         found["speed_setpoint"] = command + own.loops.position_gain_per_s * (delayed - position)
     return found
+
+
+def voltage_to_current(view: RunView, axis: Axis) -> Callable[[np.ndarray], np.ndarray]:
+    """Current [A] of the current loop of an axis that voltages [V] (sample, n) of one run cause, for a voltage that is linear between samples.
+
+    i / u = s / (L s^2 + (R + Kp) s + Kp / Tn); the integrator rejects constant disturbances. As in the residual of the current, the moving
+    mean is subtracted.
+    """
+    motor, loops, period = axis.motor, axis.loops, view.trace.period
+    gain, integral = loops.current_gain_v_per_a, loops.current_gain_v_per_a / loops.current_integral_time_s
+    numerator, denominator, _ = cont2discrete(
+        ([1.0, 0.0], [motor.inductance_h, motor.resistance_ohm + gain, integral]), period, method="foh"
+    )
+
+    def current(voltage: np.ndarray) -> np.ndarray:
+        run = lfilter(np.ravel(numerator), denominator, voltage - voltage[0], axis=0)
+        return np.column_stack([column - moving_mean(column, round(T.drift_s / period)) for column in run.T])
+
+    return current
