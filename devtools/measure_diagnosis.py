@@ -24,7 +24,7 @@ from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
-from twin.diagnose.verdict import judged
+from twin.diagnose.verdict import final_state
 from twin.diagnose.view import view_of
 from twin.exam.draw import SINGLES, draw_case, truth_of, write_campaign
 from twin.exam.plant.parameters import Richness
@@ -65,7 +65,7 @@ def main() -> None:
             views = [view_of(machine, run) for run in runs]
             group = observe(views, next(g for g in axis_groups(machine, machine.axis_names) if axis in g))
             setup = Setup(machine, machine, folds_of(len(views)), mapper, lambda _: None)
-            found = judged(search(replace(group, mapper=mapper), setup))
+            found = final_state(search(replace(group, mapper=mapper), setup))
             named = [(s.effect.name, s.axis) for s in found.fit.settings]
             first += named[:1] == [(effect, axis)]
             right += named == [(effect, axis)]

@@ -70,12 +70,12 @@ def test_the_residual_of_a_removed_effect_makes_the_verdict_unknown(monkeypatch:
     """An effect whose final size is implausible is removed. The verdict must then not be 'none'."""
     before, after = (GroupState(None, None, None, SimpleNamespace(settings=s), None, 1.0) for s in (("an effect",), ()))
     monkeypatch.setattr(verdict, "without_implausible", lambda found, *_: found)
-    monkeypatch.setattr(verdict, "sized", lambda *_: after)
+    monkeypatch.setattr(verdict, "with_final_sizes", lambda *_: after)
     monkeypatch.setattr(verdict, "is_unknown", lambda found: not found.fit.settings)
     monkeypatch.setattr(verdict, "with_zeros_out", lambda found: found)
-    assert verdict.judged(before).unknown
-    monkeypatch.setattr(verdict, "sized", lambda found, *_: found)
-    assert not verdict.judged(before).unknown
+    assert verdict.final_state(before).unknown
+    monkeypatch.setattr(verdict, "with_final_sizes", lambda found, *_: found)
+    assert not verdict.final_state(before).unknown
 
 
 @pytest.mark.parametrize(("of_a", "of_c", "unknown"), [(1.3, 0.5, True), (1.0, 0.5, False), (1.0, 1.3, True), (1.0, 1.0, False)])

@@ -20,7 +20,7 @@ from twin.diagnose.search import search
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads
-from twin.diagnose.sizes import sized
+from twin.diagnose.sizes import with_final_sizes
 from twin.diagnose.state import settled_channels
 from twin.diagnose.verdict import is_unknown
 from twin.diagnose.view import view_of
@@ -147,7 +147,7 @@ def with_late_break_away(group, samples):
 def test_a_late_break_away_bends_no_size(tmp_path, effect, parameter):
     """A break-away 6 ms late affects a few samples that depend steeply on friction; fitting them would change the size by 6 %."""
     group, hidden = observed(tmp_path, "single", effect, "X")
-    found = sized(searched(with_late_break_away(group, 3)))
+    found = with_final_sizes(searched(with_late_break_away(group, 3)))
     assert [s.effect.name for s in found.fit.settings] == [effect]
     size = abs(hidden[parameter] - (1.0 if parameter == "factor" else 0.0))
     assert abs(found.fit.settings[0].parameters[parameter] - hidden[parameter]) < 0.025 * size

@@ -23,7 +23,7 @@ from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import is_normal
 from twin.diagnose.validation import Validated, validated, with_laws
-from twin.diagnose.verdict import judged, named, verdict_of
+from twin.diagnose.verdict import final_state, named, verdict_of
 from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, settings_of, with_effects
@@ -85,7 +85,7 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
     def search_group(axes: tuple[str, ...]) -> GroupState | None:
         setup.progress(f"{'+'.join(axes)}: simulating the noise")
         group = replace(observe(views, axes, setup.seed), mapper=mapper)
-        return judged(search(group, setup), setup.quick) if group.size else None
+        return final_state(search(group, setup), setup.quick) if group.size else None
 
     views = mapper(lambda run: view_of(nominal, run), campaign.runs)
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
@@ -101,7 +101,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
     machine, states, held_out = setup.machine, correction.states, correction.held_out
     settings = named(states)
     if correction.laws is not None:
-        settings = kept_in(correction.laws, settings)
+        settings = effects_beside_laws(correction.laws, settings)
     settings = _as_probable_as_complete(correction, settings, machine)
     verdict = verdict_of(states, settings)
     return Diagnosis(
@@ -154,7 +154,7 @@ Named = Sequence[tuple[Setting, GroupState, float]]
 """Effects with the state that found them and their probability."""
 
 
-def kept_in(laws: Laws, settings: Named) -> list[tuple[Setting, GroupState, float]]:
+def effects_beside_laws(laws: Laws, settings: Named) -> list[tuple[Setting, GroupState, float]]:
     """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them, or left a spring that is normal.
 
     An effect beside a law is no more probable than what its removal costs there. The spring of a law over the windup is a part of the law.

@@ -21,7 +21,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 
-def sized(state: GroupState) -> GroupState:
+def with_final_sizes(state: GroupState) -> GroupState:
     """The state with its effects fitted with this model error; unchanged without effects."""
     if not state.fit.settings:
         return state

@@ -13,7 +13,7 @@ from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
 from twin.diagnose.fit import no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.sizes import sized, without_implausible
+from twin.diagnose.sizes import with_final_sizes, without_implausible
 from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_cut, is_systematic, localised_on
 from twin.effects import Setting
 
@@ -45,13 +45,13 @@ def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float
     return [(s, f, p) for s, f, p, _ in sorted(out, key=lambda item: -item[3])]
 
 
-def judged(state: GroupState, quick: bool = False) -> GroupState:
+def final_state(state: GroupState, quick: bool = False) -> GroupState:
     """The final state: without implausible effects, sized (unless `quick`), and with the flag for an unexplained residual."""
     state = without_implausible(state)
     unknown = is_unknown(state)
     if quick:
         return with_zeros_out(replace(state, unknown=unknown))
-    final = sized(state)
+    final = with_final_sizes(state)
     if len(final.fit.settings) < len(state.fit.settings):  # the residual of a removed effect is unexplained again
         unknown = unknown or is_unknown(final)
     return with_zeros_out(replace(final, unknown=unknown))

@@ -319,7 +319,7 @@ def test_a_single_run_is_predicted_half_by_half():
     tuning = no_tuning(group.size).with_free(columns)
     fit = fit_with_fixed_effects(free, tuning, (), np.zeros(group.size))
     alone = ClosedLoop(free, "X", halved(Parts(((slice(0, group.size),),)), 0, np.ones(group.size)))
-    assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone._judged(fit).held_out
+    assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone._with_cost(fit).held_out
 
 
 @pytest.mark.parametrize(("left_by_effect", "named"), [(15.0, ["backlash"]), (20.0, ["law"])])

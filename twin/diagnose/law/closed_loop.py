@@ -124,7 +124,7 @@ class ClosedLoop:
         known = like.fit.slopes if like else {}
         moving = {i for i, s in enumerate(settings) if self._is_free(s, settings)}
         fit = fit_effects(self.group, tuning, settings, steps, moving=moving, known=known)
-        return None if fit is None else self._judged(fit)
+        return None if fit is None else self._with_cost(fit)
 
     def _is_free(self, setting: Setting, settings: Settings) -> bool:
         """Normal imperfections keep their sizes. The spring of an axis with a law between its encoders is fitted again with its damping, because
@@ -133,7 +133,7 @@ class ClosedLoop:
             return False
         return not setting.effect.normal or (setting.effect.name == SPRING_EFFECT and any(is_between_encoders(s) for s in settings))
 
-    def _judged(self, fit: Fit) -> Fitted:
+    def _with_cost(self, fit: Fit) -> Fitted:
         """The fit with its cost. A term with an implausible size, or with one that may be zero, costs `IMPOSSIBLE`."""
         group = self.group
         left = linear_in(group, fit, self.parts.rows).held_out(fit, [[i] for i in range(len(self.parts.rows))], 1.0)

@@ -34,7 +34,7 @@ LITTLE_LEFT = 0.02
 MOST_EFFECTS = 5
 """Largest number of effects of an axis that a law may replace."""
 
-Say = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def laws_of(
     found: Sequence[GroupState],
     axes: Sequence[str],
     folds: Sequence[Sequence[int]],
-    say: Say = lambda _: None,
+    progress: Progress = lambda _: None,
     doubted: bool = False,
 ) -> Laws:
     """Laws of these axes, beside or instead of the effects that the search found.
@@ -95,7 +95,7 @@ def laws_of(
     beside: dict[Key, float] = {}
     for state in found:
         for axis in [a for a in state.group.axes if a in axes]:
-            say(f"{axis}: searching for an unlisted law")
+            progress(f"{axis}: searching for an unlisted law")
             if jitter := _jitter(residuals_of(state.group.views, _corrected_by(state), (axis,), state.group.mapper), axis, state):
                 laws.append(jitter)
                 state = replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting)))
@@ -111,7 +111,7 @@ def laws_of(
                 response = simulated_response(loop.group, others) / loop.group.weights
                 channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
                 loop = replace(loop, group=replace(loop.group, channels=channels))
-            best = _search_axis(loop, own, say)
+            best = _search_axis(loop, own, progress)
             left[axis] = best.left if best else 1.0
             if best and best.laws:
                 laws += _laws_in(best)
@@ -192,7 +192,7 @@ def _certain(found: _AxisLaws, setting: Setting) -> float:
     return 1.0 / (1.0 + math.exp(min((found.fitted.misfit + found.loop.price(setting) - without.misfit) / T.temperature, 50.0)))
 
 
-def _search_axis(loop: ClosedLoop, settings: Settings, say: Say) -> _AxisLaws | None:
+def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _AxisLaws | None:
     """Laws of one axis in addition to its effects, or instead of them if that costs less.
 
     A search without the law may find effects that do not exist, re-tune the axis, or bend its drive train, only to imitate the law. The search
@@ -204,17 +204,17 @@ def _search_axis(loop: ClosedLoop, settings: Settings, say: Say) -> _AxisLaws | 
     if first is None:
         return None
     loop = loop.halving_its_only_loud_fold(first)
-    best = _search_from(loop, settings, own, say, (STRONG, WEAK))
+    best = _search_from(loop, settings, own, progress, (STRONG, WEAK))
     bent = any(not is_normal(machine, s) for s in drive_train_of(settings, axis))
     if len(own) > MOST_EFFECTS or best is None or (not own and (not bent or best.left < LITTLE_LEFT)):
         return best
-    say(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
+    progress(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
     bare = tuple(s for s in settings if s not in own)
     starts = [tuple(s for s in settings if s.axis != axis), *([bare] if own else [])]
     if bent:
         starts += [(*with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     for start in starts:
-        alone = _search_from(loop, start, own, say)
+        alone = _search_from(loop, start, own, progress)
         if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
             best = alone
             if best.left < LITTLE_LEFT:
@@ -223,7 +223,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, say: Say) -> _AxisLaws | 
 
 
 def _search_from(
-    loop: ClosedLoop, settings: Settings, effects: Settings, say: Say, selections: Sequence[Selection] = (STRONG,)
+    loop: ClosedLoop, settings: Settings, effects: Settings, progress: Progress, selections: Sequence[Selection] = (STRONG,)
 ) -> _AxisLaws | None:
     """Laws of one axis from a start, added one by one while they lower the cost; then terms are exchanged, `effects` among them.
 
@@ -236,7 +236,7 @@ def _search_from(
     laws: dict[Key, tuple[Proposal, float]] = {}
     waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
     while len(laws) < MOST_LAWS and loop.above_noise(fitted) >= LITTLE_LEFT * at_first:
-        cheaper = _cheaper(loop, fitted, waiting, selections, say)
+        cheaper = _cheaper(loop, fitted, waiting, selections, progress)
         if not cheaper:
             break
         (new, best), *others = cheaper
@@ -250,7 +250,7 @@ def _search_from(
 
 
 def _cheaper(
-    loop: ClosedLoop, fitted: Fitted, waiting: Sequence[Proposal], selections: Sequence[Selection], say: Say
+    loop: ClosedLoop, fitted: Fitted, waiting: Sequence[Proposal], selections: Sequence[Selection], progress: Progress
 ) -> list[tuple[Fitted, Proposal]]:
     """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
     axis, machine, known = loop.axis, loop.group.machine, set[str]()
@@ -266,7 +266,7 @@ def _cheaper(
         waiting = ()
         if not proposed:
             continue
-        say(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
+        progress(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
         fits = [(loop.refit(fitted, (*with_fitted_spring(fitted.settings, machine, axis, d, x), s)), (d, x, s)) for d, x, s in proposed]
         tried = [(fit, (d, x, fit.settings[-1])) for fit, (d, x, _) in fits if fit is not None and fit.cost < fitted.cost]
         if tried:
