@@ -97,21 +97,23 @@ def _without_skew(
     machine: Machine, runs: Sequence[MeasuredRun]
 ) -> tuple[list[ChannelSkew], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
     """Skew of each channel, applied correction by axis and signal [s], and the corrected axis runs."""
-    axis_runs = _axis_runs(machine, runs, {})
-    skews = _mean_skews(machine, axis_runs)
     correct: dict[str, dict[str, float]] = {}
-    for done in range(SKEW_ROUNDS):
+    skews: dict[tuple[str, str], ChannelSkew] = {}
+    axis_runs = _axis_runs(machine, runs, {})
+    for _ in range(SKEW_ROUNDS):
         # A current that is late by an odd number of samples has another phase of the saw-tooth, and a late motor angle makes all other
         # channels look late. Further rounds correct the remaining error.
-        skews, before = _total_skews(skews, _mean_skews(machine, axis_runs), correct) if done else skews, correct
-        correct = {}
-        for item in skews:
+        for left in _mean_skews(machine, axis_runs):
+            taken = correct.get(left.axis, {}).get(left.signal, 0.0)
+            skews[left.axis, left.signal] = replace(left, seconds=taken + left.seconds)
+        before, correct = correct, {}
+        for item in skews.values():
             if abs(item.seconds) > max(LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
                 correct.setdefault(item.axis, {})[item.signal] = _whole_samples(item.seconds, runs[0].trace.period)
         if correct == before:
             break
         axis_runs = _axis_runs(machine, runs, correct)
-    return skews, correct, axis_runs
+    return list(skews.values()), correct, axis_runs
 
 
 SKEW_ROUNDS = 3
@@ -122,17 +124,6 @@ NEAR_SAMPLE = 0.2
 def _whole_samples(seconds: float, period: float) -> float:
     samples = seconds / period
     return round(samples) * period if abs(samples - round(samples)) < NEAR_SAMPLE else seconds
-
-
-def _total_skews(before: Sequence[ChannelSkew], now: Sequence[ChannelSkew], correct: dict[str, dict[str, float]]) -> list[ChannelSkew]:
-    """Total skews after a correction: correction plus remaining skew."""
-    left = {(c.axis, c.signal): c for c in now}
-    out = []
-    for item in before:
-        after = left.get((item.axis, item.signal))
-        taken = correct.get(item.axis, {}).get(item.signal, 0.0)
-        out.append(replace(after, seconds=taken + after.seconds) if after else item)
-    return out
 
 
 def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) -> list[ChannelSkew]:
