@@ -164,25 +164,21 @@ class _Cycles:
         """(cycle + 1,) first sample of each cycle, and the sample after the last one."""
         return self.first + self.samples * np.arange(self.count + 1)
 
-    def window(self, values: np.ndarray) -> np.ndarray:
-        """The samples (cycle * samples,) within the cycles."""
-        return values[self.first : self.first + self.samples * self.count]
+    def table(self, values: np.ndarray) -> np.ndarray:
+        """(cycle, sample) of a signal (sample,)."""
+        return values[self.first : self.first + self.samples * self.count].reshape(self.count, self.samples)
 
     def starts(self, values: np.ndarray) -> np.ndarray:
         """(cycle,) first sample of each."""
-        return values[self.bounds[:-1]]
+        return self.table(values)[:, 0]
 
     def means(self, values: np.ndarray) -> np.ndarray:
         """(cycle,)"""
-        return self.window(values).reshape(self.count, self.samples).mean(axis=1)
-
-    def any(self, mask: np.ndarray) -> np.ndarray:
-        """(cycle,) True if it is for one of the samples."""
-        return np.asarray(self.window(mask).reshape(self.count, self.samples).any(axis=1))
+        return self.table(values).mean(axis=1)
 
     def ripple(self, values: np.ndarray) -> np.ndarray | None:
         """Mean course within a cycle; None with one sample a cycle."""
-        return measured_ripple(self.window(values), self.samples, self.count) if self.samples >= 2 else None
+        return measured_ripple(self.table(values)) if self.samples >= 2 else None
 
 
 def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:
@@ -276,13 +272,13 @@ def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[
     axis, time = signals.axis, setpoint.x
     limited, clipped = np.zeros(cycles.count, bool), {}
     if signals.has(axis.effort):
-        within = cycles.window(signals.get(axis.effort))
-        at_limit = (np.abs(within) > 0.97 * axis.motor.peak_current_a) | _flat(within, CLIPPED_SAMPLES) | _piled(within)
-        limited |= at_limit.reshape(cycles.count, cycles.samples).any(axis=1)
+        effort = signals.get(axis.effort)
+        beyond = (np.abs(effort) > 0.97 * axis.motor.peak_current_a) | _flat(effort, CLIPPED_SAMPLES) | _piled(effort)
+        limited |= cycles.table(beyond).any(axis=1)
     for name in ("position", "motor_position", "velocity", "velocity_setpoint"):
         if signals.has(name):
             beyond = _clipped(signals.get(name), setpoint(time, 1 if name.startswith("velocity") else 0))
-            limited |= cycles.any(beyond)
+            limited |= cycles.table(beyond).any(axis=1)
             if beyond.any():
                 clipped[name] = float(beyond.sum() * signals.trace.period)
     return limited, clipped

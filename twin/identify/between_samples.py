@@ -150,10 +150,9 @@ def ripples(loop: FastLoop, samples_per_cycle: int) -> list[list[np.ndarray]]:
     return out
 
 
-def measured_ripple(values: np.ndarray, samples_per_cycle: int, cycles: int) -> np.ndarray:
-    """Ripple (cycle,) of a recorded signal (sample,) whose first sample is at the start of a cycle."""
-    start = values[: cycles * samples_per_cycle : samples_per_cycle]
-    middle = values[samples_per_cycle // 2 : cycles * samples_per_cycle : samples_per_cycle]
+def measured_ripple(values: np.ndarray) -> np.ndarray:
+    """Ripple (cycle,) of a recorded signal (cycle, sample)."""
+    start, middle = values[:, 0], values[:, values.shape[1] // 2]
     return middle - 0.5 * (start + np.append(start[1:], start[-1]))
 
 

@@ -10,8 +10,7 @@ For known delays the law is linear in Kv and a_v. The delays are therefore searc
 interpolation of the set points between the NC's samples (linear: a delay of 1.5 cycles is the mean of two neighbouring cycles, as in a
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
-An encoder with a different zero adds a constant to v*. A law with a constant in each run is used if its residual is clearly smaller.
-If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
+An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     ways = sorted(INTERPOLATIONS, key=lambda way: way != interpolation)[: 1 if only else 2]
     law = _Law(axis, runs, ways[0])
     x, least, rivals = law.search()
-    for other in (*(_Law(axis, runs, way) for way in ways[1:]), *(_Law(axis, runs, way, zeros=True) for way in ways)):
+    for other in (_Law(axis, runs, way) for way in ways[1:]):
         there = other.search()
         if there[1] < CLEARLY_LESS * least:
             law, (x, least, rivals) = other, there
@@ -121,10 +120,10 @@ def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
 
 
 class _Law:
-    """The law on all runs for one interpolation (`way`); `zeros`: with a free constant in each run."""
+    """The law on all runs for one interpolation (`way`), with a free constant in each run."""
 
-    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str, zeros: bool = False) -> None:
-        self.axis, self.runs, self.way, self.zeros = axis, runs, way, zeros
+    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str) -> None:
+        self.axis, self.runs, self.way = axis, runs, way
         self.on = [0.0 if r.feedforward == "off" else 1.0 for r in runs]
         self.recorded = all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off") and any(
             r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs
@@ -149,10 +148,6 @@ class _Law:
         t = run.start[rows] - delay
         return (self.read(run, t) - self.read(run, t - run.cycle)) / run.cycle
 
-    def level(self, values: np.ndarray) -> np.ndarray:
-        """(..., row) values of one run, without their mean if each run has a free constant."""
-        return values - values.mean(axis=-1, keepdims=True) if self.zeros and values.shape[-1] else values
-
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
         out = []
@@ -174,12 +169,12 @@ class _Law:
         keep = [np.flatnonzero(self.usable(r)) for r in self.runs]
         every = max(1, sum(len(k) for k in keep) // GRID_ROWS)
         keep = [k[::every] for k in keep]
-        y = np.concatenate([self.level(r.speed_setpoint[k] * self.axis.ratio) for r, k in zip(self.runs, keep)])  # type: ignore[index]
+        y = np.concatenate([_level(r.speed_setpoint[k] * self.axis.ratio) for r, k in zip(self.runs, keep)])  # type: ignore[index]
         if len(y) < 8:
             return np.full(4, np.nan), math.inf, []
         feeds = grid if any(self.on) and not self.recorded else grid[:1]
-        errors = np.array([np.concatenate([self.level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in grid])
-        fed = np.array([np.concatenate([self.level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
+        errors = np.array([np.concatenate([_level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in grid])
+        fed = np.array([np.concatenate([_level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
         left, kv, a_v = _left(errors, fed, y)
         starts = []
         for i, j in _minima(left)[:STARTS]:
@@ -191,7 +186,7 @@ class _Law:
         scale = np.array([1.0, 0.1, 0.25 * tp, 0.25 * tp])
 
         def rest(x: np.ndarray) -> np.ndarray:
-            return np.concatenate([self.level(e) for e in self.residual(x, keep)])
+            return np.concatenate([_level(e) for e in self.residual(x, keep)])
 
         best, least = starts[0], math.inf
         ends: list[tuple[float, np.ndarray]] = []
@@ -218,7 +213,7 @@ class _Law:
             for k, (run, on, use) in enumerate(zip(self.runs, self.on, usable)):
                 columns = self._slopes(run, on, x)
                 e = self.residual(x)[k]
-                if self.zeros and use.any():
+                if use.any():
                     columns, e = columns - columns[use].mean(axis=0), e - float(np.median(e[use]))
                 spread = max(robust_deviation(e[use]) if use.any() else 0.0, 1e-9)
                 use = use & (np.abs(e) < OUT_OF_LINE * spread)
@@ -263,6 +258,11 @@ class _Law:
         best = min((np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE).tolist(), key=left)
         power = sum(float(np.sum(f[use] ** 2)) for _, f, use in known)
         return best if left(best) < 0.01 * power else self.axis.loops.feedforward_delay_s
+
+
+def _level(values: np.ndarray) -> np.ndarray:
+    """(row,) values of one run without their mean, which its free constant takes."""
+    return values - values.mean() if len(values) else values
 
 
 def linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.ndarray, np.ndarray]:
