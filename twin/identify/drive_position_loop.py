@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import firwin
 
+from twin.estimate.evidence import rms_of
 from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun
 from twin.identify.position_control import loop_position
@@ -93,48 +94,38 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     """Compare both laws; None without speed set point, position or enough motion."""
     if runs and runs[0].cycle >= min(MOST_DELAY_S, MOST_LAG_S):  # such samples show no delay of a drive
         return None
-    pieces = [p for r in runs for p in _pieces_of(axis, r)]
-    if len(pieces) < LEAST_PIECES:
-        return None
-    fastest = max(float(np.abs(p.speed).max()) for p in pieces)
+    pieces = [p for r in runs for p in _pieces_of(axis, r, position_gain)]
+    fastest = max((float(np.abs(p.speed).max()) for p in pieces), default=0.0)
     pieces = [p for p in pieces if np.abs(p.speed).max() > MOVES * fastest]
     if len(pieces) < LEAST_PIECES:
         return None
     pieces = [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, MOST_PIECES_READ).astype(int))]
     cycle = runs[0].cycle
-    x = _fitted(pieces, position_gain, cycle, drive=True)
-    alone = _fitted(pieces, position_gain, cycle, drive=False)
-    left_nc, left_drive = (float(np.sqrt(np.mean(np.concatenate([p.left(v, position_gain) for p in pieces]) ** 2))) for v in (alone, x))
+    x, alone = (_fitted(pieces, cycle, drive) for drive in (True, False))
+    left_nc, left_drive = (rms_of(_left(pieces, v)) for v in (alone, x))
     if left_nc < CLEARER * left_drive:  # not clearer even on the fitted pieces
         return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), np.inf, left_nc, left_drive, len(pieces), 0.0)
     squares = np.zeros((2, len(pieces)))
     for held_out in (0, 1):
-        training = [p for k, p in enumerate(pieces) if k % 2 != held_out]
         for law in (0, 1):
-            of_half = _fitted(training, position_gain, cycle, drive=bool(law))
-            for k in range(held_out, len(pieces), 2):
-                squares[law, k] = np.mean(pieces[k].left(of_half, position_gain) ** 2)
+            of_half = _fitted([p for k, p in enumerate(pieces) if k % 2 != held_out], cycle, bool(law))
+            squares[law, held_out::2] = [np.mean(p.left(of_half) ** 2) for p in pieces[held_out::2]]
     left_nc, left_drive = (float(np.sqrt(np.mean(s))) for s in squares)
     better = float(np.mean(squares[1] < squares[0]))
     h = 0.05 * cycle
-    columns, e, groups = [], [], []
-    for k, p in enumerate(pieces):
-        columns.append(np.column_stack([(p.left(x + d, position_gain) - p.left(x - d, position_gain)) / (2.0 * h) for d in h * np.eye(2)]))
-        e.append(p.left(x, position_gain))
-        groups.append(np.full(len(e[-1]), k))
-    fit = regress(np.vstack(columns), np.concatenate(e), np.concatenate(groups))
-    closed = (
-        left_nc > CLEARER * left_drive and better >= MOST_PIECES and bool(x[0] > max(4.0 * fit.deviations[0], LEAST_DELAY_CYCLES * cycle))
-    )
-    return DrivePositionLoop(
-        closed, float(x[0]), float(fit.deviations[0]), float(x[1]), float(fit.deviations[1]), left_nc, left_drive, len(pieces), better
-    )
+    columns = np.column_stack([(_left(pieces, x + d) - _left(pieces, x - d)) / (2.0 * h) for d in h * np.eye(2)])
+    fit = regress(columns, _left(pieces, x), np.repeat(np.arange(len(pieces)), [len(p.speed) for p in pieces]))
+    apart = bool(x[0] > max(4.0 * fit.deviations[0], LEAST_DELAY_CYCLES * cycle))
+    closed = left_nc > CLEARER * left_drive and better >= MOST_PIECES and apart
+    (delay, lag), (of_delay, of_lag) = x.tolist(), fit.deviations.tolist()
+    return DrivePositionLoop(closed, delay, of_delay, lag, of_lag, left_nc, left_drive, len(pieces), better)
 
 
 @dataclass(frozen=True)
 class _Piece:
     """A piece of one run: rows (row,), and times, v*, position and filtered speed of the whole run."""
 
+    gain: float
     rows: slice
     start: np.ndarray
     middle: np.ndarray
@@ -147,7 +138,7 @@ class _Piece:
     def speed(self) -> np.ndarray:
         return self.all_speed[self.rows]
 
-    def left(self, x: np.ndarray, gain: float) -> np.ndarray:
+    def left(self, x: np.ndarray) -> np.ndarray:
         """Measured speed minus the law's (row,), for x = (Td, lag)."""
         half = len(self.window) // 2
         # only what the window of the piece sees
@@ -155,12 +146,12 @@ class _Piece:
         at = self.middle[low:high] - x[1]
         u = np.interp(at - x[0], self.start, self.command)
         if x[0] != 0.0:
-            u = u - gain * (np.interp(at, self.start, self.position) - np.interp(at - x[0], self.start, self.position))
+            u = u - self.gain * (np.interp(at, self.start, self.position) - np.interp(at - x[0], self.start, self.position))
         padded = np.pad(u, (half - (self.rows.start - low), half - (high - self.rows.stop)), "edge")
         return self.speed - np.convolve(padded, self.window, "valid")
 
 
-def _pieces_of(axis: Axis, run: AxisRun) -> list[_Piece]:
+def _pieces_of(axis: Axis, run: AxisRun, gain: float) -> list[_Piece]:
     position = loop_position(run, axis)
     if run.speed_setpoint is None or position is None:
         return []
@@ -176,22 +167,23 @@ def _pieces_of(axis: Axis, run: AxisRun) -> list[_Piece]:
     for first in range(skipped, len(speed) - half - n + 1, n):
         rows = slice(first, first + n)
         if not run.limited[rows].any():
-            out.append(_Piece(rows, run.start, run.middle, run.speed_setpoint * axis.ratio, position, speed, window))
+            out.append(_Piece(gain, rows, run.start, run.middle, run.speed_setpoint * axis.ratio, position, speed, window))
     return out
 
 
-def _fitted(pieces: Sequence[_Piece], gain: float, cycle: float, drive: bool) -> np.ndarray:
+def _left(pieces: Sequence[_Piece], x: np.ndarray) -> np.ndarray:
+    return np.concatenate([p.left(x) for p in pieces])
+
+
+def _fitted(pieces: Sequence[_Piece], cycle: float, drive: bool) -> np.ndarray:
     """(Td, lag) with the smallest residual; Td = 0 where the loop is closed in the NC."""
-    step = cycle
-    delays = np.arange(step, min(MOST_DELAY_S, MOST_CYCLES * cycle), step) if drive else np.zeros(1)
-    lags = np.arange(0.0, min(MOST_LAG_S, MOST_CYCLES * cycle), step)
+    delays = np.arange(cycle, min(MOST_DELAY_S, MOST_CYCLES * cycle), cycle) if drive else np.zeros(1)
+    lags = np.arange(0.0, min(MOST_LAG_S, MOST_CYCLES * cycle), cycle)
+    start = np.array(min(((d, g) for d in delays for g in lags), key=lambda x: float(np.sum(_left(pieces, np.array(x)) ** 2))))
+    free = slice(0 if drive else 1, 2)
 
-    def left(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([p.left(x, gain) for p in pieces])
+    def left(moved: np.ndarray) -> np.ndarray:
+        return _left(pieces, np.concatenate([start[: free.start], moved]))
 
-    squares = np.array([[np.sum(left(np.array([d, g])) ** 2) for g in lags] for d in delays])
-    i, j = np.unravel_index(int(np.argmin(squares)), squares.shape)
-    if drive:
-        return least_squares(left, [delays[i], lags[j]], x_scale=step, bounds=([0.0, 0.0], np.inf), diff_step=1e-3).x
-    found = least_squares(lambda g: left(np.array([0.0, g[0]])), [lags[j]], x_scale=step, bounds=(0.0, np.inf), diff_step=1e-3)
-    return np.array([0.0, found.x[0]])
+    found = least_squares(left, start[free], x_scale=cycle, bounds=(0.0, np.inf), diff_step=1e-3).x
+    return np.concatenate([start[: free.start], found])
