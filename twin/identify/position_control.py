@@ -22,6 +22,7 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
+from twin.control.position_law import feedforward_at, position_law
 from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
 from twin.machine.axis import Axis
@@ -93,15 +94,15 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     if not runs:
         return "the axis does not move where its speed set point is recorded"
     ways = sorted(INTERPOLATIONS, key=lambda way: way != interpolation)[: 1 if only else 2]
-    law = _Law(axis, runs, ways[0])
-    x, least, rivals = law.search()
+    best = _Law(axis, runs, ways[0])
+    x, least, rivals = best.search()
     for other in (_Law(axis, runs, way) for way in ways[1:]):
         there = other.search()
         if there[1] < CLEARLY_LESS * least:
-            law, (x, least, rivals) = other, there
+            best, (x, least, rivals) = other, there
     if not np.all(np.isfinite(x)):
         return "too few cycles without a limit or an outlier"
-    fit, x = law.polished(x)
+    fit, x = best.polished(x)
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
     if x[0] <= GAIN_SIGNIFICANCE * fit.deviations[0]:
@@ -109,7 +110,9 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     values = dict(zip(NAMES, x.tolist()))
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, fit.deviations, apart)}
-    return PositionControl(values, deviations, fit.quantile, fit.condition, float(np.sqrt(np.mean(fit.residual**2))), law.way, law.recorded)
+    return PositionControl(
+        values, deviations, fit.quantile, fit.condition, float(np.sqrt(np.mean(fit.residual**2))), best.way, best.recorded
+    )
 
 
 def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
@@ -145,16 +148,15 @@ class _Law:
         """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle."""
         if self.recorded:
             return (run.velocity_feedforward if run.velocity_feedforward is not None else np.zeros(len(run.start)))[rows]
-        t = run.start[rows] - delay
-        return (self.read(run, t) - self.read(run, t - run.cycle)) / run.cycle
+        return feedforward_at(lambda late: self.read(run, run.start[rows] - late), delay, run.cycle)
 
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
         out = []
         for run, on, kept in zip(self.runs, self.on, rows or [ALL_ROWS] * len(self.runs)):
             assert run.speed_setpoint is not None
-            law = x[0] * self.error(run, x[2], kept) + x[1] * on * self.fed(run, x[3], kept)
-            out.append(run.speed_setpoint[kept] * self.axis.ratio - law)
+            wanted = position_law(x[0], x[1] * on, self.error(run, x[2], kept), self.fed(run, x[3], kept))
+            out.append(run.speed_setpoint[kept] * self.axis.ratio - wanted)
         return out
 
     def usable(self, run: AxisRun) -> np.ndarray:
@@ -250,8 +252,7 @@ class _Law:
         def left(delay: float) -> float:
             squares = 0.0
             for run, f, use in known:
-                t = run.start - delay
-                e = (f - (self.read(run, t) - self.read(run, t - tp)) / tp)[use]
+                e = (f - feedforward_at(lambda late, run=run: self.read(run, run.start - late), delay, tp))[use]  # type: ignore[misc]
                 squares += float(np.sum(np.minimum(np.abs(e), 0.1 * np.abs(f[use]).max(initial=0.0)) ** 2))
             return squares
 
@@ -267,9 +268,9 @@ def _level(values: np.ndarray) -> np.ndarray:
 
 def linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.ndarray, np.ndarray]:
     """Columns (cycle, 4) of corrections to NAMES at x, and the residual of v* (cycle,) [axis units a second], of one run."""
-    law = _Law(axis, [run], "cubic")
-    law.on, law.recorded = [on], False
-    return law._slopes(run, on, x), law.residual(x)[0]
+    one = _Law(axis, [run], "cubic")
+    one.on, one.recorded = [on], False
+    return one._slopes(run, on, x), one.residual(x)[0]
 
 
 def _left(errors: np.ndarray, fed: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

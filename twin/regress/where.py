@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from twin.control.position_law import feedforward_at, position_law
 from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
@@ -154,14 +155,14 @@ def _delayed(machine: Machine, axis: Axis, trace: Trace, delay: float) -> np.nda
 
 def _position_controller(machine: Machine, axis: Axis, trace: Trace) -> Law:
     """Speed set point [axis units/s] of the position controller at the stored position cycles, followed by that inside the drive, if any."""
-    loops, cycle = axis.loops, machine.position_cycle
-    wanted, output = (
-        loops.position_gain_per_s * _delayed(machine, axis, trace, loops.position_delay_s),
-        trace.get(axis.name, "velocity_setpoint"),
-    )
-    wanted = wanted - loops.position_gain_per_s * trace.get(axis.name, closed_on(trace, axis))
-    ahead = _delayed(machine, axis, trace, loops.feedforward_delay_s) - _delayed(machine, axis, trace, loops.feedforward_delay_s + cycle)
-    wanted = wanted + loops.velocity_feedforward * ahead / cycle
+    loops, cycle, output = axis.loops, machine.position_cycle, trace.get(axis.name, "velocity_setpoint")
+
+    def setpoint(delay: float) -> np.ndarray:
+        return _delayed(machine, axis, trace, delay)
+
+    error = setpoint(loops.position_delay_s) - trace.get(axis.name, closed_on(trace, axis))
+    fed = feedforward_at(setpoint, loops.feedforward_delay_s, cycle)
+    wanted = position_law(loops.position_gain_per_s, loops.velocity_feedforward, error, fed)
     if trace.has(axis.name, FOLLOWED) and trace.period < cycle * (1.0 + 1e-6):
         wanted = np.concatenate([wanted, speed_set_point(trace, axis, machine.speed_cycle)[:, 0]])
         output = np.concatenate([output, trace.get(axis.name, FOLLOWED)])
