@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -19,6 +20,7 @@ from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.gap import SignalGap
+from twin.simulation.plant_spec import frames_of_model
 
 SAMPLES, RATE = 1500, 1e-5
 RUNS = {"a": 3.0, "b": 41.0**0.5}
@@ -108,13 +110,23 @@ def test_a_table_rotation_moves_the_tool_by_angle_times_distance():
     assert (near, far) == pytest.approx((angle * reach[0], angle * reach[1]), rel=1e-6)
 
 
-def test_a_chain_with_other_axes_uses_its_linear_axes_only():
-    """The columns of the transformation are X Y Z A C: axis B of another machine must not be used as A."""
-    machine = script("examples/kinematics/run.py", "kinematics_example").machine_of("table_table")
-    tool, still, moved = ToolPoint(machine), dict.fromkeys("XYZBC", 0.0), {"X": 3e-6, "Y": 4e-6, "Z": 0.0, "B": 1.0, "C": 1.0}
-    base, other = (Trace(np.arange(2.0), {(a, LOAD): np.full(2, v) for a, v in at.items()}, machine.kinds) for at in (still, moved))
-    np.testing.assert_allclose(tool.distance(base, other, "XYZBC"), 5e-6)
-    assert tool.at(other, 0) == (3e-6, 4e-6, 0.0)
+@pytest.mark.parametrize("structure", ["table_table", "head_table", "head_head", "three_axis"])
+def test_every_structure_moves_the_tool_as_the_engine_does(structure):
+    """Whatever the axes are called, and whether they turn the part or the tool."""
+    machine = script("examples/kinematics/run.py", "kinematics_example").machine_of(structure)
+    model = frames_of_model(machine)
+    data = mujoco.MjData(model)
+    tool, motions, tips = ToolPoint(machine), [], []
+    for angle, step in ((0.3, 0.0), (0.3, 2e-4)):
+        at = {axis: np.full(2, angle + step * (i + 1)) for i, axis in enumerate(machine.axis_names)}
+        for axis, value in at.items():
+            data.joint(axis).qpos[0] = value[0]
+        mujoco.mj_kinematics(model, data)
+        part = data.site("workpiece")
+        tips.append(part.xmat.reshape(3, 3).T @ (data.site("tool").xpos - part.xpos))
+        motions.append(Trace(np.arange(2.0), {(axis, LOAD): value for axis, value in at.items()}, machine.kinds))
+        assert tool.at(motions[-1], 1) == pytest.approx(tuple(tips[-1]), abs=1e-12)
+    np.testing.assert_allclose(tool.distance(*motions, machine.axis_names), np.linalg.norm(tips[1] - tips[0]), rtol=1e-9)
 
 
 def _from_turning_axis(tool):

@@ -8,7 +8,6 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics, kinematics_of
-from twin.geometry.tool_path import AXIS_ORDER
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation.gap import sensor_noise
@@ -23,8 +22,7 @@ class ToolPoint:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         try:
-            kinematics = kinematics_of(machine)
-            self.kinematics: Kinematics | None = kinematics if kinematics.names == AXIS_ORDER else None
+            self.kinematics: Kinematics | None = kinematics_of(machine)
         except InputError:
             self.kinematics = None
         self._places: dict[int, tuple[Trace, np.ndarray, np.ndarray]] = {}
@@ -66,14 +64,12 @@ class ToolPoint:
             linear = [d**2 for a, d in by.items() if self.machine.axis(a).kind == "linear"]
             return np.asarray(np.sqrt(np.sum(linear, axis=0))) if linear else np.zeros(len(base.time))
         _, at, tip = self._place(base, self.kinematics)
-        moved = at.copy()
-        for axis, difference in by.items():
-            moved[:, AXIS_ORDER.index(axis)] += difference
+        moved = at + np.column_stack([np.broadcast_to(by.get(a, 0.0), len(at)) for a in self.kinematics.names])
         return np.asarray(np.linalg.norm(self.kinematics.tip(moved) - tip, axis=1))
 
     def _place(self, base: Trace, kinematics: Kinematics) -> tuple[Trace, np.ndarray, np.ndarray]:
         """A motion with its axes (sample, 5) and its tool point (sample, 3); cached, because all contributions are compared with the same motions."""
         if id(base) not in self._places:
-            at = np.column_stack([base.get(a, LOAD) if base.has(a, LOAD) else np.zeros(len(base.time)) for a in AXIS_ORDER])
+            at = np.column_stack([base.get(a, LOAD) if base.has(a, LOAD) else np.zeros(len(base.time)) for a in kinematics.names])
             self._places[id(base)] = base, at, kinematics.tip(at)
         return self._places[id(base)]

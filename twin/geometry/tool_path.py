@@ -26,7 +26,6 @@ from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 
-AXIS_ORDER = ("X", "Y", "Z", "A", "C")
 SHORTEST_WINDOW = 0.1
 """Least search window before and after a sample [s]."""
 ARM = 0.1
