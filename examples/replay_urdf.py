@@ -7,14 +7,13 @@ The trace is an ordinary one: columns named after the joints of the URDF, `x.pos
 With a trace of your own:  twin replay examples/gantry/gantry.urdf my_trace.csv
 """
 
-import argparse
 from pathlib import Path
 import sys
 import tempfile
 
 import numpy as np
 
-from twin.cli import replay
+from twin.cli import main as twin_command
 from twin.recordings.trace import Trace, write_trace
 
 GANTRY = Path(__file__).resolve().parent / "gantry" / "gantry.urdf"
@@ -44,12 +43,10 @@ def spindle_mesh() -> object:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Replay a URDF with a trace.")
-    replay.add_arguments(parser)
     with tempfile.TemporaryDirectory() as folder:
         trace = Path(folder) / "spiral.csv"
         write_trace(spiral(), trace)
-        return replay.carry_out(parser.parse_args([str(GANTRY), str(trace), *sys.argv[1:]]))
+        return twin_command(["replay", str(GANTRY), str(trace), *sys.argv[1:]])
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
-"""Arguments that several commands share."""
+"""Tables of arguments: what a command lists in `ARGUMENTS`, and the arguments that several commands share."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 import contextlib
 import os
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from twin.errors import InputError
 from twin.files import shipped_example
@@ -19,56 +20,60 @@ if TYPE_CHECKING:
     from twin.recordings import Trace
 
 PICTURE_ENDINGS = (".png", ".svg", ".pdf")
+Argument = tuple[str, dict[str, Any]]
+"""An argument of a command: its name, and the options of `argparse.ArgumentParser.add_argument`."""
 
 
-def positive(text: str) -> float:
-    """A number above 0, for argparse."""
-    with contextlib.suppress(ValueError):
-        if 0.0 < (value := float(text)) < 1e6:
-            return value
-    raise argparse.ArgumentTypeError(f"'{text}': give a number above 0 and below 1e6")
+def arg(name: str, metavar: str, does: str, **options: Any) -> Argument:
+    """An argument with a value. It takes part in a command's table `ARGUMENTS`."""
+    return name, {"metavar": metavar, "help": does, **options}
 
 
-def seed(text: str) -> int:
-    """A seed, for argparse."""
-    with contextlib.suppress(ValueError):
-        if (value := int(text)) >= 0:
-            return value
-    raise argparse.ArgumentTypeError(f"'{text}': give a whole number, 0 or more")
+def flag(name: str, does: str) -> Argument:
+    """An option without a value."""
+    return name, {"action": "store_true", "help": does}
 
 
-def add_machine(parser: argparse.ArgumentParser, default: str = "the Mikron UCP 710 that ships with twin") -> None:
+def number(words: str, fits: Callable[[Any], bool], kind: type = float) -> Callable[[str], Any]:
+    """Type of an argument: a number that `fits`. `words` say which."""
+
+    def read(text: str) -> Any:
+        with contextlib.suppress(ValueError, OverflowError):
+            if fits(value := kind(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"'{text[:40]}': give {words}")
+
+    return read
+
+
+positive = number("a number above 0 and below 1e6", lambda v: 0.0 < v < 1e6)
+seed = number("a whole number, 0 or more", lambda v: v >= 0, int)
+count = number("a whole number, 1 or more", lambda v: v >= 1, int)
+port = number("a number from 0 to 65535", lambda v: 0 <= v <= 65535, int)
+
+
+def machine_argument(default: str) -> Argument:
     """`--machine FILE`; without it the environment variable TWIN_MACHINE applies."""
-    parser.add_argument("--machine", metavar="FILE", help=f"machine file (default: $TWIN_MACHINE, else {default})")
+    return arg("--machine", "FILE", f"machine file (default: $TWIN_MACHINE, else {default})")
 
 
-def add_effect(parser: argparse.ArgumentParser) -> None:
-    """`--effect NAME:AXIS:PARAMETER=VALUE`, repeatable."""
-    parser.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="NAME:AXIS:PARAMETER=VALUE",
-        help="add an effect, e.g. backlash:X:clearance=15e-6 (SI; repeatable; see 'twin effects')",
-    )
+MACHINE = machine_argument("the Mikron UCP 710 that ships with twin")
+GIVEN_MACHINE = arg("machine", "MACHINE", "machine file (default: the Mikron UCP 710 that ships with twin)", nargs="?")
+EFFECT = arg("--effect", "NAME:AXIS:PARAMETER=VALUE", "add an effect, e.g. backlash:X:clearance=15e-6 (SI; repeatable; see 'twin effects')", action="append", default=[])  # fmt: skip
+MARGINS = (
+    arg("--phase-margin-deg", "P", "smallest phase margin of speed and position loop (default 40 and 50)", type=positive),
+    arg("--gain-margin-db", "G", "smallest gain margin of both (default 6)", type=positive, default=6.0),
+)
+CAMPAIGN = arg("campaign", "CAMPAIGN", "folder with campaign.toml and traces", type=shipped_example)
+JSON = arg("--json", "FILE", "write the result as JSON")
+OPEN = flag("--open", "open the report in the browser")
+PLACE: Argument = ("--place", {"choices": ("as-is", "auto"), "default": "as-is", "help": "auto: shift a part outside the travel into it"})
+THREADS = arg("--threads", "N", "number of threads (default: one per core)", type=count)
 
 
-def add_margins(parser: argparse.ArgumentParser) -> None:
-    """`--phase-margin-deg`, `--gain-margin-db`."""
-    parser.add_argument(
-        "--phase-margin-deg", type=positive, metavar="P", help="smallest phase margin of speed and position loop (default 40 and 50)"
-    )
-    parser.add_argument("--gain-margin-db", type=positive, default=6.0, metavar="G", help="smallest gain margin of both (default 6)")
-
-
-def add_campaign(parser: argparse.ArgumentParser) -> None:
-    """`CAMPAIGN`, a folder of measured runs."""
-    parser.add_argument("campaign", metavar="CAMPAIGN", type=shipped_example, help="folder with campaign.toml and traces")
-
-
-def add_open(parser: argparse.ArgumentParser, does: str = "open the report in the browser") -> None:
-    """`--open`: show the report in the browser."""
-    parser.add_argument("--open", action="store_true", help=does)
+def out_argument(does: str, **options: Any) -> Argument:
+    """`--out DIR`, required unless the options say otherwise."""
+    return arg("--out", "DIR", does, **(options or {"required": True}))
 
 
 def open_report(args: argparse.Namespace, page: Path) -> None:
@@ -90,11 +95,6 @@ def machine_of(args: argparse.Namespace) -> Machine:
     from twin.effects import parse_setting, settings_of, with_effects
 
     return with_effects(machine, [*settings_of(machine), *(parse_setting(text, machine) for text in added)])
-
-
-def add_place(parser: argparse.ArgumentParser) -> None:
-    """`--place`: position of the part of a program."""
-    parser.add_argument("--place", choices=("as-is", "auto"), default="as-is", help="auto: shift a part outside the travel into it")
 
 
 def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> tuple[Program | None, Trace]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_machine, add_place, machine_of
+from twin.cli.arguments import JSON, MACHINE, PLACE, arg, flag, machine_of
 from twin.files import shipped_example, write_json
 from twin.progress import Progress
 
@@ -13,16 +13,16 @@ SHOWN = 12
 """Most reasons printed; the JSON file has all."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument("programs", metavar="FOLDER_OR_PROGRAM", type=shipped_example, help="part program, or folder of part programs")
-    add_machine(parser)
-    add_place(parser)
-    parser.add_argument("--read-only", action="store_true", help="only read the programs; no times, no check of limits")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+ARGUMENTS = (
+    arg("programs", "FOLDER_OR_PROGRAM", "part program, or folder of part programs", type=shipped_example),
+    MACHINE,
+    PLACE,
+    flag("--read-only", "only read the programs; no times, no check of limits"),
+    JSON,
+)
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Check every program; print a line for each, then the most frequent reasons."""
     from twin.program.check import check_programs, document, opening_words, programs_in, reasons
     from twin.simulation.summary import table
@@ -52,4 +52,3 @@ def carry_out(args: argparse.Namespace) -> int:
         )
     if args.json:
         write_json(document(found, machine), Path(args.json), "programs")
-    return 0

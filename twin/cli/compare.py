@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import add_machine, add_open, machine_of, open_report
+from twin.cli.arguments import MACHINE, OPEN, arg, machine_of, open_report, out_argument, setpoints_of_input
 from twin.errors import InputError
 from twin.files import output_folder, shipped_example, write_json
 from twin.progress import Progress
@@ -17,34 +17,31 @@ if TYPE_CHECKING:
     from twin.machine import Machine
     from twin.recordings import Trace
 
-RUN, CAMPAIGN, MACHINE = "run", "campaign", "machine"
+
+ARGUMENTS = (
+    arg("first", "A", "run folder, trace, campaign folder or machine file", type=shipped_example),
+    arg("second", "B", "another one of the same kind", type=shipped_example),
+    out_argument("folder for compare.json and report.html (default: out/compare)", default="out/compare"),
+    arg("--input", "FILE", "for two machine files: program or trace that both simulate"),
+    MACHINE,
+    OPEN,
+)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument("first", metavar="A", type=shipped_example, help="run folder, trace, campaign folder or machine file")
-    parser.add_argument("second", metavar="B", type=shipped_example, help="another one of the same kind")
-    parser.add_argument("--out", metavar="DIR", help="folder for compare.json and report.html (default: out/compare)")
-    parser.add_argument("--input", metavar="FILE", help="for two machine files: program or trace that both simulate")
-    add_machine(parser)
-    add_open(parser)
-
-
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Compare; print verdict and table, write compare.json and report.html."""
     first, second = Path(args.first), Path(args.second)
     kinds = [_kind(path) for path in (first, second)]
     if kinds[0] != kinds[1]:
         raise InputError(f"{first} is a {kinds[0]}, {second} is a {kinds[1]}; give two of the same kind")
-    if args.input and kinds[0] != MACHINE:
+    if args.input and kinds[0] != "machine":
         raise InputError("--input is for two machine files; leave it out")
-    out = output_folder(args.out or "out/compare")
-    document = {RUN: _runs, CAMPAIGN: _campaigns, MACHINE: _machines}[kinds[0]](args, first, second, out)
+    out = output_folder(args.out)
+    document = {"run": _runs, "campaign": _campaigns, "machine": _machines}[kinds[0]](args, first, second, out)
     write_json({"kind": f"{kinds[0]}s", **document}, out / "compare.json", "compare")
-    moved = kinds[0] != MACHINE or args.input
+    moved = kinds[0] != "machine" or args.input
     print(f"written to {out}: compare.json, report.html{', compare.rrd' if moved else ''}")
     open_report(args, out / "report.html")
-    return 0
 
 
 def _runs(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
@@ -124,7 +121,6 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     if not args.input:
         write_machines_page(names, numbers, verdict, out / "report.html", f"{first}, {second}")
     else:
-        from twin.cli.arguments import setpoints_of_input
         from twin.simulation.run import simulate
 
         program, trace = setpoints_of_input(Path(args.input), machines[0])
@@ -144,8 +140,8 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
 
 def _kind(path: Path) -> str:
     if path.suffix == ".toml":
-        return MACHINE
-    return CAMPAIGN if path.is_dir() and (path / "campaign.toml").is_file() else RUN
+        return "machine"
+    return "campaign" if (path / "campaign.toml").is_file() else "run"
 
 
 def _trace(path: Path, machine: Machine) -> Trace:

@@ -9,12 +9,10 @@ from twin.errors import InputError
 SHELLS = ("bash", "zsh", "tcsh")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument("shell", choices=SHELLS, help="shell, e.g. twin completion bash > ~/.local/share/bash-completion/completions/twin")
+ARGUMENTS = (("shell", {"choices": SHELLS, "help": "shell, e.g. twin completion bash > ~/.local/share/bash-completion/completions/twin"}),)
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Print the completion of every command and option."""
     try:
         import shtab
@@ -27,4 +25,3 @@ def carry_out(args: argparse.Namespace) -> int:
         if isinstance(action, argparse._SubParsersAction):
             action.help = "command"  # shtab skips arguments whose help is suppressed
     print(shtab.complete(parser, shell=args.shell))
-    return 0

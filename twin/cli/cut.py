@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from twin.cli.arguments import add_machine, machine_of
+from twin.cli.arguments import MACHINE, THREADS, arg, flag, machine_of, out_argument, positive
 from twin.errors import InputError, nearest
 from twin.files import output_folder, shipped_example, write_json
 from twin.machine.machine import FEEDFORWARD, Machine
@@ -19,44 +19,22 @@ from twin.surface.measured import HeightMap, compare, read_height_map
 from twin.surface.part import Part, read_part
 from twin.surface.shapes import MeshFile
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `twin cut`."""
-    parser.add_argument("input", metavar="INPUT", type=shipped_example, help="part program, run folder or trace")
-    parser.add_argument(
-        "--part",
-        required=True,
-        type=shipped_example,
-        metavar="PART.toml",
-        help="part file with tool, stock, nominal surfaces, zones (see examples/parts)",
-    )
-    parser.add_argument(
-        "--out", metavar="DIR", help="folder for pictures, meshes, height maps and cut.json (default: out/cut_<name of the input>)"
-    )
-    add_machine(parser)
-    parser.add_argument(
-        "--level",
-        action="append",
-        default=[],
-        metavar="L",
-        help="tool path to cut: programmed | commanded | followed; repeatable (default: all available)",
-    )
-    parser.add_argument(
-        "--feedforward",
-        action="append",
-        default=[],
-        metavar="F",
-        help="feedforward of the simulated program: velocity+torque | velocity | off; repeatable (default: velocity+torque and off)",
-    )
-    parser.add_argument("--zone-um", type=float, metavar="UM", help="spacing of the height rays in the zones (default: from the part file)")
-    parser.add_argument(
-        "--measured", metavar="MAP", help="measured height map of the zone (.npz .csv .sur .x3p), registered and compared with every cut"
-    )
-    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (default: one per core)")
-    parser.add_argument("--no-files", action="store_true", help="write only cut.json and pictures")
+ARGUMENTS = (
+    arg("input", "INPUT", "part program, run folder or trace", type=shipped_example),
+    arg("--part", "PART.toml", "part file with tool, stock, nominal surfaces, zones (see examples/parts)", required=True, type=shipped_example),
+    out_argument("folder for pictures, meshes, height maps and cut.json (default: out/cut_<name of the input>)", default=None),
+    MACHINE,
+    arg("--level", "L", "tool path to cut: programmed | commanded | followed; repeatable (default: all available)", action="append", default=[]),
+    arg("--feedforward", "F", "feedforward of the simulated program: velocity+torque | velocity | off; repeatable (default: velocity+torque and off)",
+        action="append", default=[]),
+    arg("--zone-um", "UM", "spacing of the height rays in the zones (default: from the part file)", type=positive),
+    arg("--measured", "MAP", "measured height map of the zone (.npz .csv .sur .x3p), registered and compared with every cut"),
+    THREADS,
+    flag("--no-files", "write only cut.json and pictures"),
+)  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Cut, print a table, write all files."""
     from twin.simulation.summary import table
 
@@ -64,10 +42,6 @@ def carry_out(args: argparse.Namespace) -> int:
     machine = machine_of(args)
     levels = _checked(args.level, LEVELS, "level") or list(LEVELS)
     words = _checked(args.feedforward, FEEDFORWARD, "feedforward") or ["velocity+torque", "off"]
-    if args.zone_um is not None and not args.zone_um > 0.0:
-        raise InputError(f"--zone-um {args.zone_um:g}: give a spacing above 0")
-    if args.threads is not None and args.threads < 1:
-        raise InputError(f"--threads {args.threads}: give 1 or more")
     zone_spacing = args.zone_um * 1e-6 if args.zone_um else None
     if zone_spacing and not any(surface.zone_spacing for surface in part.surfaces):
         raise InputError(f"--zone-um: {args.part} has no zone; add zone_um to a [[surface]]")
@@ -110,7 +84,6 @@ def carry_out(args: argparse.Namespace) -> int:
             print(f"{one.label}: " + ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in one.errors.items()))
     print(f"{work.tests / 1e6:.1f} million ray-step tests of {work.pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
     print(f"written: {out / 'cut.json'} and {len(written)} files beside it")
-    return 0
 
 
 def _compare(machining: Machining, reports: list[dict[str, Any]], measured: HeightMap, out: Path) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.cli.arguments import add_machine, machine_of
+from twin.cli.arguments import MACHINE, arg, machine_of, out_argument
 from twin.geometry.scurve import moves_in_turn, phases_of_move
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, write_trace
@@ -145,11 +145,11 @@ def _mark_largest(axes: Axes, colour: str) -> None:
     axes.annotate(text, place, xytext=(6, 4), textcoords="offset points", color=colour, weight="bold")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for traces, recording and plot")
-    add_machine(parser)
-    parser.add_argument("--setpoints", type=Path, metavar="FILE", help="only write the set points of the test to this file (.csv .parquet)")
+ARGUMENTS = (
+    out_argument("folder for traces, recording and plot", type=Path, default=Path("out/demo")),
+    MACHINE,
+    arg("--setpoints", "FILE", "only write the set points of the test to this file (.csv .parquet)", type=Path),
+)
 
 
 def carry_out(args: argparse.Namespace) -> int:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.cli.arguments import add_machine, add_open, add_place, machine_of, open_report, seed, setpoints_of_input
-from twin.cli.import_recordings import add_reading_arguments, reading_of
+from twin.cli.arguments import OPEN, PLACE, arg, flag, machine_argument, machine_of, open_report, out_argument, seed, setpoints_of_input
+from twin.cli.import_recordings import READING, reading_of
 from twin.errors import InputError, TwinError
 from twin.files import output_folder, shipped_example
 from twin.progress import Progress
@@ -23,34 +23,19 @@ if TYPE_CHECKING:
     from twin.recordings.campaign import MeasuredRun
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument(
-        "inputs",
-        nargs="+",
-        metavar="INPUT",
-        type=shipped_example,
-        help="folder of a campaign, or raw recordings of a control or an instrument",
-    )
-    add_machine(parser, "the Mikron UCP 710 that ships with twin; for raw recordings a machine made from them")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd")
-    parser.add_argument("--map", metavar="MAP", help="map (.toml) of raw recordings (default: DIR/campaign/map.toml, else a proposed one)")
-    add_reading_arguments(parser)
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="less than half the time: fewer candidates, no search on axes at noise level (always for raw recordings)",
-    )
-    parser.add_argument(
-        "--since",
-        nargs="+",
-        metavar="BASELINE",
-        help="earlier campaigns of the same machine: say what is different now, in place of what differs from the machine file",
-    )
-    parser.add_argument("--program", metavar="INPUT", help="also compute the gap budget for this part program or trace")
-    add_place(parser)
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the simulated noise (default 0)")
-    add_open(parser)
+ARGUMENTS = (
+    arg("inputs", "INPUT", "folder of a campaign, or raw recordings of a control or an instrument", nargs="+", type=shipped_example),
+    machine_argument("the Mikron UCP 710 that ships with twin; for raw recordings a machine made from them"),
+    out_argument("folder for diagnosis.json, machine.toml, report.html, diagnosis.rrd"),
+    arg("--map", "MAP", "map (.toml) of raw recordings (default: DIR/campaign/map.toml, else a proposed one)"),
+    *READING,
+    flag("--quick", "less than half the time: fewer candidates, no search on axes at noise level (always for raw recordings)"),
+    arg("--since", "BASELINE", "earlier campaigns of the same machine: say what is different now, in place of what differs from the machine file", nargs="+"),
+    arg("--program", "INPUT", "also compute the gap budget for this part program or trace"),
+    PLACE,
+    arg("--seed", "N", "seed of the simulated noise (default 0)", type=seed, default=0),
+    OPEN,
+)  # fmt: skip
 
 
 def carry_out(args: argparse.Namespace) -> int:

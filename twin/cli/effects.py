@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import add_machine, machine_of, picture_file
+from twin.cli.arguments import MACHINE, arg, machine_of, picture_file
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 
@@ -13,13 +13,11 @@ if TYPE_CHECKING:
     from twin.effects.effect import Parameter
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument(
-        "name", nargs="?", metavar="NAME", help="effect to show: law, parameters, bounds, usual sizes (default: list all effects)"
-    )
-    parser.add_argument("--picture", metavar="FILE.png", help="plot a short move with and without the effect NAME")
-    add_machine(parser)
+ARGUMENTS = (
+    arg("name", "NAME", "effect to show: law, parameters, bounds, usual sizes (default: list all effects)", nargs="?"),
+    arg("--picture", "FILE.png", "plot a short move with and without the effect NAME"),
+    MACHINE,
+)
 
 
 def _law_page(machine: Machine, picture: str | None) -> int:

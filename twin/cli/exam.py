@@ -8,43 +8,27 @@ import json
 from pathlib import Path
 
 import twin
+from twin.cli.arguments import arg, count, flag, number, out_argument, seed
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.files import output_folder, stamped, write_whole
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of the drawn machines (default: 0); use a fresh one for a published score"
-    )
-    parser.add_argument("--cases", type=int, default=150, metavar="N", help="number of campaigns (default: 150)")
-    parser.add_argument(
-        "--out",
-        required=True,
-        metavar="DIR",
-        help="folder for campaigns, answers, exam.json and report.html; continues an interrupted examination",
-    )
-    parser.add_argument("--machine", metavar="FILE", help="machine file with the Mikron's five axes (default: the Mikron)")
-    parser.add_argument(
-        "--richness",
-        choices=("off", "small", "full"),
-        default="small",
-        help="imperfections of every machine that no effect describes (default: small)",
-    )
-    parser.add_argument(
-        "--noise-keys",
-        choices=("given", "absent", "tenth", "tenfold"),
-        default="given",
-        help="what the machine file says of noise and resolution: the truth (default), nothing, a tenth or ten times of it",
-    )
-    parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
-    parser.add_argument("--only", metavar="KIND", help="only this kind of case, e.g. healthy, 'a fifth', outside")
-    parser.add_argument("--short", action="store_true", help="four runs per campaign instead of ten")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask cluster that shares this file system, e.g. tcp://host:8786")
-    parser.add_argument("--open", action="store_true", help="open the seals now and score the answers so far")
-    parser.add_argument("--plan", metavar="CAMPAIGN", help="no examination: list the effects that this campaign can show")
+ARGUMENTS = (
+    arg("--seed", "N", "seed of the drawn machines (default: 0); use a fresh one for a published score", type=seed, default=0),
+    arg("--cases", "N", "number of campaigns (default: 150)", type=number("1 to 100000", lambda v: 1 <= v <= 100_000, int), default=150),
+    out_argument("folder for campaigns, answers, exam.json and report.html; continues an interrupted examination"),
+    arg("--machine", "FILE", "machine file with the Mikron's five axes (default: the Mikron)"),
+    ("--richness", {"choices": ("off", "small", "full"), "default": "small", "help": "imperfections of every machine that no effect describes (default: small)"}),
+    ("--noise-keys", {"choices": ("given", "absent", "tenth", "tenfold"), "default": "given",
+                      "help": "what the machine file says of noise and resolution: the truth (default), nothing, a tenth or ten times of it"}),
+    flag("--quick", "diagnose as with 'twin diagnose --quick'"),
+    arg("--only", "KIND", "only this kind of case, e.g. healthy, 'a fifth', outside"),
+    flag("--short", "four runs per campaign instead of ten"),
+    arg("--workers", "N", "number of processes (default: one per core)", type=count),
+    arg("--scheduler", "ADDRESS", "Dask cluster that shares this file system, e.g. tcp://host:8786"),
+    flag("--open", "open the seals now and score the answers so far"),
+    arg("--plan", "CAMPAIGN", "no examination: list the effects that this campaign can show"),
+)  # fmt: skip
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -112,12 +96,6 @@ def _check(args: argparse.Namespace) -> None:
     """Refuse options out of range."""
     from twin.exam.questions import STRATA
 
-    if not 1 <= args.cases <= 100_000:
-        raise InputError(f"--cases {args.cases}: give 1 to 100000")
-    if args.seed < 0:
-        raise InputError(f"--seed {args.seed}: give 0 or more")
-    if args.workers is not None and args.workers < 1:
-        raise InputError(f"--workers {args.workers}: give 1 or more")
     if args.only not in (None, *(s.name for s in STRATA)):
         raise InputError(f"--only {args.only}: unknown kind of case; {nearest(args.only, [s.name for s in STRATA])}")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_campaign, add_machine, add_open, machine_of, open_report
+from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, arg, flag, machine_of, open_report
 from twin.files import write_json
 from twin.progress import Progress
 
@@ -13,17 +13,17 @@ SHOWN = 12
 """Most outliers printed; the HTML page has all."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    add_campaign(parser)
-    add_machine(parser)
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
-    parser.add_argument("--html", metavar="FILE", help="write a report")
-    parser.add_argument("--all", action="store_true", help="print every run, axis and signal")
-    add_open(parser)
+ARGUMENTS = (
+    CAMPAIGN,
+    MACHINE,
+    JSON,
+    arg("--html", "FILE", "write a report"),
+    flag("--all", "print every run, axis and signal"),
+    OPEN,
+)
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Simulate and compare; print the verdict, the gap of each axis and the outliers."""
     from twin.compare.pages import GAP_HEADING, gap_cells, write_gap_page
     from twin.effects import settings_of
@@ -55,4 +55,3 @@ def carry_out(args: argparse.Namespace) -> int:
         write_gap_page(found, Path(page))
         print(f"written: {page}")
         open_report(args, Path(page))
-    return 0

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from twin.cli.arguments import add_campaign, add_machine, add_open, machine_of, open_report
+from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, arg, flag, machine_of, number, open_report
 from twin.errors import InputError
 from twin.files import output_file, write_json
 from twin.progress import Steps
@@ -15,24 +15,23 @@ STEPS = 14
 """Approximate number of steps of an identification, for the progress bar."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `twin identify CAMPAIGN --out MACHINE.toml`."""
-    add_campaign(parser)
-    parser.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; its MJCF is copied beside it")
-    add_machine(parser)
-    parser.add_argument("--report", metavar="FILE.html", help="report (default: beside the machine file)")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
-    add_open(parser)
-    parser.add_argument("--no-refine", action="store_true", help="regression only, without the fit in closed loop")
-    parser.add_argument(
-        "--torque-constant-within",
-        type=float,
-        metavar="FRACTION",
-        help="relative uncertainty of the torque constants, e.g. 0.001 (default: parameter_tolerance)",
-    )
+ARGUMENTS = (
+    CAMPAIGN,
+    arg("--out", "MACHINE.toml", "machine file to write; its MJCF is copied beside it", required=True),
+    MACHINE,
+    arg("--report", "FILE.html", "report (default: beside the machine file)"),
+    JSON,
+    OPEN,
+    flag("--no-refine", "regression only, without the fit in closed loop"),
+    arg(
+        "--torque-constant-within", "FRACTION",
+        "relative uncertainty of the torque constants, e.g. 0.001 (default: parameter_tolerance)",
+        type=number("a fraction between 0 and 1, e.g. 0.001 for 0.1 %", lambda v: 0.0 <= v < 1.0),
+    ),
+)  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Identify; write machine file, report and JSON; print the table."""
     from twin.identify.identify import identify
     from twin.identify.report import write_report
@@ -43,14 +42,13 @@ def carry_out(args: argparse.Namespace) -> int:
     out = Path(args.out)
     if out.suffix != ".toml":
         raise InputError(f"--out {out}: the name of a machine file must end in .toml; rename it")
-    within = args.torque_constant_within
-    if within is not None and not 0.0 <= within < 1.0:
-        raise InputError(f"--torque-constant-within {within:g}: a fraction between 0 and 1, e.g. 0.001 for 0.1 %")
     machine = machine_of(args)
     campaign = read_campaign(args.campaign, machine)
     output_file(out)  # fails before the long computation
     with Steps("identifying", STEPS) as step:
-        result = identify(campaign, machine, refine=not args.no_refine, torque_constant_tolerance=within, progress=step)
+        result = identify(
+            campaign, machine, refine=not args.no_refine, torque_constant_tolerance=args.torque_constant_within, progress=step
+        )
     try:
         if not result.refused:
             write_identified(result, out)
@@ -77,4 +75,3 @@ def carry_out(args: argparse.Namespace) -> int:
         raise InputError(f"{out}: {result.refused}; see {files[0]}")
     print(f"written: {out}, {files[0]}")
     open_report(args, Path(files[0]))
-    return 0

@@ -6,40 +6,31 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from twin.cli.arguments import arg, flag, positive
 from twin.errors import InputError
 from twin.files import output_folder, write_whole
 from twin.recordings.formats.by_content import FORMATS
 from twin.recordings.mapping import read_map
 from twin.recordings.signals import Clock
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
-    parser.add_argument("files", nargs="+", metavar="FILES", help=f"recorded files: {FORMATS}")
-    parser.add_argument(
-        "--map",
-        metavar="MAP",
-        help="map (.toml) from columns to axes and signals; a partial map is completed (default: proposed from names and numbers, written to "
-        "CAMPAIGN/map.toml)",
-    )
-    parser.add_argument("--out", metavar="CAMPAIGN", help="folder for the campaign (without --out: only print what the files hold)")
-    add_reading_arguments(parser)
-    parser.add_argument("--machine", metavar="FILE", help="machine file to check against (default: from the map)")
-    parser.add_argument("--no-picture", action="store_true", help="do not plot the runs")
-
-
-def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
-    """What a file without a heading or without a time leaves open."""
-    parser.add_argument("--interval-ms", type=float, metavar="T", help="interval of the samples, for files without a time")
-    parser.add_argument(
-        "--columns", metavar="A,B,...", help="names of all columns, for text without a heading: 'time [ms],position [mm],-' (-: unused)"
-    )
+READING = (
+    arg("--interval-ms", "T", "interval of the samples, for files without a time", type=positive),
+    arg("--columns", "A,B,...", "names of all columns, for text without a heading: 'time [ms],position [mm],-' (-: unused)"),
+)
+"""What a file without a heading or without a time leaves open."""
+ARGUMENTS = (
+    arg("files", "FILES", f"recorded files: {FORMATS}", nargs="+"),
+    arg("--map", "MAP", "map (.toml) from columns to axes and signals; a partial map is completed (default: proposed from names and numbers, written "
+        "to CAMPAIGN/map.toml)"),
+    arg("--out", "CAMPAIGN", "folder for the campaign (without --out: only print what the files hold)"),
+    *READING,
+    arg("--machine", "FILE", "machine file to check against (default: from the map)"),
+    flag("--no-picture", "do not plot the runs"),
+)  # fmt: skip
 
 
 def reading_of(args: argparse.Namespace) -> tuple[Clock | None, dict[str, object]]:
     """Clock and [csv] table of these arguments."""
-    if args.interval_ms is not None and not 0.0 < args.interval_ms < 1e6:
-        raise InputError(f"--interval-ms {args.interval_ms:g}: give a number above 0, the milliseconds between two samples")
     dialect: dict[str, object] = {"columns": [c.strip() for c in args.columns.split(",")]} if args.columns else {}
     return Clock(interval_s=args.interval_ms * 1e-3) if args.interval_ms else None, dialect
 

@@ -5,23 +5,22 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_machine, add_place, machine_of, picture_file, program_of_input
+from twin.cli.arguments import MACHINE, PLACE, arg, machine_of, picture_file, program_of_input
 from twin.errors import InputError
 from twin.files import shipped_example
 from twin.program.read import PROGRAM_ENDINGS, is_program
 from twin.progress import Progress
 
+ARGUMENTS = (
+    arg("program", "PROGRAM", "part program (.mpf .ngc .apt ...)"),
+    arg("--out", "FILE", "trace to write (.parquet .csv)", required=True),
+    arg("--plot", "PNG", "plot programmed and reached feed over path length"),
+    MACHINE,
+    PLACE,
+)
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument("program", metavar="PROGRAM", help="part program (.mpf .ngc .apt ...)")
-    parser.add_argument("--out", required=True, metavar="FILE", help="trace to write (.parquet .csv)")
-    parser.add_argument("--plot", metavar="PNG", help="plot programmed and reached feed over path length")
-    add_machine(parser)
-    add_place(parser)
 
-
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Write the set points block by block; with --plot, hold them all in memory."""
     from twin.program import interpolate, plot_feed, set_point_blocks
     from twin.recordings.trace import written
@@ -40,4 +39,3 @@ def carry_out(args: argparse.Namespace) -> int:
     if plot:
         plot_feed(last, plot, source.name)
         print(f"programmed and reached feed: {plot}")
-    return 0

@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.cli.arguments import add_machine, machine_of, positive
+from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive
 from twin.errors import InputError
 from twin.files import shipped_example, write_json
 from twin.progress import Progress
@@ -24,32 +24,24 @@ if TYPE_CHECKING:
 STANDARDS = ("230-2", "230-4")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `twin iso`."""
-    parser.add_argument("standard", choices=STANDARDS, metavar="230-2|230-4", help="230-2: positioning of an axis; 230-4: circles")
-    parser.add_argument("input", metavar="INPUT", type=shipped_example, help="table of readings (.csv), trace, run folder or campaign")
-    parser.add_argument("--json", metavar="FILE", help="write the results as JSON, with the plot beside it")
-    parser.add_argument("--plot", metavar="FILE", help="plot file (default: beside --json, else out/iso_STANDARD.png)")
-    parser.add_argument("--axis", metavar="AXIS", help="230-2: only this axis of a trace")
-    parser.add_argument("--no-predict", action="store_true", help="230-4: do not simulate the circle")
-    parser.add_argument("--radius-mm", type=positive, metavar="MM", help="230-4: radius of a ballbar test")
-    parser.add_argument("--feed-mm-per-min", type=positive, metavar="F", help="230-4: feed of a ballbar test")
-    parser.add_argument(
-        "--feedforward",
-        metavar="F",
-        help="230-4: feedforward of a ballbar test: off | velocity | velocity+torque (default: from the machine file)",
-    )
-    parser.add_argument("--plane", default="XY", metavar="XY", help="230-4: plane of a ballbar test (default: XY)")
-    parser.add_argument(
-        "--diagnosis",
-        metavar="DIR",
-        help="230-4: output folder of 'twin diagnose'; adds the corrected twin and the contribution of each effect",
-    )
-    parser.add_argument("--campaign", metavar="DIR", help="230-4: also write the ballbar test as a campaign for 'twin diagnose'")
-    add_machine(parser)
+ARGUMENTS = (
+    ("standard", {"choices": STANDARDS, "metavar": "230-2|230-4", "help": "230-2: positioning of an axis; 230-4: circles"}),
+    arg("input", "INPUT", "table of readings (.csv), trace, run folder or campaign", type=shipped_example),
+    arg("--json", "FILE", "write the results as JSON, with the plot beside it"),
+    arg("--plot", "FILE", "plot file (default: beside --json, else out/iso_STANDARD.png)"),
+    arg("--axis", "AXIS", "230-2: only this axis of a trace"),
+    flag("--no-predict", "230-4: do not simulate the circle"),
+    arg("--radius-mm", "MM", "230-4: radius of a ballbar test", type=positive),
+    arg("--feed-mm-per-min", "F", "230-4: feed of a ballbar test", type=positive),
+    arg("--feedforward", "F", "230-4: feedforward of a ballbar test: off | velocity | velocity+torque (default: from the machine file)"),
+    arg("--plane", "XY", "230-4: plane of a ballbar test (default: XY)", default="XY"),
+    arg("--diagnosis", "DIR", "230-4: output folder of 'twin diagnose'; adds the corrected twin and the contribution of each effect"),
+    arg("--campaign", "DIR", "230-4: also write the ballbar test as a campaign for 'twin diagnose'"),
+    MACHINE,
+)
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Evaluate; print and write results and plot."""
     if not Path(args.input).exists():
         raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run folder or a campaign")
@@ -60,7 +52,6 @@ def carry_out(args: argparse.Namespace) -> int:
         write_json(document, Path(args.json), "iso230")
         print(f"written: {args.json}")
     print(f"written: {plot}")
-    return 0
 
 
 def _positioning(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str, Any]:

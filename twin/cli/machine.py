@@ -7,48 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from twin.cli.arguments import machine_of
+from twin.cli.arguments import GIVEN_MACHINE, arg, flag, machine_of
 from twin.control.structures import STRUCTURES
 from twin.errors import InputError
 from twin.files import all_or_none, write_json
 from twin.progress import Progress
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `twin machine`."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=type(parser))
-    new = actions.add_parser("new", help="create a commented machine file from an MJCF, a URDF or a recording")
-    new.add_argument("model", metavar="MODEL", nargs="?", help="MJCF (.xml) or URDF (.urdf) with slides, hinges and masses")
-    new.add_argument(
-        "--from-recording",
-        metavar="CAMPAIGN",
-        help="imported campaign instead of MODEL; drive and load become lumped parameters",
-    )
-    new.add_argument("--out", required=True, metavar="MACHINE.toml", help="machine file to write; its MJCF is written beside it")
-    new.add_argument(
-        "--structure", metavar="S", help=f"control structure of all axes: {', '.join(STRUCTURES)} (default: {next(iter(STRUCTURES))})"
-    )
-    new.add_argument("--sinumerik", metavar="FILE", help="TOML or archive with SINUMERIK machine data to use")
-    new.set_defaults(action=_new)
-    check = actions.add_parser("check", help="list missing, impossible and unusual values, and the margins of each loop")
-    check.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
-    check.add_argument("--out", metavar="DIR", help="folder for check.json and a plot of the loops of each axis")
-    check.set_defaults(action=_check)
-    show = actions.add_parser("show", help="print the data sheet")
-    show.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710)")
-    show.add_argument("--sinumerik", action="store_true", help="print it as machine data of a SINUMERIK 840D with 611D drives")
-    show.add_argument(
-        "--control-file",
-        action="append",
-        default=[],
-        metavar="[AXIS=]FILE",
-        help="print what a file of the control compensates already, as tables of a machine file: archive, EEC, CEC, ini, .comp, .lis, "
-        "parameter list (repeatable)",
-    )
-    show.add_argument(
-        "--comp-file-type", type=int, choices=(0, 1), default=0, help="COMP_FILE_TYPE of LinuxCNC compensation files (default 0)"
-    )
-    show.set_defaults(action=_show)
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -140,3 +103,43 @@ def _document(checks: Any, findings: Any) -> dict[str, Any]:
         numbers = ("inertia", "inertia_ratio", "holding", "accelerating", "voltage", "first_mode_hz")
         axes[c.axis.name] = {"loops": loops, **{k: getattr(c, k) for k in numbers}}
     return {"axes": axes, "findings": [asdict(f) for f in findings]}
+
+
+ACTIONS = {
+    "new": (
+        "create a commented machine file from an MJCF, a URDF or a recording",
+        (
+            arg("model", "MODEL", "MJCF (.xml) or URDF (.urdf) with slides, hinges and masses", nargs="?"),
+            arg("--from-recording", "CAMPAIGN", "imported campaign instead of MODEL; drive and load become lumped parameters"),
+            arg("--out", "MACHINE.toml", "machine file to write; its MJCF is written beside it", required=True),
+            arg("--structure", "S", f"control structure of all axes: {', '.join(STRUCTURES)} (default: {next(iter(STRUCTURES))})"),
+            arg("--sinumerik", "FILE", "TOML or archive with SINUMERIK machine data to use"),
+        ),
+        _new,
+    ),
+    "check": (
+        "list missing, impossible and unusual values, and the margins of each loop",
+        (GIVEN_MACHINE, arg("--out", "DIR", "folder for check.json and a plot of the loops of each axis")),
+        _check,
+    ),
+    "show": (
+        "print the data sheet",
+        (
+            GIVEN_MACHINE,
+            flag("--sinumerik", "print it as machine data of a SINUMERIK 840D with 611D drives"),
+            arg(
+                "--control-file",
+                "[AXIS=]FILE",
+                "print what a file of the control compensates already, as tables of a machine file: archive, EEC, CEC, ini, "
+                ".comp, .lis, parameter list (repeatable)",
+                action="append",
+                default=[],
+            ),
+            (
+                "--comp-file-type",
+                {"type": int, "choices": (0, 1), "default": 0, "help": "COMP_FILE_TYPE of LinuxCNC compensation files (default 0)"},
+            ),
+        ),  # fmt: skip
+        _show,
+    ),
+}

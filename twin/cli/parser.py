@@ -1,6 +1,7 @@
 """Read the command line and run the command. Each command has a module in this package; `COMMANDS` lists them.
 
-A command's module has `add_arguments(parser)` and `carry_out(args) -> int | None`. It is imported only when the command is used.
+A command's module has the table `ARGUMENTS` (or `ACTIONS`: name -> help, table, function) and `carry_out(args) -> int | None`. It is imported only when
+the command is used.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import twin
+from twin.cli.arguments import number
 from twin.errors import TwinError, nearest, one_line
 from twin.files import hold_folders, release_folders
 from twin.limits import raised
@@ -187,7 +189,7 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     for command in _commands().values():
         sub = commands.add_parser(command.name, help=command.does, description=command.does[0].upper() + command.does[1:] + ".")
         if only is None or only == command.name:
-            _module(command.name).add_arguments(sub)
+            _add(sub, _module(command.name))
             sub.set_defaults(limits=None, quiet=False, verbose=False)
             _add_common(sub)
     return parser
@@ -201,12 +203,17 @@ def show_and_run(*arguments: object) -> None:
         raise SystemExit(code)
 
 
-def _factor(text: str) -> float:
-    """A factor for `--limits`, for argparse."""
-    with contextlib.suppress(ValueError):
-        if 1.0 <= (value := float(text)) <= 1e6:
-            return value
-    raise argparse.ArgumentTypeError(f"'{text[:40]}': give a factor from 1 to 1e6")
+def _add(parser: argparse.ArgumentParser, module: ModuleType) -> None:
+    """Add the arguments of a command, or of its actions."""
+    for name, options in getattr(module, "ARGUMENTS", ()):
+        parser.add_argument(name, **options)
+    if found := getattr(module, "ACTIONS", None):
+        actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=_Parser)
+        for action, (does, arguments, carry_out) in found.items():
+            sub = actions.add_parser(action, help=does)
+            sub.set_defaults(action=carry_out)
+            for name, options in arguments:
+                sub.add_argument(name, **options)
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -220,13 +227,10 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     common = parser.add_argument_group("options of every command", argument_default=argparse.SUPPRESS)
     if has_machine:
         common.add_argument(
-            "--effects",
-            action="append",
-            default=None,
-            metavar="FILE.py",
-            help="Python file with your own effects (repeatable)",
+            "--effects", action="append", default=None, metavar="FILE.py", help="Python file with your own effects (repeatable)"
         )
-    common.add_argument("--limits", type=_factor, metavar="FACTOR", help="multiply all size limits by this factor (default: 1)")
+    factor = number("a factor from 1 to 1e6", lambda v: 1.0 <= v <= 1e6)
+    common.add_argument("--limits", type=factor, metavar="FACTOR", help="multiply all size limits by this factor (default: 1)")
     common.add_argument("--quiet", action="store_true", help="print errors only")
     common.add_argument("--verbose", action="store_true", help="also print versions and run time")
 

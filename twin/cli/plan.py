@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import add_machine, machine_of
+from twin.cli.arguments import MACHINE, arg, machine_of, number, out_argument
 from twin.errors import InputError
 from twin.files import output_folder
 from twin.progress import Steps
@@ -15,31 +15,25 @@ if TYPE_CHECKING:
     from twin.identify.plan import Predicted
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `twin plan`."""
-    add_machine(parser)
-    parser.add_argument(
-        "--out", default="out/plan", metavar="DIR", help="folder for part programs, set points and plan.json (default: out/plan)"
-    )
-    parser.add_argument(
-        "--precision",
-        type=float,
-        default=0.01,
-        metavar="FRACTION",
-        help="relative half width of the 95 %% interval of each parameter (default: 0.01)",
-    )
-    parser.add_argument("--minutes", type=float, default=15.0, metavar="MIN", help="longest duration of the campaign (default: 15)")
+ARGUMENTS = (
+    MACHINE,
+    out_argument("folder for part programs, set points and plan.json (default: out/plan)", default="out/plan"),
+    arg(
+        "--precision", "FRACTION", "relative half width of the 95 %% interval of each parameter (default: 0.01)", default=0.01,
+        type=number("a fraction between 0.00001 and 1, e.g. 0.01 for 1 %", lambda v: 1e-5 < v < 1.0),
+    ),
+    arg(
+        "--minutes", "MIN", "longest duration of the campaign (default: 15)", default=15.0,
+        type=number("minutes above 0, e.g. 15", lambda v: 0.0 < v < 24.0 * 60.0),
+    ),
+)  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Plan a campaign, write it, print the predicted interval of each parameter."""
     from twin.identify.plan import plan_campaign, write_plan
     from twin.simulation.summary import table
 
-    if not 1e-5 < args.precision < 1.0:
-        raise InputError(f"--precision {args.precision:g}: a fraction between 0.00001 and 1, e.g. 0.01 for 1 %")
-    if not 0.0 < args.minutes < 24.0 * 60.0:
-        raise InputError(f"--minutes {args.minutes:g}: give minutes above 0, e.g. 15")
     machine = machine_of(args)
     output_folder(args.out)  # fails before the long computation
     with Steps("planning", 3 * len(machine.axes)) as step:
@@ -52,7 +46,6 @@ def carry_out(args: argparse.Namespace) -> int:
     print(table(["axis", "parameter", "value", "unit", "predicted 95 %", ""], rows, left=2))
     print("runs: " + ", ".join(f"{r.name} {r.duration:.1f} s ({r.feedforward}, {r.repeats} x)" for r in plan.runs))
     print(f"written: {', '.join(str(f) for f in files)}")
-    return 0
 
 
 def _missed(p: Predicted, precision: float) -> str:

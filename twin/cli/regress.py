@@ -9,6 +9,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from twin.cli.arguments import arg, count, flag, out_argument
 from twin.errors import InputError
 from twin.files import shipped_example
 
@@ -21,20 +22,18 @@ ROUNDING = 1e-6
 """Below this difference over tolerance only file rounding differs; no new golden result is written."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `twin regress`."""
-    parser.add_argument(
-        "suite", nargs="?", default=DEFAULT_SUITE, metavar="SUITE", help=f"suite file, or folder of suite files (default: {DEFAULT_SUITE})"
-    )
-    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="only cases with this name (* and ? match; repeatable)")
-    parser.add_argument("--jobs", type=int, metavar="N", help="cases run in parallel (default: one per core)")
-    parser.add_argument("--out", default="out/regress", metavar="DIR", help="folder for results and evidence (default: out/regress)")
-    parser.add_argument("--junit", metavar="FILE", help="JUnit XML to write (default: junit.xml in --out)")
-    parser.add_argument("--json", metavar="FILE", help="JSON to write (default: regress.json in --out)")
-    parser.add_argument("--no-evidence", action="store_true", help="do not write a folder for each failed case")
-    parser.add_argument("--list", action="store_true", help="list the cases and what they guard; run nothing")
-    parser.add_argument("--update", action="store_true", help="store the current results as golden results; needs --reason")
-    parser.add_argument("--reason", metavar="TEXT", help="why the golden results change; stored with them")
+ARGUMENTS = (
+    arg("suite", "SUITE", f"suite file, or folder of suite files (default: {DEFAULT_SUITE})", nargs="?", default=DEFAULT_SUITE),
+    arg("--only", "NAME", "only cases with this name (* and ? match; repeatable)", action="append", default=[]),
+    arg("--jobs", "N", "cases run in parallel (default: one per core)", type=count),
+    out_argument("folder for results and evidence (default: out/regress)", default="out/regress"),
+    arg("--junit", "FILE", "JUnit XML to write (default: junit.xml in --out)"),
+    arg("--json", "FILE", "JSON to write (default: regress.json in --out)"),
+    flag("--no-evidence", "do not write a folder for each failed case"),
+    flag("--list", "list the cases and what they guard; run nothing"),
+    flag("--update", "store the current results as golden results; needs --reason"),
+    arg("--reason", "TEXT", "why the golden results change; stored with them"),
+)
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -45,8 +44,6 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.regress.write import counts, verdict_table, write_results
     from twin.simulation.summary import table
 
-    if args.jobs is not None and args.jobs < 1:
-        raise InputError(f"--jobs {args.jobs}: give 1 or more")
     if args.reason is not None and not args.update:
         raise InputError("--reason needs --update; give both or neither")
     args.suite = str(shipped_example(args.suite))

@@ -6,53 +6,28 @@ import argparse
 import math
 from pathlib import Path
 
-from twin.cli.arguments import add_effect, add_margins, add_open, add_place, machine_of, open_report, positive, setpoints_of_input
+from twin.cli.arguments import EFFECT, MARGINS, OPEN, PLACE, arg, machine_of, open_report, out_argument, positive, setpoints_of_input
 from twin.documents import read_text
 from twin.errors import InputError
 from twin.files import output_folder, write_json, write_whole
 from twin.progress import Progress
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument(
-        "source",
-        metavar="DIAGNOSIS|MACHINE",
-        nargs="?",
-        help="folder of a diagnosis, its diagnosis.json, or a machine file with effects (default: the Mikron UCP 710 that ships with twin)",
-    )
-    add_effect(parser)
-    parser.add_argument(
-        "--program", metavar="INPUT", help="part program or trace on which the error is judged (default: a circle of two axes)"
-    )
-    parser.add_argument(
-        "--target-um", type=positive, default=5.0, metavar="T", help="RMS error at the tool point to reach [um] (default 5)"
-    )
-    parser.add_argument(
-        "--tolerance-um", type=positive, metavar="W", help="tolerance of the part: largest error at the tool point to stay within [um]"
-    )
-    add_margins(parser)
-    parser.add_argument(
-        "--control", default="sinumerik", metavar="C", help="sinumerik (default), heidenhain, linuxcnc or isg: whose files to write"
-    )
-    parser.add_argument(
-        "--saved",
-        action="append",
-        default=[],
-        metavar="FILE.COM",
-        help="HEIDENHAIN: a correction file that the control saved, to be filled",
-    )
-    parser.add_argument(
-        "--out",
-        required=True,
-        metavar="DIR",
-        help="folder for remedy.json, machine.toml, before.toml, motion.parquet, control/, report.html",
-    )
-    add_place(parser)
-    add_open(parser)
+ARGUMENTS = (
+    arg("source", "DIAGNOSIS|MACHINE", "folder of a diagnosis, its diagnosis.json, or a machine file with effects (default: the Mikron UCP 710)", nargs="?"),
+    EFFECT,
+    arg("--program", "INPUT", "part program or trace on which the error is judged (default: a circle of two axes)"),
+    arg("--target-um", "T", "RMS error at the tool point to reach [um] (default 5)", type=positive, default=5.0),
+    arg("--tolerance-um", "W", "tolerance of the part: largest error at the tool point to stay within [um]", type=positive),
+    *MARGINS,
+    arg("--control", "C", "sinumerik (default), heidenhain, linuxcnc or isg: whose files to write", default="sinumerik"),
+    arg("--saved", "FILE.COM", "HEIDENHAIN: a correction file that the control saved, to be filled", action="append", default=[]),
+    out_argument("folder for remedy.json, machine.toml, before.toml, motion.parquet, control/, report.html"),
+    PLACE,
+    OPEN,
+)  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Choose, tune and predict the changes; write the files; print what to set."""
     import numpy as np
 
@@ -113,4 +88,3 @@ def carry_out(args: argparse.Namespace) -> int:
     )
     print(f"written to {out}: remedy.json, machine.toml, before.toml, motion.parquet, report.html{', control/' if files else ''}")
     open_report(args, out / "report.html")
-    return 0

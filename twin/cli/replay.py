@@ -7,41 +7,27 @@ from pathlib import Path
 import sys
 import tempfile
 
-from twin.cli.arguments import machine_of
+from twin.cli.arguments import MACHINE, arg, flag, machine_of
 from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.progress import Progress
 from twin.recordings.trace import Trace, read_trace
 from twin.replay.source import MODEL_ENDINGS, effects_beside, machine_file_in, source_of
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `twin replay`."""
-    parser.add_argument(
-        "paths",
-        metavar="PATH",
-        nargs="+",
-        help="output folder, recording (.rrd), trace, or model (.xml .urdf) with an optional trace; two runs are overlaid",
-    )
-    parser.add_argument(
-        "--machine", metavar="FILE", help="machine file of a trace (default: $TWIN_MACHINE, else the Mikron UCP 710 that ships with twin)"
-    )
-    parser.add_argument("--screenshot", metavar="FILE.png", help="write a picture of the view; needs no display")
-    parser.add_argument("--at", type=float, metavar="SECONDS", help="time of the picture (default: the end)")
-    parser.add_argument("--size", metavar="WIDTHxHEIGHT", default="1920x1080", help="size of the picture in pixels (default: 1920x1080)")
-    parser.add_argument("--serve", action="store_true", help="serve the view to browsers on this computer (127.0.0.1), until Ctrl-C")
-    parser.add_argument("--port", type=int, metavar="N", default=9090, help="port of --serve (default: 9090)")
-    parser.add_argument(
-        "--out",
-        metavar="FILE.rrd",
-        help="write the recording of a trace or a model to this file; do not open the viewer",
-    )
-    parser.add_argument(
-        "--full", action="store_true", help="keep every sample (about 80 MB a minute), not only the extremes of each stretch"
-    )
+ARGUMENTS = (
+    arg("paths", "PATH", "output folder, recording (.rrd), trace, or model (.xml .urdf) with an optional trace; two runs are overlaid", nargs="+"),
+    MACHINE,
+    arg("--screenshot", "FILE.png", "write a picture of the view; needs no display"),
+    arg("--at", "SECONDS", "time of the picture (default: the end)", type=float),
+    arg("--size", "WIDTHxHEIGHT", "size of the picture in pixels (default: 1920x1080)", default="1920x1080"),
+    flag("--serve", "serve the view to browsers on this computer (127.0.0.1), until Ctrl-C"),
+    arg("--port", "N", "port of --serve (default: 9090)", type=int, default=9090),
+    arg("--out", "FILE.rrd", "write the recording of a trace or a model to this file; do not open the viewer"),
+    flag("--full", "keep every sample (about 80 MB a minute), not only the extremes of each stretch"),
+)  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Show the paths; InputError for input that cannot be shown."""
     from twin.replay import viewer
 
@@ -67,7 +53,6 @@ def carry_out(args: argparse.Namespace) -> int:
         else:
             # the viewer reads the file after this command ends, so it must leave the temporary folder
             viewer.open_viewer([_kept(path, Path(folder)) for path in shown])
-    return 0
 
 
 def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import add_effect, add_machine, add_open, add_place, machine_of, open_report, positive, seed, setpoints_of_input
+from twin.cli.arguments import EFFECT, MACHINE, PLACE, arg, flag, machine_of, open_report, out_argument, positive, seed, setpoints_of_input
 from twin.errors import InputError, SimulationError, one_line
 from twin.files import output_folder, write_json
 from twin.progress import Progress
@@ -19,31 +19,23 @@ if TYPE_CHECKING:
     from twin.simulation.setpoints import Setpoints
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument("input", metavar="INPUT", help="part program, or trace with set points")
-    add_machine(parser)
-    add_place(parser)
-    add_effect(parser)
-    parser.add_argument("--beside", action="store_true", help="also simulate without --effect, and compare both")
-    parser.add_argument(
-        "--feedforward", metavar="F", help="off | velocity | velocity+torque (default: from the program, else the machine file)"
-    )
-    parser.add_argument(
-        "--out", metavar="DIR", help="folder for trace.parquet, run.rrd, run.png and summary.json (default: out/<name of the input>)"
-    )
-    parser.add_argument(
-        "--strict", action="store_true", help="refuse set points beyond an axis' speed, acceleration or jerk instead of warning"
-    )
-    parser.add_argument(
-        "--sample-period-ms", type=positive, metavar="MS", help="sample period of the trace (default: from the machine file)"
-    )
-    parser.add_argument("--noise-seed", type=seed, metavar="N", help="add measuring noise with this seed")
-    parser.add_argument("--no-recording", action="store_true", help="do not write run.rrd")
-    add_open(parser, "open the picture of the run, or the report of --beside")
+ARGUMENTS = (
+    arg("input", "INPUT", "part program, or trace with set points"),
+    MACHINE,
+    PLACE,
+    EFFECT,
+    flag("--beside", "also simulate without --effect, and compare both"),
+    arg("--feedforward", "F", "off | velocity | velocity+torque (default: from the program, else the machine file)"),
+    out_argument("folder for trace.parquet, run.rrd, run.png and summary.json (default: out/<name of the input>)", default=None),
+    flag("--strict", "refuse set points beyond an axis' speed, acceleration or jerk instead of warning"),
+    arg("--sample-period-ms", "MS", "sample period of the trace (default: from the machine file)", type=positive),
+    arg("--noise-seed", "N", "add measuring noise with this seed", type=seed),
+    flag("--no-recording", "do not write run.rrd"),
+    flag("--open", "open the picture of the run, or the report of --beside"),
+)
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Simulate; write trace, recording and summary; for a program also the error budget of interpolator and drives."""
     from twin.compare.contour import contour_numbers
     from twin.report.figure import save_png
@@ -114,7 +106,6 @@ def carry_out(args: argparse.Namespace) -> int:
         written += _beside(args, machine, setpoints, followed, out)
     print(f"written to {out}: {', '.join(written)}")
     open_report(args, out / ("report.html" if args.beside else "run.png"))
-    return 0
 
 
 def _sample_period(args: argparse.Namespace, machine: Machine) -> float | None:

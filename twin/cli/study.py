@@ -5,32 +5,25 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_open, open_report
+from twin.cli.arguments import OPEN, THREADS, arg, flag, open_report, out_argument
 from twin.errors import InputError
 from twin.files import shipped_example
 from twin.progress import Progress
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
-    parser.add_argument("spec", metavar="SPEC", type=shipped_example, help="study file (.toml): factors, design, runs")
-    parser.add_argument("--machine", metavar="FILE", help="machine file (default: from the study file, else the Mikron UCP 710)")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
-    parser.add_argument("--resume", action="store_true", help="continue a stopped study: simulate only the missing variants")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786 (default: threads on this computer)")
-    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (default: one per core)")
-    parser.add_argument(
-        "--compare",
-        type=int,
-        nargs=2,
-        metavar=("A", "B"),
-        help="also record two variants side by side and compare their motor torques",
-    )
-    parser.add_argument("--no-replay", action="store_true", help="do not record the best variant beside the nominal machine")
-    add_open(parser)
+ARGUMENTS = (
+    arg("spec", "SPEC", "study file (.toml): factors, design, runs", type=shipped_example),
+    arg("--machine", "FILE", "machine file (default: from the study file, else the Mikron UCP 710)"),
+    out_argument("folder for the results"),
+    flag("--resume", "continue a stopped study: simulate only the missing variants"),
+    arg("--scheduler", "ADDRESS", "Dask cluster, e.g. tcp://host:8786 (default: threads on this computer)"),
+    THREADS,
+    ("--compare", {"type": int, "nargs": 2, "metavar": ("A", "B"), "help": "also record two variants side by side and compare their motor torques"}),
+    flag("--no-replay", "do not record the best variant beside the nominal machine"),
+    OPEN,
+)  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Run the study, evaluate it, print the results."""
     from twin.simulation.summary import table
     from twin.study.design import variants_of
@@ -42,8 +35,6 @@ def carry_out(args: argparse.Namespace) -> int:
     from twin.study.spec import read_study
     from twin.study.store import Store
 
-    if args.threads is not None and args.threads < 1:
-        raise InputError(f"--threads {args.threads}: give 1 or more")
     if args.threads and args.scheduler:
         raise InputError("--threads applies to this computer, --scheduler uses the workers of a cluster; leave out one of them")
     study = read_study(args.spec, args.machine)
@@ -87,4 +78,3 @@ def carry_out(args: argparse.Namespace) -> int:
         print(f"\nleast {label_of(first)}: {valued(first, responses[first])} with variant {number}: {answers.design_of(number)}")
     print(f"written to {out}: {', '.join(name for name in written if not name.startswith('plots/'))}, plots/")
     open_report(args, out / "report.html")
-    return 0

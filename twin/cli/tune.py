@@ -5,25 +5,22 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_effect, add_margins, add_open, add_place, machine_of, open_report, setpoints_of_input
+from twin.cli.arguments import EFFECT, GIVEN_MACHINE, MARGINS, OPEN, PLACE, arg, machine_of, open_report, out_argument, setpoints_of_input
 from twin.files import output_folder
 from twin.progress import Progress
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument("machine", metavar="MACHINE", nargs="?", help="machine file (default: the Mikron UCP 710 that ships with twin)")
-    add_effect(parser)
-    parser.add_argument(
-        "--program", metavar="INPUT", help="part program or trace on which delays are fitted (default: a circle of two axes)"
-    )
-    add_margins(parser)
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for machine.toml and report.html")
-    add_place(parser)
-    add_open(parser)
+ARGUMENTS = (
+    GIVEN_MACHINE,
+    EFFECT,
+    arg("--program", "INPUT", "part program or trace on which delays are fitted (default: a circle of two axes)"),
+    *MARGINS,
+    out_argument("folder for machine.toml and report.html"),
+    PLACE,
+    OPEN,
+)
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Tune; write the machine file and the page; print the table."""
     from twin.machine.machine import write_machine
     from twin.remedy.margins import asked_of
@@ -55,4 +52,3 @@ def carry_out(args: argparse.Namespace) -> int:
     print("\n".join(modes))
     print(f"written to {out}: machine.toml, report.html")
     open_report(args, out / "report.html")
-    return 0

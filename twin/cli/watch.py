@@ -5,29 +5,19 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import add_machine, add_open, machine_of, open_report, positive
+from twin.cli.arguments import MACHINE, OPEN, arg, machine_of, open_report, positive
 from twin.files import output_folder, write_json
 from twin.progress import Progress
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
-    parser.add_argument("folder", metavar="FOLDER", help="dated campaigns (2026-05-03/campaign.toml) or traces (2026-05-03.parquet)")
-    add_machine(parser, "the Mikron UCP 710 that ships with twin")
-    parser.add_argument(
-        "--out", required=True, metavar="HISTORY", help="folder for history.sqlite, history.json, report.html; run again, it continues"
-    )
-    parser.add_argument(
-        "--tolerance-um", type=positive, metavar="W", help="a growing change is a fault where it alone moves the tool by this much [um]"
-    )
-    parser.add_argument(
-        "--limit",
-        action="append",
-        default=[],
-        metavar="NAME:AXIS:PARAMETER=VALUE",
-        help="a growing effect is a fault at this size, e.g. backlash:X:clearance=15um (repeatable; default: its usual size)",
-    )
-    add_open(parser)
+ARGUMENTS = (
+    arg("folder", "FOLDER", "dated campaigns (2026-05-03/campaign.toml) or traces (2026-05-03.parquet)"),
+    MACHINE,
+    arg("--out", "HISTORY", "folder for history.sqlite, history.json, report.html; run again, it continues", required=True),
+    arg("--tolerance-um", "W", "a growing change is a fault where it alone moves the tool by this much [um]", type=positive),
+    arg("--limit", "NAME:AXIS:PARAMETER=VALUE", "a growing effect is a fault at this size, e.g. backlash:X:clearance=15um (repeatable; default: its usual size)",
+        action="append", default=[]),
+    OPEN,
+)  # fmt: skip
 
 
 def carry_out(args: argparse.Namespace) -> int:
