@@ -43,9 +43,8 @@ ALLOWED = {
     "machine/sinumerik.py": {"read_text": 1},  # an archive that the command names
     "program/source.py": {"open": 1},  # programs that the command names, and subprograms in their folder
     "program/read.py": {"open": 1},  # programs that the command names
-    "recordings/formats/by_content.py": {"open": 1},  # the first bytes of a recording that the command names
     "recordings/formats/text_cells.py": {"open": 1},  # the head of a recording that the command names
-    "recordings/formats/text_stream.py": {"open": 3, "fromfile": 1},  # a recording that the command names, and its own scratch files
+    "recordings/formats/text_stream.py": {"open": 2},  # a recording that the command names, and its own scratch files
     "recordings/formats/matlab.py": {
         "File": 1,
         "loadmat": 1,
@@ -53,9 +52,9 @@ ALLOWED = {
     "recordings/formats/mdf.py": {"MDF": 1},  # a recording that the command names
     "recordings/formats/sinumerik.py": {"iterparse": 1},  # a recording that the command names, without entities
     "recordings/formats/tdms.py": {"open": 1},  # a recording that the command names
-    "recordings/signals.py": {"fromfile": 1, "open": 3},  # a recording that the command names, and its own scratch files
-    "recordings/parquet_file.py": {"open": 2, "ParquetFile": 3},  # the one reader of Parquet, in batches with a limit
-    "recordings/table_file.py": {"read_csv": 2},  # a trace that the command names, or a campaign by named_file
+    "recordings/signals.py": {"fromfile": 1, "open": 2},  # a recording that the command names, and its own scratch files
+    # the one reader of Parquet, in batches with a limit; a trace that the command names, or a campaign by named_file
+    "recordings/table_file.py": {"open": 2, "ParquetFile": 3, "read_csv": 2},
     "replay/viewer.py": {"RrdReader": 1, "open": 3},  # a recording that the command names, the viewer's picture, its client
     "simulation/effect_picture.py": {"open": 1},  # a picture that it wrote
     "simulation/plant_spec.py": {"from_file": 1},  # the engine, behind the checks of model_file and model_limits
@@ -119,7 +118,7 @@ WRITES = {
     "history/store.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
     "identify/first_values.py": {"TemporaryDirectory": 1},  # scratch files
     "identify/from_recording.py": {"TemporaryDirectory": 1},  # scratch files
-    "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 4},  # its own scratch files
+    "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 1},  # its own scratch files
     "recordings/imported.py": {"TemporaryDirectory": 1, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/proposed.py": {"TemporaryDirectory": 1},  # scratch files
     "recordings/write.py": {"write_table": 1, "unlink": 1},  # a piece of a file that `beside` opened; an output of an earlier call

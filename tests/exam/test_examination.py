@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.builders.refused import refused
 from twin.cli import main
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import T
@@ -285,18 +286,15 @@ def test_wilson_interval_against_the_printed_one() -> None:
     ("arguments", "message"),
     [
         (["--cases", "0"], "give 1 to 100000"),
-        (["--seed", "-1"], "give 0 or more"),
-        (["--workers", "0"], "give 1 or more"),
+        (["--seed", "-1"], "give a whole number, 0 or more"),
+        (["--workers", "0"], "give a whole number, 1 or more"),
         (["--only", "health"], "healthy"),
         (["--machine", "nowhere.toml"], "nowhere.toml"),
         (["--plan", "nowhere"], "no such folder"),
     ],
 )
 def test_bad_arguments_are_one_line(arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["exam", *arguments, "--out", str(tmp_path / "exam")]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    assert message in refused(capsys, "exam", *arguments, "--out", str(tmp_path / "exam"))
 
 
 def test_machine_that_the_plant_cannot_be_made_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,11 +6,10 @@ Writes traces, a recording and a plot like the paper's Fig. 4, and prints the er
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,15 +17,12 @@ from twin.cli.arguments import MACHINE, arg, machine_of, out_argument
 from twin.geometry.scurve import moves_in_turn, phases_of_move
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, write_trace
-from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal, lighter
-from twin.report.figure import new_figure, save_png
+from twin.report.curves import Curve, Panel, curves_figure
+from twin.report.figure import save_png
 from twin.simulation.errors_of_run import error_without_delay
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 AXIS = "X"
 DISTANCE = 0.2
@@ -98,51 +94,24 @@ def findings_table(findings: Mapping[str, Finding]) -> str:
 
 def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
     """Position, following error, error without the delay, speed and current; feedforward off left, on right."""
-    strong, light, grey = (hexadecimal(c) for c in (axis_colour(AXIS), lighter(axis_colour(AXIS), 0.5), SETPOINT_COLOUR))
-    columns = {"feedforward off": [("off", strong)], "feedforward on": [("velocity", light), ("velocity+torque", strong)]}
-    figure, axes = new_figure(5, 2, width=12.0, height=2.3, sharex=True)
-    for column, (title, words) in enumerate(columns.items()):
-        position, error, deviation, speed, current = axes[:, column]
-        for word, colour in words:
-            trace = traces[word]
-            time, setpoint, followed = trace.time, trace.get(AXIS, "setpoint"), trace.get(AXIS, "position")
-            if word == words[0][0]:
-                position.plot(time, setpoint * 1e3, color=grey, linewidth=3.0, label="set point")
-                speed.plot(time, np.gradient(setpoint, trace.period) * 60.0, color=grey, linewidth=3.0)
-            line = {"color": colour, "linewidth": 1.3, "label": "feedforward " + word.replace("+", " and ")}
-            position.plot(time, followed * 1e3, **{**line, "label": "position"})
-            error.plot(time, (setpoint - followed) * 1e6, **line)
-            deviation.plot(time, error_without_delay(trace, machine.axis(AXIS)) * 1e6, **line)
-            speed.plot(time, trace.get(AXIS, "velocity") * 60.0, **line)
-            # the speed set point changes once per position cycle, so the current ripples: drawn faint, its moving mean strong
-            ripple = max(1, round(machine.position_cycle / trace.period))
-            current.plot(time, trace.get(AXIS, "current"), color=grey, linewidth=0.5, alpha=0.7)
-            current.plot(time, np.convolve(trace.get(AXIS, "current"), np.full(ripple, 1.0 / ripple), "same"), **line)
-        position.set_title(title)
-        _mark_largest(error, strong)
-        _mark_largest(deviation, strong)
-        current.set_xlabel("time in s")
-        current.margins(x=0.0)
-    axes[0, 0].legend(labels=("set point", "position"), loc="lower center")
-    axes[2, 1].legend(loc="lower left")
-    labels = ("position\nmm", "following error\num", "error without\nthe delay, um", "speed\nm/min", "motor current\nA")
-    for row, label in enumerate(labels):
-        axes[row, 0].set_ylabel(label)
-        if row not in (1, 2):
-            axes[row, 1].sharey(axes[row, 0])
-    figure.align_ylabels(axes[:, 0])
-    figure.suptitle(f"{machine.name}: {TITLE}", x=0.01, ha="left", size=13)
-    save_png(figure, path)
-
-
-def _mark_largest(axes: Axes, colour: str) -> None:
-    """Label the largest value of the last line."""
-    time, values = (np.asarray(d) for d in axes.lines[-1].get_data())
-    largest = int(np.argmax(np.abs(values)))
-    axes.margins(y=0.2)
-    size = abs(float(values[largest]))
-    text, place = f"{size:.0f} um" if size >= 100.0 else f"{size:.1f} um", (time[largest], values[largest])
-    axes.annotate(text, place, xytext=(6, 4), textcoords="offset points", color=colour, weight="bold")
+    one = traces["off"]
+    asked = one.get(AXIS, "setpoint")
+    # the speed set point changes once per position cycle, so the current ripples: its moving mean is drawn
+    ripple = max(1, round(machine.position_cycle / one.period))
+    rows: dict[str, tuple[Callable[[Trace], np.ndarray], np.ndarray | None]] = {
+        "position\nmm": (lambda t: t.get(AXIS, "position") * 1e3, asked * 1e3),
+        "following error\num": (lambda t: (t.get(AXIS, "setpoint") - t.get(AXIS, "position")) * 1e6, None),
+        "error without\nthe delay, um": (lambda t: error_without_delay(t, machine.axis(AXIS)) * 1e6, None),
+        "speed\nm/min": (lambda t: t.get(AXIS, "velocity") * 60.0, np.gradient(asked, one.period) * 60.0),
+        "motor current\nA": (lambda t: np.convolve(t.get(AXIS, "current"), np.full(ripple, 1.0 / ripple), "same"), None),
+    }
+    panels = []
+    for label, (values, wanted) in rows.items():
+        for words in (("off",), ("velocity", "velocity+torque")):
+            curves = [] if wanted is None else [Curve("set point", wanted, "setpoint")]
+            curves += [Curve(f"feedforward {word}", values(traces[word]), AXIS, "--" if word == "velocity" else "-") for word in words]
+            panels.append(Panel(label, curves, peaks="um" if wanted is None and "um" in label else ""))
+    save_png(curves_figure(one.time, panels, f"{machine.name}: {TITLE}", columns=2), path)
 
 
 ARGUMENTS = (

@@ -44,9 +44,9 @@ from twin.errors import InputError
 from twin.limits import refuse_above, refuse_bytes
 from twin.machine.machine import Feedforward, Machine
 from twin.recordings.ballbar import Ballbar, ballbar_of
-from twin.recordings.parquet_file import read_parquet, text_bytes
 from twin.recordings.profile_speed import SIGNAL, answers_position
-from twin.recordings.table_file import table_bytes
+from twin.recordings.signals import Event
+from twin.recordings.table_file import read_parquet, table_bytes, text_bytes
 from twin.recordings.trace import Trace, read_trace
 from twin.tables import Number, Positive, Table, asks, typed
 
@@ -110,16 +110,6 @@ class _Document(Table, frozen=True):
 
 
 @dataclass(frozen=True)
-class BlockEvent:
-    """Start of a program block: time [s] in the run's trace (negative: before it), channel of the control, block, text."""
-
-    time: float
-    channel: int
-    block: str
-    text: str
-
-
-@dataclass(frozen=True)
 class MeasuredRun:
     """One run of a campaign: name (file name without ending), trace, feedforward in use, start time [s].
 
@@ -137,7 +127,7 @@ class MeasuredRun:
     started_at: float
     facts: Mapping[tuple[str, str], ChannelFact] = dataclasses.field(default_factory=dict)
     labels: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    events: tuple[BlockEvent, ...] = ()
+    events: tuple[Event, ...] = ()
     own_zeros: frozenset[str] = frozenset()
     ballbar: Ballbar | None = None
     profiles: frozenset[str] = frozenset()
@@ -146,7 +136,7 @@ class MeasuredRun:
         """Findings about a channel; defaults if there are none."""
         return self.facts.get((axis, signal), ChannelFact(axis=axis, signal=signal))
 
-    def block_at(self, time: float) -> BlockEvent | None:
+    def block_at(self, time: float) -> Event | None:
         """The program block that was active at a time [s] of the trace; None if none is recorded."""
         past = [e for e in self.events if e.time <= time]
         return past[-1] if past else None
@@ -196,7 +186,7 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     return tuple(out)
 
 
-def _read_events(folder: Path) -> dict[str, list[BlockEvent]]:
+def _read_events(folder: Path) -> dict[str, list[Event]]:
     """Events by run; empty if the campaign has none."""
     if not os.path.lexists(folder / EVENTS):
         return {}
@@ -206,14 +196,14 @@ def _read_events(folder: Path) -> dict[str, list[BlockEvent]]:
     with reading(path, kind, remedy):
         refuse_bytes(text_bytes(table) + 500.0 * table.num_rows, str(path), "remove it or import the recording in parts")
         rows = table.to_pylist()
-        named = [(str(r["run"]), BlockEvent(float(r["time"]), int(r["channel"]), str(r["block"]), str(r["text"]))) for r in rows]
-    out: dict[str, list[BlockEvent]] = {}
+        named = [(str(r["run"]), Event(float(r["time"]), int(r["channel"]), str(r["block"]), str(r["text"]))) for r in rows]
+    out: dict[str, list[Event]] = {}
     for run, event in sorted(named, key=lambda one: one[1].time):
         out.setdefault(run, []).append(event)
     return out
 
 
-def _read_run(file: Path, run: _Run, where: str, machine: Machine | None, events: Mapping[str, list[BlockEvent]]) -> MeasuredRun:
+def _read_run(file: Path, run: _Run, where: str, machine: Machine | None, events: Mapping[str, list[Event]]) -> MeasuredRun:
     trace = read_trace(file, axes=machine.kinds if machine else None, need=("setpoint",))
     name = Path(run.file).stem
     return MeasuredRun(

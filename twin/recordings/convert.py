@@ -13,15 +13,8 @@ from twin.machine.machine import Machine
 from twin.recordings.grid import Source
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
 from twin.recordings.signals import Signal
-from twin.recordings.trace import ACCELERATIONS, BY_UNIT, DISTURBANCE, OTHER_UNITS, POSITIONS, SPEEDS
-from twin.units import RECORDED_UNITS, UNITS, dimension_recorded
-
-_POSITIONS = (*POSITIONS, FOLLOWING_ERROR)
-_KIND = {
-    "length": "linear", "speed": "linear", "acceleration": "linear",
-    "angle": "rotary", "angular speed": "rotary", "angular acceleration": "rotary",
-}  # fmt: skip
-_MOTION = {"length": "position", "angle": "position", "speed": "velocity", "angular speed": "velocity"}
+from twin.recordings.trace import BY_UNIT, DISTURBANCE, QUANTITY, quantity_of, unit_of
+from twin.units import RECORDED_UNITS, dimension_recorded
 
 
 @dataclass(frozen=True)
@@ -79,23 +72,20 @@ def conversion_of(column: ColumnMap, signal: Signal, machine: Machine | None, wh
                 f"{where}: [{unit}] is not a unit of {column.signal}; use N, Nm (external load, or effect of an injected command), V or A"
             )
         return Conversion(column.factor * factor, column.offset * factor, unit, None, column.sign_bit, si)
-    wanted = _wanted(column.signal)
-    kind = _KIND.get(quantity)
+    wanted, (measured, kind) = _wanted(column.signal), quantity_of(unit)
     if quantity in ("turns", "turning speed"):
         if per_turn is None:
             raise InputError(
                 f"{where}: [{unit}] is a unit of the motor; give mm_per_rev or deg_per_rev in the map (a direct drive has none)"
             )
         factor *= per_turn / (2.0 * math.pi)
-        quantity, kind = ("position" if quantity == "turns" else "velocity"), own_kind
-    elif quantity in _KIND:
-        quantity = _MOTION.get(quantity, "acceleration")
+        kind = own_kind
     if quantity == "force" and wanted == "torque":
         if per_turn is None and own_kind is None:
             raise InputError(f"{where}: converting a force to motor torque needs the travel per revolution; give mm_per_rev in the map")
         factor *= per_turn / (2.0 * math.pi) if per_turn else 1.0  # a direct drive uses N in place of Nm
-        quantity = "torque"
-    if quantity != wanted:
+        measured = "torque"
+    if measured != wanted:
         raise InputError(
             f"{where}: [{unit}] is not a unit of a {column.signal}; use [{_example(column.signal)}] or the like, with scale if needed"
         )
@@ -120,17 +110,10 @@ def kinds_of(columns: Sequence[ColumnMap], conversions: Sequence[Conversion], wh
 
 
 def _wanted(signal: str) -> str:
-    if signal in _POSITIONS:
-        return "position"
-    if signal in SPEEDS:
-        return "velocity"
-    if signal in ACCELERATIONS:
-        return "acceleration"
-    return {"A": "current", "Nm": "torque", "V": "voltage"}.get(OTHER_UNITS[signal], UNITS[OTHER_UNITS[signal]][0])
+    return "position" if signal == FOLLOWING_ERROR else QUANTITY[signal]
 
 
 def _example(signal: str) -> str:
     if signal in BY_UNIT:
         return "N" if signal == DISTURBANCE else "A"
-    wanted = _wanted(signal)
-    return {"position": "mm", "velocity": "mm/s", "acceleration": "mm/s2"}.get(wanted) or OTHER_UNITS[signal]
+    return "mm" if signal == FOLLOWING_ERROR else unit_of(signal, "linear")

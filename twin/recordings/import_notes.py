@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.recordings.convert import Channel
 from twin.recordings.grid import Piece
-from twin.recordings.mapping import PATH_FROM, Map
+from twin.recordings.mapping import Map
 from twin.recordings.relations import stuck_at
 from twin.recordings.signals import BLOCK, Recording
 from twin.recordings.skew import Skew
@@ -19,11 +19,6 @@ from twin.units import AXIS_UNITS
 SAME_INTERVAL = 1e-3
 SMALL_OFFSET = 2e-6
 """Smallest constant difference between two encoders that is reported [m or rad]."""
-
-
-def made_notes(made: Mapping[tuple[str, str], str]) -> list[str]:
-    """What was done without a set point, and what it cannot show."""
-    return [f"{axis}: no set point is recorded; {PATH_FROM[source]}" for (axis, signal), source in made.items() if signal == "setpoint"]
 
 
 def skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], period: float) -> list[str]:

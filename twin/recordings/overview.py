@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 import sys
 import textwrap
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from twin.recordings.propose import Proposal
 from twin.recordings.signals import Recording, Signal
 from twin.recordings.understand import Understood
 from twin.recordings.write import ERROR, Written
-from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal
-from twin.report.figure import INK, SOFT, STYLE, new_figure, save_png
+from twin.report.curves import Curve, Panel, curves_figure
+from twin.report.figure import save_png
 from twin.simulation.summary import table
 from twin.units import AXIS_UNITS
 
@@ -93,75 +92,26 @@ def _wrapped(texts: Iterable[str], mark: str, width: int) -> list[str]:
 
 def draw_run(known: Understood, trace: Written, path: Path) -> None:
     """Draw position and set point, following error, speed, and current (or torque, voltage) of each axis over time."""
-    from matplotlib import rc_context
 
-    with rc_context(STYLE):
-        _draw(known, trace, path)
+    def panel(axis: str, what: str, *signals: str) -> Panel:
+        there = [s for s in signals if (axis, s) in trace.units]
+        curves = [Curve(s.replace("_", " "), trace.curve((axis, s)), "setpoint" if s.endswith("setpoint") else axis) for s in there]
+        return Panel(f"{axis} {what}\n{trace.units[axis, there[0]]}" if there else f"{axis} {what}", curves)
 
-
-def _draw(known: Understood, trace: Written, path: Path) -> None:
-    axes = list(dict.fromkeys(axis for axis, _ in trace.units))[:MOST_AXES]
-    figure, panels = new_figure(len(axes), 4, width=15.0, height=2.3, sharex=True)
-    for row, (axis, line) in enumerate(zip(axes, panels)):
-        colour = hexadecimal(axis_colour(axis, row))
-        setpoint = hexadecimal(SETPOINT_COLOUR)
-        position = next((s for s in ("position", "motor_position") if (axis, s) in trace.units), None)
-        line[0].set_ylabel(axis, rotation=0, fontsize=14, fontweight="bold", color=INK, labelpad=14)
-        line[0].set_title(f"position [{trace.units[axis, 'setpoint']}]")
-        line[0].plot(*trace.curve((axis, "setpoint")), color=setpoint, lw=2.2, label="set point")
-        if position:
-            line[0].plot(*trace.curve((axis, position)), color=colour, lw=1.0, label=position.replace("_", " "))
-        line[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.0, handlelength=1.2, columnspacing=1.0)
-        _draw_error(known, trace, axis, line[1], colour)
-        _draw_speed(trace, axis, line[2], colour, setpoint)
-        force = [s for s in ("current", "torque", "voltage") if (axis, s) in trace.units][:1]
-        if not force:
-            _absent(line[3], "current, torque, voltage")
-        else:
-            line[3].set_title(f"{force[0]} [{trace.units[axis, force[0]]}]")
-            line[3].plot(*trace.curve((axis, force[0])), color=colour, lw=0.7)
-        for panel in line:
-            panel.margins(x=0.01)
-    for column in panels.T:
-        drawn = [panel for panel in column if panel.axison]
-        if drawn:
-            drawn[-1].set_xlabel("time [s]")
-            drawn[-1].tick_params(labelbottom=True)
-    title = f"{trace.name}: {trace.piece.count * trace.piece.period:.2f} s every {trace.piece.period * 1e3:g} ms, from {', '.join(known.run.files)}"
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
-    save_png(figure, path)
-
-
-def _draw_error(known: Understood, trace: Written, axis: str, panel: Any, colour: str) -> None:
-    """Set point minus position."""
-    unit, factor = AXIS_UNITS[known.kinds[axis]].error
-    if (axis, ERROR) not in trace.curves:
-        _absent(panel, "position")
-        return
-    times, errors = trace.curve((axis, ERROR))
-    panel.set_title(f"set point minus position [{unit}]")
-    panel.plot(times, errors * factor, color=colour, lw=0.8)
-
-
-def _absent(panel: Any, what: str) -> None:
-    panel.set_axis_off()
-    panel.text(0.5, 0.5, f"{what}: not recorded", ha="center", va="center", transform=panel.transAxes, color=SOFT)
-
-
-def _draw_speed(trace: Written, axis: str, panel: Any, colour: str, setpoint: str) -> None:
-    """Speed and its set point."""
-    shown = [s for s in ("velocity_setpoint", "velocity") if (axis, s) in trace.units]
-    if not shown:
-        _absent(panel, "speed")
-        return
-    panel.set_title(f"speed [{trace.units[axis, shown[0]]}]")
-    for signal in shown:
-        main = signal == "velocity"
-        panel.plot(
-            *trace.curve((axis, signal)),
-            color=colour if main else setpoint,
-            lw=0.8 if main else 1.8,
-            label="measured" if main else "set point",
+    panels = []
+    for axis in list(dict.fromkeys(axis for axis, _ in trace.units))[:MOST_AXES]:
+        position, force = (
+            next((s for s in signals if (axis, s) in trace.units), "")
+            for signals in (("position", "motor_position"), ("current", "torque", "voltage"))
         )
-    if len(shown) > 1:
-        panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.0, handlelength=1.2, columnspacing=1.0)
+        unit, factor = AXIS_UNITS[known.kinds[axis]].error
+        error = [Curve("", trace.curve((axis, ERROR)) * factor, axis)] if (axis, ERROR) in trace.curves else []
+        panels += [
+            panel(axis, "position", "setpoint", position),
+            Panel(f"{axis} set point minus\nposition, {unit}", error),
+            panel(axis, "speed", "velocity_setpoint", "velocity"),
+            panel(axis, force or "current, torque, voltage", force),
+        ]
+    length = f"{trace.piece.count * trace.piece.period:.2f} s every {trace.piece.period * 1e3:g} ms"
+    figure = curves_figure(np.concatenate(trace.times), panels, f"{trace.name}: {length}, from {', '.join(known.run.files)}", columns=4)
+    save_png(figure, path)

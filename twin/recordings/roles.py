@@ -18,8 +18,8 @@ from scipy.optimize import linear_sum_assignment
 from twin.recordings import relations
 from twin.recordings.names import Meaning
 from twin.recordings.relations import TINY, Relation
+from twin.recordings.trace import QUANTITY, quantity_of
 from twin.recordings.units_found import usual_factor
-from twin.units import dimension_recorded
 
 NAMED = 8.0
 """Evidence of a name that states a signal."""
@@ -32,14 +32,8 @@ ALONE = -1.0
 STRANGE = -9.0
 """Evidence against a column with an unknown name beside others whose names state a motion: its name would have said what it is."""
 NEVER = -1e3
-_QUANTITIES: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    (("length", "angle", "turns"), ("setpoint", "position", "motor_position", "following_error")),
-    (("speed", "angular speed", "turning speed"), ("velocity", "velocity_setpoint", "velocity_feedforward")),
-    (("acceleration", "angular acceleration"), ("acceleration",)),
-    (("current",), ("current", "injected_command", "disturbance")),
-    (("voltage",), ("voltage", "injected_command", "disturbance")),
-    (("torque", "force"), ("torque", "torque_setpoint", "torque_feedforward", "injected_command", "disturbance")),
-)
+_INJECTED = ("current", "voltage", "torque", "force")
+"""Quantities of a known disturbance, and of an injected command."""
 ORDER = ("setpoint", "position", "following_error", "motor_position", "velocity", "velocity_setpoint", "velocity_feedforward",
          "acceleration", "current", "torque", "torque_setpoint", "torque_feedforward", "voltage", "disturbance", "injected_command")  # fmt: skip
 _FORCES = {"current": 0.0, "torque": -0.1, "voltage": -0.2}
@@ -62,8 +56,9 @@ class Candidate:
         """True if the unit that the file states, if any, is one of this signal."""
         if not self.unit:
             return True
-        quantity = dimension_recorded(self.unit)
-        return quantity == "number" or any(quantity in own and signal in signals for own, signals in _QUANTITIES)
+        quantity = quantity_of(self.unit)[0]
+        wanted = "position" if signal == "following_error" else QUANTITY.get(signal, "")
+        return quantity in ("number", wanted) or (quantity in _INJECTED and (not wanted or {quantity, wanted} == {"torque", "force"}))
 
     def means(self, signal: str) -> bool:
         """True if the name states this signal."""

@@ -90,7 +90,7 @@ class TimeSource:
 
 @dataclass(frozen=True)
 class Event:
-    """Start of a program block: time [s] on the clock of the signals, channel of the control, block, text."""
+    """Start of a program block: time [s] on the clock of the signals (negative: before the trace), channel of the control, block, text."""
 
     time: float
     channel: int
@@ -177,21 +177,15 @@ def is_count(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < IMPOSSIBLE_VALUE
 
 
-def check_readable(path: Path) -> None:
-    """Refuse a file that is missing, empty or not readable."""
+def head_of(path: Path) -> bytes:
+    """The first bytes of a file. Raises InputError if it is missing, empty or not readable."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a recorded trace")
     try:
         with open(path, "rb") as file:
-            empty = not file.read(1)
+            head = file.read(64)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
-    if empty:
+    if not head:
         raise InputError(f"{path}: the file is empty; export the recording again")
-
-
-def starts_with(path: Path, *magic: bytes) -> bool:
-    """True if the file starts with one of these bytes."""
-    with open(path, "rb") as file:
-        head = file.read(max(len(m) for m in magic))
-    return any(head.startswith(m) for m in magic)
+    return head

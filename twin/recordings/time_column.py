@@ -29,26 +29,8 @@ _SINCE_1970 = (9.4e8, 2.9e9)
 """Seconds from 1970 to 1999 and to 2061."""
 UNNAMED = "column {}"
 """Name of a column that has none."""
-COUNTERS = (
-    "",
-    UNNAMED.format(1),
-    "index",
-    "idx",
-    "n",
-    "nr",
-    "no",
-    "row",
-    "zeile",
-    "#",
-    "unnamed: 0",
-    "sample",
-    "samples",
-    "point",
-    "punkt",
-    "count",
-    "cycle",
-    "zyklus",
-)
+COUNTERS = ("", UNNAMED.format(1), "unnamed: 0", "index", "idx", "n", "nr", "no", "row", "zeile", "#", "sample", "samples", "point", "punkt", "count",
+            "cycle", "zyklus")  # fmt: skip
 """Names of a column that numbers the rows."""
 NO_TIME = "no time: neither a column nor a line of the file gives it; give the interval of the samples with --interval-ms"
 

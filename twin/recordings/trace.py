@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, field, replace
 import html
+import itertools
 from pathlib import Path
 import re
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.files import beside
 from twin.recordings.table_file import read_table
-from twin.units import AXIS_UNITS, UNITS, dimension, factor_to_si
+from twin.units import AXIS_UNITS, UNITS, dimension_recorded, factor_to_si
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,8 +52,18 @@ OTHER_UNITS = {
 SIGNALS = (*POSITIONS, *SPEEDS, *ACCELERATIONS, *OTHER_UNITS)
 PROGRAM = "program"
 
-_DIMENSIONS = {"linear": ("length", "speed", "acceleration"), "rotary": ("angle", "angular speed", "angular acceleration")}
-_MOTION = {signal: order for order, own in enumerate((POSITIONS, SPEEDS, ACCELERATIONS)) for signal in own}
+MOTION = {"position": POSITIONS, "speed": SPEEDS, "acceleration": ACCELERATIONS}
+"""Signals of each quantity that depends on the kind of axis."""
+QUANTITY = {
+    **{signal: quantity for quantity, signals in MOTION.items() for signal in signals},
+    **{signal: UNITS[unit][0] for signal, unit in OTHER_UNITS.items()},
+}
+"""Quantity of each signal: position, speed, acceleration, current, torque, ..."""
+_OF_AXES: dict[str, tuple[str, str | None]] = {
+    "length": ("position", "linear"), "speed": ("speed", "linear"), "acceleration": ("acceleration", "linear"),
+    "angle": ("position", "rotary"), "angular speed": ("speed", "rotary"), "angular acceleration": ("acceleration", "rotary"),
+    "turns": ("position", None), "turning speed": ("speed", None),
+}  # fmt: skip
 
 _HEADING = re.compile(r"^\s*([^\s.\[\]]+)\.([^\s\[\]]+)\s*\[([^\]]*)\]\s*$")
 _TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")
@@ -164,18 +175,9 @@ class Trace:
             if not units:
                 raise InputError(f"trace has no axis {axis}; {nearest(axis, self.axes)}")
             for unit in dict.fromkeys(units.values()):
-                together = [signal for signal, its in units.items() if its == unit]
-                dashes = ("-", "--", ":", "-.")
-                solid = [signal for signal in together if signal != "setpoint"]
-                curves = [
-                    Curve(
-                        signal.replace("_", " "),
-                        self.get(axis, signal) / UNITS[unit][1],
-                        "setpoint" if signal == "setpoint" else axis,
-                        "-" if signal == "setpoint" else dashes[solid.index(signal) % len(dashes)],
-                    )
-                    for signal in together
-                ]
+                dashes = itertools.cycle(("-", "--", ":", "-."))
+                styles = {s: ("setpoint", "-") if s == "setpoint" else (axis, next(dashes)) for s, its in units.items() if its == unit}
+                curves = [Curve(s.replace("_", " "), self.get(axis, s) / UNITS[unit][1], *style) for s, style in styles.items()]
                 panels.append(Panel(f"{axis}\n{unit}", curves))
         return curves_figure(self.time, panels, "")
 
@@ -190,15 +192,15 @@ class Trace:
         return f"<p>{html.escape(repr(self))}</p>{figure_svg(self.plot())}"
 
 
+def quantity_of(unit: str) -> tuple[str, str | None]:
+    """Quantity that a unit measures, and the kind of axis (linear, rotary) that it shows; turns are those of a motor."""
+    return _OF_AXES.get(dimension_recorded(unit), (dimension_recorded(unit), None))
+
+
 def unit_of(signal: str, kind: str) -> str:
     """Unit in which a signal is written: mm, mm/s, deg, deg/s, A, Nm."""
-    if signal in POSITIONS:
-        return AXIS_UNITS[kind].position[0]
-    if signal in SPEEDS:
-        return AXIS_UNITS[kind].speed[0]
-    if signal in ACCELERATIONS:
-        return AXIS_UNITS[kind].acceleration[0]
-    return OTHER_UNITS.get(signal, "1")
+    quantity = QUANTITY.get(signal, "")
+    return str(getattr(AXIS_UNITS[kind], quantity)[0]) if quantity in MOTION else OTHER_UNITS.get(signal, "1")
 
 
 def heading_of(axis: str, signal: str, unit: str) -> str:
@@ -300,19 +302,13 @@ def _parse_heading(name: str, path: Path) -> tuple[str, str, str]:
 def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: str) -> str | None:
     """Kind of the axis that the unit implies, checked against the known kind and the signal."""
     factor_to_si(unit, where)
-    wanted = _MOTION.get(signal)
-    implied = next((k for k, named in _DIMENSIONS.items() if dimension(unit) in named), None)
-    if wanted is not None:
-        if implied is None or _DIMENSIONS[implied].index(dimension(unit)) != wanted:
-            raise InputError(f"{where}: [{unit}] is not a unit of a {signal}; use [{unit_of(signal, kind or 'linear')}]")
-        if kind and implied != kind:
-            raise InputError(f"{where}: axis {axis} is {kind}, but [{unit}] is a unit of a {implied} axis; use [{unit_of(signal, kind)}]")
-        return implied
-    expected = OTHER_UNITS.get(signal)
-    of_direct_drive = expected == "Nm" and unit == "N" and kind != "rotary"
-    if expected and dimension(expected) != dimension(unit) and not of_direct_drive:
-        raise InputError(f"{where}: [{unit}] is not a unit of a {signal}; use [{expected}]")
-    return None
+    wanted, (quantity, implied) = QUANTITY.get(signal), quantity_of(unit)
+    of_direct_drive = wanted == "torque" and unit == "N" and kind != "rotary"
+    if wanted and quantity != wanted and not of_direct_drive:
+        raise InputError(f"{where}: [{unit}] is not a unit of a {signal}; use [{unit_of(signal, kind or 'linear')}]")
+    if wanted in MOTION and kind and implied != kind:
+        raise InputError(f"{where}: axis {axis} is {kind}, but [{unit}] is a unit of a {implied} axis; use [{unit_of(signal, kind)}]")
+    return implied if wanted in MOTION else None
 
 
 def _check_samples(trace: Trace, path: Path, names: list[str]) -> None:

@@ -14,19 +14,18 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.recordings.convert import Channel, conversion_of, kinds_of
-from twin.recordings.force_sign import force_sign
+from twin.recordings.force_sign import ForceSign, force_sign
 from twin.recordings.grid import Piece, Source, block_with_most_travel, on_grid, pieces_of
 from twin.recordings.import_notes import (
     constant_channels,
     interval_notes,
     left_columns,
-    made_notes,
     offset_notes,
     radians,
     skew_notes,
     stuck_channels,
 )
-from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap, Map, RunMap
+from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, ColumnMap, Map, RunMap
 from twin.recordings.plausible import doubts_of
 from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Event, Recording, Signal
 from twin.recordings.skew import FORCES, Skew, relative_to_first_encoder, skews_of
@@ -101,21 +100,32 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     period = mapping.period_s or _rounded_interval(lead.source.timing.interval)
     notes += [*interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
     begin = min(s.begin for c in channels for s in c.source.timing.stretches)
-    grid = _Grid(lead.key, period, begin + run.from_s, begin + run.to_s, fill)
-    pieces = grid.pieces(channels)
+
+    def pieces_in_common(channels: Sequence[Channel]) -> tuple[Piece, ...]:
+        """Pieces of sufficient length in which all channels have samples."""
+        sources = [c.source for c in sorted(channels, key=lambda c: c.key != lead.key)]
+        pieces = pieces_of(sources, period, begin + run.from_s, begin + run.to_s, fill)
+        return tuple(p for p in pieces if p.count * period >= min(SHORTEST_S, 20 * period))
+
+    pieces = pieces_in_common(channels)
     if not pieces:
         raise InputError(
             f"{mapping.path}: run {run.name}: its signals have no {SHORTEST_S:g} s in common; check from_s, to_s, skew_ms and the files"
         )
-    known = Understood(run, channels, kinds, pieces, fill, (), (), _started(recordings), begin, made=made)
-    notes += made_notes(made)
+    started = next((r.started for r in recordings if r.started is not None), None)
+    known = Understood(run, channels, kinds, pieces, fill, (), (), started, begin, made=made)
+    notes += [f"{axis}: no set point is recorded; {PATH_FROM[source]}" for (axis, s), source in made.items() if s == "setpoint"]
     longest = max(pieces, key=lambda p: p.count)
     window = known.block(longest, *block_with_most_travel(lead.source, longest, fill))
-    notes += _doubts(window, period, kinds, mapping, run)
+    doubts = doubts_of(window, period, kinds, mapping.machine)
+    if doubts and mapping.settings.units == "refuse":
+        more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
+        raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "report" in the map imports it anyway')
+    notes += [d.text for d in doubts]
+    signs = _force_signs(window, period, kinds)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
-    unsigned = _unsigned(window, period, kinds)
     notes += constant_channels(window)
-    against = _against(window, period, kinds)
+    against = {key for key, found in signs.items() if found.sign < 0}
     skews = [replace(item, against=True) if (item.axis, item.signal) in against else item for item in skews]
     notes += [f"{axis}.{signal} pushes against the motion: sign = -1?" for axis, signal in sorted(against)]
     notes += stuck_channels(channels)
@@ -123,35 +133,19 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     if period >= SLOWEST_S and any(not r.source.known or r.source.kind == "column" for r in recordings):
         notes.append(f"the samples are {period:g} s apart: an index, or ms taken as s? give [time] unit or interval_ms in the map")
     notes += left_columns(mapping, recordings)
+    unsigned = frozenset(key for key, found in signs.items() if found.unsigned)
     notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
     correct = _corrected(skews, mapping.settings.skew, period)
     notes += skew_notes(skews, correct, period)
     if correct:
         channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
-        pieces = grid.pieces(channels)
+        pieces = pieces_in_common(channels)
     known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), unsigned=unsigned)
     offsets, centred = _offsets(known), mapping.settings.offsets == "correct"
     notes += offset_notes(offsets, kinds, centred)
     events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
     labels = _labels(mapping.settings.labels, recordings, pieces)
     return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """Grid of a run: the channel whose samples define it, period [s], first and last time [s], whether gaps are filled."""
-
-    lead: tuple[str, str]
-    period: float
-    begin: float
-    end: float
-    fill: bool
-
-    def pieces(self, channels: Sequence[Channel]) -> tuple[Piece, ...]:
-        """Pieces of sufficient length in which all channels have samples."""
-        sources = [c.source for c in sorted(channels, key=lambda c: c.key != self.lead)]
-        pieces = pieces_of(sources, self.period, self.begin, self.end, self.fill)
-        return tuple(p for p in pieces if p.count * self.period >= min(SHORTEST_S, 20 * self.period))
 
 
 def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tuple[tuple[Channel, ...], dict[str, str], list[str]]:
@@ -209,15 +203,6 @@ def _made(channels: Sequence[Channel]) -> dict[tuple[str, str], str]:
     return made
 
 
-def _doubts(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str], mapping: Map, run: RunMap) -> list[str]:
-    """Implausible units: notes if the map permits them, else InputError."""
-    doubts = doubts_of(window, period, kinds, mapping.machine)
-    if doubts and mapping.settings.units == "refuse":
-        more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
-        raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "report" in the map imports it anyway')
-    return [d.text for d in doubts]
-
-
 def _corrected(skews: Sequence[Skew], skew: str, period: float) -> dict[tuple[str, str], float]:
     """Skew [s] of the channels that the map asks to correct. A speed that is late as a difference of positions is what the control uses."""
     encoders = (*POSITIONS, "velocity")
@@ -238,23 +223,13 @@ def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Seque
     return labels
 
 
-def _unsigned(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> frozenset[tuple[str, str]]:
-    """Forces of which only the magnitude is recorded."""
-    out = set()
+def _force_signs(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> dict[tuple[str, str], ForceSign]:
+    """Signs of the recorded forces relative to the motion."""
+    out = {}
     for (axis, signal), values in window.items():
         position = next((window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window), None)
-        if signal in FORCES and position is not None and force_sign(values, position, period, kinds[axis]).unsigned:
-            out.add((axis, signal))
-    return frozenset(out)
-
-
-def _against(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> set[tuple[str, str]]:
-    """Forces that push against the motion."""
-    out = set()
-    for (axis, signal), values in window.items():
-        position = next((window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window), None)
-        if signal in FORCES and position is not None and force_sign(values, position, period, kinds[axis]).sign < 0:
-            out.add((axis, signal))
+        if signal in FORCES and position is not None:
+            out[axis, signal] = force_sign(values, position, period, kinds[axis])
     return out
 
 
@@ -332,7 +307,3 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
         raise InputError(f'{mapping.path}: run {run.name}: samples are missing ({shown}); gaps = "split" or "fill" in the map imports it')
     done = "filled by a cubic" if mapping.settings.gaps == "fill" else "the run is split there"
     return [f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in time ({shown}): {done}"]
-
-
-def _started(recordings: Sequence[Recording]) -> datetime | None:
-    return next((r.started for r in recordings if r.started is not None), None)

@@ -42,9 +42,9 @@ class Written:
     curves: dict[tuple[str, str], list[np.ndarray]] = field(default_factory=dict)
     times: list[np.ndarray] = field(default_factory=list)
 
-    def curve(self, key: tuple[str, str]) -> tuple[np.ndarray, np.ndarray]:
-        """(times [s], values) of a thinned signal."""
-        return np.concatenate(self.times), np.concatenate(self.curves[key])
+    def curve(self, key: tuple[str, str]) -> np.ndarray:
+        """Values of a thinned signal."""
+        return np.concatenate(self.curves[key])
 
 
 def write_run(known: Understood, started_at_s: float, out: Path, runs: Collection[str]) -> list[Written]:
@@ -127,30 +127,28 @@ def _facts(known: Understood, trace: Written) -> list[str]:
     """[[run.channel]] and [run.labels]: findings of the import, for identification and diagnosis."""
     lines = []
     skews = {(item.axis, item.signal): item for item in known.skews}
-    taken = {c.key: c.source.skew_s for c in known.channels}
-    given = {c.key: c.column.skew_ms * 1e-3 for c in known.channels}  # by the map; the skews are those that are left beside it
-    factors = {c.key: c.column.factor for c in known.channels}
-    for axis, signal in trace.units:
-        channel_keys: list[str] = []
-        item = skews.get((axis, signal))
-        back = taken.get((axis, signal), 0.0)
-        if item is not None and (item.clear or back):
-            channel_keys += [
-                f"latency_s = {item.seconds + given.get((axis, signal), 0.0):.6g}",
-                f"latency_deviation_s = {item.deviation:.3g}",
-            ]
-        elif back:
-            channel_keys.append(f"latency_s = {back:.6g}")
-        channel_keys += [f"taken_back_s = {back:.6g}"] if back else []
-        if signal == "position" and (offset := known.offsets.get((trace.piece, axis))) is not None:
-            channel_keys.append(f"offset_{'m' if known.kinds[axis] == 'linear' else 'rad'} = {offset:.9g}")
-            channel_keys += ["offset_taken_out = true"] if known.centred else []
-        channel_keys += ["sign = -1"] if factors.get((axis, signal), 1.0) < 0.0 else []
-        channel_keys += ["against = true"] if item is not None and item.against else []
-        channel_keys += ["unsigned = true"] if (axis, signal) in known.unsigned else []
-        channel_keys += [f'made_from = "{known.made[axis, signal]}"'] if (axis, signal) in known.made else []
-        if channel_keys:
-            lines += ["[[run.channel]]", f"axis = {toml_text(axis)}", f"signal = {toml_text(signal)}", *channel_keys]
+    by_key = {c.key: c for c in known.channels}
+    for key in trace.units:
+        skew, channel = skews.get(key), by_key.get(key)
+        back = channel.source.skew_s if channel else 0.0
+        late = skew is not None and (skew.clear or bool(back))
+        # what the map gives; the skews are those that are left beside it
+        given = channel.column.skew_ms * 1e-3 if channel else 0.0
+        offset = known.offsets.get((trace.piece, key[0])) if key[1] == "position" else None
+        facts = {
+            "latency_s": f"{skew.seconds + given:.6g}" if skew is not None and late else f"{back:.6g}" if back else "",
+            "latency_deviation_s": f"{skew.deviation:.3g}" if skew is not None and late else "",
+            "taken_back_s": f"{back:.6g}" if back else "",
+            "offset_m" if known.kinds[key[0]] == "linear" else "offset_rad": "" if offset is None else f"{offset:.9g}",
+            "offset_taken_out": "true" if offset is not None and known.centred else "",
+            "sign": "-1" if channel and channel.column.factor < 0.0 else "",
+            "against": "true" if skew is not None and skew.against else "",
+            "unsigned": "true" if key in known.unsigned else "",
+            "made_from": toml_text(known.made[key]) if key in known.made else "",
+        }
+        if any(facts.values()):
+            lines += ["[[run.channel]]", f"axis = {toml_text(key[0])}", f"signal = {toml_text(key[1])}"]
+            lines += [f"{name} = {value}" for name, value in facts.items() if value]
     labels = {name: value for (piece, name), value in known.labels.items() if piece == trace.piece}
     if labels:
         lines += ["[run.labels]", *(f"{toml_text(name)} = {value:.9g}" for name, value in labels.items())]

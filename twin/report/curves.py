@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.report.colours import AXIS_COLOURS, SETPOINT_COLOUR, axis_colour, hexadecimal
-from twin.report.figure import new_figure
+from twin.report.figure import SOFT, new_figure
 from twin.units import plain
 
 if TYPE_CHECKING:
@@ -43,18 +43,24 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves on one scale; `label` names quantity and unit. With a unit in `peaks`, the peak of each curve is labelled."""
+    """Curves on one scale, or none if nothing is recorded; `label` names quantity and unit. With a unit in `peaks`, the peak of each curve is labelled."""
 
     label: str
     curves: Sequence[Curve]
     peaks: str = ""
 
 
-def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figure:
-    """A figure of stacked panels over time (sample,) [s]; legends stand beside the panels."""
+def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns: int = 1) -> Figure:
+    """A figure of panels over time (sample,) [s], row by row; legends stand beside the panels, or above them in several columns."""
     own = list(dict.fromkeys(curve.colour for panel in panels for curve in panel.curves if curve.colour.upper() not in AXIS_COLOURS))
-    figure, grid = new_figure(len(panels), 1, height=1.7 if len(panels) > 1 else 2.6, sharex=True)
-    for axes, panel in zip(grid[:, 0], panels):
+    rows = len(panels) // columns
+    figure, grid = new_figure(rows, columns, width=9.0 + 2.0 * columns, height=1.7 if rows > 1 else 2.6, sharex=True)
+    legend: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+    if columns > 1:
+        legend = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.95), "ncols": 3, "borderaxespad": 0.0, "handlelength": 1.2}
+    for axes, panel in zip(grid.flat, panels):
+        if not panel.curves:
+            axes.text(0.5, 0.5, f"{panel.label.strip()}: not recorded", ha="center", va="center", transform=axes.transAxes, color=SOFT)
         labelled: list[tuple[float, float]] = []  # in shares of the panel's width and height
         reach = 2.0 * max((float(np.max(np.abs(curve.values), initial=0.0)) for curve in panel.curves), default=0.0) or 1.0
         for curve in panel.curves:
@@ -83,10 +89,14 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str) -> Figu
         axes.set_ylabel(panel.label, fontsize=9)
         axes.margins(x=0.0)
         if any(curve.label for curve in panel.curves):
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8.5)
-    grid[0, 0].set_title(title, loc="left", fontsize=10.5, weight="bold")
-    grid[-1, 0].set_xlabel("time in s")
-    figure.align_ylabels(grid[:, 0])
+            axes.legend(**legend, frameon=False, fontsize=8.5)
+    if columns == 1:
+        grid[0, 0].set_title(title, loc="left", fontsize=10.5, weight="bold")
+    else:
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11, weight="bold")
+    for axes in grid[-1]:
+        axes.set_xlabel("time in s")
+    figure.align_ylabels(grid)
     return figure
 
 

@@ -16,7 +16,7 @@ import pyarrow.parquet
 
 from twin.documents import reading
 from twin.errors import InputError, nearest
-from twin.recordings.parquet_file import read_parquet
+from twin.recordings.table_file import read_parquet
 from twin.study.constraints import broken_by
 from twin.study.design import problem_of
 from twin.study.factors import Factor

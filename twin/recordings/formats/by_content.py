@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from pathlib import Path
+from typing import NamedTuple
 
 from twin.documents import reading
 from twin.errors import InputError
-from twin.recordings.signals import ReadOptions, Recording, check_readable
+from twin.recordings.signals import ReadOptions, Recording, head_of
 
-_BEGINS: tuple[tuple[bytes, str], ...] = (
-    (b"TDSm", "tdms"),
-    (b"MDF ", "mdf"),
-    (b"UnFinMF ", "mdf"),
-    (b"PAR1", "parquet"),
-    (b"MATLAB ", "matlab"),
-    (b"\x89HDF", "matlab"),
-    (b"<", "sinumerik"),
-    (b"{", "sinumerik_edge"),
-)
-_BINARY = {".tdms": "tdms", ".mf4": "mdf", ".mdf": "mdf", ".mat": "matlab", ".parquet": "parquet"}
-_NAMES = {"tdms": "TDMS file", "mdf": "MDF file", "parquet": "Parquet file", "matlab": "MATLAB file", "sinumerik": "SINUMERIK trace",
-          "sinumerik_edge": "SINUMERIK Edge recording", "delimited": "text of numbers"}  # fmt: skip
+
+class _Format(NamedTuple):
+    """A format: its name, first bytes, endings, and the package on PyPI that reads it with the extra that installs it.
+
+    `sure`: every file of it begins with these bytes.
+    """
+
+    name: str
+    begins: tuple[bytes, ...] = ()
+    endings: tuple[str, ...] = ()
+    package: str = ""
+    extra: str = ""
+    sure: bool = True
+
+
+_FORMATS = {
+    "tdms": _Format("a TDMS file", (b"TDSm",), (".tdms",), "npTDMS", "tdms"),
+    "mdf": _Format("an MDF file", (b"MDF ", b"UnFinMF "), (".mf4", ".mdf"), "asammdf", "mdf"),
+    "parquet": _Format("a Parquet file", (b"PAR1",), (".parquet",)),
+    "matlab": _Format("a MATLAB file", (b"MATLAB ", b"\x89HDF"), (".mat",), sure=False),
+    "sinumerik": _Format("a SINUMERIK trace", (b"<",)),
+    "sinumerik_edge": _Format("a SINUMERIK Edge recording", (b"{",)),
+    "delimited": _Format("a text of numbers", sure=False),
+}
+"""By the module that reads them."""
 FORMATS = "text of any layout (.csv .txt .log .dat ...), SINUMERIK trace (.xml) and Edge (.json), .tdms .mf4 .mat .parquet"
 
 
@@ -29,24 +43,21 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     """Read a recorded file of any known format.
 
     Raises:
-        InputError: the file is missing, empty, damaged or holds no signal.
+        InputError: the file is missing, empty, damaged or holds no signal, or the package for its format is not installed.
     """
     path = Path(path)
-    check_readable(path)
-    reader = _reader(path)
+    head = head_of(path).removeprefix(b"\xef\xbb\xbf").removeprefix(b"\xff\xfe").removeprefix(b"\xfe\xff").replace(b"\x00", b"").lstrip()
+    begun = next((reader for reader, form in _FORMATS.items() if head.startswith(form.begins)), "")
+    reader = begun or next((reader for reader, form in _FORMATS.items() if path.suffix.lower() in form.endings), "delimited")
+    form = _FORMATS[reader]
+    if not begun and form.sure:
+        raise InputError(f"{path}: not {form.name}; give it the ending of its true format")
     if options.dialect.get("columns") and reader != "delimited":
         raise InputError(f"{path}: its format names its columns; --columns is for text without a heading")
-    with reading(path, _NAMES[reader]):  # the one boundary: whatever a reader or its library raises becomes one line
+    if form.package and importlib.util.find_spec(form.package.lower()) is None:
+        raise InputError(f"{path}: {form.name} needs the package {form.package}; install it with: pip install 'twin[{form.extra}]'")
+    with reading(path, form.name.split(" ", 1)[1]):  # the one boundary: whatever a reader or its library raises becomes one line
         recording = importlib.import_module(f"twin.recordings.formats.{reader}").read(path, options)
     if not recording.signals:
         raise InputError(f"{path}: holds no signal; export the recording again")
     return recording
-
-
-def _reader(path: Path) -> str:
-    with open(path, "rb") as file:
-        head = file.read(64)
-    begin = head.removeprefix(b"\xef\xbb\xbf").removeprefix(b"\xff\xfe").removeprefix(b"\xfe\xff").replace(b"\x00", b"").lstrip()
-    named = next((reader for magic, reader in _BEGINS if begin.startswith(magic)), "")
-    # the binary formats say themselves what is missing where the first bytes are not theirs
-    return named or _BINARY.get(path.suffix.lower(), "delimited")

@@ -7,7 +7,7 @@ or lost samples). The text NaN is an error.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 import re
@@ -15,99 +15,49 @@ import re
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, Sample, has_clock, has_date, read_sample
+from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, has_clock, has_date, read_sample
 from twin.recordings.formats.text_heading import UNUSED, Heading, read_heading
-from twin.recordings.formats.text_layout import Long, Rows, find_rows, long_table, names_in_pairs
-from twin.recordings.formats.text_stream import Clocks, Plan, stream
+from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs
+from twin.recordings.formats.text_stream import Clocks, Layout, stream
 from twin.recordings.signals import ReadOptions, Recording, Signal, TimeSource, known_unit
 from twin.recordings.time_column import UNNAMED, Found, find_time, is_counter, numbers_rows, time_candidates
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}
 
 
-@dataclass(frozen=True)
-class Layout:
-    """How to read a text file: names and units of its columns, and the column whose time each of them has."""
-
-    sample: Sample
-    rows: Rows
-    heading: Heading
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    kept: tuple[int, ...]
-    """Columns that are signals."""
-    times: Mapping[int, Found]
-    """Time of each of them; a dictionary of one object where all share it."""
-    stamps: tuple[int, ...]
-    """Columns that together are a date and clock time."""
-    long: Long | None
-    notes: tuple[str, ...]
-
-    @property
-    def first(self) -> int:
-        """Lines before the numbers."""
-        return self.rows.first
-
-
 def read(path: Path, options: ReadOptions) -> Recording:
-    """Read the wanted columns (all without a map)."""
+    """Read the wanted columns (all without a map). In a long table each name is a signal with times of its own."""
     layout = find_layout(path, options)
-    names, wanted = layout.names, options.wanted
-    if wanted is not None and (words := [names[i] for i in layout.rows.columns(WORD) if names[i] in wanted]) and layout.long is None:
+    names, wanted, rows, long = layout.names, options.wanted, layout.rows, layout.long
+    if not long and wanted is not None and (words := [names[i] for i in rows.columns(WORD) if names[i] in wanted]):
         raise InputError(f"{path}: column '{words[0]}' contains words; leave it out of the map")
-    if layout.long:
-        return _long(layout, options)
-    chosen = [i for i in layout.kept if wanted is None or names[i] in wanted]
-    unread = {names[i]: Signal(names[i], np.empty(0), None) for i in layout.kept}  # for the nearest match in messages only
+    chosen = [i for i in layout.kept if long or wanted is None or names[i] in wanted]
+    unread = {} if long else {names[i]: Signal(names[i], np.empty(0), None) for i in layout.kept}  # for the nearest match in messages only
     if not chosen:
         return Recording(path, "CSV", unread)
     clocks = Clocks({i: layout.times[i] for i in chosen}, layout.stamps)
-    columns = stream(_plan(layout, chosen), clocks, options.scratch / path.name)
-    signals = {
-        names[i]: Signal(names[i], column.values, column.time, layout.units[i], stated_unit=_other_unit(layout, i))
-        for i, column in columns.items()
-        if len(column.values)
-    }
-    empty = [f"column '{names[i]}' is empty" for i, column in columns.items() if not len(column.values)]
-    sources = [layout.times[i].source for i in chosen]
-    return _recording(layout, {**unread, **signals}, clocks, next((s for s in sources if s.text), sources[0]), empty)
-
-
-def _recording(layout: Layout, signals: dict[str, Signal], clocks: Clocks, source: TimeSource, more: Sequence[str]) -> Recording:
-    """The recording with the notes on how it was read."""
-    rows = layout.rows
+    columns = stream(layout, chosen, clocks, options.scratch / path.name)
+    if long:
+        units = dict(zip(rows.texts(long.name), map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
+        signals = {name: Signal(name, values, time, units.get(name, "")) for name, (values, time) in columns.items()}
+        signals = {name: one if wanted is None or name in wanted else Signal(name, np.empty(0), None) for name, one in signals.items()}
+        more = [f"one value a row: {len(columns)} names"]
+    else:
+        signals = {
+            # the unit as written where it is none of the twin's
+            names[i]: Signal(names[i], values, time, layout.units[i], stated_unit="" if layout.units[i] else layout.heading.written[i])
+            for i, (values, time) in columns.items()
+            if len(values)
+        }
+        more = [f"column '{names[i]}' is empty" for i, (values, _) in columns.items() if not len(values)]
     mark = "comma" if rows.decimal == "," else "point"
     note = f"CSV: {_SEPARATORS[rows.delimiter]}, decimal {mark}, numbers from line {rows.first + 1}, {layout.sample.encoding}"
-    notes = [note, *layout.notes, *more]
-    if source.text:
-        notes.append(source.text)
+    source = next((s for i in chosen if (s := layout.times[i].source).text), layout.times[chosen[0]].source)
+    notes = [note, *layout.notes, *more, *([source.text] if source.text else [])]
     if clocks.restarts:
-        s = "s" * (clocks.restarts > 1)
-        notes.append(f"the time starts again at {clocks.restarts} row{s}: each part is a run of its own")
+        notes.append(f"the time starts again at {clocks.restarts} row{'s' * (clocks.restarts > 1)}: each part is a run of its own")
     started = datetime.fromtimestamp(clocks.origin_ns * 1e-9, UTC) if clocks.dated and clocks.origin_ns is not None else None
-    return Recording(layout.sample.path, "CSV", signals, started, tuple(notes), restarts=clocks.restarts, source=source)
-
-
-def _plan(layout: Layout, chosen: Sequence[int], long: Long | None = None) -> Plan:
-    ragged = len({id(found) for found in layout.times.values()}) > 1
-    return Plan(layout.sample, layout.rows, layout.names, tuple(chosen), layout.heading.lines, ragged, long)
-
-
-def _long(layout: Layout, options: ReadOptions) -> Recording:
-    """A table with one value a row: each name is a signal with times of its own."""
-    long = layout.long
-    assert long is not None
-    found = layout.times[long.value]
-    clocks = Clocks({long.value: found}, layout.stamps)
-    columns = stream(_plan(layout, [long.value], long), clocks, options.scratch / layout.sample.path.name)
-    units = dict(zip(layout.rows.texts(long.name), map(known_unit, layout.rows.texts(long.unit)))) if long.unit is not None else {}
-    signals = {
-        name: Signal(name, column.values, column.time, units.get(name, ""))
-        for name, column in columns.items()
-        if options.wanted is None or name in options.wanted
-    }
-    others = {name: Signal(name, np.empty(0), None) for name in columns if name not in signals}
-    return _recording(layout, {**others, **signals}, clocks, found.source, [f"one value a row: {len(columns)} names"])
+    return Recording(path, "CSV", {**unread, **signals}, started, tuple(notes), restarts=clocks.restarts, source=source)
 
 
 def find_layout(path: Path, options: ReadOptions) -> Layout:
@@ -229,8 +179,3 @@ def _named_once(rows: Rows, names: Sequence[str], kept: Sequence[int]) -> tuple[
         if len(same) - len(copies) > 1:
             out[i] = f"{names[i]} (column {i + 1})"
     return out, dropped
-
-
-def _other_unit(layout: Layout, column: int) -> str:
-    """The unit as written where it is none of the twin's."""
-    return "" if layout.units[column] else layout.heading.written[column]

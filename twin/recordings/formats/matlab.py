@@ -10,7 +10,7 @@ import numpy as np
 from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import most_bytes, refuse_bytes
-from twin.recordings.signals import ReadOptions, Recording, starts_with
+from twin.recordings.signals import ReadOptions, Recording, head_of
 from twin.recordings.time_column import share_time
 from twin.system import tried
 
@@ -34,17 +34,12 @@ except MemoryError:
 def read(path: Path, options: ReadOptions) -> Recording:
     """Vectors as signals on the map's time column or interval. Single numbers are reported, not imported."""
     columns: dict[str, np.ndarray] = {}
-    if starts_with(path, b"MATLAB 7.3", b"\x89HDF"):
-        _newer(path, columns)
-    else:
-        _older(path, columns)
+    (_newer if head_of(path).startswith((b"MATLAB 7.3", b"\x89HDF")) else _older)(path, columns)
     if not columns:
         raise InputError(f"{path}: holds no vector of numbers; save the signals as vectors")
     numbers = {name: float(v.ravel()[0]) for name, v in columns.items() if v.size == 1}
     vectors: dict[str, tuple[np.ndarray, str]] = {}
-    for name, values in columns.items():
-        if values.size == 1:
-            continue
+    for name, values in ((n, v) for n, v in columns.items() if v.size > 1):
         if values.ndim == 2 and min(values.shape) > 1:
             table = values if values.shape[0] >= values.shape[1] else values.T
             vectors |= {f"{name}({i + 1})": (table[:, i].astype(float), "") for i in range(table.shape[1])}
@@ -60,14 +55,11 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
 
     # a damaged file can crash the library, so it is first read in a process of its own
     trial = tried(_TRIAL, str(path), str(most_bytes()), most_bytes=LOADED_BYTES + 2 * most_bytes(), seconds=60)
-    if trial is None:
-        raise InputError(f"{path}: a damaged MATLAB file (reading it does not end); save it again")
-    if (said := trial.stdout.strip()).isdigit():
+    if trial is not None and (said := trial.stdout.strip()).isdigit():
         refuse_bytes(int(said), str(path), "save fewer signals, or in parts")
-    if trial.returncode == 3:
-        raise InputError(f"{path}: a damaged MATLAB file (reading it fills the memory); save it again")
-    if trial.returncode not in (0, 1):
-        raise InputError(f"{path}: a damaged MATLAB file (reading it crashes); save it again")
+    problem = "does not end" if trial is None else {0: "", 1: "", 3: "fills the memory"}.get(trial.returncode, "crashes")
+    if problem:
+        raise InputError(f"{path}: a damaged MATLAB file (reading it {problem}); save it again")
     with reading(path, "MATLAB file", "save it again"):
         content = loadmat(path, squeeze_me=False, struct_as_record=True)
     for name, value in content.items():

@@ -28,7 +28,7 @@ from twin.documents import reason_of
 from twin.errors import InputError
 from twin.limits import refuse_above, refuse_bytes
 from twin.recordings.grid import MOST_ROWS
-from twin.recordings.signals import ReadOptions, Recording, Signal, date_of, starts_with
+from twin.recordings.signals import ReadOptions, Recording, Signal, date_of
 
 MOST_NUMBERED = 1e15
 """Most intervals between first and last sample."""
@@ -53,8 +53,6 @@ def read(path: Path, options: ReadOptions) -> Recording:
     from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import ParseError, iterparse
 
-    if not starts_with(path, b"<", b"\xef\xbb\xbf<", b" ", b"\n", b"\r", b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(f"{path}: not an XML file; give it the ending of its true format")
     samples: dict[str, _Samples] = {}
     started: datetime | None = None
     root, frames, lost, last = "", 0, 0, -math.inf
@@ -138,21 +136,24 @@ def _record(samples: dict[str, _Samples], given: Mapping[str, str], path: Path, 
 def _signal(one: _Samples, clocks: dict[tuple[float, float, int], np.ndarray], path: Path) -> tuple[Signal, str]:
     """Values at every sample: held values are repeated, lost ones omitted."""
     times, values = np.array(one.times), np.array(one.values)
+    note = ""
     if len(times) == 0:
-        return Signal(one.name, values, times, "", one.description), f"'{one.name}' holds no value"
-    if (last := float(times[-1] - times[0]) / one.interval) > MOST_NUMBERED:
+        note = f"'{one.name}' holds no value"
+    elif (last := float(times[-1] - times[0]) / one.interval) > MOST_NUMBERED:
         raise InputError(f"{path}: signal '{one.name}': {last:.3g} intervals of {one.interval:g} s; the file is damaged, export it again")
-    at = (times - times[0]) / one.interval
-    number = np.rint(at).astype(int)
-    if np.abs(at - number).max() > 0.1 or (len(number) > 1 and np.diff(number).min() < 1):
-        return Signal(one.name, values, times, "", one.description), f"'{one.name}' is off its interval of {one.interval * 1e3:g} ms"
-    span = int(number[-1]) + 1
-    held = span - len(values)
-    if held and one.count is not None and one.count < span:
-        # fewer samples than intervals in the span: the missing values were lost
-        return Signal(one.name, values, times, "", one.description), f"'{one.name}' lost {span - one.count} samples"
-    refuse_above(span, MOST_ROWS, "samples from its first to its last", f"{path}: signal '{one.name}'", "export a shorter recording")
-    filled = values[np.searchsorted(number, np.arange(span), side="right") - 1]
-    key = (float(times[0]), one.interval, span)
-    grid = clocks.setdefault(key, times[0] + one.interval * np.arange(span))
-    return Signal(one.name, filled, grid, "", one.description), ""
+    else:
+        at = (times - times[0]) / one.interval
+        number = np.rint(at).astype(int)
+        span = int(number[-1]) + 1
+        if np.abs(at - number).max() > 0.1 or (len(number) > 1 and np.diff(number).min() < 1):
+            note = f"'{one.name}' is off its interval of {one.interval * 1e3:g} ms"
+        elif len(values) < span and one.count is not None and one.count < span:
+            note = f"'{one.name}' lost {span - one.count} samples"  # fewer samples than intervals in the span
+        else:
+            refuse_above(
+                span, MOST_ROWS, "samples from its first to its last", f"{path}: signal '{one.name}'", "export a shorter recording"
+            )
+            values = values[np.searchsorted(number, np.arange(span), side="right") - 1]
+            key = (float(times[0]), one.interval, span)
+            times = clocks.setdefault(key, times[0] + one.interval * np.arange(span))
+    return Signal(one.name, values, times, "", one.description), note

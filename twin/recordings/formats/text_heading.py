@@ -18,39 +18,18 @@ from twin.recordings.signals import known_unit, split_heading
 
 KEYS = ("delimiter", "decimal", "header_line", "units_row", "encoding", "columns")
 _NAME_KEYS = (
-    "name",
-    "names",
-    "channel name",
-    "channel",
-    "channels",
-    "signal",
-    "signals",
-    "signal name",
-    "variable",
-    "kanal",
-    "kanalname",
-    "bezeichnung",
-    "nom",
-)
+    "name", "names", "channel name", "channel", "channels", "signal", "signals", "signal name", "variable", "kanal", "kanalname",
+    "bezeichnung", "nom",
+)  # fmt: skip
 _UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "unité", "unite", "unités")
-_TYPES = ("real", "lreal", "int", "dint", "uint", "udint", "sint", "usint", "lint", "ulint", "bool", "bit", "word", "dword", "byte", "real32", "real64",
-          "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float", "double", "float32", "float64")  # fmt: skip
+_TYPES = (
+    "real", "lreal", "int", "dint", "uint", "udint", "sint", "usint", "lint", "ulint", "bool", "bit", "word", "dword", "byte", "real32",
+    "real64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float", "double", "float32", "float64",
+)  # fmt: skip
 UNUSED = (
-    "not selected",
-    "not used",
-    "unused",
-    "not assigned",
-    "nicht belegt",
-    "nicht verwendet",
-    "unbenutzt",
-    "non utilisé",
-    "none",
-    "-",
-    "n/c",
-    "nc",
-    "n/a",
-    "off",
-)
+    "not selected", "not used", "unused", "not assigned", "nicht belegt", "nicht verwendet", "unbenutzt", "non utilisé", "none", "-",
+    "n/c", "nc", "n/a", "off",
+)  # fmt: skip
 """Names of channels that nothing was assigned to."""
 _INTERVAL = re.compile(
     r"sampl|abtast|interval|p[ée]riod|cycle|zyklus|takt|[ée]chantillon|pas de temps|\bd[ _]?t\b|delta[ _]?t|increment|\bts\b|cadence",

@@ -23,21 +23,9 @@ MOST_LINES = 600
 _PAIRS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."), ("|", ","), (" ", "."), (" ", ","))
 """Delimiter and decimal mark are found together: only the right pair makes numbers of most cells. The order decides ties."""
 _LONG_NAMES = (
-    "name",
-    "signal",
-    "channel",
-    "tag",
-    "tagname",
-    "variable",
-    "pv",
-    "parameter",
-    "item",
-    "point",
-    "kanal",
-    "messgroesse",
-    "metric",
+    "name", "signal", "channel", "tag", "tagname", "variable", "pv", "parameter", "item", "point", "kanal", "messgroesse", "metric",
     "symbol",
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

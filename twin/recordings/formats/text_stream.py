@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 import io
 from pathlib import Path
 import re
@@ -13,25 +13,37 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.recordings.formats.text_cells import DAY_NS, WORD, Sample, cells_of, has_date, kind_of, stamp_ns
+from twin.recordings.formats.text_heading import Heading
 from twin.recordings.formats.text_layout import Long, Rows
 from twin.recordings.restarts import Restarts
-from twin.recordings.signals import IMPOSSIBLE_VALUE, Stored
+from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Column, Stored
 from twin.recordings.time_column import Found
 
 BLOCK_CHARACTERS = 1 << 22
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What to read: chosen columns of the layout. `heading`: its lines, which pieces of one file repeat. `ragged`: rows may lack their last cells."""
+class Layout:
+    """How to read a text file: names and units of its columns, and the column whose time each of them has."""
 
     sample: Sample
     rows: Rows
+    heading: Heading
     names: tuple[str, ...]
-    chosen: tuple[int, ...]
-    heading: frozenset[str]
-    ragged: bool
+    units: tuple[str, ...]
+    kept: tuple[int, ...]
+    """Columns that are signals."""
+    times: Mapping[int, Found]
+    """Time of each of them; a dictionary of one object where all share it."""
+    stamps: tuple[int, ...]
+    """Columns that together are a date and clock time."""
     long: Long | None
+    notes: tuple[str, ...]
+
+    @property
+    def ragged(self) -> bool:
+        """True if groups of signals have times of their own: a row may lack its last cells."""
+        return len({id(found) for found in self.times.values()}) > 1
 
 
 class Clocks:
@@ -54,7 +66,7 @@ class Clocks:
 
     def columns(self) -> set[int]:
         """Columns of times."""
-        return {at for one in self.found.values() if one.at is not None for at in ((*self.stamps,) if one.at in self.stamps else (one.at,))}
+        return {at for one in self.found.values() if one.at is not None for at in (self.stamps if one.at in self.stamps else (one.at,))}
 
     def times(self, batch: Any, found: Found) -> np.ndarray:
         """Times of a batch as recorded, NaN where the cell is blank. Each batch is asked for once per time column."""
@@ -97,191 +109,171 @@ class Clocks:
         return out
 
 
-@dataclass
-class Column:
-    """A column on its way to disk. It shares the time of its clock until its first blank cell; then it has its own."""
+class _Scratch:
+    """Columns of float64 that grow in files of a folder."""
 
-    folder: Path
-    name: str
-    clock: Path | None
-    rows: int = 0
-    own: bool = False
-    files: dict[str, Any] = field(default_factory=dict)
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self.files = folder, dict[str, Any]()
 
-    def append(self, values: np.ndarray, time: np.ndarray, there: np.ndarray | None) -> None:
-        """Add a block; `there`: rows with a value, None for all."""
-        if (there is not None or self.clock is None) and not self.own:
-            self.own = True
-            before = self._time_before()
-            before.tofile(self._file("time"))
-        if there is not None:
-            values, time = values[there], time[there]
-        values.astype(float).tofile(self._file("values"))
-        if self.own:
-            time.astype(float).tofile(self._file("time"))
-        self.rows += len(values)
+    def add(self, name: str, values: np.ndarray) -> None:
+        if name not in self.files:
+            self.files[name] = open(self.folder / name, "wb")  # noqa: SIM115
+        values.astype(float).tofile(self.files[name])
 
-    def _time_before(self) -> np.ndarray:
-        return np.fromfile(self.clock, float, self.rows) if self.clock is not None and self.rows else np.empty(0)
-
-    def _file(self, kind: str) -> Any:
-        if kind not in self.files:
-            self.files[kind] = open(self.folder / f"{self.name}_{kind}", "wb")  # noqa: SIM115
-        return self.files[kind]
-
-    def close(self) -> None:
-        for file in self.files.values():
-            file.close()
-
-    @property
-    def values(self) -> Any:
-        return Stored(self.folder / f"{self.name}_values") if self.rows else np.empty(0)
-
-    @property
-    def time(self) -> Any:
-        return Stored(self.folder / f"{self.name}_time") if self.own or self.clock is None else Stored(self.clock)
+    def column(self, name: str) -> Column:
+        if name not in self.files:
+            return np.empty(0)
+        self.files[name].close()
+        return Stored(self.folder / name)
 
 
-def stream(plan: Plan, clocks: Clocks, folder: Path) -> dict[Any, Column]:
-    """Read the file and write the chosen columns, by index or by the names of a long table."""
+def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path) -> dict[Any, tuple[Column, Column]]:
+    """Read the file and write the chosen columns. Returns (values, times) by index, or by the names of a long table."""
     import pyarrow as pa
 
-    folder.mkdir(parents=True, exist_ok=True)
-    path, rows = plan.sample.path, 0
+    path, rows = layout.sample.path, 0
     bad: list[tuple[int | None, int, int, str]] = []
-    columns: dict[Any, Column] = {}
-    clock_files: dict[int | None, Any] = {}
+    scratch = _Scratch(folder)
+    found: dict[Any, str] = {}  # column -> its file; of a long table, by name
+    blank: set[int] = set()  # columns with empty cells
     try:
-        for batch in _batches(plan, clocks, bad):
-            line = plan.rows.first + rows
-            if plan.long:
-                _append_long(plan, clocks, batch, columns, folder, line)
+        for batch in _batches(layout, chosen, clocks, bad):
+            line = layout.rows.first + rows
+            if layout.long:
+                _add_long(layout, layout.long, clocks, batch, scratch, found, line)
             else:
-                _append_table(plan, clocks, batch, columns, clock_files, folder, line)
+                blank |= _add_table(layout, chosen, clocks, batch, scratch, line)
             rows += batch.num_rows
     except pa.ArrowException as error:
-        raise _why(plan, error, bad) from None
+        raise _why(layout, error, bad) from None
     except UnicodeError:
-        raise InputError(f"{path}: not {plan.sample.encoding} text; give the encoding in [csv] of the map") from None
+        raise InputError(f"{path}: not {layout.sample.encoding} text; give the encoding in [csv] of the map") from None
     finally:
-        for file in [*clock_files.values(), *columns.values()]:
+        for file in scratch.files.values():
             file.close()
     if rows < 2:
         raise InputError(f"{path}: only {rows} row{'s' * (rows != 1)} of numbers; a trace needs at least two")
-    return columns
+    if layout.long:
+        return {name: (scratch.column(f"{file}_values"), scratch.column(f"{file}_time")) for name, file in found.items()}
+    times = {at: scratch.column(f"clock{at}") for at in {clocks.found[i].at for i in chosen}}
+    out = {i: (scratch.column(f"column{i}"), times[clocks.found[i].at]) for i in chosen}
+    return out | {i: _without_blanks(scratch, i, *out[i]) for i in blank}
 
 
-def _append_table(
-    plan: Plan, clocks: Clocks, batch: Any, columns: dict[Any, Column], clock_files: dict[int | None, Any], folder: Path, line: int
-) -> None:
-    """One block of a table: each clock once, then its columns."""
-    for at in dict.fromkeys(clocks.found[i].at for i in plan.chosen):
-        own = [i for i in plan.chosen if clocks.found[i].at == at]
+def _add_table(layout: Layout, chosen: Sequence[int], clocks: Clocks, batch: Any, scratch: _Scratch, line: int) -> set[int]:
+    """One block of a table: each clock once, then its columns, NaN where a cell is blank. Returns the columns with blanks."""
+    blank = set()
+    for at in dict.fromkeys(clocks.found[i].at for i in chosen):
+        own = [i for i in chosen if clocks.found[i].at == at]
         recorded = clocks.times(batch, clocks.found[own[0]])
         timed = np.isfinite(recorded)
-        if not timed.all() and not plan.ragged:
-            raise InputError(
-                f"{plan.sample.path}: column '{plan.names[at or 0]}': line {line + int(np.argmin(timed)) + 1} has no time; repair it"
-            )
-        time = clocks.running(at, recorded[timed])
-        if at not in clock_files:
-            clock_files[at] = open(folder / f"clock{at}", "wb")  # noqa: SIM115
+        if not timed.all() and not layout.ragged:
+            where = f"{layout.sample.path}: column '{layout.names[at or 0]}': line {line + int(np.argmin(timed)) + 1}"
+            raise InputError(f"{where} has no time; repair it")
+        scratch.add(f"clock{at}", clocks.running(at, recorded[timed]))
         for i in own:
-            column = columns.setdefault(i, Column(folder, f"column{i}", Path(clock_files[at].name)))
-            values, there = _checked(batch.column(f"c{i}"), recorded, plan, i, line)
-            values, there = values[timed], there[timed] if there is not None else None
-            clock_files[at].flush()
-            column.append(values, time, None if there is None or there.all() else there)
-        time.astype(float).tofile(clock_files[at])
+            values = _checked(batch.column(f"c{i}"), recorded, layout, i, line)[timed]
+            scratch.add(f"column{i}", values)
+            if np.isnan(values).any():
+                blank.add(i)
+    return blank
 
 
-def _append_long(plan: Plan, clocks: Clocks, batch: Any, columns: dict[Any, Column], folder: Path, line: int) -> None:
+def _without_blanks(scratch: _Scratch, i: int, values: Column, time: Column) -> tuple[Column, Column]:
+    """A column without its blank cells, and the times of the others."""
+    for start in range(0, len(values), BLOCK):
+        own = np.asarray(values[start : start + BLOCK])
+        there = ~np.isnan(own)
+        if there.any():
+            scratch.add(f"column{i}_values", own[there])
+            scratch.add(f"column{i}_time", np.asarray(time[start : start + BLOCK])[there])
+    return scratch.column(f"column{i}_values"), scratch.column(f"column{i}_time")
+
+
+def _add_long(layout: Layout, long: Long, clocks: Clocks, batch: Any, scratch: _Scratch, found: dict[Any, str], line: int) -> None:
     """One block of a long table: the rows of each name."""
-    assert plan.long is not None
-    at = plan.long.value
-    recorded = clocks.times(batch, clocks.found[at])
-    values, there = _checked(batch.column(f"c{at}"), recorded, plan, at, line)
-    texts = np.array([text or "" for text in batch.column(f"c{plan.long.name}").to_pylist()], dtype=object)
+    recorded = clocks.times(batch, clocks.found[long.value])
+    values = _checked(batch.column(f"c{long.value}"), recorded, layout, long.value, line)
+    texts = np.array([text or "" for text in batch.column(f"c{long.name}").to_pylist()], dtype=object)
     for name in dict.fromkeys(texts):
-        own = (texts == name) & np.isfinite(recorded) & (there if there is not None else True)
+        own = (texts == name) & np.isfinite(recorded) & np.isfinite(values)
         if name and own.any():
-            column = columns.setdefault(name, Column(folder, f"name{len(columns)}", None))
-            column.append(values[own], clocks.running(name, recorded[own]), None)
+            file = found.setdefault(name, f"name{len(found)}")
+            scratch.add(f"{file}_values", values[own])
+            scratch.add(f"{file}_time", clocks.running(name, recorded[own]))
 
 
-def _checked(column: Any, time: np.ndarray, plan: Plan, at: int, line: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Values and the rows that hold one (None: all). NaN or infinity is an error, an empty cell is no sample."""
-    values = column.to_numpy(zero_copy_only=False)
-    there = np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool) if column.null_count else None
-    fault = ~(np.abs(values) < IMPOSSIBLE_VALUE) & (there if there is not None else True)
+def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int) -> np.ndarray:
+    """Values, NaN where a cell is empty, which is no sample. NaN or infinity in a cell is an error."""
+    values = np.asarray(column.to_numpy(zero_copy_only=False))
+    fault = ~(np.abs(values) < IMPOSSIBLE_VALUE) & np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool)
     if fault.any():
         row = int(np.argmax(fault))
         held = "NaN" if np.isnan(values[row]) else f"{values[row]:g}"
         raise InputError(
-            f"{plan.sample.path}: column '{plan.names[at]}': line {line + row + 1} ({time[row]:.6g} s) holds {held}; "
+            f"{layout.sample.path}: column '{layout.names[at]}': line {line + row + 1} ({time[row]:.6g} s) holds {held}; "
             "repair it, or cut with from_s and to_s in the map"
         )
-    return values, there
+    return values
 
 
-def _batches(plan: Plan, clocks: Clocks, bad: list[tuple[int | None, int, int, str]]) -> Iterator[Any]:
+def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks, bad: list[tuple[int | None, int, int, str]]) -> Iterator[Any]:
     """The rows in batches with columns c0, c1, ...; rows of another width are added to `bad`."""
     import pyarrow as pa
     import pyarrow.csv as pc
 
-    kinds = {f"c{i}": pa.string() if i in clocks.stamps else pa.float64() for i in {*plan.chosen, *clocks.columns()}}
-    if plan.long:
-        kinds[f"c{plan.long.name}"] = pa.string()
+    kinds = {f"c{i}": pa.string() if i in clocks.stamps else pa.float64() for i in {*chosen, *clocks.columns()}}
+    if layout.long:
+        kinds[f"c{layout.long.name}"] = pa.string()
 
     def invalid(row: Any) -> str:
         bad.append((row.number, row.actual_columns, row.expected_columns, row.text))
         return "error"
 
     yield from pc.open_csv(
-        _Text(plan),
+        _Text(layout),
         read_options=pc.ReadOptions(
-            column_names=[f"c{i}" for i in range(len(plan.names))],  # all columns, so that an incomplete row is noticed
+            column_names=[f"c{i}" for i in range(len(layout.names))],  # all columns, so that an incomplete row is noticed
             block_size=BLOCK_CHARACTERS,
             use_threads=False,
         ),
-        parse_options=pc.ParseOptions(delimiter=plan.rows.delimiter, invalid_row_handler=invalid),
+        parse_options=pc.ParseOptions(delimiter=layout.rows.delimiter, invalid_row_handler=invalid),
         convert_options=pc.ConvertOptions(
             column_types=kinds,
             include_columns=list(kinds),
-            decimal_point=plan.rows.decimal,
+            decimal_point=layout.rows.decimal,
             null_values=["", " ", "  ", "   ", "    "],
             strings_can_be_null=True,
         ),
     )
 
 
-def _why(plan: Plan, error: Exception, bad: list[tuple[int | None, int, int, str]]) -> InputError:
+def _why(layout: Layout, error: Exception, bad: list[tuple[int | None, int, int, str]]) -> InputError:
     """An error of the library as one line with its place in the file."""
-    path, text = plan.sample.path, str(error)
+    path, text = layout.sample.path, str(error)
     if bad:
         number, have, expected, row = bad[0]
-        line = f"line {plan.rows.first + number}" if number is not None else "a row"
+        line = f"line {layout.rows.first + number}" if number is not None else "a row"
         return InputError(
             f"{path}: {line} has {have} of {expected} cells: '{row[:60].strip()}'; the file is cut off or damaged there, remove the line"
         )
-    if match := re.search(r"column #(\d+).*?Row #(\d+).*?invalid value '(.*?)'", text, re.DOTALL) or re.search(
-        r"column #(\d+)()[^']*invalid value '(.*?)'", text, re.DOTALL
-    ):
-        name = plan.names[int(match[1])] if int(match[1]) < len(plan.names) else f"column {int(match[1]) + 1}"
-        line = f"line {plan.rows.first + int(match[2])} of " if match[2] else ""
+    if match := re.search(r"column #(\d+)(?:.*?Row #(\d+))?.*?invalid value '(.*?)'", text, re.DOTALL):
+        name = layout.names[int(match[1])] if int(match[1]) < len(layout.names) else f"column {int(match[1]) + 1}"
+        line = f"line {layout.rows.first + int(match[2])} of " if match[2] else ""
         return InputError(
             f"{path}: {line}column '{name}' holds '{match[3][:40]}', which is not a number; repair it or leave the column out of the map"
         )
-    return InputError(f"{path}: the rows from line {plan.rows.first + 1} on are no even table of numbers; export the recording again")
+    return InputError(f"{path}: the rows from line {layout.rows.first + 1} on are no even table of numbers; export the recording again")
 
 
 class _Text(io.RawIOBase):
     """The rows as UTF-8 for the CSV reader: runs of spaces as one, missing last cells added, repeated headings left out."""
 
-    def __init__(self, plan: Plan) -> None:
-        self.plan, self.width = plan, len(plan.names)
-        self.file = open(plan.sample.path, encoding=plan.sample.encoding)  # noqa: SIM115
-        for _ in range(plan.rows.first):
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.file = open(layout.sample.path, encoding=layout.sample.encoding)  # noqa: SIM115
+        for _ in range(layout.rows.first):
             self.file.readline()
         self.rest, self.part, self.begin = b"", "", True
 
@@ -310,20 +302,19 @@ class _Text(io.RawIOBase):
     def _without_end(self, text: str, part: str) -> tuple[str, str]:
         """The last block without closing words, such as 'EOF'."""
         lines = f"{text}\n{part}".rstrip().split("\n")
-        if len(lines) > 1 and len(cells := cells_of(lines[-1], self.plan.rows.delimiter)) == 1 and kind_of(cells[0], ".") == WORD:
+        if len(lines) > 1 and len(cells := cells_of(lines[-1], self.layout.rows.delimiter)) == 1 and kind_of(cells[0], ".") == WORD:
             return "\n".join(lines[:-1]), ""
         return text, part
 
     def _clean(self, text: str) -> str:
-        delimiter, heading = self.plan.rows.delimiter, self.plan.heading
+        delimiter, heading, ragged = self.layout.rows.delimiter, self.layout.heading.lines, self.layout.ragged
         repeated = any(line in text for line in heading)
-        if not (delimiter == " " or self.plan.ragged or repeated):
+        if not (delimiter == " " or ragged or repeated):
             return text
-        lines = text.split("\n")
-        if repeated:
-            lines = [line for line in lines if line.strip() not in heading]
+        lines = [line for line in text.split("\n") if line.strip() not in heading] if repeated else text.split("\n")
         if delimiter == " ":
             lines = [" ".join(line.split()) for line in lines]
-        elif self.plan.ragged:
-            lines = [line + delimiter * max(self.width - 1 - line.count(delimiter), 0) if line.strip() else line for line in lines]
+        elif ragged:
+            most = len(self.layout.names) - 1
+            lines = [line + delimiter * max(most - line.count(delimiter), 0) if line.strip() else line for line in lines]
         return "\n".join(lines)
