@@ -81,11 +81,11 @@ def commands() -> str:
     out = ["# Commands", "", "Output of `twin COMMAND --help`. Exit codes: 0 done, 1 a verdict that fails, 2 bad input or usage."]
     for group, of_group in COMMANDS.items():
         out += ["", f"## {group[0].upper() + group[1:]}"]
-        for command in of_group:
+        for name in of_group:
             printed = io.StringIO()
             with contextlib.suppress(SystemExit), contextlib.redirect_stdout(printed):
-                build_parser(command.name).parse_args([command.name, "--help"])
-            out += ["", f"### twin {command.name}", "", "```text", printed.getvalue().rstrip(), "```"]
+                build_parser(name).parse_args([name, "--help"])
+            out += ["", f"### twin {name}", "", "```text", printed.getvalue().rstrip(), "```"]
     return "\n".join(out) + "\n"
 
 

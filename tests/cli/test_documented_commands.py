@@ -11,7 +11,7 @@ import pytest
 from tests.conftest import ROOT
 from twin.cli.parser import COMMANDS, build_parser
 
-WORDS = {command.name for group in COMMANDS.values() for command in group}
+WORDS = {name for group in COMMANDS.values() for name in group}
 INLINE = re.compile(r"`(twin [a-z][^`|]*)`")
 OPTIONAL = re.compile(r"\[[^\]]*\]|\.\.\.")
 PAGES = [ROOT / "README.md", ROOT / "examples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

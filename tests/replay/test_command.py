@@ -17,6 +17,7 @@ import pytest
 from tests.builders.recording_read import read_recording
 from twin.cli import main
 from twin.cli import replay as replay_command
+from twin.cli.arguments import add_arguments
 from twin.errors import InputError
 from twin.geometry.body_poses import body_poses, rotate
 from twin.machine.machine import load_machine
@@ -48,8 +49,8 @@ def run(tmp_path: Path) -> Path:
 
 def replay(*arguments: str) -> int:
     parser = argparse.ArgumentParser()
-    replay_command.add_arguments(parser)
-    return replay_command.carry_out(parser.parse_args(list(arguments)))
+    add_arguments(parser, replay_command)
+    return replay_command.carry_out(parser.parse_args(list(arguments))) or 0
 
 
 def test_a_trace_becomes_a_recording(run: Path, tmp_path: Path) -> None:

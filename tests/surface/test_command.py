@@ -11,6 +11,7 @@ import pytest
 
 from tests.builders.grooves import PART, groove_trace
 from twin.cli import cut
+from twin.cli.arguments import add_arguments
 from twin.errors import InputError
 from twin.recordings.trace import Trace, read_trace, write_trace
 from twin.surface.mesh import read_mesh
@@ -26,8 +27,8 @@ def groove(folder: Path, *, jump: float = 0.0, z: float = 300.0) -> list[str]:
 
 def run(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser()
-    cut.add_arguments(parser)
-    return cut.carry_out(parser.parse_args(arguments))
+    add_arguments(parser, cut)
+    return cut.carry_out(parser.parse_args(arguments)) or 0
 
 
 def test_cut_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

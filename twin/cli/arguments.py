@@ -8,6 +8,7 @@ import contextlib
 import os
 from pathlib import Path
 import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from twin.errors import InputError
@@ -32,6 +33,19 @@ def arg(name: str, metavar: str, does: str, **options: Any) -> Argument:
 def flag(name: str, does: str) -> Argument:
     """An option without a value."""
     return name, {"action": "store_true", "help": does}
+
+
+def add_arguments(parser: argparse.ArgumentParser, module: ModuleType) -> None:
+    """Add the arguments of a command, or of its actions."""
+    for name, options in getattr(module, "ARGUMENTS", ()):
+        parser.add_argument(name, **options)
+    if found := getattr(module, "ACTIONS", None):
+        actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=type(parser))
+        for action, (does, arguments, carry_out) in found.items():
+            sub = actions.add_parser(action, help=does)
+            sub.set_defaults(action=carry_out)
+            for name, options in arguments:
+                sub.add_argument(name, **options)
 
 
 def number(words: str, fits: Callable[[Any], bool], kind: type = float) -> Callable[[str], Any]:

@@ -56,34 +56,34 @@ def carry_out(args: argparse.Namespace) -> None:
     if measured is not None:
         _compare(machining, reports, measured, out)
     work = machining.statistics
-    write_json(
-        {
-            "part": part.name,
-            "tool": part.tool.name,
-            "notes": list(part.notes),
-            "cuts": reports,
-            "work": {"pairs": work.pairs, "tests": work.tests, "seconds": machining.seconds},
-        },
-        out / "cut.json",
-        "cut",
-    )
+    of_work = {"pairs": work.pairs, "tests": work.tests, "seconds": machining.seconds}
+    document = {"part": part.name, "tool": part.tool.name, "notes": list(part.notes), "cuts": reports, "work": of_work}
+    write_json(document, out / "cut.json", "cut")
     written = write_files(machining, machine, out, files=not args.no_files)
-    print(f"{part.name}: {part.tool.name}")
-    for note in part.notes:
-        print(f"note: {note}")
-    print(
-        table(
-            ["surface", "level", "deviation um", "too deep um", "left um", "slow um", "fast um", "Sa um", "Sz um"],
-            [_row(r) for r in reports],
-            left=2,
-        )
-    )
+    print("\n".join([f"{part.name}: {part.tool.name}", *(f"note: {note}" for note in part.notes)]))
+    print(table(HEADING, [_row(r) for r in reports], left=2))
     print("too deep, left: relative to the programmed cut; slow, fast: the same where the feed was slow or fast")
     for one in paths:
         if one.errors:
             print(f"{one.label}: " + ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in one.errors.items()))
     print(f"{work.tests / 1e6:.1f} million ray-step tests of {work.pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
     print(f"written: {out / 'cut.json'} and {len(written)} files beside it")
+
+
+HEADING = ("surface", "level", "deviation um", "too deep um", "left um", "slow um", "fast um", "Sa um", "Sz um")
+
+
+def _row(report: dict[str, Any]) -> list[str]:
+    """Cells of HEADING."""
+
+    def span(values: dict[str, float] | None) -> str:
+        return f"{values['min']:.2f} .. {values['max']:.2f}" if values else "-"
+
+    mark, areal = report.get("mark"), report.get("areal_um")
+    cells = [report["surface"], f"{report['level']} {report['feedforward']}".strip(), span(report["deviation_um"])]
+    cells += [f"{mark['depth_um']:.2f}", f"{mark['left_um']:.2f}"] if mark else ["-", "-"]
+    cells += [span(report.get(f"against_programmed_{feed}_um")) for feed in ("slow", "fast")]
+    return [*cells, *([f"{areal['sa']:.3f}", f"{areal['sz']:.2f}"] if areal else ["-", "-"])]
 
 
 def _compare(machining: Machining, reports: list[dict[str, Any]], measured: HeightMap, out: Path) -> None:
@@ -125,53 +125,27 @@ def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], word
 
 def write_files(machining: Machining, machine: Machine, out: Path, *, files: bool = True) -> list[Path]:
     """Write pictures of each cut and of all levels; with `files` also meshes, height maps and a recording."""
+    from twin.replay.cut import write_cut
     from twin.surface.export import write_height_map, write_mesh
     from twin.surface.picture import colour_end, draw_cut, draw_levels
 
     written = []
+
+    def file(name: str) -> Path:
+        written.append(out / name)
+        return written[-1]
+
     for one in machining.cuts:
-        stem = _name(
-            f"{one.surface.name}_{one.level.level}_{one.level.feedforward}"
-            if one.level.feedforward
-            else f"{one.surface.name}_{one.level.level}"
-        )
-        end = colour_end(one.finest.height * 1e6) * 1e-6
-        draw_cut(machining, one, out / f"{stem}.png")
-        written.append(out / f"{stem}.png")
-        if files:
-            write_mesh(one.finest, out / f"{stem}.ply", end)
-            write_mesh(one.finest, out / f"{stem}.stl", end)
-            write_height_map(one.finest, out / f"{stem}.npz")
-            write_height_map(one.finest, out / f"{stem}.csv")
-            written += [out / f"{stem}{ending}" for ending in (".ply", ".stl", ".npz", ".csv")]
+        stem = _name("_".join(filter(None, (one.surface.name, one.level.level, one.level.feedforward))))
+        draw_cut(machining, one, file(f"{stem}.png"))
+        for ending in (".ply", ".stl") if files else ():
+            write_mesh(one.finest, file(f"{stem}{ending}"), colour_end(one.finest.height * 1e6) * 1e-6)
+        for ending in (".npz", ".csv") if files else ():
+            write_height_map(one.finest, file(f"{stem}{ending}"))
     for surface in machining.part.surfaces:
         if not isinstance(surface.shape, MeshFile):
-            draw_levels(machining, surface.name, out / f"{_name(surface.name)}_levels.png")
-            written.append(out / f"{_name(surface.name)}_levels.png")
-    if files:
-        from twin.replay.cut import write_cut
-
-        written.append(write_cut(out / "cut.rrd", machine, machining))
-    return written
-
-
-def _row(report: dict[str, Any]) -> list[str]:
-    d, m = report["deviation_um"], report.get("mark", {})
-
-    def span(values: dict[str, float] | None) -> str:
-        return f"{values['min']:.2f} .. {values['max']:.2f}" if values else "-"
-
-    return [
-        report["surface"],
-        f"{report['level']} {report['feedforward']}".strip(),
-        span(d),
-        f"{m['depth_um']:.2f}" if m else "-",
-        f"{m['left_um']:.2f}" if m else "-",
-        span(report.get("against_programmed_slow_um")),
-        span(report.get("against_programmed_fast_um")),
-        f"{report['areal_um']['sa']:.3f}" if "areal_um" in report else "-",
-        f"{report['areal_um']['sz']:.2f}" if "areal_um" in report else "-",
-    ]
+            draw_levels(machining, surface.name, file(f"{_name(surface.name)}_levels.png"))
+    return [*written, write_cut(out / "cut.rrd", machine, machining)] if files else written
 
 
 def _checked(words: list[str], known: tuple[str, ...], what: str) -> list[str]:

@@ -9,7 +9,6 @@ import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-import sys
 
 import numpy as np
 
@@ -78,17 +77,10 @@ def finding_of(machine: Machine, trace: Trace) -> Finding:
 def findings_table(findings: Mapping[str, Finding]) -> str:
     """The results as a table in um and A."""
     heading = ["feedforward", "following error max", "at constant speed", "without the delay", "overshoot", "current max"]
-    rows = [
-        [
-            word,
-            f"{f.error_max * 1e6:.1f} um",
-            f"{f.error_at_speed * 1e6:.1f} um",
-            f"{f.deviation_max * 1e6:.1f} um",
-            f"{f.overshoot * 1e6:.2f} um",
-            f"{f.current_max:.2f} A",
-        ]
-        for word, f in findings.items()
-    ]
+    rows = []
+    for word, f in findings.items():
+        errors = [f"{value * 1e6:.1f} um" for value in (f.error_max, f.error_at_speed, f.deviation_max)]
+        rows.append([word, *errors, f"{f.overshoot * 1e6:.2f} um", f"{f.current_max:.2f} A"])
     return table(heading, rows)
 
 
@@ -121,43 +113,31 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Run the test; write traces, recording and plot; print the results."""
-    machine = machine_of(args)
+    from twin.replay import write_recording
+
+    machine, out = machine_of(args), args.out
     setpoints = paper_test(machine)
     if args.setpoints:
         write_trace(setpoints, args.setpoints)
         print(f"written: {args.setpoints}")
-        return 0
-    _report(machine, run_test(machine, setpoints), args.out)
-    return 0
-
-
-def _report(machine: Machine, traces: Mapping[str, Trace], out: Path) -> None:
-    written = []
+        return
+    traces = run_test(machine, setpoints)
+    written = {word: out / f"x_200mm_{word.replace('+', '_')}.parquet" for word in traces}
     for word, trace in traces.items():
-        written.append(out / f"x_200mm_{word.replace('+', '_')}.parquet")
-        write_trace(trace, written[-1])
-    findings = {word: finding_of(machine, trace) for word, trace in traces.items()}
-    text = findings_table(findings)
-    written.append(out / "x_200mm.png")
-    draw(machine, traces, written[-1])
-    try:
-        from twin.replay import write_recording
-    except ImportError:
-        print("no recording: twin.replay cannot be imported", file=sys.stderr)
-    else:
-        written.append(out / "x_200mm.rrd")
-        write_recording(written[-1], machine, {f"feedforward {word}": trace for word, trace in traces.items()}, summary=text)
+        write_trace(trace, written[word])
+    text = findings_table({word: finding_of(machine, trace) for word, trace in traces.items()})
+    draw(machine, traces, out / "x_200mm.png")
+    write_recording(out / "x_200mm.rrd", machine, {f"feedforward {word}": trace for word, trace in traces.items()}, summary=text)
     loops = machine.axis(AXIS).loops
     lag = SPEED * (1.0 / loops.position_gain_per_s + loops.set_point_delay_s)
-    print(f"{machine.name}: {TITLE}\n")
-    print(text)
+    print(f"{machine.name}: {TITLE}\n\n{text}\n")
     print(
-        f"\nWithout feedforward the axis lags by v (1/Kv + delay) = {lag * 1e6:.0f} um at constant speed. "
+        f"Without feedforward the axis lags by v (1/Kv + delay) = {lag * 1e6:.0f} um at constant speed. "
         f"With feedforward only the set-point delay remains: {loops.set_point_delay_s * 1e3:g} ms, {SPEED * loops.set_point_delay_s * 1e6:.0f} um."
     )
-    print("\nwritten: " + "\n         ".join(map(str, written)))
+    print("\nwritten: " + "\n         ".join(map(str, (*written.values(), out / "x_200mm.png", out / "x_200mm.rrd"))))
 
 
 def _times_at_speed(machine: Machine, time: np.ndarray) -> np.ndarray:

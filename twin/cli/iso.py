@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive
 from twin.errors import InputError
@@ -15,7 +15,6 @@ from twin.progress import Progress
 from twin.units import AXIS_UNITS
 
 if TYPE_CHECKING:
-    from twin.iso230.circle_budget import EffectOnCircle
     from twin.iso230.circles import CircleTest
     from twin.machine.machine import Machine
     from twin.recordings.ballbar import Ballbar
@@ -47,25 +46,23 @@ def carry_out(args: argparse.Namespace) -> None:
         raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run folder or a campaign")
     machine = machine_of(args)
     plot = Path(args.plot) if args.plot else Path(args.json or f"out/iso_{args.standard}.json").with_suffix(".png")
-    document = _positioning(args, machine, plot) if args.standard == "230-2" else _circles(args, machine, plot)
+    document = (_positioning if args.standard == "230-2" else _circles)(args, Path(args.input), machine, plot)
     if args.json:
         write_json(document, Path(args.json), "iso230")
         print(f"written: {args.json}")
     print(f"written: {plot}")
 
 
-def _positioning(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str, Any]:
+def _positioning(args: argparse.Namespace, source: Path, machine: Machine, plot: Path) -> dict[str, Any]:
     from twin.iso230.plots import draw_positioning
     from twin.iso230.positioning import positioning
     from twin.iso230.readings import is_table, positions_of_trace, read_positions
     from twin.simulation.summary import table
 
-    source = Path(args.input)
-    readings, kinds = {}, {}
+    readings, kinds, problems = {}, {}, []
     if source.is_file() and is_table(source):
         readings[""], kinds[""] = read_positions(source)
     else:
-        problems = []
         for run, trace, *_ in _traces(source, machine):
             for axis in trace.axes:
                 if trace.moves(axis) and args.axis in (None, axis) and axis not in readings:
@@ -77,121 +74,119 @@ def _positioning(args: argparse.Namespace, machine: Machine, plot: Path) -> dict
             raise InputError(problems[0] if problems else f"{source}: no axis moves{f' like {args.axis}' if args.axis else ''}")
     results = {axis: positioning(one) for axis, one in readings.items()}
     draw_positioning(results, kinds, plot)
-    scale = {axis: (1e3, "mm") if kind == "linear" else (180.0 / math.pi, "deg") for axis, kind in kinds.items()}
     print("ISO 230-2, k = 2")
+    axes = {}
     for axis, result in results.items():
-        unit, factor = AXIS_UNITS[kinds[axis]].error
+        (unit, factor), (large, scale) = AXIS_UNITS[kinds[axis]].error, AXIS_UNITS[kinds[axis]].position
         found = {name: f"{value * factor:.2f}" for name, value in result.numbers.items()}
         rows = [[name, found[name], *(found.get(f"{name}_{way}", "-") for way in ("forward", "backward"))] for name in "AREMB"]
         rows.append(["mean B", found["B_mean"], "-", "-"])
         print(f"{f'axis {axis}: ' if axis else ''}{len(readings[axis].target)} positions")
         print(table([f"{f'axis {axis}, ' if axis else ''}{unit}", "both directions", "forward", "backward"], rows, left=1))
-    print(_MEANING)
-    axes = {
-        axis: {
-            "unit": scale[axis][1],
-            **{name: value * scale[axis][0] for name, value in found.numbers.items()},
-            "cycles": readings[axis].forward.shape[1],
-            "positions": [
-                {
-                    "target": float(found.target[i] * scale[axis][0]),
-                    "mean_forward": float(found.mean_forward[i] * scale[axis][0]),
-                    "mean_backward": float(found.mean_backward[i] * scale[axis][0]),
-                    "s_forward": float(found.deviation_forward[i] * scale[axis][0]),
-                    "s_backward": float(found.deviation_backward[i] * scale[axis][0]),
-                    "B": float(found.reversal[i] * scale[axis][0]),
-                }
-                for i in range(len(found.target))
-            ],
-        }
-        for axis, found in results.items()
-    }
-    alone = next(iter(axes.values())) if len(axes) == 1 else {}
-    return {"standard": "ISO 230-2", "k": 2, **alone, "axes": axes}
+        columns = {
+            "target": result.target, "mean_forward": result.mean_forward, "mean_backward": result.mean_backward,
+            "s_forward": result.deviation_forward, "s_backward": result.deviation_backward, "B": result.reversal,
+        }  # fmt: skip
+        positions = [{name: float(values[i] * scale) for name, values in columns.items()} for i in range(len(result.target))]
+        numbers = {name: value * scale for name, value in result.numbers.items()}
+        axes[axis] = {"unit": large, **numbers, "cycles": readings[axis].forward.shape[1], "positions": positions}
+    print("A accuracy, R repeatability, E systematic deviation, M mean systematic deviation, B reversal value")
+    return {"standard": "ISO 230-2", "k": 2, **(next(iter(axes.values())) if len(axes) == 1 else {}), "axes": axes}
 
 
-_MEANING = "A accuracy, R repeatability, E systematic deviation, M mean systematic deviation, B reversal value"
+class _Test(NamedTuple):
+    """Circle tests by what they are (measured, predicted, corrected) of a run; `again` simulates the run on a machine, None for a table."""
+
+    run: str
+    circles: dict[str, CircleTest]
+    again: Callable[[Machine], CircleTest] | None = None
+    measured: str = "measured"  # or simulated
+
+    def named(self, name: str) -> str:
+        return self.measured if name == "measured" else name
 
 
-def _circles(args: argparse.Namespace, machine: Machine, plot: Path) -> dict[str, Any]:
-    from twin.iso230.circle_of_trace import circles_of_trace
+def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Path) -> dict[str, Any]:
     from twin.iso230.plots import draw_circles
-    from twin.iso230.readings import is_table, read_ballbar
+    from twin.iso230.readings import is_table
     from twin.simulation.summary import table
 
-    source = Path(args.input)
-    tests: list[tuple[str, dict[str, CircleTest]]] = []
-    recorded: list[tuple[Trace, str | None, Ballbar | None]] = []
-    if source.is_file() and is_table(source):
-        if args.radius_mm is None or len(args.plane) != 2 or args.plane[0] == args.plane[1]:
-            raise InputError(f"{source}: a ballbar table needs its radius and plane; give --radius-mm and --plane XY")
-        plane = (args.plane[0], args.plane[1])
-        for axis in plane:
-            machine.axis(axis)
-        feed = args.feed_mm_per_min / 60e3 if args.feed_mm_per_min else math.nan
-        tests.append((source.stem, {"measured": read_ballbar(source, args.radius_mm * 1e-3, feed, plane).centred()}))
-    else:
-        problems = []
-        for run, trace, feedforward, ballbar in _traces(source, machine):
-            try:
-                found = circles_of_trace(trace, where=run)
-            except InputError as error:
-                problems.append(str(error))
-                continue
-            for test in found:
-                tests.append((run, {"measured": test}))
-                recorded.append((trace, feedforward, ballbar))
-                if not args.no_predict:
-                    tests[-1][1]["predicted"] = _predicted(trace, machine.with_feedforward(feedforward), test, ballbar)
-        if not tests:
-            raise InputError(problems[0] if problems else f"{source}: no run with a circle")
-    if args.diagnosis and not recorded:
+    tests = [_of_table(args, source, machine)] if source.is_file() and is_table(source) else _of_runs(args, source, machine)
+    if args.diagnosis and tests[0].again is None:
         raise InputError(f"{source}: --diagnosis needs the trace, run or campaign of the test; a table has no set points")
-    if args.campaign and recorded:
+    if args.campaign and tests[0].again is not None:
         raise InputError(f"{source}: already a recording; give it to 'twin diagnose' (a single trace: 'twin import' first)")
-    rows, circles, budgets = [], [], []
-    for i, (run, by_name) in enumerate(tests):
-        if i < len(recorded) and args.diagnosis:
-            budgets.append(_budget(Path(args.diagnosis), recorded[i], by_name))
-        words = {"measured": "simulated"} if i < len(recorded) and recorded[i][0].is_simulated else {}
-        entry: dict[str, Any] = {"run": run, "plane": by_name["measured"].name, "radius_mm": by_name["measured"].radius * 1e3}
-        for name, test in by_name.items():
-            numbers = _numbers(test)
-            entry |= numbers if name == "measured" else {name: numbers}
-            rows.append([run, test.name, words.get(name, name), *(f"{numbers[k]:.2f}" if k in numbers else "-" for k in _SHOWN)])
-        if budgets:
-            entry["budget"] = [_budget_row(row) for row in budgets[-1]]
-        circles.append(entry)
-        shown = {words.get(name, name): test for name, test in by_name.items()}
-        draw_circles(shown, plot if i == 0 else plot.with_name(f"{plot.stem}_{run}_{by_name['measured'].name}{plot.suffix}"))
+    rows, circles = [], []
+    for test in tests:
+        budget = _budget(Path(args.diagnosis), test) if args.diagnosis else None
+        measured = test.circles["measured"]
+        numbers = {name: _numbers(one) for name, one in test.circles.items()}
+        entry = {"run": test.run, "plane": measured.name, "radius_mm": measured.radius * 1e3, **numbers.pop("measured"), **numbers}
+        circles.append(entry if budget is None else {**entry, "budget": budget})
+        for name, one in test.circles.items():
+            own = entry if name == "measured" else numbers[name]
+            rows.append([test.run, one.name, test.named(name), *(f"{own[k]:.2f}" if k in own else "-" for k in _SHOWN)])
+        file = plot if test is tests[0] else plot.with_name(f"{plot.stem}_{test.run}_{measured.name}{plot.suffix}")
+        draw_circles({test.named(name): one for name, one in test.circles.items()}, file)
     print("ISO 230-4 [um]; G: about the least-squares centre, F: about the nominal centre")
     print(table(["run", "plane", "", *_SHOWN], rows, left=3))
     for entry in circles:
         for direction, spikes in entry["reversal_spikes"].items():
-            print(
-                f"{entry['run']} {entry['plane']} {direction}: reversal spikes [um] at "
-                + ", ".join(f"{q} deg {v:.2f}" for q, v in spikes.items())
-            )
-    for entry in circles:
-        if "budget" in entry:
-            print(f"{entry['run']} {entry['plane']}: contribution of each effect to the circle [um]; unknown: measured minus corrected")
-            cells = [
-                [
-                    row["effect"].replace("_", " "),
-                    row["axis"],
-                    "-" if row["probability"] is None else f"{row['probability']:.2f}",
-                    f"{row['rms_um']:.2f}",
-                    *(f"{row['adds_um'][k]:+.2f}" if k in row["adds_um"] else "-" for k in _ADDED),
-                ]
-                for row in entry["budget"]
+            shown = ", ".join(f"{q} deg {v:.2f}" for q, v in spikes.items())
+            print(f"{entry['run']} {entry['plane']} {direction}: reversal spikes [um] at {shown}")
+    for entry in (e for e in circles if "budget" in e):
+        print(f"{entry['run']} {entry['plane']}: contribution of each effect to the circle [um]; unknown: measured minus corrected")
+        cells = [
+            [
+                row["effect"].replace("_", " "), row["axis"], "-" if row["probability"] is None else f"{row['probability']:.2f}",
+                f"{row['rms_um']:.2f}", *(f"{row['adds_um'][k]:+.2f}" if k in row["adds_um"] else "-" for k in _ADDED),
             ]
-            print(table(["effect", "axis", "probability", "RMS", *(f"adds to {k}" for k in _ADDED)], cells, left=2))
+            for row in entry["budget"]
+        ]  # fmt: skip
+        print(table(["effect", "axis", "probability", "RMS", *(f"adds to {k}" for k in _ADDED)], cells, left=2))
     if args.campaign:
-        _write_campaign(tests[0][1]["measured"], Path(args.campaign), machine, source, args.feedforward)
+        _write_campaign(tests[0].circles["measured"], Path(args.campaign), machine, source, args.feedforward)
     return {"standard": "ISO 230-4", "unit": "um", **(circles[0] if len(circles) == 1 else {}), "circles": circles}
 
 
 _SHOWN = ("G_cw", "G_ccw", "G_b", "F_max", "F_min", "H", "D")
+_ADDED = ("G_b", "G_ccw", "G_cw", "F_max", "F_min")
+
+
+def _of_table(args: argparse.Namespace, source: Path, machine: Machine) -> _Test:
+    """The test of a ballbar's table."""
+    from twin.iso230.readings import read_ballbar
+
+    if args.radius_mm is None or len(args.plane) != 2 or args.plane[0] == args.plane[1]:
+        raise InputError(f"{source}: a ballbar table needs its radius and plane; give --radius-mm and --plane XY")
+    for axis in args.plane:
+        machine.axis(axis)
+    feed = args.feed_mm_per_min / 60e3 if args.feed_mm_per_min else math.nan
+    test = read_ballbar(source, args.radius_mm * 1e-3, feed, (args.plane[0], args.plane[1]))
+    return _Test(source.stem, {"measured": test.centred()})
+
+
+def _of_runs(args: argparse.Namespace, source: Path, machine: Machine) -> list[_Test]:
+    """The tests of recorded or simulated runs, with the prediction of the twin unless --no-predict is given."""
+    from twin.iso230.circle_of_trace import circles_of_trace
+
+    tests, problems = [], []
+    for run, trace, feedforward, ballbar in _traces(source, machine):
+        try:
+            found = circles_of_trace(trace, where=run)
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        for measured in found:
+
+            def again(twin: Machine, of: tuple[Any, ...] = (trace, feedforward, measured, ballbar)) -> CircleTest:
+                return _predicted(twin, *of)
+
+            circles = {"measured": measured} if args.no_predict else {"measured": measured, "predicted": again(machine)}
+            tests.append(_Test(run, circles, again, "simulated" if trace.is_simulated else "measured"))
+    if not tests:
+        raise InputError(problems[0] if problems else f"{source}: no run with a circle")
+    return tests
 
 
 def _numbers(test: CircleTest) -> dict[str, Any]:
@@ -203,11 +198,8 @@ def _numbers(test: CircleTest) -> dict[str, Any]:
     return {**numbers, "reversal_spikes": spikes}
 
 
-_ADDED = ("G_b", "G_ccw", "G_cw", "F_max", "F_min")
-
-
-def _budget(folder: Path, recorded: tuple[Trace, str | None, Ballbar | None], by_name: dict[str, CircleTest]) -> list[EffectOnCircle]:
-    """Contribution of each effect to a circle, from a diagnosis folder; adds the corrected circle to `by_name`."""
+def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
+    """Contribution of each effect to a circle [um], from a diagnosis folder; adds the corrected circle to the test."""
     from twin.documents import read_json_table
     from twin.iso230.circle_budget import circle_budget
     from twin.machine import load_machine
@@ -215,35 +207,23 @@ def _budget(folder: Path, recorded: tuple[Trace, str | None, Ballbar | None], by
     file, document = folder / "machine.toml", folder / "diagnosis.json"
     if not (file.is_file() and document.is_file()):
         raise InputError(f"{folder}: no machine.toml and diagnosis.json; give the --out folder of 'twin diagnose'")
-    trace, feedforward, ballbar = recorded
-    measured = by_name["measured"]
-    by_name["corrected"], rows = circle_budget(
-        load_machine(file).with_feedforward(feedforward),
-        read_json_table(document, "a diagnosis"),
-        measured,
-        lambda machine: _predicted(trace, machine, measured, ballbar),
-    )
-    return rows
+    assert test.again is not None
+    found = circle_budget(load_machine(file), read_json_table(document, "a diagnosis"), test.circles["measured"], test.again)
+    test.circles["corrected"], rows = found
+    return [
+        {"effect": row.effect, "axis": row.axis, "probability": row.probability, "rms_um": row.share * 1e6, "adds_um": {k: v * 1e6 for k, v in row.adds.items()}}
+        for row in rows
+    ]  # fmt: skip
 
 
-def _budget_row(row: EffectOnCircle) -> dict[str, Any]:
-    """A row of the budget for the JSON file [um]."""
-    return {
-        "effect": row.effect,
-        "axis": row.axis,
-        "probability": row.probability,
-        "rms_um": row.share * 1e6,
-        "adds_um": {k: v * 1e6 for k, v in row.adds.items()},
-    }
-
-
-def _predicted(trace: Trace, machine: Machine, measured: CircleTest, ballbar: Ballbar | None) -> CircleTest:
+def _predicted(machine: Machine, trace: Trace, feedforward: str | None, measured: CircleTest, ballbar: Ballbar | None) -> CircleTest:
     """The circle simulated by the twin, evaluated like the measurement."""
     from twin.iso230.circle_of_trace import circles_of_trace
     from twin.simulation.gap import as_recorded, simulated_period
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of
 
+    machine = machine.with_feedforward(feedforward)
     with Progress("simulating the circle") as bar:
         period = simulated_period(machine, trace.period, ballbar)
         run = simulate(machine, setpoints_of(trace, machine), sample_period=period, progress=bar)
@@ -274,19 +254,17 @@ def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Pa
     slopes = ", ".join(f"{name} {value * 1e6:+.1f} um/m" for name, value in found.slopes.items())
     name = f"circle_{test.name.lower()}.parquet"
     write_trace(found.trace, folder / name)
-    lines = [
-        f"# {source.name}: ballbar measurement. Removed here and from the twin, because a radius cannot separate them from the machine:",
-        f"# {slopes}, relative to the nominal twin",
-        f'machine = "{machine.model_path.stem}"',
-        "",
-        "[[run]]",
-        f'file = "{name}"',
-        *([f'feedforward = "{feedforward}"'] if feedforward else []),
-        "[run.ballbar]",
-        f'axes = ["{test.axes[0]}", "{test.axes[1]}"]',
-        f"noise_m = {found.noise:.3g}",
-        "",
-    ]
-    write_whole(folder / "campaign.toml", "\n".join(lines))
+    given = f'feedforward = "{feedforward}"\n' if feedforward else ""
+    text = f"""# {source.name}: ballbar measurement. Removed here and from the twin, because a radius cannot separate them from the machine:
+# {slopes}, relative to the nominal twin
+machine = "{machine.model_path.stem}"
+
+[[run]]
+file = "{name}"
+{given}[run.ballbar]
+axes = ["{test.axes[0]}", "{test.axes[1]}"]
+noise_m = {found.noise:.3g}
+"""
+    write_whole(folder / "campaign.toml", text)
     print(f"removed, relative to the nominal twin: {slopes} (one radius cannot separate a scale error from the position gain of its axis)")
     print(f"written: {folder}, a campaign for twin diagnose")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from twin.cli.arguments import GIVEN_MACHINE, arg, flag, machine_of
 from twin.control.structures import STRUCTURES
@@ -73,7 +72,15 @@ def _check(args: argparse.Namespace) -> int:
         try:
             for check in checks:
                 write_loop_figure(check, machine.name, out / f"loops_{check.axis.name}.png")
-            write_json(_document(checks, findings), out / "check.json", "check")
+            numbers = ("inertia", "inertia_ratio", "holding", "accelerating", "voltage", "first_mode_hz")
+            axes = {
+                c.axis.name: {
+                    "loops": {loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)},
+                    **{k: getattr(c, k) for k in numbers},
+                }
+                for c in checks
+            }
+            write_json({"axes": axes, "findings": [asdict(f) for f in findings]}, out / "check.json", "check")
         except OSError as error:
             raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
         print(f"\nwritten to {out}: check.json, {', '.join(f'loops_{c.axis.name}.png' for c in checks)}")
@@ -93,16 +100,6 @@ def _show(args: argparse.Namespace) -> int:
         return 0
     print(sinumerik_sheet(machine) if args.sinumerik else sheet(machine))
     return 0
-
-
-def _document(checks: Any, findings: Any) -> dict[str, Any]:
-    """Content of `check.json`; missing margins and modes are null."""
-    axes = {}
-    for c in checks:
-        loops = {loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)}
-        numbers = ("inertia", "inertia_ratio", "holding", "accelerating", "voltage", "first_mode_hz")
-        axes[c.axis.name] = {"loops": loops, **{k: getattr(c, k) for k in numbers}}
-    return {"axes": axes, "findings": [asdict(f) for f in findings]}
 
 
 ACTIONS = {

@@ -16,10 +16,10 @@ import signal
 import sys
 import time
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import twin
-from twin.cli.arguments import number
+from twin.cli.arguments import add_arguments, number
 from twin.errors import TwinError, nearest, one_line
 from twin.files import hold_folders, release_folders
 from twin.limits import raised
@@ -35,53 +35,41 @@ Start with:  twin run examples/x_200mm.csv --out out/first
 """
 
 
-class Command(NamedTuple):
-    """A command: name, module in this package, and a one-line description."""
-
-    name: str
-    module: str
-    does: str
-
-
-COMMANDS: dict[str, tuple[Command, ...]] = {
-    "simulate": (
-        Command("demo", "demo", "simulate the paper's test: X 200 mm out and back at 15 m/min, feedforward off and on"),
-        Command("run", "run", "simulate a part program (.mpf .ngc .apt) or the set points of a trace (.parquet .csv)"),
-        Command("interpolate", "interpolate", "convert a part program to set points without simulating it"),
-        Command("check", "check", "check part programs for unknown words, travel and axis limits; compute the machining time"),
-        Command("cut", "cut", "cut a part along the followed tool path; report position and depth of marks"),
-    ),
-    "look": (
-        Command("replay", "replay", "show a run, recording, trace, MJCF or URDF in the viewer"),
-        Command("desk", "desk", "list all results in a folder on a local web page; open and compare them"),
-        Command("compare", "compare", "compare two runs, campaigns or machines, aligned on their set points"),
-        Command("effects", "effects", "list the effects that a machine can have beyond the nominal model"),
-        Command("machine", "machine", "create a machine file from a model, check it, or print its data sheet"),
-    ),
-    "measure": (
-        Command("import", "import_recordings", "convert recordings (CSV, SINUMERIK XML, TDMS, MDF4, .mat) to a campaign"),
-        Command("plan", "plan", "plan a measuring campaign that identifies each parameter to a given precision"),
-        Command("identify", "identify", "identify a machine's parameters, with confidence intervals, from its traces"),
-        Command("iso", "iso", "evaluate positioning by ISO 230-2 or circles by ISO 230-4, with the standard plot"),
-    ),
-    "diagnose": (
-        Command("gap", "gap", "simulate every run of a measured campaign and compare it signal by signal"),
-        Command(
-            "diagnose",
-            "diagnose",
-            "find where a measured campaign differs from the twin, which effects cause it, and how far they close the gap",
-        ),
-        Command("remedy", "remedy", "say what to set and to do about a diagnosis, what it brings, and write the control's own files"),
-        Command("tune", "tune", "tune gains, feedforward and delays of a healthy machine within margins, beside the symmetrical optimum"),
-        Command("watch", "watch", "judge dated campaigns of one machine: what changed, since when, by what cause; raise an alarm"),
-        Command("exam", "exam", "diagnose sealed campaigns of a second plant, then open the seals and score the answers"),
-    ),
-    "design": (Command("study", "study", "vary numbers of the machine file, simulate every variant, show the influence of each number"),),
-    "guard": (
-        Command("regress", "regress", "run a suite of cases and compare it with golden results; report what changed, and where first"),
-    ),
-    "shell": (Command("completion", "completion", "print a completion script for bash, zsh or tcsh"),),
+COMMANDS: dict[str, dict[str, str]] = {
+    "simulate": {
+        "demo": "simulate the paper's test: X 200 mm out and back at 15 m/min, feedforward off and on",
+        "run": "simulate a part program (.mpf .ngc .apt) or the set points of a trace (.parquet .csv)",
+        "interpolate": "convert a part program to set points without simulating it",
+        "check": "check part programs for unknown words, travel and axis limits; compute the machining time",
+        "cut": "cut a part along the followed tool path; report position and depth of marks",
+    },
+    "look": {
+        "replay": "show a run, recording, trace, MJCF or URDF in the viewer",
+        "desk": "list all results in a folder on a local web page; open and compare them",
+        "compare": "compare two runs, campaigns or machines, aligned on their set points",
+        "effects": "list the effects that a machine can have beyond the nominal model",
+        "machine": "create a machine file from a model, check it, or print its data sheet",
+    },
+    "measure": {
+        "import": "convert recordings (CSV, SINUMERIK XML, TDMS, MDF4, .mat) to a campaign",
+        "plan": "plan a measuring campaign that identifies each parameter to a given precision",
+        "identify": "identify a machine's parameters, with confidence intervals, from its traces",
+        "iso": "evaluate positioning by ISO 230-2 or circles by ISO 230-4, with the standard plot",
+    },
+    "diagnose": {
+        "gap": "simulate every run of a measured campaign and compare it signal by signal",
+        "diagnose": "find where a measured campaign differs from the twin, which effects cause it, and how far they close the gap",
+        "remedy": "say what to set and to do about a diagnosis, what it brings, and write the control's own files",
+        "tune": "tune gains, feedforward and delays of a healthy machine within margins, beside the symmetrical optimum",
+        "watch": "judge dated campaigns of one machine: what changed, since when, by what cause; raise an alarm",
+        "exam": "diagnose sealed campaigns of a second plant, then open the seals and score the answers",
+    },
+    "design": {"study": "vary numbers of the machine file, simulate every variant, show the influence of each number"},
+    "guard": {"regress": "run a suite of cases and compare it with golden results; report what changed, and where first"},
+    "shell": {"completion": "print a completion script for bash, zsh or tcsh"},
 }
+"""What each command does, grouped by task."""
+_DOES = {name: does for group in COMMANDS.values() for name, does in group.items()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -93,38 +81,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _main(arguments: list[str]) -> int:
     if (unread := next((a for a in arguments if not _is_text(a)), None)) is not None:
-        print(f"twin: {_NO_TEXT.format(one_line(ascii(unread)))}", file=sys.stderr)
-        return 2
+        return _refused(_NO_TEXT.format(one_line(ascii(unread))))
     if (empty := _empty_in(arguments)) is not None:
-        print(
-            f"twin: {one_line(empty)}: this argument is empty; give a value or leave it out (is a shell variable unset?)",
-            file=sys.stderr,
-        )
-        return 2
+        return _refused(f"{one_line(empty)}: this argument is empty; give a value or leave it out (is a shell variable unset?)")
     hold_folders()
     try:
         args = build_parser(_command_in(arguments)).parse_args(arguments)
         with _effects_of(args):
             return _carried_out(args)
     except TwinError as error:
-        print(f"twin: {one_line(error)}", file=sys.stderr)
-        return 2
+        return _refused(one_line(error))
     except UnicodeEncodeError as error:
         if error.reason != "surrogates not allowed":
             raise
-        print(f"twin: {_NO_TEXT.format(one_line(ascii(error.object)))}", file=sys.stderr)
-        return 2
+        return _refused(_NO_TEXT.format(one_line(ascii(error.object))))
     except BrokenPipeError:
         return 0
     except OSError as error:  # no permission, disk full
-        what = f"{error.filename or 'a file'}: {error.strerror or error}; choose another place or free space there"
-        print(f"twin: {one_line(what)}", file=sys.stderr)
-        return 2
+        return _refused(one_line(f"{error.filename or 'a file'}: {error.strerror or error}; choose another place or free space there"))
     except KeyboardInterrupt as stop:
         say(getattr(stop, "number", signal.SIGINT))
         return int(getattr(stop, "code", 130))
     finally:
         release_folders()
+
+
+def _refused(line: str) -> int:
+    """Print why the command cannot be carried out, in one line; returns the exit code."""
+    print(f"twin: {line}", file=sys.stderr)
+    return 2
 
 
 _NO_TEXT = "{}: this name is not valid UTF-8; rename the file or its folder"
@@ -186,10 +171,10 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     parser = _Parser(prog="twin", description=DESCRIPTION + _overview(), formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--version", action="version", version=f"twin {twin.__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", dest="command", required=True, parser_class=_Parser, help=argparse.SUPPRESS)
-    for command in _commands().values():
-        sub = commands.add_parser(command.name, help=command.does, description=command.does[0].upper() + command.does[1:] + ".")
-        if only is None or only == command.name:
-            _add(sub, _module(command.name))
+    for name, does in _DOES.items():
+        sub = commands.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
+        if only is None or only == name:
+            add_arguments(sub, _module(name))
             sub.set_defaults(limits=None, quiet=False, verbose=False)
             _add_common(sub)
     return parser
@@ -201,19 +186,6 @@ def show_and_run(*arguments: object) -> None:
     print(f"\n$ twin {' '.join(words)}", flush=True)
     if code := main(words):
         raise SystemExit(code)
-
-
-def _add(parser: argparse.ArgumentParser, module: ModuleType) -> None:
-    """Add the arguments of a command, or of its actions."""
-    for name, options in getattr(module, "ARGUMENTS", ()):
-        parser.add_argument(name, **options)
-    if found := getattr(module, "ACTIONS", None):
-        actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=_Parser)
-        for action, (does, arguments, carry_out) in found.items():
-            sub = actions.add_parser(action, help=does)
-            sub.set_defaults(action=carry_out)
-            for name, options in arguments:
-                sub.add_argument(name, **options)
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -235,27 +207,21 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     common.add_argument("--verbose", action="store_true", help="also print versions and run time")
 
 
-def _commands() -> dict[str, Command]:
-    return {command.name: command for group in COMMANDS.values() for command in group}
-
-
 def _module(command: str) -> ModuleType:
-    return importlib.import_module(f"{__package__}.{_commands()[command].module}")
+    """The module of a command, of its name; `import` is a word of Python."""
+    return importlib.import_module(f"{__package__}.{'import_recordings' if command == 'import' else command}")
 
 
 def _command_in(arguments: Sequence[str]) -> str | None:
     """The given command, or '' without one. An unknown command exits with a line that names the nearest."""
     word = next((a for a in arguments if not a.startswith("-")), None)
-    if word is not None and word not in _commands() and arguments and arguments[0] == word:
-        sys.stderr.write(f"twin: no command '{one_line(word)}'; {nearest(word, _commands())}; try 'twin --help'\n")
-        raise SystemExit(2)
-    return word if word in _commands() else ""
+    if word is not None and word not in _DOES and arguments and arguments[0] == word:
+        raise SystemExit(_refused(f"no command '{one_line(word)}'; {nearest(word, _DOES)}; try 'twin --help'"))
+    return word if word in _DOES else ""
 
 
 def _overview() -> str:
     """The commands, grouped by task."""
-    lines = []
-    for group, commands in COMMANDS.items():
-        lines.append(f"\n{group}")
-        lines += [f"  {command.name:<13}{command.does}" for command in commands]
-    return "\n".join(lines)
+    return "\n".join(
+        line for group, of in COMMANDS.items() for line in (f"\n{group}", *(f"  {name:<13}{does}" for name, does in of.items()))
+    )

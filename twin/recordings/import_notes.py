@@ -10,7 +10,7 @@ from twin.recordings.convert import Channel
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
 from twin.recordings.relations import stuck_at
-from twin.recordings.signals import BLOCK, Recording
+from twin.recordings.signals import Recording
 from twin.recordings.skew import Skew
 from twin.recordings.trace import POSITIONS
 from twin.recordings.units_found import steps_of_a_turn
@@ -41,7 +41,7 @@ def stuck_channels(channels: Sequence[Channel]) -> list[str]:
     """Notes on counters that stand at the end of their range."""
     notes = []
     for channel in channels:
-        values = np.asarray(channel.source.signal.values[0:BLOCK], float)
+        values = channel.source.signal.head
         if channel.column.sign_bit is None and (limit := stuck_at(values)) is not None:
             share = np.count_nonzero(values == limit) / len(values)
             notes.append(
@@ -55,7 +55,7 @@ def radians(channels: Sequence[Channel]) -> list[str]:
     notes = []
     for channel in channels:
         if channel.key[1] in POSITIONS and channel.conversion.kind == "linear" and channel.column.scale is None:
-            turn = steps_of_a_turn(np.asarray(channel.source.signal.values[0:BLOCK], float), 2.0 * np.pi)
+            turn = steps_of_a_turn(channel.source.signal.head, 2.0 * np.pi)
             if turn is not None:
                 notes.append(
                     f"{'.'.join(channel.key)}: its steps are 1/{turn:.0f} of a turn in rad, but it is mapped as {channel.conversion.unit}: radians?"

@@ -15,7 +15,7 @@ from twin.errors import InputError
 from twin.files import output_folder
 from twin.progress import Progress
 from twin.recordings.formats.by_content import read_recording
-from twin.recordings.mapping import Map, RunMap, runs_of
+from twin.recordings.mapping import Map, runs_of
 from twin.recordings.overview import draw_run, understood_table
 from twin.recordings.signals import ReadOptions, Recording
 from twin.recordings.understand import understand
@@ -37,14 +37,19 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
     output_folder(out)
     for left in out.glob(f"{SCRATCH}*"):  # of an import that was killed: this one has the lock of the folder
         shutil.rmtree(left, ignore_errors=True)
-    done, begun = [], _beginnings()
+    done = []
+    first: datetime | None = None
     with Progress("importing", total=len(runs)) as bar:
         for run, paths in runs:
             # data that do not fit into memory are stored beside the result; /tmp may itself be in memory
             with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=out) as scratch:
                 recordings = _read(mapping, paths, Path(scratch))
                 known = understand(mapping, run, recordings)
-                traces = write_run(known, begun(run, known.started), out, names)
+                # the start of a run: from the map, else from the clocks of the files relative to the first run, else 0
+                started = known.started.replace(tzinfo=known.started.tzinfo or UTC) if known.started is not None else None
+                first = first or started
+                begun = (started - first).total_seconds() if started is not None and first is not None else 0.0
+                traces = write_run(known, begun if run.started_at_s is None else run.started_at_s, out, names)
                 if picture:
                     for trace in traces[:MOST_PICTURES]:
                         draw_run(known, trace, out / f"{trace.name}.png")
@@ -66,19 +71,3 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
 def _read(mapping: Map, paths: Sequence[Path], scratch: Path) -> list[Recording]:
     wanted = frozenset([*(c.name for c in mapping.columns), *mapping.settings.labels])
     return [read_recording(path, ReadOptions(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]
-
-
-def _beginnings() -> Callable[[RunMap, datetime | None], float]:
-    """Start time of each run [s]: from the map, else from the clocks of the files relative to the first run, else 0."""
-    first: list[datetime] = []
-
-    def begun(run: RunMap, started: datetime | None) -> float:
-        if started is not None and started.tzinfo is None:
-            started = started.replace(tzinfo=UTC)
-        if started is not None and not first:
-            first.append(started)
-        if run.started_at_s is not None:
-            return run.started_at_s
-        return (started - first[0]).total_seconds() if started is not None else 0.0
-
-    return begun

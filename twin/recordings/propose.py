@@ -17,7 +17,7 @@ from twin.recordings.names import Meaning, meaning_of
 from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
 from twin.recordings.relations import moves
-from twin.recordings.signals import BLOCK, Recording, Signal
+from twin.recordings.signals import Recording, Signal
 from twin.recordings.time_found import TimeFound, by_speed, row_counters, time_of, with_time
 
 FURTHER = 12.0
@@ -183,7 +183,7 @@ def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str | 
     )
     if not speeds:
         return None
-    return "off" if not any(map(_changes, speeds)) else "velocity+torque" if any(map(_changes, torques)) else "velocity"
+    return "off" if not any(moves(s.head) for s in speeds) else "velocity+torque" if any(moves(s.head) for s in torques) else "velocity"
 
 
 def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[str]) -> list[Signal]:
@@ -191,7 +191,7 @@ def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[s
 
     def motion(recording: Recording) -> tuple[int, float]:
         own = [recording.signals[n] for n in names if n in recording.signals and _timed(recording.signals[n])]
-        return len(own), sum(float(np.ptp(_first_block(s))) for s in own)
+        return len(own), sum(float(np.ptp(s.head)) for s in own)
 
     ranked = sorted(recordings, key=motion, reverse=True)
     found = (next((r.signals[n] for r in ranked if n in r.signals and _timed(r.signals[n])), None) for n in names)
@@ -220,14 +220,6 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
         elif meaning is not None:
             out.unknown[name] = "known, but no signal of the twin"
     return meanings
-
-
-def _first_block(signal: Signal) -> np.ndarray:
-    return np.asarray(signal.values[0:BLOCK], float)
-
-
-def _changes(signal: Signal) -> bool:
-    return moves(_first_block(signal))
 
 
 def _label(signal: Signal) -> bool:

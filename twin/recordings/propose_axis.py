@@ -15,7 +15,7 @@ from twin.recordings.propose_columns import POSITIONS, SPEEDS, Proposed, propose
 from twin.recordings.relations import moves
 from twin.recordings.roles import ORDER, Candidate, Roles, assign
 from twin.recordings.roughness import SECOND_DIFFERENCE, roughness
-from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Signal
+from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import timing_of
 from twin.units import RECORDED_UNITS, dimension_recorded
 
@@ -46,7 +46,8 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     names = ", ".join(s.name for s in signals if s.name in meanings)
     sound = []
     for one in signals:
-        if place := _impossible_value(one):
+        if bad := one.impossible():
+            place = f"holds {bad[1]:g} at sample {bad[0] + 1}: repair it"
             meaning = meanings.get(one.name)
             if meaning is None:
                 out.unused[one.name] = place
@@ -90,7 +91,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         if _rests(roles):
             out.left_out = f"{called} does not move in this recording ({names})"
             return out
-        whole = next(_first_block(one.values) for one in sound if one.name == motion.column.name)
+        whole = next(one.head for one in sound if one.name == motion.column.name)
         if re.fullmatch(r"S\d?", axis) or (turns := _turns(whole, guess, motion.column.meaning)) is not None:
             how = "by its name" if re.fullmatch(r"S\d?", axis) else f"({turns:.0f} turns one travel)"
             out.left_out = f"{called} spins {how}: not a feed axis ({names})"
@@ -153,18 +154,18 @@ def _lead(signals: Sequence[Signal], meanings: Mapping[str, Meaning]) -> Signal 
     """The signal whose samples define the grid: set point, position, speed by name, else the longest one that moves."""
     named = {meanings[s.name].signal: s for s in signals if s.name in meanings}
     for signal in ORDER[:5]:
-        if signal in named and moves(_first_block(named[signal].values)):
+        if signal in named and moves(named[signal].head):
             return named[signal]
     if "setpoint" in named:  # it rests, and so does the axis
         return None
-    moving = [s for s in signals if moves(_first_block(s.values))]
+    moving = [s for s in signals if moves(s.head)]
     return max(moving, key=lambda s: len(s.values), default=None)
 
 
 def _times(lead: Signal) -> np.ndarray:
     """Sample times of the part that is compared: of the longest stretch that moves, the MOST_ROWS with the most motion."""
     assert lead.time is not None
-    times, values = _first_block(lead.time), _first_block(lead.values)
+    times, values = np.asarray(lead.time[0:BLOCK], float), lead.head
     timing = timing_of(times, lead.name, period_s=None)
     best = max(timing.stretches, key=lambda s: (moves(values[s.first : s.first + s.count]), s.count))
     time = times[best.first : best.first + best.count]
@@ -204,24 +205,10 @@ def _signed(values: np.ndarray, bit: int | None) -> np.ndarray:
     return values if bit is None else np.where(values >= 2.0**bit, 2.0**bit - values, values)
 
 
-def _impossible_value(signal: Signal) -> str:
-    """Text on the first NaN, infinite or impossible value of a column; "" if there is none."""
-    for first, values in signal.blocks():
-        bad = ~(np.abs(values) < IMPOSSIBLE_VALUE)
-        if bad.any():
-            row = int(np.argmax(bad))
-            return f"holds {values[row]:g} at sample {first + row + 1}: repair it"
-    return ""
-
-
-def _first_block(column: object) -> np.ndarray:
-    """The first block of a column."""
-    return np.asarray(column[0:BLOCK], float)  # type: ignore[index]
-
-
 def _interpolated(signal: Signal, time: np.ndarray) -> np.ndarray:
     """Values at these times, linear between samples."""
-    own, values = _first_block(signal.time), _first_block(signal.values)
+    assert signal.time is not None
+    own, values = np.asarray(signal.time[0:BLOCK], float), signal.head
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")
     return np.interp(time, own, values)

@@ -5,7 +5,7 @@ A new format is one module with `read(path, options) -> Recording` and one line 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -58,10 +58,19 @@ class Signal:
     stated_unit: str = ""
     """The unit as the file writes it, if it is none that the twin converts: %, pulses."""
 
-    def blocks(self) -> Iterator[tuple[int, np.ndarray]]:
-        """(first row, values) of consecutive blocks."""
+    @property
+    def head(self) -> np.ndarray:
+        """Values of the first block."""
+        return np.asarray(self.values[0:BLOCK], float)
+
+    def impossible(self) -> tuple[int, float] | None:
+        """(row, value) of the first NaN, infinite or impossible value."""
         for start in range(0, len(self.values), BLOCK):
-            yield start, np.asarray(self.values[start : start + BLOCK], float)
+            values = np.asarray(self.values[start : start + BLOCK], float)
+            if (bad := ~(np.abs(values) < IMPOSSIBLE_VALUE)).any():
+                row = int(np.argmax(bad))
+                return start + row, float(values[row])
+        return None
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,36 @@ def find_time(
         InputError: the user names a column that does not exist, or a unit that is none of time.
     """
     heads = [head[~np.isnan(head)] if head is not None else None for head in heads]
+
+    def found(at: int) -> Found:
+        """The time column with its unit."""
+        name, head = split_heading(names[at])[0], heads[at]
+        ending = _ENDING.search(name)
+        stated = (
+            known_unit(clock.unit)
+            if clock.unit
+            else units[at] or (known_unit(ending[1]) if ending else _UNIT_OF_NAME.get(name.lower(), ""))
+        )
+        if (clock.unit and (not stated or dimension_recorded(stated) != "time")) or (stated and dimension_recorded(stated) != "time"):
+            raise InputError(f"{where}: time column '{name}': [{clock.unit or stated}] is not a unit of time; use s, ms, us, ns or min")
+        if stated:
+            return Found(at, RECORDED_UNITS[stated][1], TimeSource("column", name, stated))
+        if head is None or len(head) < 2:
+            return Found(at, 1.0, TimeSource("column", name))
+        for unit in ("s", "ms", "us", "ns"):
+            if _SINCE_1970[0] < head[0] * RECORDED_UNITS[unit][1] < _SINCE_1970[1]:
+                return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit, text=f"'{name}' counts {unit} since 1970"))
+        step = float(np.median(np.diff(head)))
+        if interval_s is not None and step > 0.0:
+            for unit in ("s", "ms", "us", "ns"):
+                if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
+                    return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit))
+        unit = "ms" if step >= SLOWEST_S else "s"
+        seconds = step * RECORDED_UNITS[unit][1]
+        what = f"nothing states the unit of '{name}'" + (", which may only number the rows" if numbers_rows(head) else "")
+        text = f"{what}: its steps of {step:.4g} are taken as {unit} ({seconds * 1e3:.4g} ms a row); if that is wrong, give --interval-ms"
+        return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit, assumed=True, text=text))
+
     if clock.interval_s is not None:
         return Found(None, clock.interval_s, TimeSource("interval"))
     if clock.column is not None:
@@ -65,7 +95,7 @@ def find_time(
         at = next((i for i, name in enumerate(names) if clock.column in (name, plain[i])), None)
         if at is None:
             raise InputError(f"{where}: no time column '{clock.column}'; {nearest(clock.column, names)}")
-        return _found(at, names, units, heads, clock, where, interval_s)
+        return found(at)
     # of several candidates the one that distinguishes most rows and does not just number them, then the likelier name
     candidates = [i for i in time_candidates(names, units) if (head := heads[i]) is None or _runs(head)]
     if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and _even(heads[0]):
@@ -73,7 +103,7 @@ def find_time(
     if candidates:
         most = max(_distinct(heads[i]) for i in candidates)
         finest = [i for i in candidates if _distinct(heads[i]) >= 0.9 * most]
-        return _found(min(finest, key=lambda i: numbers_rows(heads[i])), names, units, heads, clock, where, interval_s)
+        return found(min(finest, key=lambda i: numbers_rows(heads[i])))
     if interval_s is not None:
         return Found(None, interval_s, TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms by the lines above the numbers"))
     return Found(None, 1.0, TimeSource("rows", text=NO_TIME))
@@ -90,42 +120,6 @@ def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
             if any(kinds):
                 ranked.append((kinds.index(True), i))
     return [i for _, i in sorted(ranked)]
-
-
-def _found(
-    at: int,
-    names: Sequence[str],
-    units: Sequence[str],
-    heads: Sequence[np.ndarray | None],
-    clock: Clock,
-    where: str,
-    interval_s: float | None,
-) -> Found:
-    """The time column with its unit."""
-    name, head = split_heading(names[at])[0], heads[at]
-    ending = _ENDING.search(name)
-    stated = (
-        known_unit(clock.unit) if clock.unit else units[at] or (known_unit(ending[1]) if ending else _UNIT_OF_NAME.get(name.lower(), ""))
-    )
-    if (clock.unit and (not stated or dimension_recorded(stated) != "time")) or (stated and dimension_recorded(stated) != "time"):
-        raise InputError(f"{where}: time column '{name}': [{clock.unit or stated}] is not a unit of time; use s, ms, us, ns or min")
-    if stated:
-        return Found(at, RECORDED_UNITS[stated][1], TimeSource("column", name, stated))
-    if head is None or len(head) < 2:
-        return Found(at, 1.0, TimeSource("column", name))
-    for unit in ("s", "ms", "us", "ns"):
-        if _SINCE_1970[0] < head[0] * RECORDED_UNITS[unit][1] < _SINCE_1970[1]:
-            return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit, text=f"'{name}' counts {unit} since 1970"))
-    step = float(np.median(np.diff(head)))
-    if interval_s is not None and step > 0.0:
-        for unit in ("s", "ms", "us", "ns"):
-            if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
-                return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit))
-    unit = "ms" if step >= SLOWEST_S else "s"
-    seconds = step * RECORDED_UNITS[unit][1]
-    what = f"nothing states the unit of '{name}'" + (", which may only number the rows" if numbers_rows(head) else "")
-    text = f"{what}: its steps of {step:.4g} are taken as {unit} ({seconds * 1e3:.4g} ms a row); if that is wrong, give --interval-ms"
-    return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit, assumed=True, text=text))
 
 
 def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> tuple[dict[str, Signal], TimeSource, int]:

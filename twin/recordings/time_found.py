@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.recordings.relations import even_step
-from twin.recordings.signals import BLOCK, Column, Recording, Signal
+from twin.recordings.signals import Column, Recording, Signal
 from twin.recordings.units_found import FASTEST_S, SLOWEST_S, interval_of_rows, surprise_of
 from twin.units import RECORDED_UNITS
 
@@ -64,8 +64,7 @@ def time_of(recordings: Sequence[Recording]) -> TimeFound | None:
             source = recording.source
             return TimeFound(source.column, source.unit, None, source.text, source.text if source.unit != "s" else "")
         for signal in recording.signals.values():
-            head = np.asarray(signal.values[0:BLOCK], float)
-            if (step := even_step(head)) is not None and not _counts_rows(head):
+            if (step := even_step(signal.head)) is not None and not _counts_rows(signal.head):
                 unit = "ms" if step >= SLOWEST_S else "s"
                 text = f"'{signal.name}' increases by {step:.4g} a row: taken as the time in {unit}"
                 return TimeFound(signal.name, unit, None, text, text)
@@ -75,7 +74,7 @@ def time_of(recordings: Sequence[Recording]) -> TimeFound | None:
 
 def row_counters(recording: Recording) -> list[str]:
     """Columns that only count rows."""
-    return [s.name for s in recording.signals.values() if _counts_rows(np.asarray(s.values[0:BLOCK], float))]
+    return [s.name for s in recording.signals.values() if _counts_rows(s.head)]
 
 
 def with_time(recordings: Sequence[Recording], time: TimeFound | None) -> list[Recording]:

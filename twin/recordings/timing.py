@@ -6,7 +6,6 @@ rounding. If the clock really jitters, the recorded times are used.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 import itertools
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.recordings.restarts import PAUSE_S
-from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Column
+from twin.recordings.signals import IMPOSSIBLE_VALUE, Column
 from twin.recordings.trace import RELATIVE_PERIOD_TOLERANCE
 
 LONGER = 1.5
@@ -63,38 +62,29 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     n = len(time)
     if n < 2:
         raise InputError(f"{where}: only {n} sample{'s' * (n != 1)}; a trace needs at least two")
-    for start in range(0, n, BLOCK):
-        fine = np.abs(np.asarray(time[start : start + BLOCK], float)) < IMPOSSIBLE_VALUE
-        if not fine.all():
-            row = start + int(np.argmin(fine))
-            raise InputError(f"{where}: the time holds {str(time[row : row + 1][0]).replace('nan', 'NaN')} at row {row + 1}; repair it")
-    head = np.asarray(time[0 : min(n, MEDIAN_OF)], float)
-    quantum = _quantum(head)
-    interval, rounded = _usual_step(head, quantum)
+    time = np.asarray(time[0:n], float)
+    if not (fine := np.abs(time) < IMPOSSIBLE_VALUE).all():
+        row = int(np.argmin(fine))
+        raise InputError(f"{where}: the time holds {str(time[row]).replace('nan', 'NaN')} at row {row + 1}; repair it")
+    quantum = _quantum(time[:MEDIAN_OF])
+    interval, rounded = _usual_step(time[:MEDIAN_OF], quantum)
     if interval > LONGEST_S or 0.0 < interval < SHORTEST_S:
         raise InputError(f"{where}: its samples are {interval:.3g} s apart, which no control records; correct the unit of the time")
     notes: list[str] = []
-    gaps: list[int] = []
-    repeated = pauses = 0
+    steps = np.diff(time)
+    if steps.min() < 0.0:
+        row = int(np.argmin(steps))
+        raise InputError(
+            f"{where}: time goes back at row {row + 2} ({time[row]:.6g} s); cut the file there, or keep one part with from_s and to_s"
+        )
+    repeated = int(np.count_nonzero(steps == 0.0))
     limit = (LONGER * interval if period_s is None else LONGER_MIXED * max(interval, period_s)) + (quantum if rounded else 0.0)
-    for row, steps in _steps(time):
-        if steps.min() < 0.0:
-            i = int(np.argmin(steps))
-            raise InputError(
-                f"{where}: time goes back at row {row + i + 2} ({time[row + i : row + i + 1][0]:.6g} s); "
-                "cut the file there, or keep one part with from_s and to_s"
-            )
-        repeated += int(np.count_nonzero(steps == 0.0))
-        gaps += [row + int(i) for i in np.flatnonzero(steps > limit)]
-        # a pause between two parts is no change of the interval
-        pauses += int(np.count_nonzero(steps > max(limit, 0.999 * PAUSE_S, 9.99 * interval)))
-        if len(gaps) - pauses > max(MANY_GAPS * n, 20):
-            raise _interval_error(time, gaps[0], interval, where)
-    bounds = [0, *(g + 1 for g in gaps), n]
-    stretches = []
-    for first, last in itertools.pairwise(bounds):
-        if last - first >= 2:
-            stretches.append(_stretch(time, first, last - first, quantum))
+    gaps = np.flatnonzero(steps > limit)
+    # a pause between two parts is no change of the interval
+    if len(gaps) - np.count_nonzero(steps > max(limit, 0.999 * PAUSE_S, 9.99 * interval)) > max(MANY_GAPS * n, 20):
+        raise _interval_error(time, int(gaps[0]), interval, where)
+    bounds = itertools.pairwise([0, *(int(g) + 1 for g in gaps), n])
+    stretches = [_stretch(time, first, last - first, quantum) for first, last in bounds if last - first >= 2]
     if not stretches:
         raise InputError(f"{where}: no two samples are near each other in time; check the time column and its unit")
     longest = max(stretches, key=lambda s: s.count)
@@ -115,12 +105,6 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
             f"the clock deviates by {0.5 * longest.spread * 1e3:.3g} ms from {longest.interval * 1e3:.4g} ms; resampled to an even grid"
         )
     return Timing(tuple(stretches), longest.interval, tuple(notes))
-
-
-def _steps(time: Column) -> Iterator[tuple[int, np.ndarray]]:
-    """(row, steps from this row on), in blocks that overlap by one sample."""
-    for start in range(0, len(time) - 1, BLOCK):
-        yield start, np.diff(np.asarray(time[start : start + BLOCK + 1], float))
 
 
 def _quantum(times: np.ndarray) -> float:
@@ -149,50 +133,37 @@ def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
     return (interval, True) if rounded and interval > 0.0 else (median, False)
 
 
-def _stretch(time: Column, first: int, count: int, quantum: float) -> Stretch:
+def _stretch(time: np.ndarray, first: int, count: int, quantum: float) -> Stretch:
     """Even grid through the samples by least squares, with its spread."""
-    start, scale, total, moment = float(time[first : first + 1][0]), 0.5 * (count - 1), 0.0, 0.0
-    for at in range(0, count, BLOCK):
-        part = np.asarray(time[first + at : first + min(at + BLOCK, count)], float) - start
-        total += float(part.sum())
-        moment += float(part @ (at + np.arange(len(part)) - scale))
-    interval = moment * 12.0 / (count * (float(count) ** 2 - 1.0))
-    begin = start + total / count - interval * scale
+    start, scale = float(time[first]), 0.5 * (count - 1)
+    own = time[first : first + count] - start
+    interval = float(own @ (np.arange(count) - scale)) * 12.0 / (count * (float(count) ** 2 - 1.0))
+    begin = start + float(own.sum()) / count - interval * scale
     spread = _spread(time, first, count, begin, interval)
     # rounding of printed times is half a digit
     rounded = quantum > 0.0 and spread <= 0.6 * quantum and quantum <= 20.0 * interval
     if spread <= RELATIVE_PERIOD_TOLERANCE * interval or rounded:
         return Stretch(first, count, begin, interval, spread, True)
     # jittering times: interval from the first and the last of them
-    interval = (float(time[first + count - 1 : first + count][0]) - start) / (count - 1)
+    interval = float(own[-1]) / (count - 1)
     return Stretch(first, count, start, interval, 2.0 * _spread(time, first, count, start, interval), False)
 
 
-def _spread(time: Column, first: int, count: int, begin: float, interval: float) -> float:
+def _spread(time: np.ndarray, first: int, count: int, begin: float, interval: float) -> float:
     """Half the range of the deviations from the even grid."""
-    low, high = np.inf, -np.inf
-    for at in range(0, count, BLOCK):
-        part = np.asarray(time[first + at : first + min(at + BLOCK, count)], float)
-        off = part - (begin + interval * (at + np.arange(len(part))))
-        low, high = min(low, float(off.min())), max(high, float(off.max()))
-    return 0.5 * (high - low)
+    return 0.5 * float(np.ptp(time[first : first + count] - (begin + interval * np.arange(count))))
 
 
-def _permanent_change(time: Column, one: Stretch, quantum: float) -> tuple[int, float] | None:
+def _permanent_change(time: np.ndarray, one: Stretch, quantum: float) -> tuple[int, float] | None:
     """Row of a permanent change of the interval, and the interval before it; None if the clock only jitters or drifts."""
-    usual: float | None = None
-    for at in range(0, one.count - WINDOW, WINDOW):
-        ends = [float(time[row : row + 1][0]) for row in (one.first + at, one.first + at + WINDOW)]
-        here = (ends[1] - ends[0]) / WINDOW
-        usual = here if usual is None else usual
-        if abs(here - usual) > 0.1 * usual + 2.0 * quantum / WINDOW:
-            return one.first + at, usual
-    return None
+    here = np.diff(time[one.first : one.first + one.count : WINDOW]) / WINDOW
+    changed = np.abs(here - here[:1]) > 0.1 * here[:1] + 2.0 * quantum / WINDOW
+    return (one.first + int(np.argmax(changed)) * WINDOW, float(here[0])) if changed.any() else None
 
 
-def _interval_error(time: Column, row: int, interval: float, where: str) -> InputError:
+def _interval_error(time: np.ndarray, row: int, interval: float, where: str) -> InputError:
     """The error for an interval that is not constant."""
-    here = np.asarray(time[row : row + WINDOW], float)
+    here = time[row : row + WINDOW]
     after = float(np.median(np.diff(here)[1:])) if len(here) > 2 else interval
     problem = (
         f"the interval changes from {interval * 1e3:.4g} ms to {after * 1e3:.4g} ms at {here[0]:.6g} s"

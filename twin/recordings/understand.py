@@ -27,7 +27,7 @@ from twin.recordings.import_notes import (
 )
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, ColumnMap, Map, RunMap
 from twin.recordings.plausible import doubts_of
-from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Event, Recording, Signal
+from twin.recordings.signals import BLOCK, Event, Recording, Signal
 from twin.recordings.skew import FORCES, Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, timing_of
 from twin.recordings.trace import BY_UNIT, POSITIONS
@@ -180,8 +180,12 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
     timings: dict[int, Timing] = {}
     channels = []
     for column, recording, signal, conversion in found:
-        _check_numbers(recording, signal)
         assert signal.time is not None
+        # the reader of text has checked every cell
+        if recording.format != "CSV" and (bad := signal.impossible()) is not None:
+            held = "NaN" if np.isnan(bad[1]) else f"{bad[1]:g}"
+            place = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
+            raise InputError(f"{place} holds {held}; repair it, or leave the column out")
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
             notes += [n for n in timing.notes if n not in notes]
@@ -268,22 +272,6 @@ def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tup
     if column.name in known:
         raise InputError(f"{files}: column '{column.name}' is empty; record it again, or leave it out of the map")
     raise InputError(f"{files}: no column '{column.name}'; {nearest(column.name, known)}")
-
-
-def _check_numbers(recording: Recording, signal: Signal) -> None:
-    """Refuse NaN and infinity, with their place."""
-    if recording.format == "CSV":
-        return  # the reader has checked every cell
-    for first, values in signal.blocks():
-        bad = ~(np.abs(values) < IMPOSSIBLE_VALUE)
-        if bad.any():
-            row = first + int(np.argmax(bad))
-            assert signal.time is not None
-            at = float(signal.time[row : row + 1][0])
-            held = "NaN" if np.isnan(values[row - first]) else f"{values[row - first]:g}"
-            raise InputError(
-                f"{recording.path}: column '{signal.name}': sample {row + 1} ({at:.6g} s) holds {held}; repair it, or leave the column out"
-            )
 
 
 def _rounded_interval(interval: float) -> float:

@@ -81,19 +81,33 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         # row numbers without a name, as R writes them
         names, units = (["", *own[:-1]] for own in (names, units))
     names = [name or (UNNAMED.format(i + 1) if rows.kinds[i] != BLANK else "") for i, name in enumerate(names)]
+
+    def time_of(among: Sequence[int], stamps: Sequence[int] = ()) -> Found:
+        """The time of the columns `among`."""
+        clock = options.clock
+        if stamps and clock.interval_s is None and clock.column in (None, *(names[i] for i in stamps)):
+            return Found(stamps[-1], 1e-9, TimeSource("column", names[stamps[-1]], "ns"))
+        # a column of words or dates cannot be a time in numbers
+        index = sorted(among) if clock.column is None else rows.columns(NUMBER)
+        if len(among) == 1 and clock.interval_s is None:
+            clock = replace(clock, column=names[among[0]])
+        stated = heading.intervals.get(among[0], heading.interval_s) if among else heading.interval_s
+        found = find_time([names[i] for i in index], [units[i] for i in index], [rows.values(i) for i in index], clock, str(path), stated)
+        return found if found.at is None else replace(found, at=index[found.at])
+
     long = None if pairs else long_table(rows, names)
     if long:
-        found = _time(rows, names, units, heading, tuple(i for i in stamps if i in long.times), options, path, among=long.times)
+        found = time_of(long.times, [i for i in stamps if i in long.times])
         return Layout(sample, rows, heading, tuple(names), tuple(units), (long.value,), {long.value: found}, stamps, long, ())
     groups = _groups(rows, names, units, heading) if options.clock.interval_s is None and options.clock.column is None else []
     kept, notes = _kept(rows, names, pairs, stamps)
     if len(groups) > 1:
         kept = [i for i in kept if i not in groups]
-        each = {at: _time(rows, names, units, heading, (), options, path, among=(at,)) for at in groups}
+        each = {at: time_of((at,)) for at in groups}
         times = {i: each[max((at for at in groups if at <= i), default=groups[0])] for i in kept}
         notes.append(f"{len(groups)} groups of signals, each with a time column of its own")
     else:
-        found = _time(rows, names, units, heading, stamps, options, path, among=tuple(kept))
+        found = time_of(kept, stamps)
         kept = [i for i in kept if i != found.at]
         times = dict.fromkeys(kept, found)
     names, dropped = _named_once(rows, names, kept)
@@ -142,29 +156,6 @@ def _groups(rows: Rows, names: Sequence[str], units: Sequence[str], heading: Hea
 def _rises(head: np.ndarray) -> bool:
     steps = np.diff(head[np.isfinite(head)])
     return len(steps) > 0 and bool(np.all(steps >= 0.0) and np.any(steps > 0.0))
-
-
-def _time(
-    rows: Rows,
-    names: Sequence[str],
-    units: Sequence[str],
-    heading: Heading,
-    stamps: Sequence[int],
-    options: ReadOptions,
-    path: Path,
-    among: Sequence[int],
-) -> Found:
-    """The time of the columns `among`."""
-    if stamps and options.clock.interval_s is None and options.clock.column in (None, *(names[i] for i in stamps)):
-        return Found(stamps[-1], 1e-9, TimeSource("column", names[stamps[-1]], "ns"))
-    # a column of words or dates cannot be a time in numbers
-    index = sorted(among) if options.clock.column is None else rows.columns(NUMBER)
-    shown, clock = [names[i] for i in index], options.clock
-    if len(among) == 1 and clock.interval_s is None:
-        clock = replace(clock, column=names[among[0]])
-    stated = heading.intervals.get(among[0], heading.interval_s) if among else heading.interval_s
-    found = find_time(shown, [units[i] for i in index], [rows.values(i) for i in index], clock, str(path), stated)
-    return found if found.at is None else replace(found, at=index[found.at])
 
 
 def _named_once(rows: Rows, names: Sequence[str], kept: Sequence[int]) -> tuple[list[str], set[int]]:
