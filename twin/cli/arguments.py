@@ -98,6 +98,12 @@ def open_report(args: argparse.Namespace, page: Path) -> None:
         webbrowser.open(page.resolve().as_uri())
 
 
+def finish(args: argparse.Namespace, out: Path, files: str, page: str = "report.html") -> None:
+    """Print what was written to the folder, and open the page if `--open` was given."""
+    print(f"written to {out}: {files}")
+    open_report(args, out / page)
+
+
 def machine_of(args: argparse.Namespace) -> Machine:
     """The machine of `--machine`, with the effects of its file and of `--effect`."""
     from twin.machine import load_machine
@@ -109,6 +115,17 @@ def machine_of(args: argparse.Namespace) -> Machine:
     from twin.effects import parse_setting, settings_of, with_effects
 
     return with_effects(machine, [*settings_of(machine), *(parse_setting(text, machine) for text in added)])
+
+
+def trace_file(path: Path) -> Path:
+    """The trace in the folder of a run, or the file itself."""
+    if not path.is_dir():
+        return path
+    if (found := next((file for end in (".parquet", ".csv") if (file := path / f"trace{end}").is_file()), None)) is None:
+        raise InputError(
+            f"{path}: no trace.parquet in this folder; give the --out folder of 'twin run', a trace, a campaign or a machine file"
+        )
+    return found
 
 
 def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> tuple[Program | None, Trace]:

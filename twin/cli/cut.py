@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from twin.cli.arguments import MACHINE, THREADS, arg, flag, machine_of, out_argument, positive
+from twin.cli.arguments import MACHINE, THREADS, arg, flag, machine_of, out_argument, positive, trace_file
 from twin.errors import InputError, nearest
 from twin.files import output_folder, shipped_example, write_json
 from twin.machine.machine import FEEDFORWARD, Machine
@@ -116,11 +116,8 @@ def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], word
 
     if is_program(source):
         return levels_of_program(source, machine, part.tool, levels, words, progress)
-    file = source / "trace.parquet" if source.is_dir() else source
-    if source.is_dir() and not file.is_file():
-        raise InputError(f"{source}: no trace.parquet in this folder; give the --out folder of `twin run`")
-    trace = read_trace(file, axes=machine.kinds)
-    return levels_of_trace(trace, machine, part.tool, levels, str(file))
+    file = trace_file(source)
+    return levels_of_trace(read_trace(file, axes=machine.kinds), machine, part.tool, levels, str(file))
 
 
 def write_files(machining: Machining, machine: Machine, out: Path, *, files: bool = True) -> list[Path]:

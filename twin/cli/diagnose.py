@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.cli.arguments import OPEN, PLACE, arg, flag, machine_argument, machine_of, open_report, out_argument, seed, setpoints_of_input
+from twin.cli.arguments import OPEN, PLACE, arg, finish, flag, machine_argument, machine_of, out_argument, seed, setpoints_of_input
 from twin.cli.import_recordings import READING, reading_of
 from twin.errors import InputError, TwinError
 from twin.files import output_folder, shipped_example
@@ -50,7 +50,6 @@ def carry_out(args: argparse.Namespace) -> int:
     if not is_campaign(inputs):
         return _raw(args, inputs)
     _diagnosed(args, inputs[0], machine_of(args), output_folder(args.out))
-    open_report(args, Path(args.out) / "report.html")
     return 0
 
 
@@ -67,7 +66,7 @@ def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Pa
     document = write_diagnosis(diagnosis, out)
     print(summary_text(document))
     move = "" if diagnosis.proposal.move is None else ", next_measurement.csv"
-    print(f"written to {out}: diagnosis.json, machine.toml, report.html, diagnosis.rrd{move}")
+    finish(args, out, f"diagnosis.json, machine.toml, report.html, diagnosis.rrd{move}")
     return document
 
 
@@ -94,8 +93,7 @@ def _since(args: argparse.Namespace, inputs: list[Path]) -> int:
         document, today = diagnosed_since(present, baselines, [day_of(b) for b in earlier], machine, out, args.quick, args.seed, bar.say)
     write_since(document, today, out)
     print(document["sentence"], *(f"  note: {note}" for note in document["notes"]), sep="\n")
-    print(f"written to {out}: diagnosis.json, machine.toml (of today), report.html{'' if machine.effects else ', baseline/'}")
-    open_report(args, out / "report.html")
+    finish(args, out, f"diagnosis.json, machine.toml (of today), report.html{'' if machine.effects else ', baseline/'}")
     return 0
 
 
@@ -123,6 +121,7 @@ def _raw(args: argparse.Namespace, inputs: list[Path]) -> int:
     from twin.recordings.campaign import read_campaign
 
     args.quick = True  # a first answer; the campaign in the folder can be diagnosed at length
+    shown, args.open = args.open, False  # the card, not the report of the diagnosis
     files = files_of(inputs)
     out = output_folder(args.out)
     folder = campaign_of(files, Path(args.map) if args.map else None, out, print, *reading_of(args))
@@ -152,6 +151,6 @@ def _raw(args: argparse.Namespace, inputs: list[Path]) -> int:
     write_card_page(card, f"First answer: {', '.join(f.name for f in files[:3])}", verdict, out)
     if machine is not None:
         print(f"at length: twin diagnose {folder} --machine {args.machine or out / MACHINE} --out {out / 'at_length'}")
-    print(f"written to {out}: card.json, card.html, card.png, campaign/{'' if args.machine else ', machine_from_recording.toml'}")
-    open_report(args, out / "card.html")
+    args.open = shown
+    finish(args, out, f"card.json, card.html, card.png, campaign/{'' if args.machine else ', machine_from_recording.toml'}", "card.html")
     return 0

@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive
+from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive, trace_file
 from twin.errors import InputError
 from twin.files import shipped_example, write_json
 from twin.progress import Progress
@@ -238,10 +238,7 @@ def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | 
         for run in read_campaign(source, machine).runs:
             yield run.name, run.trace, run.feedforward, run.ballbar
         return
-    file = source / "trace.parquet" if source.is_dir() else source
-    if not file.is_file():
-        raise InputError(f"{source}: neither campaign.toml nor trace.parquet; give a campaign, a run folder, a trace or a table")
-    yield source.stem, read_trace(file, axes=machine.kinds, need=("setpoint",)), None, None
+    yield source.stem, read_trace(trace_file(source), axes=machine.kinds, need=("setpoint",)), None, None
 
 
 def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Path, feedforward: str | None) -> None:

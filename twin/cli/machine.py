@@ -136,7 +136,7 @@ ACTIONS = {
                 "--comp-file-type",
                 {"type": int, "choices": (0, 1), "default": 0, "help": "COMP_FILE_TYPE of LinuxCNC compensation files (default 0)"},
             ),
-        ),  # fmt: skip
+        ),
         _show,
     ),
 }

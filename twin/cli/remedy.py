@@ -6,8 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
-from twin.cli.arguments import EFFECT, MARGINS, OPEN, PLACE, arg, machine_of, open_report, out_argument, positive, setpoints_of_input
-from twin.documents import read_text
+from twin.cli.arguments import EFFECT, MARGINS, OPEN, PLACE, arg, finish, machine_of, out_argument, positive, setpoints_of_input
 from twin.errors import InputError
 from twin.files import output_folder, write_json, write_whole
 from twin.progress import Progress
@@ -86,5 +85,4 @@ def carry_out(args: argparse.Namespace) -> None:
         "".join(f"  at the machine, {one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}\n" for one in content["at_the_machine"]),
         end="",
     )
-    print(f"written to {out}: remedy.json, machine.toml, before.toml, motion.parquet, report.html{', control/' if files else ''}")
-    open_report(args, out / "report.html")
+    finish(args, out, f"remedy.json, machine.toml, before.toml, motion.parquet, report.html{', control/' if files else ''}")

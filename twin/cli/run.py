@@ -8,7 +8,7 @@ from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import EFFECT, MACHINE, PLACE, arg, flag, machine_of, open_report, out_argument, positive, seed, setpoints_of_input
+from twin.cli.arguments import EFFECT, MACHINE, PLACE, arg, finish, flag, machine_of, out_argument, positive, seed, setpoints_of_input
 from twin.errors import InputError, SimulationError, one_line
 from twin.files import output_folder, write_json
 from twin.progress import Progress
@@ -104,8 +104,7 @@ def carry_out(args: argparse.Namespace) -> None:
         written.append("run.rrd")
     if args.beside:
         written += _beside(args, machine, setpoints, followed, out)
-    print(f"written to {out}: {', '.join(written)}")
-    open_report(args, out / ("report.html" if args.beside else "run.png"))
+    finish(args, out, f"{', '.join(written)}", ("report.html" if args.beside else "run.png"))
 
 
 def _sample_period(args: argparse.Namespace, machine: Machine) -> float | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import OPEN, THREADS, arg, flag, open_report, out_argument
+from twin.cli.arguments import OPEN, THREADS, arg, finish, flag, out_argument
 from twin.errors import InputError
 from twin.files import shipped_example
 from twin.progress import Progress
@@ -76,5 +76,4 @@ def carry_out(args: argparse.Namespace) -> None:
         number, _, responses, _ = answers.row(answers.best)
         first = answers.minimised
         print(f"\nleast {label_of(first)}: {valued(first, responses[first])} with variant {number}: {answers.design_of(number)}")
-    print(f"written to {out}: {', '.join(name for name in written if not name.startswith('plots/'))}, plots/")
-    open_report(args, out / "report.html")
+    finish(args, out, f"{', '.join(name for name in written if not name.startswith('plots/'))}, plots/")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import EFFECT, GIVEN_MACHINE, MARGINS, OPEN, PLACE, arg, machine_of, open_report, out_argument, setpoints_of_input
+from twin.cli.arguments import EFFECT, GIVEN_MACHINE, MARGINS, OPEN, PLACE, arg, finish, machine_of, out_argument, setpoints_of_input
 from twin.files import output_folder
 from twin.progress import Progress
 
@@ -50,5 +50,4 @@ def carry_out(args: argparse.Namespace) -> None:
         f"{1e6 * textbook.tool.rms:.2f} by the symmetrical optimum, {1e6 * after.tool.rms:.2f} tuned"
     )
     print("\n".join(modes))
-    print(f"written to {out}: machine.toml, report.html")
-    open_report(args, out / "report.html")
+    finish(args, out, "machine.toml, report.html")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import MACHINE, OPEN, arg, machine_of, open_report, positive
+from twin.cli.arguments import MACHINE, OPEN, arg, finish, machine_of, positive
 from twin.files import output_folder, write_json
 from twin.progress import Progress
 
@@ -36,6 +36,5 @@ def carry_out(args: argparse.Namespace) -> int:
     write_json(document, out / "history.json", "history")
     write_history_page(document, out / "report.html")
     print(summary_text(document))
-    print(f"written to {out}: history.sqlite, history.json, report.html")
-    open_report(args, out / "report.html")
+    finish(args, out, "history.sqlite, history.json, report.html")
     return 1 if document["alarm"] else 0
