@@ -102,6 +102,11 @@ def _show(args: argparse.Namespace) -> int:
     return 0
 
 
+CONTROL_FILES = (
+    arg("--control-file", "[AXIS=]FILE", "print what a file of the control compensates already, as tables of a machine file: archive, EEC, CEC, ini, .comp, "
+        ".lis, parameter list (repeatable)", action="append", default=[]),
+    ("--comp-file-type", {"type": int, "choices": (0, 1), "default": 0, "help": "COMP_FILE_TYPE of LinuxCNC compensation files (default 0)"}),
+)  # fmt: skip
 ACTIONS = {
     "new": (
         "create a commented machine file from an MJCF, a URDF or a recording",
@@ -124,18 +129,7 @@ ACTIONS = {
         (
             GIVEN_MACHINE,
             flag("--sinumerik", "print it as machine data of a SINUMERIK 840D with 611D drives"),
-            arg(
-                "--control-file",
-                "[AXIS=]FILE",
-                "print what a file of the control compensates already, as tables of a machine file: archive, EEC, CEC, ini, "
-                ".comp, .lis, parameter list (repeatable)",
-                action="append",
-                default=[],
-            ),
-            (
-                "--comp-file-type",
-                {"type": int, "choices": (0, 1), "default": 0, "help": "COMP_FILE_TYPE of LinuxCNC compensation files (default 0)"},
-            ),
+            *CONTROL_FILES,
         ),
         _show,
     ),

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from twin.cli.arguments import EFFECT, MARGINS, OPEN, PLACE, arg, finish, machine_of, out_argument, positive, setpoints_of_input
+from twin.documents import read_text
 from twin.errors import InputError
 from twin.files import output_folder, write_json, write_whole
 from twin.progress import Progress
