@@ -36,19 +36,8 @@ _MEANS: dict[str, set[str]] = {}
 for _role, _listed in _WORDS.items():
     for _word in _listed.split():
         _MEANS.setdefault(_word, set()).add(_role)
-_LETTERS = {
-    "s": "pos",
-    "q": "pos",
-    "qd": "vel",
-    "qdd": "acceleration",
-    "v": "vel",
-    "n": "vel",
-    "i": "current",
-    "m": "torque",
-    "tau": "torque",
-    "u": "voltage",
-    "a": "acceleration",
-}
+_LETTERS = {"s": "pos", "q": "pos", "qd": "vel", "qdd": "acceleration", "v": "vel", "n": "vel", "i": "current", "m": "torque", "tau": "torque",
+            "u": "voltage", "a": "acceleration"}  # fmt: skip
 """Letters for a quantity; valid only beside a word for set point, actual value or feedforward."""
 _QUANTITIES = ("pos", "vel", "current", "torque", "voltage", "acceleration")
 
@@ -76,15 +65,8 @@ _PARTS = (
 _COMPOUND = re.compile(rf"(?:{'|'.join(_PARTS)}){{2,}}", re.IGNORECASE)
 """German compounds: Lagesollwert, Istdrehzahl, Motorstrom."""
 _PART = re.compile("|".join(_PARTS), re.IGNORECASE)
-_STEMS = {
-    "geschwindigkeits": "geschwindigkeit",
-    "drehmomenten": "drehmoment",
-    "momenten": "moment",
-    "positions": "position",
-    "beschleunigungs": "beschleunigung",
-    "spannungs": "spannung",
-    "achs": "achse",
-}
+_STEMS = {"geschwindigkeits": "geschwindigkeit", "drehmomenten": "drehmoment", "momenten": "moment", "positions": "position",
+          "beschleunigungs": "beschleunigung", "spannungs": "spannung", "achs": "achse"}  # fmt: skip
 _AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
 
 

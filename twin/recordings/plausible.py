@@ -21,31 +21,27 @@ FITS = 0.5
 SHARP = 0.9
 """Above this squared correlation any ratio other than 1 is reported."""
 
-# ratio of recorded to expected values -> probable mistake
-_MISTAKES = {
-    1000.0: "a unit 1000 times too large (mm taken as m, or a time in ms as s?)",
-    1e-3: "a unit 1000 times too small (m taken as mm, or a time in s as ms?)",
-    60.0: "recorded per minute, taken as per second?",
-    1.0 / 60.0: "recorded per second, taken as per minute?",
-    60e3: "recorded in mm/min, taken as m/s?",
-    1.0 / 60e3: "recorded in m/s, taken as mm/min?",
+_SWAPPED = {
+    "both": ((60.0, "", "per minute", "per second"), (60e3, "in ", "mm/min", "m/s")),
+    "linear": ((0.06, "in ", "m/min", "mm/s"), (25.4, "in ", "mm", "inch")),
+    "rotary": ((180.0 / math.pi, "in ", "degrees", "radians"), (1.0 / 6.0, "in ", "rev/min", "deg/s")),
 }
-_MISTAKES_OF = {
-    "linear": {
-        0.06: "recorded in m/min, taken as mm/s?",
-        1.0 / 0.06: "recorded in mm/s, taken as m/min?",
-        25.4: "recorded in mm, taken as inch?",
-        1.0 / 25.4: "recorded in inch, taken as mm?",
-    },
-    "rotary": {
-        180.0 / math.pi: "recorded in degrees, taken as radians?",
-        math.pi / 180.0: "recorded in radians, taken as degrees?",
-        2.0 * math.pi: "radians and turns mixed?",
-        1.0 / (2.0 * math.pi): "radians and turns mixed?",
-        1.0 / 6.0: "recorded in rev/min, taken as deg/s?",
-        6.0: "recorded in deg/s, taken as rev/min?",
-    },
-}
+"""Recorded in the first unit, taken as the second, by the ratio of recorded to expected values; the other way round by its inverse."""
+
+
+def _mistakes(kind: str) -> dict[float, str]:
+    """Probable mistakes on an axis of this kind by the ratio of recorded to expected values; 1: none."""
+    out = {
+        1.0: "",
+        1000.0: "a unit 1000 times too large (mm taken as m, or a time in ms as s?)",
+        1e-3: "a unit 1000 times too small (m taken as mm, or a time in s as ms?)",
+        **(dict.fromkeys((2.0 * math.pi, 0.5 / math.pi), "radians and turns mixed?") if kind == "rotary" else {}),
+    }
+    for ratio, word, one, other in (*_SWAPPED["both"], *_SWAPPED[kind]):
+        out |= {ratio: f"recorded {word}{one}, taken as {other}?", 1.0 / ratio: f"recorded {word}{other}, taken as {one}?"}
+    return out
+
+
 _FASTEST = {"linear": 20.0, "rotary": 2.0 * math.pi * 50.0}  # m/s, rad/s
 _LONGEST = {"linear": 50.0, "rotary": 1e5}  # m, rad
 _SHORTEST = {"linear": 5e-6, "rotary": 1e-5}
@@ -119,7 +115,7 @@ def _mistake(ratio: float, fit: float, kind: str, loose: bool) -> str:
     """Text for a ratio, "" for 1. `loose`: a position may follow its set point with a smaller amplitude."""
     size = abs(ratio)
     sign = "it runs the other way: sign = -1?" if ratio < 0.0 else ""
-    known = {**_MISTAKES, **_MISTAKES_OF[kind], 1.0: ""}
+    known = _mistakes(kind)
     nearest = min(known, key=lambda factor: abs(math.log(size / factor)))
     if abs(size / nearest - 1.0) <= TOLERANCE:
         text = f"{known[nearest]} correct unit or scale" if known[nearest] else ""
