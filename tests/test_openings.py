@@ -20,13 +20,15 @@ ALLOWED = {
     "cli/exam.py": {"read_bytes": 2},  # the machine file that is asked for
     "cli/import_recordings.py": {"read_text": 1},  # a map that it would write over
     "recordings/proposed.py": {"read_text": 1},  # a map that it would write over
+    "cli/remedy.py": {"read_text": 1},  # by documents.py: a file that the control saved
+    "remedy/files/existing.py": {"read_text": 1},  # by documents.py: a file of the control
     "cli/parser.py": {"open": 1},  # os.devnull
     "compiled_functions.py": {"read_bytes": 3},  # the package's own source
     "desk/entries.py": {"open": 1},  # the first lines of a page below the folder that it serves
     "desk/server.py": {"open": 1},  # pages and results below the folder that it serves
     "files.py": {"open": 2},  # the lock of a folder, and a file that was just written; both by descriptor
     "system.py": {"open": 5, "read_text": 1},  # folders and outputs by descriptor; what is written into a pipe; limits of a container
-    "documents.py": {"read_text": 1, "tomllib.loads": 1, "json.loads": 1},  # the one reader of TOML and the one of JSON
+    "documents.py": {"read_text": 3, "tomllib.loads": 1, "json.loads": 1},  # the one reader of TOML and the one of JSON
     "effects/user_files.py": {"exec_module": 1},  # effects that --effects names: code of the user's own
     "exam/answer.py": {"read_bytes": 3},  # what the examination wrote, against its seal
     "exam/mark.py": {"read_text": 1},  # what the examination wrote
