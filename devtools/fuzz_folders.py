@@ -305,7 +305,7 @@ def desk(seed: int, folder: Path) -> str:
 
 def started(words: Any) -> Any:
     """Stands in for a command that the desk starts."""
-    return subprocess.Popen([sys.executable, "-c", ""], stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
 def all_kinds() -> dict[str, Case]:

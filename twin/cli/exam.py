@@ -38,13 +38,14 @@ def carry_out(args: argparse.Namespace) -> int:
 
         return detectability_command(args)
     from twin.exam.mark import mark
-    from twin.exam.questions import questions_of
+    from twin.exam.questions import STRATA, questions_of
     from twin.exam.report import write_exam_report
     from twin.exam.score import is_failed, score
     from twin.exam.session import TRUTHS, draw, each, is_answered, processes, same_examination, seal, sit, sources, truths_text, unseal
     from twin.progress import Progress
 
-    _check(args)
+    if args.only not in (None, *(kinds := [s.name for s in STRATA])):
+        raise InputError(f"--only {args.only}: unknown kind of case; {nearest(args.only, kinds)}")
     machine_file, machine_name, machine_digest = _machine_of(args)
     out = output_folder(Path(args.out).resolve())
     questions = questions_of(args.seed, args.cases, args.short, args.only)
@@ -92,14 +93,6 @@ def carry_out(args: argparse.Namespace) -> int:
     return int(any(is_failed(t) for t in scored["targets"]))
 
 
-def _check(args: argparse.Namespace) -> None:
-    """Refuse options out of range."""
-    from twin.exam.questions import STRATA
-
-    if args.only not in (None, *(s.name for s in STRATA)):
-        raise InputError(f"--only {args.only}: unknown kind of case; {nearest(args.only, [s.name for s in STRATA])}")
-
-
 def _machine_of(args: argparse.Namespace) -> tuple[str, str, str]:
     """(file, name, digest) of the machine; InputError if the second plant cannot be built from it."""
     from twin.exam.draw import what_lacks
@@ -120,28 +113,21 @@ def _machine_of(args: argparse.Namespace) -> tuple[str, str, str]:
 
 def summary(document: dict) -> str:
     """The score as a table for the terminal."""
-    from twin.exam.report import counted
-    from twin.exam.score import target_text, target_word, value_text
+    from twin.exam.report import counted, target_table
     from twin.simulation.summary import table
 
     s = document["score"]
-    rows = []
-    for t in s["targets"]:
-        if "value" not in t:
-            rows.append([t["what"], "not asked", target_text(t["target"]), ""])
-            continue
-        value = f"{t['right']} of {t['of']} ({t['value']:.0%})" if "right" in t else f"{value_text(t)} (of {t['of']})"
-        rows.append([t["what"], value, target_text(t["target"]), target_word(t)])
-    lines = [table(["", "measured", "target", ""], rows, left=1)]
+    targets = target_table(s["targets"])
     strata = [[name, str(r["cases"]), *(str(r[k]) for k in ("first", "exact", "place"))] for name, r in s["strata"].items()]
-    lines.append(table(["stratum", "cases", "first", "exact", "axis and block"], strata, left=1))
-    lines.append(f"{counted(document)}; macro F1 {s['macro_f1']:.2f}; {s['failed']} could not be diagnosed")
+    lines = [
+        table(targets.heading, targets.rows, left=1),
+        table(["stratum", "cases", "first", "exact", "axis and block"], strata, left=1),
+        f"{counted(document)}; macro F1 {s['macro_f1']:.2f}; {s['failed']} could not be diagnosed",
+    ]
     gap, same = s["gap"], s["same_parameters"]
     if gap["before"] is not None:
-        lines.append(
-            "gap over noise on the exam runs, medians: "
-            + ", ".join(f"{k.replace('_', ' ')} {gap[k]:.3g}" for k in gap if gap[k] and k != "unit")
-        )
+        shown = ", ".join(f"{k.replace('_', ' ')} {gap[k]:.3g}" for k in gap if gap[k] and k != "unit")
+        lines.append(f"gap over noise on the exam runs, medians: {shown}")
     if same["level"] is not None:
         lines.append(f"twin against plant with the same parameters and effects: {same['level']:.3g} times noise ({same['cases']} cases)")
     return "\n\n".join(lines)

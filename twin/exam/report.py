@@ -36,7 +36,7 @@ def sections_of(document: Document) -> list[Section]:
     """All sections with content."""
     s, marks = document["score"], document["marks"]
     same = s["same_parameters"]
-    sections = [Section("Score against the targets", figures=[_targets(s["targets"])], tables=[_target_table(s["targets"])])]
+    sections = [Section("Score against the targets", figures=[_targets(s["targets"])], tables=[target_table(s["targets"])])]
     if s["confusion"]:
         sections.append(Section("Confusion matrix", figures=[_confusion(s["confusion"])]))
     if singles(marks):
@@ -91,7 +91,8 @@ def _asked(targets: Sequence[Document]) -> list[Document]:
     return [t for t in targets if "value" in t]
 
 
-def _target_table(targets: Sequence[Document]) -> Table:
+def target_table(targets: Sequence[Document]) -> Table:
+    """Each target with what was measured."""
     rows = []
     for t in targets:
         value = "not asked" if "value" not in t else f"{t['right']} of {t['of']}" if "right" in t else f"{value_text(t)} (of {t['of']})"

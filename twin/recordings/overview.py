@@ -27,7 +27,7 @@ def understood_table(known: Understood, traces: Sequence[Written]) -> str:
     rows = []
     for channel in known.channels:
         key = channel.key if channel.key in traces[0].units else (channel.key[0], "position")
-        low, high = min(t.low[key] for t in traces), max(t.high[key] for t in traces)
+        low, high = min(t.curve(key).min() for t in traces), max(t.curve(key).max() for t in traces)
         rows.append(
             [
                 channel.column.name,

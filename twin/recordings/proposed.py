@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import tempfile
-from typing import Any
 
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.map_text import map_text
 from twin.recordings.mapping import Map
 from twin.recordings.overview import proposal_table
 from twin.recordings.propose import Proposal, propose
-from twin.recordings.signals import Clock, ReadOptions, Recording
+from twin.recordings.signals import Clock, ReadOptions
 
 
 @dataclass(frozen=True)
@@ -35,13 +34,6 @@ class FilesProposal:
         return ""
 
 
-def read_all(files: Sequence[Path], scratch: str, clock: Clock | None = None, dialect: Mapping[str, Any] | None = None) -> list[Recording]:
-    """All columns of all files, without a map. `clock` and `dialect`: what the user gives where a file has no time or no heading."""
-    return [
-        read_recording(path, ReadOptions(clock or Clock(), None, Path(scratch) / str(i), dialect or {})) for i, path in enumerate(files)
-    ]
-
-
 def proposal_of(
     files: Sequence[Path], clock: Clock | None = None, dialect: Mapping[str, object] | None = None, given: Map | None = None
 ) -> FilesProposal:
@@ -50,7 +42,8 @@ def proposal_of(
     clock = clock or (given.clock if given else None)
     dialect = {**(given.dialect if given else {}), **(dialect or {})}
     with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
-        recordings = read_all(files, scratch, clock, dialect)
+        options = [ReadOptions(clock or Clock(), None, Path(scratch) / str(i), dialect) for i in range(len(files))]
+        recordings = [read_recording(path, own) for path, own in zip(files, options)]
         proposal = propose(recordings, given)
         heads = [f"{r.path}: {'; '.join(r.notes) or r.format}" for r in recordings]
         return FilesProposal(

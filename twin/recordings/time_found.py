@@ -81,19 +81,15 @@ def with_time(recordings: Sequence[Recording], time: TimeFound | None) -> list[R
     """The recordings with the times that were found, where the file does not state them."""
     out = []
     for recording in recordings:
-        source = recording.source
-        if time is None or not time.known or (source.known and not (source.assumed and time.column == source.column)):
-            out.append(recording)
-        elif source.known:
-            factor = RECORDED_UNITS[time.unit][1] / RECORDED_UNITS[source.unit][1]
-            out.append(replace(recording, signals={n: _timed(s, s.time, factor) for n, s in recording.signals.items()}))
-        elif time.column:
-            column = recording.signals.get(time.column)
-            factor = RECORDED_UNITS[time.unit][1]
-            kept = {n: s for n, s in recording.signals.items() if n != time.column}
-            out.append(replace(recording, signals={n: _timed(s, column.values, factor) for n, s in kept.items()} if column else kept))
-        else:
-            out.append(replace(recording, signals={n: _timed(s, s.time, time.interval_s or 0.0) for n, s in recording.signals.items()}))
+        source, signals = recording.source, dict(recording.signals)
+        if time is not None and time.known and (not source.known or (source.assumed and time.column == source.column)):
+            # by the unit of the column that the reader took, by another column, or by the interval of the rows
+            factor = RECORDED_UNITS[time.unit][1] if time.column else time.interval_s or 0.0
+            factor /= RECORDED_UNITS[source.unit][1] if source.known else 1.0
+            column = None if source.known or not time.column else signals.pop(time.column, None)
+            if source.known or not time.column or column is not None:
+                signals = {n: _timed(s, s.time if column is None else column.values, factor) for n, s in signals.items()}
+        out.append(replace(recording, signals=signals))
     return out
 
 

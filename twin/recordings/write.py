@@ -30,15 +30,13 @@ POINTS = 3000
 
 @dataclass
 class Written:
-    """A written trace: name, start time, range of each signal in the written unit, and curves for the picture."""
+    """A written trace: name, start time, and thinned curves of each signal in the written unit, which keep its smallest and largest sample."""
 
     name: str
     started_at_s: float
     feedforward: str | None
     piece: Piece
     units: dict[tuple[str, str], str]
-    low: dict[tuple[str, str], float] = field(default_factory=dict)
-    high: dict[tuple[str, str], float] = field(default_factory=dict)
     curves: dict[tuple[str, str], list[np.ndarray]] = field(default_factory=dict)
     times: list[np.ndarray] = field(default_factory=list)
 
@@ -83,10 +81,7 @@ def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float
                 if (shown := next(((axis, s) for s in ("position", "motor_position") if (axis, s) in block), None)) is not None:
                     result.curves.setdefault((axis, ERROR), []).append(_thinned(block[axis, "setpoint"] - block[shown], part)[1])
             for key in keys:
-                values = columns[headings[key]]
-                result.low[key] = min(result.low.get(key, np.inf), float(values.min()))
-                result.high[key] = max(result.high.get(key, -np.inf), float(values.max()))
-                result.curves.setdefault(key, []).append(_thinned(values, part)[1])
+                result.curves.setdefault(key, []).append(_thinned(columns[headings[key]], part)[1])
     return result
 
 
