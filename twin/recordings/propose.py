@@ -191,7 +191,7 @@ def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[s
 
     def motion(recording: Recording) -> tuple[int, float]:
         own = [recording.signals[n] for n in names if n in recording.signals and _timed(recording.signals[n])]
-        return len(own), sum(float(np.ptp(s.head)) for s in own)
+        return len(own), sum(float(np.ptp(fine)) for s in own if len(fine := s.head[np.isfinite(s.head)]))
 
     ranked = sorted(recordings, key=motion, reverse=True)
     found = (next((r.signals[n] for r in ranked if n in r.signals and _timed(r.signals[n])), None) for n in names)

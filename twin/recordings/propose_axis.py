@@ -47,7 +47,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     sound = []
     for one in signals:
         if bad := one.impossible():
-            place = f"holds {bad[1]:g} at sample {bad[0] + 1}: repair it"
+            place = f"holds {bad[1]} at sample {bad[0] + 1}: repair it"
             meaning = meanings.get(one.name)
             if meaning is None:
                 out.unused[one.name] = place

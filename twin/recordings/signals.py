@@ -63,13 +63,13 @@ class Signal:
         """Values of the first block."""
         return np.asarray(self.values[0:BLOCK], float)
 
-    def impossible(self) -> tuple[int, float] | None:
-        """(row, value) of the first NaN, infinite or impossible value."""
+    def impossible(self) -> tuple[int, str] | None:
+        """(row, value as text) of the first NaN, infinite or impossible value."""
         for start in range(0, len(self.values), BLOCK):
             values = np.asarray(self.values[start : start + BLOCK], float)
             if (bad := ~(np.abs(values) < IMPOSSIBLE_VALUE)).any():
                 row = int(np.argmax(bad))
-                return start + row, float(values[row])
+                return start + row, "NaN" if np.isnan(values[row]) else f"{values[row]:g}"
         return None
 
 

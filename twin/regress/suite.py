@@ -192,7 +192,7 @@ def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
     if not isinstance(name, str) or not _NAME.match(name):
         raise InputError(f"{file}: case {index + 1}: name = {name!r}; give a name of letters, digits, '_', '-' or '.'")
     case = Case(name, str(kind), file, table)
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{case.where}: kind = {kind!r}; {nearest(kind, KINDS)}")
     keys, sources, others = KINDS[kind]
     if wrong := next((key for key in table if key not in (*keys, *sources)), None):

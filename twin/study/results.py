@@ -109,8 +109,10 @@ class Answers:
         return reasons.most_common(1)[0][0] if reasons else ""
 
     def row(self, number: int) -> Row:
-        """The row of a variant."""
-        return next(row for row in self.rows if row[0] == number)
+        """The row of a variant. Raises InputError if a damaged file lacks it."""
+        if (found := next((row for row in self.rows if row[0] == number), None)) is None:
+            raise InputError(f"variant {number}: its row is missing in the file of the study; give another --out, or run it again")
+        return found
 
     def document(self) -> dict[str, Any]:
         """The content of study.json."""
