@@ -90,7 +90,7 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
         for machine in machines:
             runs.append(simulate(machine.with_feedforward(program.feedforward if program else None), trace).trace)
             bar(None)
-    comparison = compare(*runs, machines[0], names=names)
+    comparison = compare(runs[0], runs[1], machines[0], names=names)
     print(f"{comparison.verdict}\n{comparison.table()}")
     write_comparison_page(comparison, out / "report.html", f"{first}, {second} on {args.input}", numbers)
     write_side_by_side(out / "compare.rrd", {name: (machine, run) for name, machine, run in zip(names, machines, runs)})

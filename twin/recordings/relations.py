@@ -186,9 +186,9 @@ def whole(values: np.ndarray) -> bool:
 
 def even_step(values: np.ndarray) -> float | None:
     """Step of a column that increases evenly from its first to its last row."""
-    steps = np.diff(values)
-    if len(steps) < 10:
+    if len(values) <= 10 or not np.all(np.isfinite(values)):
         return None
+    steps = np.diff(values)
     usual = float(np.median(steps))
     even = usual > 0.0 and float(np.abs(steps - usual).max()) <= EVEN * usual
     return usual if even else None

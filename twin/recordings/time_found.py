@@ -119,4 +119,4 @@ def _timed(signal: Signal, time: Column | None, factor: float) -> Signal:
 
 def _counts_rows(values: np.ndarray) -> bool:
     """True for 0, 1, 2, ... from any number on."""
-    return len(values) > 2 and bool(np.all(np.diff(values) == 1.0))
+    return len(values) > 2 and bool(np.all(np.isfinite(values)) and np.all(np.diff(values) == 1.0))

@@ -183,8 +183,8 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         assert signal.time is not None
         # the reader of text has checked every cell
         if recording.format != "CSV" and (bad := signal.impossible()) is not None:
-            place = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
-            raise InputError(f"{place} holds {bad[1]}; repair it, or leave the column out")
+            where = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
+            raise InputError(f"{where} holds {bad[1]}; repair it, or leave the column out")
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
             notes += [n for n in timing.notes if n not in notes]
