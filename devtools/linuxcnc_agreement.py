@@ -29,6 +29,7 @@ MESSAGES_ONLY = {"machine-coord-params", "rotation/abs-pts"}
 """Tests whose script keeps only the messages."""
 PRINTED = 0.5e-4
 """Half of the last digit that LinuxCNC prints, in its unit."""
+KIND_NAMES = ("rapid", "line", "arc", "dwell")
 CLOSE = 1e-6
 """Beyond that, agreement is to this [program unit]."""
 INCH = 25.4e-3
@@ -144,7 +145,7 @@ def differences(expected: Canon, found: Canon) -> str:
     for k, (a, b) in enumerate(zip(theirs, mine)):
         unit = a[4]
         if a[0] != b[0]:
-            return f"move {k}: kind {mv.KIND_NAMES[a[0]]}, here {mv.KIND_NAMES[b[0]]} ({np.round(b[1], 4)})"
+            return f"move {k}: kind {KIND_NAMES[a[0]]}, here {KIND_NAMES[b[0]]} ({np.round(b[1], 4)})"
         if np.abs(a[1] - b[1]).max() > 3.0 * (PRINTED * unit + CLOSE):
             return f"move {k}: end {np.round(a[1], 4)}, here {np.round(b[1], 4)}"
         if a[0] != mv.RAPID and abs(a[3] - b[3]) > PRINTED * unit + CLOSE * max(1.0, a[3]) + 1e-6 * abs(a[3]):

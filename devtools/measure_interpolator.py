@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 from tests.builders.random_programs import check, random_program  # noqa: E402
 from tests.builders.second_planner import fastest_time, only_stretch  # noqa: E402
 from twin.machine.machine import load_machine  # noqa: E402
-from twin.program import axis_path, interpolate, interpolator, lookahead, read_program, sampling  # noqa: E402
+from twin.program import interpolate, interpolator, lookahead, read_program, sampling  # noqa: E402
 from twin.program.stretches import great_circle_rows, stretch_of, stretches  # noqa: E402
 
 
@@ -76,9 +76,7 @@ def planned_time(program, machine) -> float:  # type: ignore[no-untyped-def]
     """Time of the law of the only moving stretch, before it is cut into cycles."""
     starts = program.starts()
     (stretch,) = [s for a, b in stretches(program) if (s := stretch_of(program, starts, a, b, great_circle_rows(program, starts)))]
-    frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
-    feeds = interpolator.feeds_of(program, stretch)
-    law = lookahead.plan(interpolator.spline_of(program, stretch), stretch.elements, frames, interpolator.limits_of(machine), feeds)
+    law = lookahead.plan(interpolator.way_of(program, machine, stretch))
     return float(sampling.node_times(law.nodes, law.a, law.slope)[-1])
 
 
@@ -123,7 +121,7 @@ def over_toppra(machine, folder: Path, blocks: int, feed: float, steep: bool) ->
 
     program = read_program(written(folder, cam_polyline(blocks, feed, steep)), machine)
     trace = interpolate(program, machine)
-    spline, *_ = only_stretch(program)
+    spline, *_ = only_stretch(program, machine)
     u = np.unique(np.concatenate([spline.t, np.linspace(0.0, spline.t[-1], 4000)]))
     piece = np.clip(np.searchsorted(spline.t, u, side="right") - 1, 0, len(spline.t) - 2)
     x = (u - spline.t[piece])[:, None]

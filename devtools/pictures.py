@@ -152,9 +152,31 @@ def watch() -> None:
     save_png(sparklines(json.loads(Path("out/watch/history/history.json").read_text(encoding="utf-8"))), PICTURES / "watch.png", 90)
 
 
+def plot_budget(budget, path: Path, title: str) -> None:  # type: ignore[no-untyped-def]
+    """The errors of both levels [um] over path length [mm], one panel below the other."""
+    from twin.program.budget import QUANTITIES
+    from twin.report.figure import AMBER, BLUE, new_figure, save_png
+
+    figure, grid = new_figure(2, 1, height=2.8, sharex=True)
+    length = budget.path_length * 1e3
+    groups = (("level 1: interpolator", ("rounding", "chord")), ("level 2: drives; and what the part sees", ("drives", "contour")))
+    for axes, (name, quantities) in zip(grid[:, 0], groups):
+        for quantity, colour in zip(quantities, (BLUE, AMBER)):
+            words = QUANTITIES[quantity][1].replace(", ", ",\n")
+            axes.plot(length, getattr(budget, quantity) * 1e6, color=colour, linewidth=1.1, label=f"{quantity}:\n{words}")
+        axes.set_ylabel("error in um")
+        axes.set_title(name, loc="left", weight="bold")
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.01)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8.5)
+    grid[1, 0].set_xlabel("programmed path length in mm")
+    figure.suptitle(title)
+    save_png(figure, path)
+
+
 def program() -> None:
     """Feed over the path and error budget of two example programs."""
-    from twin.program import error_budget, interpolate, plot_budget, plot_feed, read_program
+    from twin.program import error_budget, interpolate, plot_feed, read_program
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of
 

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from twin.machine.machine import Machine as Machine
     from twin.machine.machine import load_machine as load_machine
     from twin.machine.machine import write_machine as write_machine
-    from twin.program.set_points import interpolate as interpolate
+    from twin.program.interpolator import interpolate as interpolate
     from twin.recordings.campaign import Campaign as Campaign
     from twin.recordings.campaign import read_campaign as read_campaign
     from twin.recordings.trace import Trace as Trace
@@ -78,7 +78,7 @@ _PLACES = {
     "add_effects": "effects.change",
     "cut": "surface.machining",
     "gap": "simulation.campaign_gap",
-    "interpolate": "program.set_points",
+    "interpolate": "program.interpolator",
     "load_machine": "machine.machine",
     "read_campaign": "recordings.campaign",
     "read_trace": "recordings.trace",

@@ -102,7 +102,7 @@ def check(text: str, folder: Path, machine: Machine) -> Finding:
         stretch = stretch_of(program, starts, first, last, circles)
         if stretch is None:
             continue
-        spline = interpolator.spline_of(program, stretch)
+        spline = interpolator.way_of(program, machine, stretch).spline
         ends = max(ends, _block_ends(stretch, spline))
         h, c = np.diff(spline.t)[:, None], spline.c
         for power in range(3):
@@ -126,8 +126,10 @@ def _block_ends(stretch, spline: blend.Spline) -> float:  # type: ignore[no-unty
     x = np.diff(spline.t)[:, None] * share
     fine = sum(spline.c[:, k, None, :] * x[..., None] ** k for k in range(4)).reshape(-1, 5)
     length = np.append((spline.t[:-1, None] + x).ravel(), spline.t[-1])
-    fine = np.vstack([fine, stretch.elements.end[-1]])
-    joints = stretch.elements.end[:-1]
+    e = stretch.elements
+    ends = e.base + e.step
+    ends[:, :3] += np.cos(e.angle)[:, None] * e.radius1 + np.sin(e.angle)[:, None] * e.radius2
+    fine, joints = np.vstack([fine, ends[-1]]), ends[:-1]
     if not len(joints):
         return 0.0
     reach = 8.0 * np.diff(spline.t).max()

@@ -15,15 +15,13 @@ from twin.program import axis_path, elements, interpolator
 from twin.program.stretches import great_circle_rows, stretch_of, stretches
 
 
-def only_stretch(program):
-    """Spline, elements, frames and feeds of a program without a stop in between."""
+def only_stretch(program, machine):
+    """The input of the time law of a program without a stop in between."""
     starts = program.starts()
     (first, last), *more = stretches(program)
     assert not more
     stretch = stretch_of(program, starts, first, last, great_circle_rows(program, starts))
-    frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
-    feeds = interpolator.feeds_of(program, stretch)
-    return interpolator.spline_of(program, stretch), stretch.elements, frames, feeds
+    return interpolator.way_of(program, machine, stretch)
 
 
 def jets_at(spline, frames, at):
@@ -40,8 +38,7 @@ def jets_at(spline, frames, at):
 
 def fastest_time(program, machine, nodes: int = 300, per_piece: int = 4, rounds: int = 40) -> float:
     """Time [s] of the fastest motion found along the path of the program."""
-    spline, e, frames, feeds = only_stretch(program)
-    limits = interpolator.limits_of(machine)
+    spline, e, frames, limits, feeds = only_stretch(program, machine)
     total = spline.t[-1]
     # dense at both ends like t^3, and a few nodes in each piece of the spline
     t = np.linspace(0.0, 1.0, nodes)

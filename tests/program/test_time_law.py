@@ -15,13 +15,13 @@ from twin.program import axis_path, blend, interpolate, interpolator, lookahead,
 from twin.program import elements as el
 
 
-def ramp(change: float, limits: lookahead.Limits) -> float:
+def ramp(change: float, limits: nodes.Limits) -> float:
     """Time of a change of the speed of X from and to constant speed."""
     peak = min(limits.acceleration[0], math.sqrt(change * limits.jerk[0]))
     return change / peak + peak / limits.jerk[0] if change > 0.0 else 0.0
 
 
-def section_time(way: float, begin: float, end: float, most: float, limits: lookahead.Limits) -> float | None:
+def section_time(way: float, begin: float, end: float, most: float, limits: nodes.Limits) -> float | None:
     """Time of a way between two constant speeds at no more than `most`; None if it is too short to get from one to the other."""
 
     def needed(peak: float) -> float:
@@ -38,7 +38,7 @@ def section_time(way: float, begin: float, end: float, most: float, limits: look
     return ramp(low - begin, limits) + ramp(low - end, limits) + (way - needed(low)) / low
 
 
-def two_section_time(ways: np.ndarray, speeds: np.ndarray, limits: lookahead.Limits) -> float:
+def two_section_time(ways: np.ndarray, speeds: np.ndarray, limits: nodes.Limits) -> float:
     """Time over two ways from rest to rest that passes their joint at constant speed: a motion within all limits, seldom the fastest."""
 
     def total(joint: float) -> float | None:
@@ -62,11 +62,11 @@ def planned(ways: np.ndarray, speeds: np.ndarray, machine: Machine) -> tuple[loo
     points = np.zeros((3, 5))
     points[:, 0] = u
     none = np.zeros((2, 3))
-    elements = el.Elements(u, np.zeros(2, np.int64), points[:-1].copy(), points[1:].copy(), none, none, none, np.zeros(2))
-    feeds = lookahead.Feeds(speeds, np.zeros(2, bool))
+    elements = el.Elements(u, points[:-1].copy(), np.diff(points, axis=0), none, none, np.zeros(2))
+    feeds = nodes.Feeds(speeds, np.zeros(2, bool))
     spline = nodes.split_at_feeds(blend.blend(elements, np.full(3, 1e-5), np.full(3, 1e-3), np.zeros(3))[0], elements, feeds)
     frames = axis_path.frames_of(kinematics_of(machine, sites_needed=False), False)
-    law = lookahead.plan(spline, elements, frames, interpolator.limits_of(machine), feeds)
+    law = lookahead.plan(nodes.Way(spline, elements, frames, interpolator.limits_of(machine), feeds))
     return law, sampling.node_times(law.nodes, law.a, law.slope), spline, frames
 
 
@@ -74,7 +74,7 @@ def samples(law, times, spline, frames, period: float):  # type: ignore[no-untyp
     """X and its speed along the path at each period."""
     count = math.ceil(times[-1] / period) + 1
     axes, u, tip, turn = np.empty((count, 5)), np.empty(count), np.empty(count), np.empty(count)
-    sampling.sample(spline, frames, law.nodes, law.piece, law.a, law.slope, times, 1.0, 0, period, count, axes, u, tip, turn)
+    sampling.sample(spline, frames, law, times, 1.0, 0, period, (axes, u, tip, turn))
     return axes, u, tip
 
 
@@ -155,8 +155,8 @@ def test_a_jump_of_the_set_points_is_reported(tmp_path: Path, monkeypatch: pytes
 
     def jumping(*given: object) -> None:
         plain(*given)
-        axes = given[11]
-        axes[len(axes) // 2 :, 0] += 1e-6  # type: ignore[index]
+        axes = given[7][0]  # type: ignore[index]
+        axes[len(axes) // 2 :, 0] += 1e-6
 
     monkeypatch.setattr(sampling, "sample", jumping)
     with pytest.raises(TwinError, match=r"line 3: the set points of the moves to line 4 exceed a limit .* report this program"):

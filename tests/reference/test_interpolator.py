@@ -14,7 +14,7 @@ from devtools import measure_interpolator as measure
 from tests.builders.random_programs import check, random_program
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.program import error_budget, interpolate, interpolator, lookahead, read_program
+from twin.program import error_budget, interpolate, interpolator, lookahead, nodes, read_program
 from twin.recordings.trace import Trace, joined, read_trace, written
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,8 +79,8 @@ def test_set_points_keep_the_limits_for_any_planned_law(
 ) -> None:
     plain = lookahead.plan
 
-    def for_a_faster_machine(s, e, f, limits, feeds, *_given, **_named):  # type: ignore[no-untyped-def]
-        return plain(s, e, f, lookahead.Limits(*(factor * limit for limit in limits)), feeds)
+    def for_a_faster_machine(way, *_given, **_named):  # type: ignore[no-untyped-def]
+        return plain(way._replace(limits=nodes.Limits(*(factor * limit for limit in way.limits))))
 
     monkeypatch.setattr(lookahead, "plan", for_a_faster_machine)
     trace = interpolate(read_program(write(tmp_path, "G1 X0.3 F20000\nX0\n"), mikron), mikron)
@@ -117,22 +117,22 @@ def test_slow_moves_use_no_more_nodes_per_set_point_than_fast_ones(
     mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # each move turns the tool axis, so the path of the axes is curved throughout although only the feed limits the speed
-    nodes: list[int] = []
+    counts: list[int] = []
     plain = lookahead.grid
 
     def counted(*given: object) -> tuple[np.ndarray, ...]:
         found = plain(*given)
-        nodes.append(len(found[0]))
+        counts.append(len(found[0]))
         return found
 
     monkeypatch.setattr(lookahead, "grid", counted)
     cost = []
     for feed in (2000, 200, 20):
-        nodes.clear()
+        counts.clear()
         moves = "X30 Y20 A3=0.1 B3=0.1 C3=1\nX0 Y0 A3=0.1 B3=-0.1 C3=1\nX10 A3=0 B3=0 C3=1\n"
         text = f"TRAORI\nCYCLE832(0.01,3)\nG0 X0 Y0 Z60 A3=0 B3=0 C3=1\nG1 F{feed}\n{moves}"
         count = len(interpolate(read_program(write(tmp_path, text), mikron), mikron).time)
-        cost.append(sum(nodes) / count)
+        cost.append(sum(counts) / count)
     assert cost[0] < 2.0
     assert cost[1] < 0.5 * cost[0]
     assert cost[2] < 0.1 * cost[0]
@@ -192,16 +192,13 @@ def test_brisk_is_faster_than_soft(mikron: Machine, tmp_path: Path) -> None:
     assert np.abs(np.diff(brisk.get("X", "setpoint"), 2)).max() / brisk.period**2 <= mikron.axis("X").max_acceleration * 1.001
 
 
-@pytest.mark.parametrize("cycle", ["position", "interpolation"])
-def test_set_points_written_in_blocks_equal_those_of_the_whole(
-    mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cycle: str
-) -> None:
+def test_set_points_written_in_blocks_equal_those_of_the_whole(mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = "G1 X20 Y5 F3000\nG4 F0.7\nG60 X0\nX1\nX2\nG64 X30 Y20\nX0 Y0\n"
     program = read_program(write(tmp_path, text), mikron)
-    whole = interpolate(program, mikron, cycle=cycle)
+    whole = interpolate(program, mikron)
     monkeypatch.setattr(interpolator, "BLOCK", 101)
-    blocks = list(interpolator.set_point_blocks(program, mikron, cycle=cycle))
-    assert len(blocks) > (3 if cycle == "interpolation" else 5)
+    blocks = list(interpolator.set_point_blocks(program, mikron))
+    assert len(blocks) > 5
     assert max(len(block.time) for block in blocks) <= 2 * 101
     parts = joined(blocks)
     assert np.array_equal(parts.time, whole.time)
@@ -218,13 +215,6 @@ def test_hours_of_set_points_need_the_memory_of_one_block(mikron: Machine, tmp_p
     assert count * mikron.position_cycle > 10_000.0
     assert most < 200e6  # all at once are 1300 MB
     assert len(read_trace(tmp_path / "long.parquet", axes=mikron.kinds).time) == count
-
-
-def test_interpolation_cycle_is_every_fourth_position_cycle(mikron: Machine, tmp_path: Path) -> None:
-    program = read_program(write(tmp_path, "G1 X5 Y1 F1000\nX8 C5\n"), mikron)
-    fine, coarse = interpolate(program, mikron), interpolate(program, mikron, cycle="interpolation")
-    assert coarse.period == pytest.approx(mikron.interpolation_cycle)
-    assert np.array_equal(coarse.get("X", "setpoint"), fine.get("X", "setpoint")[::4])
 
 
 def test_a_great_circle_beyond_the_travel_of_a_is_refused(mikron: Machine, tmp_path: Path) -> None:

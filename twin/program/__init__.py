@@ -2,20 +2,18 @@
 
 from twin.program.budget import ErrorBudget, error_budget
 from twin.program.interpolator import interpolate, set_point_blocks
-from twin.program.moves import Move, Moves, Program
-from twin.program.plot import plot_budget, plot_feed
+from twin.program.moves import Moves, Program
+from twin.program.plot import plot_feed
 from twin.program.read import PROGRAM_ENDINGS, is_program, read_program
 
 __all__ = [
     "PROGRAM_ENDINGS",
     "ErrorBudget",
-    "Move",
     "Moves",
     "Program",
     "error_budget",
     "interpolate",
     "is_program",
-    "plot_budget",
     "plot_feed",
     "read_program",
     "set_point_blocks",

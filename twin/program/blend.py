@@ -22,7 +22,7 @@ import numpy as np
 
 from twin.compiled_functions import compiled
 from twin.program import elements as el
-from twin.program.elements import ARC
+from twin.program.axis_path import spline_jet
 
 GROWTH = 0.3
 LONGEST_SHARE = 0.45  # of the shorter block beside a corner: two blends never meet
@@ -55,12 +55,12 @@ def knot_distances(e, tolerance, angle_tolerance, distance):
 
     `tolerance` [m], `angle_tolerance` [rad], `distance` [m] (ADIS, else infinite) per joint (E + 1,).
     """
-    n = e.kind.shape[0]
+    n = e.angle.shape[0]
     total = e.u[n]
     h = np.full(n + 1, np.inf)
     corner = np.zeros(n + 1, np.bool_)
     before, after, here = np.empty(5), np.empty(5), np.empty(5)
-    if e.kind[0] == ARC:
+    if e.angle[0] > 0.0:
         h[0] = np.sqrt(6.0 * END_ERROR * np.sqrt(np.sum(e.radius1[0] ** 2)))
     for k in range(1, n):
         el.slope(e, k - 1, True, before)
@@ -74,7 +74,7 @@ def knot_distances(e, tolerance, angle_tolerance, distance):
         if turn > 1e-9 and (turn > CORNER or single < LONGEST_SHARE * room):
             corner[k] = True
             h[k] = min(single, LONGEST_SHARE * room, distance[k])
-        if e.kind[k - 1] == ARC or e.kind[k] == ARC or (not corner[k] and turn > 1e-9):
+        if e.angle[k - 1] > 0.0 or e.angle[k] > 0.0 or (not corner[k] and turn > 1e-9):
             # the mean over +-h instead of the point: smaller until within tolerance
             near = h[k - 1] + GROWTH * (e.u[k] - e.u[k - 1]) if k > 0 else np.inf
             size = min(min(h[k], near), min(0.4 * total, distance[k] / 2.5))
@@ -87,13 +87,13 @@ def knot_distances(e, tolerance, angle_tolerance, distance):
                     break
                 size *= max(0.5, min(0.9, WITHIN / off))
             h[k] = size
-    if e.kind[n - 1] == ARC:
+    if e.angle[n - 1] > 0.0:
         h[n] = np.sqrt(6.0 * END_ERROR * np.sqrt(np.sum(e.radius1[n - 1] ** 2)))
     return h, corner
 
 
 @compiled(allocates=True)
-def grade(e, h, corner):
+def grade(e, h):
     """Limit the growth of h from tight joints to GROWTH per length (in place)."""
     n = h.shape[0]
     cap = min(LONGEST_SPAN, e.u[n - 1] / 8.0)
@@ -114,7 +114,7 @@ def _wanted(e, h, corner, i, at):
     if corner[i + 1]:
         high = max(0.0, high - 2.0 * h[i + 1])
     size = min(h[i] + GROWTH * low, h[i + 1] + GROWTH * high)
-    if e.kind[i] == ARC:
+    if e.angle[i] > 0.0:
         size = min(size, ARC_STEP * (e.u[i + 1] - e.u[i]) / e.angle[i])
     return min(size, min(LONGEST_SPAN, e.u[e.u.shape[0] - 1] / 8.0))
 
@@ -122,49 +122,33 @@ def _wanted(e, h, corner, i, at):
 @compiled(allocates=True)
 def breaks(e, h, corner):
     """Breaks t of the spline: marched by h from one corner (or end) to the next, then fitted to meet it."""
-    n = e.kind.shape[0]
-    room = 1024
-    t = np.empty(room)
-    count = 1
-    t[0] = 0.0
-    begin = 0
+    n = e.angle.shape[0]
+    t, begin = [0.0], 0
     while begin < n:
         stop = begin + 1
         while stop < n and not corner[stop]:
             stop += 1
-        first = count - 1
-        i = begin
+        first, i = len(t), begin
         # march until the end of this piece is passed
-        while t[count - 1] < e.u[stop] * (1.0 - 1e-14):
-            i = el.find(e.u, t[count - 1], i)
-            size = _wanted(e, h, corner, i, t[count - 1])
-            middle = min(t[count - 1] + 0.5 * size, e.u[stop])
-            size = _wanted(e, h, corner, el.find(e.u, middle, i), middle)
-            if count == room:
-                grown = np.empty(2 * room)
-                grown[:room] = t
-                t = grown
-                room *= 2
-            t[count] = t[count - 1] + size
-            count += 1
+        while t[-1] < e.u[stop] * (1.0 - 1e-14):
+            i = el.find(e.u, t[-1], i)
+            size = _wanted(e, h, corner, i, t[-1])
+            middle = min(t[-1] + 0.5 * size, e.u[stop])
+            t.append(t[-1] + _wanted(e, h, corner, el.find(e.u, middle, i), middle))
         # shrink the steps a little so that the last one ends on the corner
         least = 2 if n > 1 else 8
-        if count - 1 - first < least:
-            while count + least >= room:
-                grown = np.empty(2 * room)
-                grown[:room] = t
-                t = grown
-                room *= 2
-            for k in range(least + 1):
-                t[first + k] = e.u[begin] + (e.u[stop] - e.u[begin]) * k / least
-            count = first + least + 1
-        else:
-            factor = (e.u[stop] - t[first]) / (t[count - 1] - t[first])
-            for k in range(first + 1, count):
-                t[k] = t[first] + (t[k] - t[first]) * factor
-        t[count - 1] = e.u[stop]
+        begun = t[first - 1]
+        if len(t) - first < least:
+            while len(t) > first:
+                t.pop()
+            for k in range(1, least + 1):
+                t.append(begun + (e.u[stop] - begun) * k / least)
+        factor = (e.u[stop] - begun) / (t[-1] - begun)
+        for k in range(first, len(t)):
+            t[k] = begun + (t[k] - begun) * factor
+        t[-1] = e.u[stop]
         begin = stop
-    return t[:count].copy()
+    return np.array(t)
 
 
 @compiled(allocates=True)
@@ -189,7 +173,7 @@ def spline_on(e, t):
             el.mean(e, low, high, a, control[k])
         else:
             el.point(e, i, min(at, total), control[k])
-            if e.kind[i] == ARC and 1 < k < pieces + 1:
+            if e.angle[i] > 0.0 and 1 < k < pieces + 1:
                 rate = e.angle[i] / (e.u[i + 1] - e.u[i])
                 phi = (at - e.u[i]) * rate
                 swell = 3.0 / (2.0 + np.cos(size * rate)) - 1.0
@@ -226,33 +210,25 @@ def _pieces(knots, control):
 
 
 @compiled(allocates=True)
-def spline_point(s, j, at, out):
-    """Point (5,) of piece j at parameter `at`."""
-    x = at - s.t[j]
-    for d in range(5):
-        out[d] = s.c[j, 0, d] + x * (s.c[j, 1, d] + x * (s.c[j, 2, d] + x * s.c[j, 3, d]))
-
-
-@compiled(allocates=True)
 def joint_ratios(e, s, tolerance, angle_tolerance):
     """Deviation of the spline at every joint (E + 1,) in tolerances; next to an arc also between joints, assigned to the nearer one."""
-    n = e.kind.shape[0]
+    n = e.angle.shape[0]
     out = np.zeros(n + 1)
-    have, want = np.empty(5), np.empty(5)
+    have, want = np.empty((4, 5)), np.empty(5)
     j = 0
     for k in range(1, n):
         j = el.find(s.t, e.u[k], j)
-        spline_point(s, j, e.u[k], have)
+        spline_jet(s, j, e.u[k], have)
         el.point(e, k, e.u[k], want)
-        out[k] = _ratio(have - want, tolerance[k], angle_tolerance[k])
+        out[k] = _ratio(have[0] - want, tolerance[k], angle_tolerance[k])
     i = 0
     for j in range(1, s.t.shape[0] - 1):
         i = el.find(e.u, s.t[j], i)
-        if e.kind[i] == ARC or (i > 0 and e.kind[i - 1] == ARC) or (i < n - 1 and e.kind[i + 1] == ARC):
-            spline_point(s, j, s.t[j], have)
+        if e.angle[max(0, i - 1) : i + 2].max() > 0.0:
+            spline_jet(s, j, s.t[j], have)
             el.point(e, i, s.t[j], want)
             k = i if s.t[j] - e.u[i] < e.u[i + 1] - s.t[j] else i + 1
-            out[k] = max(out[k], _ratio(have - want, tolerance[k], angle_tolerance[k]))
+            out[k] = max(out[k], _ratio(have[0] - want, tolerance[k], angle_tolerance[k]))
     return out
 
 
@@ -260,18 +236,13 @@ def joint_ratios(e, s, tolerance, angle_tolerance):
 def blend(e, tolerance, angle_tolerance, distance):
     """The spline of a stretch and its deviation at every joint in tolerances (at most 1)."""
     h, corner = knot_distances(e, tolerance, angle_tolerance, distance)
-    grade(e, h, corner)
-    s = spline_on(e, breaks(e, h, corner))
-    ratios = joint_ratios(e, s, tolerance, angle_tolerance)
-    for _ in range(REFINEMENTS):
-        worst = 0.0
+    for _ in range(REFINEMENTS + 1):
+        grade(e, h)
+        s = spline_on(e, breaks(e, h, corner))
+        ratios = joint_ratios(e, s, tolerance, angle_tolerance)
+        if ratios.max() <= ACCEPTED:
+            break
         for k in range(ratios.shape[0]):
             if ratios[k] > ACCEPTED:
                 h[k] *= max(0.3, 0.9 / ratios[k])
-            worst = max(worst, ratios[k])
-        if worst <= ACCEPTED:
-            break
-        grade(e, h, corner)
-        s = spline_on(e, breaks(e, h, corner))
-        ratios = joint_ratios(e, s, tolerance, angle_tolerance)
     return s, ratios

@@ -21,7 +21,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.program.curve import nearest_along, programmed_curve
-from twin.program.moves import Program
+from twin.program.moves import Program, tips_at
 from twin.recordings.trace import PROGRAM, Trace
 
 SEARCH_BACK, SEARCH_AHEAD = 15e-3, 3e-3
@@ -38,10 +38,7 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """Errors [m] at each set point (sample,); `path_length` [m] along the programmed curve, `line` of the program.
-
-    `orientation` [rad] is the angle between the actual tool axis and that of the set point at the same time.
-    """
+    """Errors [m] at each set point (sample,); `path_length` [m] along the programmed curve, `line` of the program."""
 
     time: np.ndarray
     path_length: np.ndarray
@@ -51,7 +48,6 @@ class ErrorBudget:
     following: np.ndarray
     drives: np.ndarray
     contour: np.ndarray
-    orientation: np.ndarray
 
     def summary(self) -> list[dict[str, Any]]:
         """One row per error: level, RMS and greatest value [um], and where the greatest is."""
@@ -59,17 +55,9 @@ class ErrorBudget:
         for name, (level, meaning) in QUANTITIES.items():
             values = getattr(self, name)
             worst = int(np.argmax(values))
-            rows.append(
-                {
-                    "error": name,
-                    "level": level,
-                    "rms_um": float(np.sqrt(np.mean(values**2)) * 1e6),
-                    "max_um": float(values[worst] * 1e6),
-                    "at_path_length_mm": float(self.path_length[worst] * 1e3),
-                    "at_line": int(self.line[worst]),
-                    "meaning": meaning,
-                }
-            )
+            sizes = {"rms_um": float(np.sqrt(np.mean(values**2)) * 1e6), "max_um": float(values[worst] * 1e6)}
+            place = {"at_path_length_mm": float(self.path_length[worst] * 1e3), "at_line": int(self.line[worst])}
+            rows.append({"error": name, "level": level, **sizes, **place, "meaning": meaning})
         return rows
 
     def worst_lines(self, count: int = 10) -> list[dict[str, float | int]]:
@@ -114,8 +102,10 @@ def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: M
         if setpoints.has(axis, "setpoint"):
             wanted[:, i] = setpoints.get(axis, "setpoint")[:count]
         actual[:, i] = np.interp(time, followed.time, followed.get(axis, "position")) if followed.has(axis, "position") else wanted[:, i]
-    tip_wanted, axis_wanted = _tips(program, wanted, line)
-    tip_actual, axis_actual = _tips(program, actual, line)
+    m = program.moves
+    of_line, shortest = dict(zip(m.line.tolist(), m.tool_length.tolist())), float(m.tool_length.min())
+    length = np.array([of_line.get(int(v), shortest) for v in line])
+    tip_wanted, tip_actual = (tips_at(program.kinematics, axes, length)[:, :3] for axes in (wanted, actual))
     curve = programmed_curve(program)
     nowhere = np.full(count, np.nan)
     step = float(np.linalg.norm(np.diff(tip_wanted, axis=0), axis=1).max())
@@ -126,28 +116,10 @@ def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: M
     every = max(1, round(machine.interpolation_cycle / setpoints.period))
     chord = np.zeros(count)
     if count > 2 * every:
-        middle = np.linalg.norm(tip_wanted[2 * every :] - 2.0 * tip_wanted[every:-every] + tip_wanted[: -2 * every], axis=1) / 8.0
+        before, at, behind = tip_wanted[: -2 * every], tip_wanted[every:-every], tip_wanted[2 * every :]
+        way, bend = behind - before, behind - 2.0 * at + before
         # only the component of the second difference across the path is a sagitta
-        way = tip_wanted[2 * every :] - tip_wanted[: -2 * every]
-        size = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
-        bend = tip_wanted[2 * every :] - 2.0 * tip_wanted[every:-every] + tip_wanted[: -2 * every]
-        parallel = np.abs(np.einsum("ni,ni->n", bend, way)) / size / 8.0
-        chord[every:-every] = np.sqrt(np.maximum(middle**2 - parallel**2, 0.0))
+        along = np.einsum("ni,ni->n", bend, way) / np.maximum(np.linalg.norm(way, axis=1), 1e-12)
+        chord[every:-every] = np.sqrt(np.maximum(np.sum(bend**2, axis=1) - along**2, 0.0)) / 8.0
     following = np.linalg.norm(tip_actual - tip_wanted, axis=1)
-    orientation = np.arctan2(np.linalg.norm(np.cross(axis_wanted, axis_actual), axis=1), np.einsum("ni,ni->n", axis_wanted, axis_actual))
-    return ErrorBudget(time, foot, line, rounding, chord, following, drives, contour, orientation)
-
-
-def _tips(program: Program, axes: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tip and tool axis in the part frame, with the tool of each line."""
-    m = program.moves
-    lengths = np.unique(m.tool_length)
-    if len(lengths) == 1:
-        return program.kinematics.with_tool_length(lengths[0]).forward(axes)
-    of_line = dict(zip(m.line.tolist(), m.tool_length.tolist()))
-    used = np.array([of_line.get(int(v), lengths[0]) for v in line])
-    tip, direction = np.empty((len(axes), 3)), np.empty((len(axes), 3))
-    for length in lengths:
-        rows = used == length
-        tip[rows], direction[rows] = program.kinematics.with_tool_length(length).forward(axes[rows])
-    return tip, direction
+    return ErrorBudget(time, foot, line, rounding, chord, following, drives, contour)

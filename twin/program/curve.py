@@ -55,9 +55,8 @@ def programmed_curve(program: Program) -> Curve:
 
 def _in_part(program: Program, points: np.ndarray, row: int) -> np.ndarray:
     """Tips (n, 3) in the part frame from coordinates of move `row`."""
-    if program.moves.traori[row]:
-        return points[:, :3]
-    return program.kinematics.with_tool_length(program.moves.tool_length[row]).forward(points)[0]
+    length = np.full(len(points), program.moves.tool_length[row])
+    return points[:, :3] if program.moves.traori[row] else mv.tips_at(program.kinematics, points, length)[:, :3]
 
 
 def _bent_points(program: Program, start: np.ndarray, row: int) -> np.ndarray:
@@ -66,14 +65,13 @@ def _bent_points(program: Program, start: np.ndarray, row: int) -> np.ndarray:
     end = m.target[row]
     parts = np.abs(end[3:] - start[3:]).max() / TURN_STEP if not m.traori[row] else 1.0
     arc = m.kind[row] == mv.ARC
+    centre, radius1, radius2 = m.circles(np.array(row), start[:3])
     if arc:
-        arm = start[:3] - m.centre[row]
-        radius1 = arm - m.normal[row] * (arm @ m.normal[row])
         parts = max(parts, m.angle[row] / np.sqrt(8.0 * SAGITTA / max(float(np.linalg.norm(radius1)), 1e-6)))
     share = np.linspace(0.0, 1.0, int(min(MOST_POINTS, np.ceil(parts))) + 1)[1:, None]
     points = start + share * (end - start)
     if arc:
-        centre, radius2, phi = start[:3] - radius1, np.cross(m.normal[row], radius1), m.angle[row]
+        phi = m.angle[row]
         pitch = end[:3] - centre - np.cos(phi) * radius1 - np.sin(phi) * radius2
         points[:, :3] = centre + np.cos(share * phi) * radius1 + np.sin(share * phi) * radius2 + share * pitch
     return points

@@ -5,7 +5,9 @@ runs over an interval of the path parameter u [m] with constant speed of all its
 
     du^2 = |d(x y z)|^2 + r^2 (dA^2 + dC^2),     r = REFERENCE_RADIUS
 
-so that a pure rotation also has a length. An arc (or helix) is centre + cos(phi) e1 + sin(phi) e2 + pitch phi / angle, phi = 0 .. angle.
+so that a pure rotation also has a length. With the share s = 0 .. 1 of its interval every element, line or helix, is the curve
+
+    w = base + s step + cos(s angle) e1 + sin(s angle) e2,     angle = e1 = e2 = 0 on a line
 """
 
 from __future__ import annotations
@@ -19,17 +21,13 @@ from twin.compiled_functions import compiled
 REFERENCE_RADIUS = 0.1
 """Radius [m] that turns rad into path length for A and C (as FGREF on the control); only the parametrisation depends on it."""
 
-LINE, ARC = 0, 1
-
 
 class Elements(NamedTuple):
     """Arrays of the elements e = 0 .. E - 1 of a stretch; `u` (E + 1,) are the ends of their parameter intervals."""
 
     u: np.ndarray
-    kind: np.ndarray  # (E,) LINE or ARC
-    start: np.ndarray  # (E, 5)
-    end: np.ndarray  # (E, 5)
-    centre: np.ndarray  # (E, 3) of arcs
+    base: np.ndarray  # (E, 5) start of a line; centre of an arc at the height of its start, with A and C there
+    step: np.ndarray  # (E, 5) way of a line; pitch of a helix, with the way of A and C
     radius1: np.ndarray  # (E, 3) e1, from the centre to the start
     radius2: np.ndarray  # (E, 3) e2, perpendicular to e1 in the sense of motion
     angle: np.ndarray  # (E,) angle [rad] > 0 of arcs
@@ -37,10 +35,9 @@ class Elements(NamedTuple):
 
 def ways(e: Elements, rotary: np.ndarray) -> np.ndarray:
     """Way (E,) that the feed of each element counts: of the tip [m], or of A and C together [rad] where `rotary` (E,)."""
-    step = e.end - e.start
-    turn = np.linalg.norm(step[:, 3:], axis=1)
+    turn = np.linalg.norm(e.step[:, 3:], axis=1)
     arc = np.sqrt(np.maximum(np.diff(e.u) ** 2 - (REFERENCE_RADIUS * turn) ** 2, 0.0))
-    return np.where(rotary, turn, np.where(e.kind == ARC, arc, np.linalg.norm(step[:, :3], axis=1)))
+    return np.where(rotary, turn, np.where(e.angle > 0.0, arc, np.linalg.norm(e.step[:, :3], axis=1)))
 
 
 @compiled(allocates=True)
@@ -60,14 +57,11 @@ def point(e, i, at, out):
     """Programmed point (5,) at parameter `at` of element i."""
     share = (at - e.u[i]) / (e.u[i + 1] - e.u[i])
     for k in range(5):
-        out[k] = e.start[i, k] + share * (e.end[i, k] - e.start[i, k])
-    if e.kind[i] == ARC:
+        out[k] = e.base[i, k] + share * e.step[i, k]
+    if e.angle[i] > 0.0:
         cos, sin = np.cos(share * e.angle[i]), np.sin(share * e.angle[i])
-        cos1, sin1 = np.cos(e.angle[i]), np.sin(e.angle[i])
         for k in range(3):
-            # what is linear between start and end beyond the circle is the pitch of a helix
-            pitch = e.end[i, k] - e.centre[i, k] - cos1 * e.radius1[i, k] - sin1 * e.radius2[i, k]
-            out[k] = e.centre[i, k] + cos * e.radius1[i, k] + sin * e.radius2[i, k] + share * pitch
+            out[k] += cos * e.radius1[i, k] + sin * e.radius2[i, k]
 
 
 @compiled(allocates=True)
@@ -75,49 +69,36 @@ def slope(e, i, at_end, out):
     """dw/du (5,) at the start or the end of element i."""
     length = e.u[i + 1] - e.u[i]
     for k in range(5):
-        out[k] = (e.end[i, k] - e.start[i, k]) / length
-    if e.kind[i] == ARC:
+        out[k] = e.step[i, k] / length
+    if e.angle[i] > 0.0:
         phi = e.angle[i] if at_end else 0.0
         cos, sin = np.cos(phi), np.sin(phi)
-        cos1, sin1 = np.cos(e.angle[i]), np.sin(e.angle[i])
         for k in range(3):
-            pitch = e.end[i, k] - e.centre[i, k] - cos1 * e.radius1[i, k] - sin1 * e.radius2[i, k]
-            out[k] = (e.angle[i] * (cos * e.radius2[i, k] - sin * e.radius1[i, k]) + pitch) / length
+            out[k] += e.angle[i] * (cos * e.radius2[i, k] - sin * e.radius1[i, k]) / length
 
 
 @compiled(allocates=True)
 def integral(e, i, low, high, out):
     """Add the integral of the programmed point over [low, high] within element i to `out` (5,)."""
-    length = e.u[i + 1] - e.u[i]
+    length, phi = e.u[i + 1] - e.u[i], e.angle[i]
     a, b = (low - e.u[i]) / length, (high - e.u[i]) / length
     half = 0.5 * (b * b - a * a) * length
     for k in range(5):
-        if e.kind[i] == LINE or k > 2:
-            out[k] += e.start[i, k] * (high - low) + half * (e.end[i, k] - e.start[i, k])
-    if e.kind[i] == ARC:
-        phi = e.angle[i]
+        out[k] += e.base[i, k] * (high - low) + half * e.step[i, k]
+    if phi > 0.0:
         sines, cosines = (np.sin(b * phi) - np.sin(a * phi)) / phi, (np.cos(a * phi) - np.cos(b * phi)) / phi
-        cos1, sin1 = np.cos(phi), np.sin(phi)
         for k in range(3):
-            pitch = e.end[i, k] - e.centre[i, k] - cos1 * e.radius1[i, k] - sin1 * e.radius2[i, k]
-            circle = (sines * e.radius1[i, k] + cosines * e.radius2[i, k]) * length
-            out[k] += e.centre[i, k] * (high - low) + circle + half * pitch
+            out[k] += (sines * e.radius1[i, k] + cosines * e.radius2[i, k]) * length
 
 
 @compiled(allocates=True)
 def mean(e, low, high, hint, out):
-    """Mean of the programmed point over [low, high] into `out` (5,); returns the element of `low`."""
+    """Mean of the programmed point over [low, high] into `out` (5,)."""
     out[:] = 0.0
-    first = find(e.u, low, hint)
-    i = first
-    at = low
-    while True:
+    i, last, at = find(e.u, low, hint), e.u.shape[0] - 2, low
+    while i <= last and at < high:
         upto = min(high, e.u[i + 1])
         integral(e, i, at, upto, out)
-        if upto >= high or i == e.u.shape[0] - 2:
-            break
-        at = upto
-        i += 1
+        at, i = upto, i + 1
     for k in range(5):
         out[k] /= high - low
-    return first

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 import itertools
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,12 @@ import numpy as np
 from twin.errors import InputError, TwinError
 from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.limits import MOST_SETPOINTS, refuse_above
-from twin.machine.machine import Machine
-from twin.program import axis_path, blend, elements, lookahead, sampling, timelaw
+from twin.machine.machine import Machine, load_machine
+from twin.program import axis_path, blend, elements, lookahead, sampling
 from twin.program.collect import travel_text
 from twin.program.moves import Program
-from twin.program.nodes import split_at_feeds
+from twin.program.nodes import Feeds, Limits, Way, split_at_feeds
+from twin.program.read import read_program
 from twin.program.stretches import Stretch, great_circle_rows, stretch_of, stretches
 from twin.recordings.trace import PROGRAM, Trace, joined
 
@@ -48,82 +50,45 @@ NO_LIMIT = 1e9
 Progress = Callable[[float], None]
 
 
-def limits_of(machine: Machine, brisk: bool = False, kinematics: Kinematics | None = None) -> lookahead.Limits:
+def limits_of(machine: Machine, brisk: bool = False, kinematics: Kinematics | None = None) -> Limits:
     """Limits of X Y Z, tilting and turning axis. Under BRISK the jerk limit is replaced by one that allows a full change of acceleration in one
     interpolation cycle."""
     names = (kinematics or kinematics_of(machine, sites_needed=False)).names
     axes = [machine.axis(name) if name in machine.axis_names else None for name in names]
     acceleration = np.array([axis.max_acceleration if axis else NO_LIMIT for axis in axes])
     jerk = acceleration / machine.interpolation_cycle if brisk else np.array([axis.max_jerk if axis else NO_LIMIT for axis in axes])
-    return lookahead.Limits(np.array([axis.max_velocity if axis else NO_LIMIT for axis in axes]), acceleration, jerk)
+    return Limits(np.array([axis.max_velocity if axis else NO_LIMIT for axis in axes]), acceleration, jerk)
 
 
-def interpolate(
-    program: Program, machine: Machine, *, cycle: str = "position", progress: Progress | None = None, gap: float = timelaw.GAP
-) -> Trace:
-    """Set points of a program at the position cycle (`cycle="interpolation"`: at the interpolation cycle only).
+def interpolate(program: Program | str | Path, machine: Machine | None = None, *, progress: Progress | None = None) -> Trace:
+    """Set points of a program, or of its file, at the position cycle.
 
-    Starts at rest where the program starts and ends REST after its last move. Columns of the pseudo axis `program`: `block`
-    (N number, -1 without), `line`, `feed` as programmed [m/s, rad/s where only A and C move, 0 in rapid moves], `path_speed` in the same
-    unit, `path_length` of the tip [m], `feedforward` (1 on, 0 off). `progress` gets the share done.
+    Starts at rest where the program starts and ends REST after its last move. Columns `<axis>.setpoint` [m, rad], and of the pseudo axis
+    `program`: `block` (N number, -1 without), `line`, `feed` as programmed [m/s, rad/s where only A and C move, 0 in rapid moves],
+    `path_speed` in the same unit, `path_length` of the tip [m], `feedforward` (1 on, 0 off). `progress` gets the share done.
+
+    Raises:
+        InputError: with file and line, a word that is not understood, or a position outside the travel of an axis.
     """
-    return joined(set_point_blocks(program, machine, cycle=cycle, progress=progress, gap=gap, most=MOST_SETPOINTS))
+    machine = machine or load_machine()
+    program = program if isinstance(program, Program) else read_program(Path(program), machine)
+    return joined(set_point_blocks(program, machine, progress=progress, most=MOST_SETPOINTS))
 
 
 def set_point_blocks(
-    program: Program,
-    machine: Machine,
-    *,
-    cycle: str = "position",
-    progress: Progress | None = None,
-    gap: float = timelaw.GAP,
-    most: float = MOST_WRITTEN,
+    program: Program, machine: Machine, *, progress: Progress | None = None, most: float = MOST_WRITTEN
 ) -> Iterator[Trace]:
     """The same set points in consecutive traces of about BLOCK samples, so that memory does not grow with the length of the program."""
-    period = machine.position_cycle
-    every = max(1, round(machine.interpolation_cycle / period))
-    columns = _Columns(program, machine, period, every if cycle == "interpolation" else 1)
+    motion = _Motion(program, machine, most)
     held, count = [_standing(program.start, 0, 1)], 1
-    for piece in _pieces(program, machine, period, every, gap, most, progress):
+    for piece in motion.pieces(progress or (lambda share: None)):
         held.append(piece)
         count += len(piece.axes)
         if count >= BLOCK:
-            yield columns.trace(held)
+            yield motion.trace(held)
             held, count = [], 0
     if held:
-        yield columns.trace(held)
-
-
-def _pieces(
-    program: Program, machine: Machine, period: float, every: int, gap: float, most: float, progress: Progress | None
-) -> Iterator[_Piece]:
-    """Set points of each stretch and wait, at most BLOCK samples at once."""
-    starts = program.starts()
-    circles = great_circle_rows(program, starts)
-    at, total = program.start, 0.0
-    for first, last in stretches(program):
-        stretch = stretch_of(program, starts, first, last, circles)
-
-        def report(share: float, first: int = first, last: int = last) -> None:
-            if progress:
-                progress((first + share * (last + 1 - first)) / len(program))
-
-        pause = float(program.moves.pause[last])
-        if stretch is not None:
-            for piece in _stretch_pieces(program, machine, stretch, at, period, every, gap, most, report):
-                yield piece
-                at = piece.axes[-1]
-                total += len(piece.axes)
-                _check_length(total * period, period, program, last, most)
-        if pause > 0.0 or last == len(program) - 1:
-            rest = pause + (REST if last == len(program) - 1 else 0.0)
-            total += rest / period
-            _check_length(total * period, period, program, last, most)
-            left = max(1, math.ceil(rest / (period * every) - 1e-9)) * every
-            while left:
-                yield _standing(at, last, min(left, BLOCK))
-                left -= min(left, BLOCK)
-        report(1.0)
+        yield motion.trace(held)
 
 
 class _Piece(NamedTuple):
@@ -139,15 +104,13 @@ def _standing(at: np.ndarray, row: int, count: int) -> _Piece:
     return _Piece(np.tile(at, (count, 1)), np.full(count, row), np.zeros(count), np.zeros(count))
 
 
-def feeds_of(program: Program, stretch: Stretch) -> lookahead.Feeds:
-    """The feed of each element of a stretch."""
-    return lookahead.Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
-
-
-def spline_of(program: Program, stretch: Stretch) -> blend.Spline:
-    """The path of a stretch in the coordinates of the program, with a break at each change of feed."""
+def way_of(program: Program, machine: Machine, stretch: Stretch) -> Way:
+    """The input of the time law: the path of a stretch in the coordinates of the program, with a break at each change of feed."""
+    feeds = Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
     spline = blend.blend(stretch.elements, stretch.tolerance, stretch.angle_tolerance, stretch.distance)[0]
-    return split_at_feeds(spline, stretch.elements, feeds_of(program, stretch))
+    frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
+    limits = limits_of(machine, stretch.brisk, program.kinematics)
+    return Way(split_at_feeds(spline, stretch.elements, feeds), stretch.elements, frames, limits, feeds)
 
 
 class _Samples(NamedTuple):
@@ -159,86 +122,122 @@ class _Samples(NamedTuple):
     turn: np.ndarray
 
 
-def _sampled(
-    spline: blend.Spline, frames: axis_path.Frames, law: lookahead.Law, times: np.ndarray, slower: float, period: float, count: int
-) -> Iterator[_Samples]:
-    """The set points of a stretch, at most BLOCK at once; its start is the last sample of the previous stretch."""
-    for begin in range(0, count, BLOCK):
-        n = min(BLOCK, count - begin)
-        out = _Samples(np.empty((n, 5)), np.empty(n), np.empty(n), np.empty(n))
-        sampling.sample(spline, frames, law.nodes, law.piece, law.a, law.slope, times, slower, begin, period, n, *out)
-        yield out
+class _Motion:
+    """Makes the set points of a program, a set point every `period` [s], an interpolation cycle every `every` of them."""
+
+    def __init__(self, program: Program, machine: Machine, most: float) -> None:
+        self.program, self.machine, self.most, self.period = program, machine, most, machine.position_cycle
+        self.every = max(1, round(machine.interpolation_cycle / self.period))
+        self.count, self.length, self.tip_speed = 0, 0.0, 0.0  # set points in traces so far, way [m] and speed at their end
+
+    def _check_length(self, seconds: float, row: int) -> None:
+        """Refuse a motion whose set points would not fit into memory or on the disk."""
+        what, hint = f"set points ({seconds / 3600.0:.3g} h)", "raise the feed, or split the program"
+        refuse_above(seconds / self.period, self.most, what, self.program.place(int(row)), hint)
+
+    def _cycles(self, seconds: float) -> int:
+        """Number of set points up to the end of the last interpolation cycle."""
+        return math.ceil(seconds / (self.period * self.every) - 1e-9) * self.every
+
+    def pieces(self, progress: Progress) -> Iterator[_Piece]:
+        """Set points of each stretch and wait, at most BLOCK samples at once."""
+        program, starts = self.program, self.program.starts()
+        circles = great_circle_rows(program, starts)
+        at, total = program.start, 0.0
+        for first, last in stretches(program):
+            stretch = stretch_of(program, starts, first, last, circles)
+
+            def report(share: float, first: int = first, last: int = last) -> None:
+                progress((first + share * (last + 1 - first)) / len(program))
+
+            pause = float(program.moves.pause[last])
+            if stretch is not None:
+                for piece in self._moving(stretch, at, report):
+                    yield piece
+                    at = piece.axes[-1]
+                    total += len(piece.axes)
+                    self._check_length(total * self.period, last)
+            if pause > 0.0 or last == len(program) - 1:
+                rest = pause + (REST if last == len(program) - 1 else 0.0)
+                total += rest / self.period
+                self._check_length(total * self.period, last)
+                left = max(self.every, self._cycles(rest))
+                while left:
+                    yield _standing(at, last, min(left, BLOCK))
+                    left -= min(left, BLOCK)
+            report(1.0)
+
+    def _samples(self, way: Way, law: lookahead.Law, times: np.ndarray, slower: float, count: int) -> Iterator[_Samples]:
+        """The set points of a stretch, at most BLOCK at once; its start is the last sample of the previous stretch."""
+        for begin in range(0, count, BLOCK):
+            n = min(BLOCK, count - begin)
+            out = _Samples(np.empty((n, 5)), np.empty(n), np.empty(n), np.empty(n))
+            sampling.sample(way.spline, way.frames, law, times, slower, begin, self.period, out)
+            yield out
+
+    def _moving(self, stretch: Stretch, start: np.ndarray, report: Progress) -> Iterator[_Piece]:
+        """The set points of a stretch."""
+        moves = self.program.moves
+        with np.errstate(over="ignore"):
+            at_feed = elements.ways(stretch.elements, moves.rotary[stretch.row]) / moves.feed[stretch.row]  # s, an estimate
+        self._check_length(float(at_feed.sum()), stretch.row[int(np.argmax(at_feed))])
+        way, windows = way_of(self.program, self.machine, stretch), lookahead.Windows()
+        law = lookahead.plan(way, report, kept=windows)
+        ease = np.ones((2, len(law.piece)))
+        slower, slowed_by, attempt, futile = 1.0, math.inf, 0, 0
+        while True:
+            times = sampling.node_times(law.nodes, law.a, law.slope)
+            self._check_length(times[-1] * slower, stretch.row[0])
+            count = self._cycles(times[-1] * slower)
+            blocks: Iterable[_Samples] = self._samples(way, law, times, slower, count)
+            if count <= BLOCK:
+                blocks = list(blocks)
+            excess = _excess(start, (block.axes for block in blocks), self.period, way.limits)
+            if excess <= 1.0 + LIMIT_TOLERANCE:
+                break
+            inside = lookahead.excess(way, law)
+            attempt += 1
+            if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and inside.max() > 1.0:
+                # a limit is exceeded between two nodes: plan again with a lower limit there
+                ease /= np.where(inside > 1.0, inside * 1.001, 1.0) ** np.where(inside > FAR_ABOVE, 2, 1)
+                law = lookahead.plan(way, report, (law, ease), windows)
+                continue
+            # slower by its excess, a smooth motion keeps its limits; the excess of a jump stays
+            futile = futile + 1 if excess > math.sqrt(slowed_by) else 0
+            if futile == FUTILE:
+                raise TwinError(
+                    f"{self.program.place(int(stretch.row[0]))}: the set points of the moves to line {moves.line[stretch.row[-1]]} exceed a limit "
+                    f"{excess:.4g} times, however slow they are; report this program"
+                )
+            slowed_by = excess
+            slower *= excess * (1.0 + 1e-5)
+        if count > BLOCK:
+            blocks = self._samples(way, law, times, slower, count)  # compute them again instead of keeping all in memory
+        for block in blocks:
+            row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, block.u, side="right") - 1, len(stretch.row) - 1)]
+            if hit := self.program.kinematics.outside_travel(block.axes):
+                sample, axis = hit
+                text = travel_text(axis, float(block.axes[sample, axis]), self.program.kinematics)
+                raise InputError(f"{self.program.place(int(row[sample]))}: on the way {text}")
+            yield _Piece(block.axes, row, np.where(moves.rotary[row], block.turn, block.tip), block.tip)
+
+    def trace(self, pieces: list[_Piece]) -> Trace:
+        """The trace of consecutive pieces, behind those of the calls before."""
+        m, names = self.program.moves, self.program.kinematics.names
+        axes, row, path_speed, tip_speed = (np.concatenate(parts) for parts in zip(*pieces))
+        way = 0.5 * (tip_speed + np.concatenate([[self.tip_speed], tip_speed[:-1]])) * self.period
+        length = np.cumsum(np.concatenate([[self.length], way]))[1:]
+        time = np.arange(self.count, self.count + len(axes)) * self.period
+        self.count, self.length, self.tip_speed = self.count + len(axes), float(length[-1]), float(tip_speed[-1])
+        signals = {(name, "setpoint"): axes[:, i] for i, name in enumerate(names) if name in self.machine.axis_names}
+        columns = {
+            "block": m.block[row].astype(float), "line": m.line[row].astype(float), "feed": np.where(np.isfinite(m.feed), m.feed, 0.0)[row],
+            "path_speed": path_speed, "path_length": length, "feedforward": m.feedforward[row].astype(float),
+        }  # fmt: skip
+        return Trace(time, signals | {(PROGRAM, name): values for name, values in columns.items()}, self.machine.kinds)
 
 
-def _stretch_pieces(
-    program: Program,
-    machine: Machine,
-    stretch: Stretch,
-    start: np.ndarray,
-    period: float,
-    every: int,
-    gap: float,
-    most: float,
-    report: Progress,
-) -> Iterator[_Piece]:
-    limits = limits_of(machine, stretch.brisk, program.kinematics)
-    frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
-    feeds = feeds_of(program, stretch)
-    with np.errstate(over="ignore"):
-        at_feed = elements.ways(stretch.elements, feeds.rotary) / feeds.speed  # s, an estimate
-    slowest = int(stretch.row[int(np.argmax(at_feed))])
-    _check_length(float(at_feed.sum()), period, program, slowest, most)
-    spline = spline_of(program, stretch)
-    windows: lookahead.Windows = {}
-    law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, kept=windows)
-    ease = np.ones((2, len(law.piece)))
-    slower, slowed_by, attempt, futile = 1.0, math.inf, 0, 0
-    while True:
-        times = sampling.node_times(law.nodes, law.a, law.slope)
-        _check_length(times[-1] * slower, period, program, stretch.row[0], most)
-        count = math.ceil(times[-1] * slower / (period * every) - 1e-9) * every
-        blocks: Iterable[_Samples] = _sampled(spline, frames, law, times, slower, period, count)
-        if count <= BLOCK:
-            blocks = list(blocks)
-        excess = _excess(start, (block.axes for block in blocks), period, limits)
-        if excess <= 1.0 + LIMIT_TOLERANCE:
-            break
-        inside = lookahead.excess(spline, frames, limits, law)
-        attempt += 1
-        if excess > 1.0 + WORTH_PLANNING and attempt <= ATTEMPTS and inside.max() > 1.0:
-            # a limit is exceeded between two nodes: plan again with a lower limit there
-            ease /= np.where(inside > 1.0, inside * 1.001, 1.0) ** np.where(inside > FAR_ABOVE, 2, 1)
-            law = lookahead.plan(spline, stretch.elements, frames, limits, feeds, gap, report, (law, ease), windows)
-            continue
-        # slower by its excess, a smooth motion keeps its limits; the excess of a jump stays
-        futile = futile + 1 if excess > math.sqrt(slowed_by) else 0
-        if futile == FUTILE:
-            raise TwinError(
-                f"{program.place(int(stretch.row[0]))}: the set points of the moves to line {program.moves.line[stretch.row[-1]]} exceed a limit "
-                f"{excess:.4g} times, however slow they are; report this program"
-            )
-        slowed_by = excess
-        slower *= excess * (1.0 + 1e-5)
-    if count > BLOCK:
-        blocks = _sampled(spline, frames, law, times, slower, period, count)  # compute them again instead of keeping all in memory
-    for block in blocks:
-        row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, block.u, side="right") - 1, len(stretch.row) - 1)]
-        _check_travel(program, block.axes, row)
-        yield _Piece(block.axes, row, np.where(program.moves.rotary[row], block.turn, block.tip), block.tip)
-
-
-def _check_length(seconds: float, period: float, program: Program, row: int, most: float) -> None:
-    """Refuse a motion whose set points would not fit into memory or on the disk."""
-    refuse_above(
-        seconds / period,
-        most,
-        f"set points ({seconds / 3600.0:.3g} h)",
-        program.place(int(row)),
-        "raise the feed, or split the program",
-    )
-
-
-def _excess(start: np.ndarray, blocks: Iterable[np.ndarray], period: float, limits: lookahead.Limits) -> float:
+def _excess(start: np.ndarray, blocks: Iterable[np.ndarray], period: float, limits: Limits) -> float:
     """Factor by which the motion must be slower for the differences of the set points to keep every limit."""
     worst = 1.0
     before = np.tile(start, (3, 1))  # at rest before and behind
@@ -249,42 +248,3 @@ def _excess(start: np.ndarray, blocks: Iterable[np.ndarray], period: float, limi
             worst = max(worst, float(ratio.max()) ** (1.0 / order))
         before = padded[-3:]
     return worst
-
-
-def _check_travel(program: Program, axes: np.ndarray, row: np.ndarray) -> None:
-    hit = program.kinematics.outside_travel(axes)
-    if hit:
-        sample, axis = hit
-        raise InputError(
-            f"{program.place(int(row[sample]))}: on the way {travel_text(axis, float(axes[sample, axis]), program.kinematics)}"
-        )
-
-
-class _Columns:
-    """Makes consecutive traces of pieces and keeps the end of the last one."""
-
-    def __init__(self, program: Program, machine: Machine, period: float, every: int) -> None:
-        self.program, self.machine, self.period, self.every = program, machine, period, every
-        self.count, self.length, self.tip_speed = 0, 0.0, 0.0
-
-    def trace(self, pieces: list[_Piece]) -> Trace:
-        """Each `every`-th sample of the pieces."""
-        m = self.program.moves
-        axes, row, path_speed, tip_speed = (np.concatenate(parts) for parts in zip(*pieces))
-        way = 0.5 * (tip_speed + np.concatenate([[self.tip_speed], tip_speed[:-1]])) * self.period
-        length = np.cumsum(np.concatenate([[self.length], way]))[1:]
-        keep = slice(-self.count % self.every, None, self.every)
-        time = np.arange(self.count, self.count + len(axes))[keep] * self.period
-        self.count, self.length, self.tip_speed = self.count + len(axes), float(length[-1]), float(tip_speed[-1])
-        names = self.program.kinematics.names
-        signals = {(name, "setpoint"): axes[keep, i] for i, name in enumerate(names) if name in self.machine.axis_names}
-        columns = {
-            "block": m.block[row].astype(float),
-            "line": m.line[row].astype(float),
-            "feed": np.where(np.isfinite(m.feed), m.feed, 0.0)[row],
-            "path_speed": path_speed,
-            "path_length": length,
-            "feedforward": m.feedforward[row].astype(float),
-        }
-        signals |= {(PROGRAM, name): values[keep] for name, values in columns.items()}
-        return Trace(time, signals, self.machine.kinds)

@@ -16,10 +16,8 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.errors import TwinError
 from twin.program import axis_path, elements, timelaw
-from twin.program.axis_path import Frames
-from twin.program.blend import Spline
-from twin.program.elements import Elements
-from twin.program.nodes import Feeds, Limits, along, grid, run_ups
+from twin.program.newton_step import Bounds, node_values
+from twin.program.nodes import Way, along, grid, run_ups
 
 WINDOW = 20_000  # nodes planned at once
 FELT = 6.0  # distance over which an artificial stop affects the speed, in run-ups to feed
@@ -47,8 +45,9 @@ Windows = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
 @compiled(allocates=True)
-def limit_rows(s, e, f, limits, feeds, nodes, piece, q1, q2, q3, top):
+def limit_rows(way, nodes, piece, q1, q2, q3, top):
     """Derivatives of the axes at the nodes into q1, q2, q3 and the greatest a by speed and feed into `top`."""
+    s, e, f, limits, feeds = way
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     intervals = piece.shape[0]
     top[:] = np.inf
@@ -74,73 +73,43 @@ def limit_rows(s, e, f, limits, feeds, nodes, piece, q1, q2, q3, top):
 
 
 @compiled(allocates=True)
-def rest_bounds(q1, q2, q3, h, limit_j):
-    """Greatest a at the inner end of the first and last interval so that u ~ t^3 keeps the jerk limits there.
+def keep_rest(q1, q2, q3, h, limit_j, most):
+    """Lower the greatest a at the inner end of the first and last interval so that u ~ t^3 keeps the jerk limits there.
 
     With a = alpha u^(4/3) the jerk of an axis is alpha^(3/2) (2/9 q' + 2 q'' u + q''' u^2).
     """
-    bound = np.empty(2)
     n = h.shape[0]
     for side in range(2):
-        i = 0 if side == 0 else n - 1
-        alpha = 1e12
+        i, inner, outer = (0, 1, 0) if side == 0 else (n - 1, n - 1, n)
+        alpha, sign = 1e12, 1.0 - 2.0 * side  # reversed in u, every odd derivative changes its sign
         for k in range(q1.shape[1]):
-            inner, outer = (1, 0) if side == 0 else (n - 1, n)
-            # reversed in u, every odd derivative changes its sign
-            sign = 1.0 if side == 0 else -1.0
             rest = abs(2.0 / 9.0 * q1[outer, k])
             moved = abs(2.0 / 9.0 * sign * q1[inner, k] + 2.0 * q2[inner, k] * h[i] + sign * q3[i, 1 - side, k] * h[i] ** 2)
             size = max(rest, moved)
             if size > 0.0:
                 alpha = min(alpha, (limit_j[k] / size) ** (2.0 / 3.0))
-        bound[side] = alpha * h[i] ** (4.0 / 3.0)
-    return bound
+        most[inner] = min(most[inner], alpha * h[i] ** (4.0 / 3.0))
 
 
-@compiled(allocates=True)
-def node_values(h, c):
-    """a and a' at the nodes from the coefficients (zero at both ends, where the motion rests)."""
-    n = h.shape[0]
-    a, slope = np.zeros(n + 1), np.zeros(n + 1)
-    for i in range(1, n):
-        a[i] = (h[i] * c[i] + h[i - 1] * c[i + 1]) / (h[i - 1] + h[i])
-        slope[i] = 2.0 * (c[i + 1] - c[i]) / (h[i - 1] + h[i])
-    return a, slope
-
-
-class Way(NamedTuple):
-    """Input of a time law: the spline of the path, the elements that it is made of, the transformation of the axes."""
-
-    spline: Spline
-    elements: Elements
-    frames: Frames
-
-
-def _window(
-    along: Way, limits: Limits, feeds: Feeds, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray, gap: float
-) -> tuple[np.ndarray, int]:
+def _window(way: Way, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray) -> np.ndarray:
     """Coefficients of one window, from rest to rest; `ease` (2, interval) scales the acceleration and the jerk limits."""
     n = len(piece)
     q1, q2, q3, top = np.empty((n + 1, 5)), np.empty((n + 1, 5)), np.empty((n, 2, 5)), np.empty(n + 1)
-    limit_rows(*along, limits, feeds, nodes, piece, q1, q2, q3, top)
+    limit_rows(way, nodes, piece, q1, q2, q3, top)
     moving = np.flatnonzero(np.any(np.abs(q1) > 1e-12, axis=0) | np.any(np.abs(q2) > 1e-12, axis=0))
     q1, q2, q3 = (np.ascontiguousarray(q[..., moving]) for q in (q1, q2, q3))
     at_node = np.minimum(np.append(ease[0], 1.0), np.append(1.0, ease[0]))
-    limit_a, limit_j = ACCELERATION_MARGIN * np.outer(at_node, limits.acceleration[moving]), JERK_MARGIN * limits.jerk[moving]
-    h = np.diff(nodes)
-    c, _, steps, status = timelaw.time_law(h, q1, q2, q3, ease[1], top, rest_bounds(q1, q2, q3, h, limit_j), limit_a, limit_j, gap)
-    if status == timelaw.NOT_STARTED:
+    limit_a = ACCELERATION_MARGIN * np.outer(at_node, way.limits.acceleration[moving])
+    h, most, limit_j = np.diff(nodes), top.copy(), JERK_MARGIN * way.limits.jerk[moving]
+    keep_rest(q1, q2, q3, h, limit_j, most)
+    c, started = timelaw.time_law(Bounds(h, q1, q2, q3, most, top, limit_a, limit_j, np.ascontiguousarray(ease[1])))
+    if not started:
         raise TwinError("interpolator: no feasible start was found for the time law; report this program")
-    return c, steps
+    return c
 
 
 def plan(
-    s: Spline,
-    e: Elements,
-    f: Frames,
-    limits: Limits,
-    feeds: Feeds,
-    gap: float = timelaw.GAP,
+    way: Way,
     progress: Callable[[float], None] | None = None,
     eased: tuple[Law, np.ndarray] | None = None,
     kept: Windows | None = None,
@@ -151,20 +120,19 @@ def plan(
     are unchanged are reused.
     """
     if eased is None:
-        nodes, piece, _ = grid(s, e, f, limits, feeds)
+        nodes, piece = grid(way)
         ease = np.ones((2, len(piece)))
     else:
         nodes, piece, ease = eased[0].nodes, eased[0].piece, eased[1]
     if len(piece) <= WINDOW:
-        c, _ = _window(Way(s, e, f), limits, feeds, nodes, piece, ease, gap)
+        c = _window(way, nodes, piece, ease)
     else:
-        way = run_ups(s, e, f, limits, feeds)
-        c = _plan_long(Way(s, e, f), limits, feeds, nodes, piece, ease, way, gap, progress, {} if kept is None else kept)
+        c = _plan_long(way, nodes, piece, ease, progress, {} if kept is None else kept)
     return Law(nodes, piece, *node_values(np.diff(nodes), c))
 
 
 @compiled(allocates=True)
-def felt_to(nodes, piece, way, first, last):
+def felt_to(nodes, piece, run_up, first, last):
     """The last node before `last` that a stop at `last` does not affect (-1: none after `first`).
 
     The effect ends after FELT run-ups of a stretch in which no run-up is longer. A rapid move close to the stop does not count
@@ -173,7 +141,7 @@ def felt_to(nodes, piece, way, first, last):
     from_node = last  # end of the stretch that is looked at
     longest = -1.0  # nothing of it yet
     for i in range(last - 1, first - 1, -1):
-        here = way[piece[i]]
+        here = run_up[piece[i]]
         if longest >= 0.0 and here > MUCH_LONGER * longest:
             from_node = i
             longest = -1.0
@@ -185,16 +153,7 @@ def felt_to(nodes, piece, way, first, last):
 
 
 def _plan_long(
-    along: Way,
-    limits: Limits,
-    feeds: Feeds,
-    nodes: np.ndarray,
-    piece: np.ndarray,
-    ease: np.ndarray,
-    way: np.ndarray,
-    gap: float,
-    progress: Callable[[float], None] | None,
-    kept: Windows,
+    way: Way, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray, progress: Callable[[float], None] | None, kept: Windows
 ) -> np.ndarray:
     """Windows, each planned on its own thread, joined where the artificial stops have no effect."""
     total = len(piece)
@@ -204,11 +163,11 @@ def _plan_long(
         begin, end, _ = span
         factors, new = kept.get((begin, end), (None, np.empty(0)))
         if factors is None or not np.array_equal(factors, ease[:, begin:end]):
-            new, _ = _window(along, limits, feeds, nodes[begin : end + 1], piece[begin:end], ease[:, begin:end], gap)
+            new = _window(way, nodes[begin : end + 1], piece[begin:end], ease[:, begin:end])
             kept[begin, end] = ease[:, begin:end].copy(), new
         return new
 
-    spans = _spans(nodes, piece, way)
+    spans = _spans(nodes, piece, run_ups(way))
     pool = ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1))
     try:
         for (begin, end, join_at), new in zip(spans, pool.map(planned, spans)):
@@ -226,8 +185,8 @@ def _plan_long(
     return c
 
 
-def _spans(nodes: np.ndarray, piece: np.ndarray, way: np.ndarray) -> list[Span]:
-    """The windows of a stretch."""
+def _spans(nodes: np.ndarray, piece: np.ndarray, run_up: np.ndarray) -> list[Span]:
+    """The windows of a stretch; `run_up` (piece,)."""
     total, window = len(piece), WINDOW
     begin = join_at = 0
     spans: list[Span] = []
@@ -235,8 +194,8 @@ def _spans(nodes: np.ndarray, piece: np.ndarray, way: np.ndarray) -> list[Span]:
         end = min(begin + window, total)
         if end == total:
             return [*spans, (begin, end, join_at)]
-        join = felt_to(nodes, piece, way, begin, end) - JOIN
-        begin_next = felt_to(nodes, piece, way, begin, join) - JOIN
+        join = felt_to(nodes, piece, run_up, begin, end) - JOIN
+        begin_next = felt_to(nodes, piece, run_up, begin, join) - JOIN
         if join <= join_at + JOIN or begin_next <= begin:
             window *= 2  # the run-ups are longer than the window
             continue
@@ -245,8 +204,9 @@ def _spans(nodes: np.ndarray, piece: np.ndarray, way: np.ndarray) -> list[Span]:
 
 
 @compiled(allocates=True)
-def excess(s, f, limits, law):
+def excess(way, law):
     """Largest acceleration and jerk within each interval, between the nodes, as shares of their limits (2, interval)."""
+    s, _, f, limits, _ = way
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     n = law.piece.shape[0]
     out = np.zeros((2, n))

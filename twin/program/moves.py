@@ -1,7 +1,7 @@
 """A program as typed moves: the result of every reader and the input of the interpolator.
 
-The moves are kept as columns, one row per move, so that a program of 100 000 blocks is a few arrays; `Program.move(i)`
-gives one of them as a record. Coordinates are x y z A C in m and rad: under TRAORI x y z is the tool tip in the part frame,
+The moves are kept as columns, one row per move, so that a program of 100 000 blocks is a few arrays.
+Coordinates are x y z A C in m and rad: under TRAORI x y z is the tool tip in the part frame,
 otherwise the axes X Y Z; A and C are always the axes.
 """
 
@@ -15,7 +15,6 @@ import numpy as np
 from twin.geometry.kinematics import Kinematics
 
 RAPID, LINE, ARC, DWELL = 0, 1, 2, 3
-KIND_NAMES = ("rapid", "line", "arc", "dwell")
 
 
 @dataclass(frozen=True)
@@ -55,22 +54,12 @@ class Moves:
         """These rows only."""
         return Moves(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
-
-@dataclass(frozen=True)
-class Move:
-    """One move as a record; see `Moves` for units."""
-
-    kind: str
-    start: np.ndarray
-    target: np.ndarray
-    feed: float
-    stop: bool
-    traori: bool
-    tolerance: float
-    block: int
-    line: int
-    centre: np.ndarray | None
-    angle: float | None
+    def circles(self, rows: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Arcs from `start` (row, 3) as centre + cos(phi) e1 + sin(phi) e2, the centre at the height of the start; e1 = e2 = 0 on lines."""
+        normal, arm = self.normal[rows], start - self.centre[rows]
+        flat = arm - normal * np.sum(arm * normal, axis=-1, keepdims=True)
+        radius = np.where((self.angle[rows] > 0.0)[..., None], flat, 0.0)
+        return start - radius, radius, np.cross(normal, radius)
 
 
 def place_of(path: Path, line: int, block: int, column: int | None = None) -> str:
@@ -102,24 +91,6 @@ class Program:
         """Place of move i for messages: file, line and block."""
         return place_of(self.path, int(self.moves.line[i]), int(self.moves.block[i]))
 
-    def move(self, i: int) -> Move:
-        """Move i as a record."""
-        m = self.moves
-        arc = m.kind[i] == ARC
-        return Move(
-            kind=KIND_NAMES[m.kind[i]],
-            start=self.starts()[i],
-            target=m.target[i],
-            feed=float(m.feed[i]),
-            stop=bool(m.stop[i]),
-            traori=bool(m.traori[i]),
-            tolerance=float(m.tolerance[i]),
-            block=int(m.block[i]),
-            line=int(m.line[i]),
-            centre=m.centre[i] if arc else None,
-            angle=float(m.angle[i]) if arc else None,
-        )
-
     def starts(self) -> np.ndarray:
         """Start of each move (row, 5), in the coordinates of that move."""
         before = np.vstack([self.start[None], self.moves.target[:-1]])
@@ -128,13 +99,26 @@ class Program:
         # a change of transformation or tool does not move the axes but changes the coordinates of the point
         changed = (traori != self.moves.traori) | ((length != self.moves.tool_length) & self.moves.traori)
         for i in np.flatnonzero(changed):
-            axes = before[i]
+            axes = before[i : i + 1]
             if traori[i]:
-                axes = np.concatenate(
-                    [self.kinematics.with_tool_length(length[i]).linear_axes(axes[None, :3], axes[None, 3:])[0], axes[3:]]
-                )
-            if self.moves.traori[i]:
-                tip, _ = self.kinematics.with_tool_length(self.moves.tool_length[i]).forward(axes)
-                axes = np.concatenate([tip[0], axes[3:]])
-            before[i] = axes
+                axes = axes_at(self.kinematics, axes, length[i : i + 1])
+            before[i] = axes if not self.moves.traori[i] else tips_at(self.kinematics, axes, self.moves.tool_length[i : i + 1])
         return before
+
+
+def axes_at(kinematics: Kinematics, points: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Axes (row, 5) from tips in the part frame, with A and C (row, 5), and the length of the tool of each (row,) [m]."""
+    axes = points.copy()
+    for one in np.unique(length):
+        rows = length == one
+        axes[rows, :3] = kinematics.with_tool_length(one).linear_axes(points[rows, :3], points[rows, 3:])
+    return axes
+
+
+def tips_at(kinematics: Kinematics, axes: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Tips in the part frame, with A and C (row, 5), from the axes (row, 5): the inverse of `axes_at`."""
+    points = axes.copy()
+    for one in np.unique(length):
+        rows = length == one
+        points[rows, :3] = kinematics.with_tool_length(one).forward(axes[rows])[0]
+    return points

@@ -6,6 +6,7 @@ Symbols and shapes are those of that module.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,83 +15,114 @@ from twin.compiled_functions import compiled
 _FAST = {"contract", "arcp", "reassoc"}
 
 
+class Bounds(NamedTuple):
+    """The path at the nodes and its limits.
+
+    `h` (interval,) distances of the nodes, `q1` `q2` (node, axis) and `q3` (interval, left and right end, axis) derivatives of the axes,
+    `most` (node,) the greatest a by speed and feed, beside the ends also by the constant jerk from and to rest, `top` the same without
+    that, `acceleration` (node, axis), `jerk` (axis,), which `ease` (interval,) scales (1: as given).
+    """
+
+    h: np.ndarray
+    q1: np.ndarray
+    q2: np.ndarray
+    q3: np.ndarray
+    most: np.ndarray
+    top: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    ease: np.ndarray
+
+
+class Multipliers(NamedTuple):
+    """Of the limits on a at the nodes and in the middles, of acceleration and jerk (upper and lower)."""
+
+    top: np.ndarray
+    middle: np.ndarray
+    a: np.ndarray
+    j: np.ndarray
+
+
+class Equations(NamedTuple):
+    """Gradient and Hessian (diagonal and two side diagonals) by the coefficients."""
+
+    gradient: np.ndarray
+    diagonal: np.ndarray
+    beside: np.ndarray
+    apart: np.ndarray
+
+
 @compiled(allocates=True)
-def least_slack(c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j):
+def node_values(h, c):
+    """a and a' at the nodes from the coefficients (zero at both ends, where the motion rests)."""
+    n = h.shape[0]
+    a, slope = np.zeros(n + 1), np.zeros(n + 1)
+    for i in range(1, n):
+        share = h[i - 1] / (h[i - 1] + h[i])
+        a[i] = (1.0 - share) * c[i] + share * c[i + 1]
+        slope[i] = 2.0 / (h[i - 1] + h[i]) * (c[i + 1] - c[i])
+    return a, slope
+
+
+@compiled(allocates=True)
+def least_slack(c, b):
     """The smallest slack of all limits (negative: a limit is exceeded); only its sign has a meaning."""
-    intervals = h.shape[0]
-    least = np.inf
-    left = c[1] + (c[2] - c[1]) * h[0] / (h[0] + h[1])
-    left_slope = 2.0 * (c[2] - c[1]) / (h[0] + h[1])
-    least = min(least, rest_top[0] - left)
+    h, q1, q2, q3, most, top, limit_a, limit_j, ease = b
+    a, slope = node_values(h, c)
+    intervals, least = h.shape[0], np.inf
     for i in range(1, intervals):
-        least = min(least, left, top[i] - left)
+        least = min(least, a[i], most[i] - a[i])
         for k in range(q1.shape[1]):
-            least = min(least, limit_a[i, k] - abs(0.5 * q1[i, k] * left_slope + q2[i, k] * left))
-        if i == intervals - 1:
-            return min(least, rest_top[1] - left)
+            least = min(least, limit_a[i, k] - abs(0.5 * q1[i, k] * slope[i] + q2[i, k] * a[i]))
+    for i in range(1, intervals - 1):
         least = min(least, 0.5 * (top[i] + top[i + 1]) - c[i + 1])
-        right = c[i + 1] + (c[i + 2] - c[i + 1]) * h[i] / (h[i] + h[i + 1])
-        right_slope = 2.0 * (c[i + 2] - c[i + 1]) / (h[i] + h[i + 1])
-        if least <= 0.0 or right <= 0.0:
-            return -1.0
-        bend = (right_slope - left_slope) / h[i]
-        for end in range(2):
-            a, slope, n = (left, left_slope, i) if end == 0 else (right, right_slope, i + 1)
+        if least <= 0.0:
+            break
+        bend = (slope[i + 1] - slope[i]) / h[i]
+        for n in range(i, i + 2):
             for k in range(q1.shape[1]):
-                f = 0.5 * q1[n, k] * bend + 1.5 * q2[n, k] * slope + q3[i, end, k] * a
-                least = min(least, ease[i] * limit_j[k] / math.sqrt(a) - abs(f))
-        left, left_slope = right, right_slope
+                f = 0.5 * q1[n, k] * bend + 1.5 * q2[n, k] * slope[n] + q3[i, n - i, k] * a[n]
+                least = min(least, ease[i] * limit_j[k] / math.sqrt(a[n]) - abs(f))
     return least
 
 
 @compiled(allocates=True, fastmath=_FAST)
-def assemble(
-    c, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, mu, fresh, dual_top, dual_c, dual_a, dual_j, gradient, diagonal, beside, apart
-):
-    """Gradient of T - mu sum(log slack) and Hessian with the weights dual / slack (diagonal and two side diagonals).
+def assemble(c, b, mu, fresh, dual, equations):
+    """The equations of T - mu sum(log slack), whose Hessian has the weights dual / slack.
 
     `fresh` sets all multipliers to mu / slack first. Returns the time and the sum of slack times multiplier.
     """
-    intervals = h.shape[0]
-    axes = q1.shape[1]
+    h, q1, q2, q3, most, top, limit_a, limit_j, ease = b
+    dual_top, dual_c, dual_a, dual_j = dual
+    gradient, diagonal, beside, apart = equations
+    intervals, axes = q1.shape[0] - 1, q1.shape[1]
+    a, slope = node_values(h, c)
     gradient[:] = 0.0
     diagonal[:] = 0.0
     beside[:] = 0.0
     apart[:] = 0.0
-    time = 0.0
-    gap = 0.0
+    time = gap = 0.0
     for i in range(1, intervals):
         # a and a' at node i from the two coefficients i and i + 1
         width = h[i - 1] + h[i]
         w1 = h[i - 1] / width
         w0 = 1.0 - w1
         d = 2.0 / width
-        a = w0 * c[i] + w1 * c[i + 1]
-        slope = d * (c[i + 1] - c[i])
         share = 0.25 * width
-        root = math.sqrt(a)
+        root = math.sqrt(a[i])
         time += share / root
         # first and second derivatives by a and by a': the time, then each limit at the node
-        ga = -0.5 * share / (a * root)
-        haa = 0.75 * share / (a * a * root)
-        bound = top[i]
-        if i == 1:
-            bound = min(bound, rest_top[0])
-        if i == intervals - 1:
-            bound = min(bound, rest_top[1])
-        s = 1.0 / (bound - a)
+        s = 1.0 / (most[i] - a[i])
         if fresh:
             dual_top[i] = mu * s
         gap += dual_top[i] / s
-        ga += mu * s
-        haa += dual_top[i] * s
-        gs = 0.0
-        hss = 0.0
-        has = 0.0
+        ga = mu * s - 0.5 * share / (a[i] * root)
+        haa = dual_top[i] * s + 0.75 * share / (a[i] * a[i] * root)
+        gs = hss = has = 0.0
         for k in range(axes):
             fs = 0.5 * q1[i, k]
             fa = q2[i, k]
-            f = fs * slope + fa * a
+            f = fs * slope[i] + fa * a[i]
             up = 1.0 / (limit_a[i, k] - f)
             down = 1.0 / (limit_a[i, k] + f)
             if fresh:
@@ -129,35 +161,23 @@ def assemble(
         b0 = d / h[i]
         b2 = d2 / h[i]
         b1 = -(b0 + b2)
-        bend = b0 * c[i] + b1 * c[i + 1] + b2 * c[i + 2]
+        bend = (slope[i + 1] - slope[i]) / h[i]
         for end in range(2):
+            n = i + end
             if end == 0:
-                n, x, y = i, a, slope
-                a0, a1, a2 = w0, w1, 0.0
-                s0, s1, s2 = -d, d, 0.0
+                a0, a1, a2, s0, s1, s2 = w0, w1, 0.0, -d, d, 0.0
             else:
-                n = i + 1
-                x = v0 * c[i + 1] + v1 * c[i + 2]
-                y = d2 * (c[i + 2] - c[i + 1])
-                a0, a1, a2 = 0.0, v0, v1
-                s0, s1, s2 = 0.0, -d2, d2
-            inverse_root = 1.0 / math.sqrt(x)
-            ex = 0.0
-            ey = 0.0
-            eb = 0.0
-            xx = 0.0
-            xy = 0.0
-            xb = 0.0
-            yy = 0.0
-            yb = 0.0
-            bb = 0.0
+                a0, a1, a2, s0, s1, s2 = 0.0, v0, v1, 0.0, -d2, d2
+            inverse_root = 1.0 / math.sqrt(a[n])
+            ex = ey = eb = 0.0
+            xx = xy = xb = yy = yb = bb = 0.0
             for k in range(axes):
                 fb = 0.5 * q1[n, k]
                 fy = 1.5 * q2[n, k]
                 fx = q3[i, end, k]
-                f = fb * bend + fy * y + fx * x
+                f = fb * bend + fy * slope[n] + fx * a[n]
                 bound = ease[i] * limit_j[k] * inverse_root
-                fall = 0.5 * bound / x  # the bound falls by this with a
+                fall = 0.5 * bound / a[n]  # the bound falls by this with a
                 up = 1.0 / (bound - f)
                 down = 1.0 / (bound + f)
                 if fresh:
@@ -196,69 +216,46 @@ def assemble(
 
 
 @compiled(allocates=True, fastmath=_FAST)
-def dual_steps(
-    c, step, h, q1, q2, q3, ease, top, rest_top, limit_a, limit_j, mu, dual_top, dual_c, dual_a, dual_j, move_top, move_c, move_a, move_j
-):
-    """Changes of all multipliers (written to the move arrays), and the largest steps of primal and dual before a limit or zero.
+def dual_steps(c, step, b, mu, dual, move):
+    """Changes of all multipliers (written to `move`), and the largest steps of primal and dual before a limit or zero.
 
     The linearised slack is the safe side of the true one, so the ratio test keeps every limit.
     """
-    intervals = h.shape[0]
-    axes = q1.shape[1]
-    primal = 0.0  # greatest relative fall of a slack, of a multiplier
-    dual = 0.0
+    h, q1, q2, q3, most, top, limit_a, limit_j, ease = b
+    dual_top, dual_c, dual_a, dual_j = dual
+    move_top, move_c, move_a, move_j = move
+    intervals, axes = q1.shape[0] - 1, q1.shape[1]
+    (a, slope), (da, dslope) = node_values(h, c), node_values(h, step)
+    primal = falls = 0.0  # greatest relative fall of a slack, of a multiplier
     for i in range(1, intervals):
-        width = h[i - 1] + h[i]
-        w1 = h[i - 1] / width
-        w0 = 1.0 - w1
-        d = 2.0 / width
-        a, da = w0 * c[i] + w1 * c[i + 1], w0 * step[i] + w1 * step[i + 1]
-        slope, dslope = d * (c[i + 1] - c[i]), d * (step[i + 1] - step[i])
-        bound = top[i]
-        if i == 1:
-            bound = min(bound, rest_top[0])
-        if i == intervals - 1:
-            bound = min(bound, rest_top[1])
-        s = 1.0 / (bound - a)
-        primal = max(primal, da * s, -da / a)
-        move_top[i] = mu * s - dual_top[i] * (1.0 - da * s)
-        dual = max(dual, -move_top[i] / dual_top[i])
+        s = 1.0 / (most[i] - a[i])
+        primal = max(primal, da[i] * s, -da[i] / a[i])
+        move_top[i] = mu * s - dual_top[i] * (1.0 - da[i] * s)
+        falls = max(falls, -move_top[i] / dual_top[i])
         for k in range(axes):
-            f = 0.5 * q1[i, k] * slope + q2[i, k] * a
-            df = 0.5 * q1[i, k] * dslope + q2[i, k] * da
+            f = 0.5 * q1[i, k] * slope[i] + q2[i, k] * a[i]
+            df = 0.5 * q1[i, k] * dslope[i] + q2[i, k] * da[i]
             up = 1.0 / (limit_a[i, k] - f)
             down = 1.0 / (limit_a[i, k] + f)
             primal = max(primal, df * up, -df * down)
             move_a[i, k, 0] = mu * up - dual_a[i, k, 0] * (1.0 - df * up)
             move_a[i, k, 1] = mu * down - dual_a[i, k, 1] * (1.0 + df * down)
-            dual = max(dual, -move_a[i, k, 0] / dual_a[i, k, 0], -move_a[i, k, 1] / dual_a[i, k, 1])
+            falls = max(falls, -move_a[i, k, 0] / dual_a[i, k, 0], -move_a[i, k, 1] / dual_a[i, k, 1])
         if i == intervals - 1:
             break
         s = 1.0 / (0.5 * (top[i] + top[i + 1]) - c[i + 1])
         primal = max(primal, -step[i + 1] / c[i + 1], step[i + 1] * s)
         move_c[i] = mu * s - dual_c[i] * (1.0 - step[i + 1] * s)
-        dual = max(dual, -move_c[i] / dual_c[i])
-        width2 = h[i] + h[i + 1]
-        d2 = 2.0 / width2
-        v1 = h[i] / width2
-        v0 = 1.0 - v1
-        right, dright = v0 * c[i + 1] + v1 * c[i + 2], v0 * step[i + 1] + v1 * step[i + 2]
-        right_slope, dright_slope = d2 * (c[i + 2] - c[i + 1]), d2 * (step[i + 2] - step[i + 1])
-        bend, dbend = (right_slope - slope) / h[i], (dright_slope - dslope) / h[i]
+        falls = max(falls, -move_c[i] / dual_c[i])
+        bend, dbend = (slope[i + 1] - slope[i]) / h[i], (dslope[i + 1] - dslope[i]) / h[i]
         for end in range(2):
-            if end == 0:
-                n, x, y, dx, dy = i, a, slope, da, dslope
-            else:
-                n, x, y, dx, dy = i + 1, right, right_slope, dright, dright_slope
-            inverse_root = 1.0 / math.sqrt(x)
+            n = i + end
+            inverse_root = 1.0 / math.sqrt(a[n])
             for k in range(axes):
-                fb = 0.5 * q1[n, k]
-                fy = 1.5 * q2[n, k]
-                fx = q3[i, end, k]
-                f = fb * bend + fy * y + fx * x
+                f = 0.5 * q1[n, k] * bend + 1.5 * q2[n, k] * slope[n] + q3[i, end, k] * a[n]
+                df = 0.5 * q1[n, k] * dbend + 1.5 * q2[n, k] * dslope[n] + q3[i, end, k] * da[n]
                 bound = ease[i] * limit_j[k] * inverse_root
-                dbound = 0.5 * bound / x * dx
-                df = fb * dbend + fy * dy + fx * dx
+                dbound = 0.5 * bound / a[n] * da[n]
                 up = 1.0 / (bound - f)
                 down = 1.0 / (bound + f)
                 fall_up = (dbound + df) * up
@@ -266,13 +263,14 @@ def dual_steps(
                 primal = max(primal, fall_up, fall_down)
                 move_j[i, end, k, 0] = mu * up - dual_j[i, end, k, 0] * (1.0 - fall_up)
                 move_j[i, end, k, 1] = mu * down - dual_j[i, end, k, 1] * (1.0 - fall_down)
-                dual = max(dual, -move_j[i, end, k, 0] / dual_j[i, end, k, 0], -move_j[i, end, k, 1] / dual_j[i, end, k, 1])
-    return primal, dual
+                falls = max(falls, -move_j[i, end, k, 0] / dual_j[i, end, k, 0], -move_j[i, end, k, 1] / dual_j[i, end, k, 1])
+    return primal, falls
 
 
 @compiled(allocates=True)
-def tie_ends(ties, gradient, diagonal, beside, apart):
+def tie_ends(ties, equations):
     """Eliminate coefficient 1 (= tie * coefficient 2) and the last but one from the equations."""
+    gradient, diagonal, beside, apart = equations
     t = ties[0]
     gradient[2] += t * gradient[1]
     diagonal[2] += t * t * diagonal[1] + 2.0 * t * beside[1]

@@ -39,6 +39,16 @@ class Feeds(NamedTuple):
     rotary: np.ndarray
 
 
+class Way(NamedTuple):
+    """Input of a time law: the spline of the path, the elements that it is made of, the transformation of the axes, limits and feeds."""
+
+    spline: Spline
+    elements: elements.Elements
+    frames: axis_path.Frames
+    limits: Limits
+    feeds: Feeds
+
+
 def split_at_feeds(s: Spline, e: elements.Elements, feeds: Feeds) -> Spline:
     """The same path with a break of the spline wherever the feed changes, so that no piece has two feeds.
 
@@ -133,24 +143,26 @@ def _slope_change(s, j):
 
 
 @compiled(allocates=True)
-def run_ups(s, e, f, limits, feeds):
+def run_ups(way):
     """Run-up way of each piece, at most half the stretch."""
+    s, e, f, limits, feeds = way
     pieces = s.t.shape[0] - 1
-    way = np.empty(pieces)
+    out = np.empty(pieces)
     i = 0
     for j in range(pieces):
         i = elements.find(e.u, 0.5 * (s.t[j] + s.t[j + 1]), i)
-        way[j] = min(_run_up(s, j, f, limits, feeds.speed[i], feeds.rotary[i]), 0.5 * s.t[pieces])
-    return way
+        out[j] = min(_run_up(s, j, f, limits, feeds.speed[i], feeds.rotary[i]), 0.5 * s.t[pieces])
+    return out
 
 
 @compiled(allocates=True)
-def grid(s, e, f, limits, feeds):
-    """Nodes of the time law, the piece of the spline in which each interval lies, and the run-up way of each piece."""
+def grid(way):
+    """Nodes of the time law, and the piece of the spline in which each interval lies."""
+    s, e, f, limits, feeds = way
     pieces = s.t.shape[0] - 1
     step = np.empty(pieces + 1)  # node distance wanted at the breaks
     far = np.full(pieces + 1, np.inf)  # way to the next place where the speed may have to change
-    way = run_ups(s, e, f, limits, feeds)
+    run_up = run_ups(way)
     i = 0
     for j in range(pieces):
         before = i
@@ -166,9 +178,9 @@ def grid(s, e, f, limits, feeds):
         if j and feeds.speed[i] != feeds.speed[before]:
             # the speed changes within the run-up of the slower side, however long the faster one is
             least = SHORTEST * min(s.t[j] - s.t[j - 1], s.t[j + 1] - s.t[j])
-            step[j] = min(step[j], max(min(way[j - 1], way[j]) / FINEST, least))
+            step[j] = min(step[j], max(min(run_up[j - 1], run_up[j]) / FINEST, least))
     # the first and last interval have constant jerk; next to them the steps grow in proportion to the distance from rest
-    first_step, last_step = way[0] / 1000.0, way[pieces - 1] / 1000.0
+    first_step, last_step = run_up[0] / 1000.0, run_up[pieces - 1] / 1000.0
     step[0] = max(DIVIDE * first_step, SHORTEST * s.t[1])
     step[pieces] = max(DIVIDE * last_step, SHORTEST * (s.t[pieces] - s.t[pieces - 1]))
     far[0] = 0.0
@@ -179,18 +191,15 @@ def grid(s, e, f, limits, feeds):
     for j in range(pieces - 1, -1, -1):
         step[j] = min(step[j], step[j + 1] + DIVIDE * (s.t[j + 1] - s.t[j]))
         far[j] = min(far[j], far[j + 1] + (s.t[j + 1] - s.t[j]))
-    nodes = np.empty(4 * pieces + 4096)
-    piece = np.empty(4 * pieces + 4096, np.int64)
-    nodes[0] = 0.0
-    count = 1
+    nodes, count = [0.0], np.zeros(pieces, np.int64)
     for j in range(pieces):
-        first = count - 1
+        first = len(nodes)
         at = s.t[j]
         while at < s.t[j + 1] * (1.0 - 1e-14):
             left, right = at - s.t[j], s.t[j + 1] - at
             clear = min(far[j] + left, far[j + 1] + right)
             # fine while the speed changes; once the feed is reached nothing happens
-            longest = max(way[j] / FINEST, DIVIDE * (clear - 2.0 * way[j]))
+            longest = max(run_up[j] / FINEST, DIVIDE * (clear - 2.0 * run_up[j]))
             size = min(longest, step[j] + DIVIDE * left)
             size = min(size, (step[j + 1] + DIVIDE * right) / (1.0 + DIVIDE))  # DIVIDE times what is left behind it
             size = max(size, min(step[j], step[j + 1], SHORTEST * (s.t[j + 1] - s.t[j])))
@@ -201,16 +210,11 @@ def grid(s, e, f, limits, feeds):
             if right < 2.0 * size:
                 size = right if right < 1.3 * size else 0.5 * right
             at += size
-            if count + 1 >= nodes.shape[0]:
-                more_nodes, more_piece = np.empty(2 * count), np.empty(2 * count, np.int64)
-                more_nodes[:count], more_piece[:count] = nodes[:count], piece[:count]
-                nodes, piece = more_nodes, more_piece
-            nodes[count] = at
-            piece[count - 1] = j
-            count += 1
+            nodes.append(at)
+        count[j] = len(nodes) - first
         # even out: the last step may have been longer
-        factor = (s.t[j + 1] - s.t[j]) / (nodes[count - 1] - s.t[j])
-        for k in range(first + 1, count):
+        factor = (s.t[j + 1] - s.t[j]) / (nodes[-1] - s.t[j])
+        for k in range(first, len(nodes)):
             nodes[k] = s.t[j] + (nodes[k] - s.t[j]) * factor
-        nodes[count - 1] = s.t[j + 1]
-    return nodes[:count].copy(), piece[: count - 1].copy(), way
+        nodes[-1] = s.t[j + 1]
+    return np.array(nodes), np.repeat(np.arange(pieces), count)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics
 
 OK, UNREACHABLE, OUTSIDE_TRAVEL = 0, 1, 2
@@ -30,13 +29,11 @@ class ChosenAngles:
     rewound: np.ndarray
 
 
-def choose_angles(
-    kinematics: Kinematics, tool_axis: np.ndarray, start: np.ndarray, *, fixed: np.ndarray | None = None, check: bool = True
-) -> ChosenAngles:
+def choose_angles(kinematics: Kinematics, tool_axis: np.ndarray, start: np.ndarray, fixed: np.ndarray | None = None) -> ChosenAngles:
     """A and C along a sequence of tool axes (sample, 3) in the part frame, beginning at `start` (2,).
 
-    For a tool axis of NaN the angles are `fixed` (sample, 2); an angle that is NaN there is not changed. With `check` an unreachable
-    direction raises InputError; otherwise the status reports it and the angles are not changed.
+    For a tool axis of NaN the angles are `fixed` (sample, 2); an angle that is NaN there is not changed, and so are both where the
+    status reports that a direction cannot be reached.
     """
     tool_axis, start = np.atleast_2d(tool_axis), np.asarray(start, float)
     fixed = np.full((len(tool_axis), 2), np.nan) if fixed is None else fixed
@@ -45,11 +42,7 @@ def choose_angles(
     pairs, reachable = kinematics.angles(np.where(free[:, None], kinematics.tool_axis, wanted))
     found = ChosenAngles(*_choose(pairs, reachable, free, walked, start, kinematics.travel[3:]))
     rewound = np.diff(np.concatenate([[0], np.cumsum(found.rewound)[kept]])) > 0
-    chosen = ChosenAngles(found.angles[kept], found.status[kept], rewound)
-    if check and np.any(chosen.status):
-        k = int(np.flatnonzero(chosen.status)[0])
-        raise InputError(f"sample {k}: {unreachable_text(kinematics, tool_axis[k], int(chosen.status[k]))}")
-    return chosen
+    return ChosenAngles(found.angles[kept], found.status[kept], rewound)
 
 
 def _walked(
@@ -77,12 +70,6 @@ def _walked(
             way = np.sin((1.0 - share) * angle[i]) * a + np.sin(share * angle[i]) * b
             out[kept[i] - steps[i] + 1 : kept[i]] = way / np.linalg.norm(way, axis=1, keepdims=True)
     return out, walked, kept
-
-
-def inverse(kinematics: Kinematics, tip: np.ndarray, tool_axis: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Axes (sample, 5) along a sequence of tips and tool axes (sample, 3) in the part frame, beginning at the axes `start` (5,)."""
-    angles = choose_angles(kinematics, tool_axis, np.asarray(start, float)[3:]).angles
-    return np.column_stack([kinematics.linear_axes(tip, angles), angles])
 
 
 def unreachable_text(kinematics: Kinematics, tool_axis: np.ndarray, status: int) -> str:

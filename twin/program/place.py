@@ -16,7 +16,7 @@ from scipy.optimize import linprog
 
 from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics
-from twin.program.moves import ARC, Program
+from twin.program.moves import ARC, Program, axes_at
 
 KEEP = 1e-4
 """Clearance from the ends of the travel [m]."""
@@ -39,7 +39,8 @@ def placed(program: Program) -> Program:
     own_turn = _rotations(kinematics, moves.target[:, 3:])
     bulge, of_move = _along_arcs(program)
     at_axes = np.where(moves.traori[of_move, None], np.einsum("nij,nj->ni", own_turn[of_move], bulge), bulge)
-    axes = np.vstack([axes_of(program), axes_of(program)[of_move] + at_axes])
+    ends = axes_of(program)[:, :3]
+    axes = np.vstack([ends, ends[of_move] + at_axes])
     turned = np.concatenate([own_turn, own_turn[of_move]])
     home = np.clip(0.0, kinematics.travel[:, 0], kinematics.travel[:, 1])
     starts_at_home = np.allclose(program.start, home)
@@ -49,9 +50,10 @@ def placed(program: Program) -> Program:
     low, high = kinematics.travel[:3, 0] + KEEP, kinematics.travel[:3, 1] - KEEP
     shift = _least_shift(axes, turned, low, high)
     if shift is None:
-        raise InputError(
-            f"{program.path}: no place on the table fits: {_too_long(axes, low - KEEP, high + KEEP)}; take a machine with more travel"
-        )
+        span, travel = np.ptp(axes, axis=0) * 1e3, (high - low + 2.0 * KEEP) * 1e3
+        k = int(np.argmax(span / travel))
+        what = f"axis {'XYZ'[k]} moves over {span[k]:.1f} mm, its travel is {travel[k]:.1f} mm"
+        raise InputError(f"{program.path}: no place on the table fits: {what}; take a machine with more travel")
     target, centre, start = moves.target.copy(), moves.centre.copy(), program.start.copy()
     own = np.where(moves.traori[:, None], shift, own_turn @ shift)
     target[:, :3] += own
@@ -64,27 +66,19 @@ def placed(program: Program) -> Program:
 
 
 def axes_of(program: Program) -> np.ndarray:
-    """Linear axes (move, 3) at the end of each move [m]."""
-    moves, kinematics = program.moves, program.kinematics
-    axes = moves.target[:, :3].copy()
-    for length in np.unique(moves.tool_length[moves.traori]):
-        rows = moves.traori & (moves.tool_length == length)
-        axes[rows] = kinematics.with_tool_length(length).linear_axes(moves.target[rows, :3], moves.target[rows, 3:])
+    """Axes (move, 5) at the end of each move [m, rad]."""
+    moves, axes = program.moves, program.moves.target.copy()
+    axes[moves.traori] = axes_at(program.kinematics, axes[moves.traori], moves.tool_length[moves.traori])
     return axes
 
 
 def _along_arcs(program: Program) -> tuple[np.ndarray, np.ndarray]:
     """Points along all arcs, each from the end of its arc (point, 3) [m] in the frame of its move, and the moves that they belong to."""
-    moves = program.moves
-    points, of_move = [], []
-    for row in np.flatnonzero(moves.kind == ARC).tolist():
-        normal, arm = moves.normal[row], moves.target[row, :3] - moves.centre[row]
-        height = normal * (normal @ arm)
-        flat = arm - height
-        back = np.linspace(0.0, min(float(moves.angle[row]), 2.0 * np.pi), ALONG_ARC, endpoint=False)[1:, None]
-        points.append(np.cos(back) * flat - np.sin(back) * np.cross(normal, flat) - flat)
-        of_move += [row] * (ALONG_ARC - 1)
-    return (np.vstack(points) if points else np.zeros((0, 3))), np.array(of_move, int)
+    rows = np.flatnonzero(program.moves.kind == ARC)
+    _, radius1, radius2 = program.moves.circles(rows, program.moves.target[rows, :3])
+    back = np.minimum(program.moves.angle[rows], 2.0 * np.pi)[:, None, None] * (np.arange(1, ALONG_ARC) / ALONG_ARC)[:, None]
+    points = (np.cos(back) - 1.0) * radius1[:, None] - np.sin(back) * radius2[:, None]
+    return points.reshape(-1, 3), np.repeat(rows, ALONG_ARC - 1)
 
 
 def _rotations(kinematics: Kinematics, angles: np.ndarray) -> np.ndarray:
@@ -103,10 +97,3 @@ def _least_shift(axes: np.ndarray, turned: np.ndarray, low: np.ndarray, high: np
     limit = np.concatenate([(high - axes).ravel(), (axes - low).ravel(), np.zeros(6)])
     found = linprog([0.0] * 3 + [1.0] * 3, A_ub=matrix, b_ub=limit, bounds=[(None, None)] * 3 + [(0.0, None)] * 3, method="highs")
     return None if found.x is None or not found.success else np.asarray(found.x[:3])
-
-
-def _too_long(axes: np.ndarray, low: np.ndarray, high: np.ndarray) -> str:
-    """The axis with the longest motion relative to its travel."""
-    span = np.ptp(axes, axis=0)
-    worst = int(np.argmax(span / (high - low)))
-    return f"axis {'XYZ'[worst]} moves over {span[worst] * 1e3:.1f} mm, its travel is {(high - low)[worst] * 1e3:.1f} mm"

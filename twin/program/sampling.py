@@ -80,12 +80,14 @@ def node_times(nodes, a, slope):
 
 
 @compiled(allocates=True)
-def sample(s, f, nodes, piece, a, slope, times, stretch, begin, period, count, axes, u, tip_speed, turn_speed):
-    """Fill axes (count, 5), u, tip speed [m/s] and speed of A and C together [rad/s] (count,).
+def sample(s, f, law, times, stretch, begin, period, out):
+    """Fill `out`: axes (count, 5), u, tip speed [m/s] and speed of A and C together [rad/s] (count,).
 
     Sample i is taken begin + i + 1 periods [s] after the start; `stretch` slows the law down. Times outside the motion give its ends.
     """
-    n = nodes.shape[0] - 1
+    nodes, piece, a, slope = law
+    axes, u, tip_speed, turn_speed = out
+    n, count = nodes.shape[0] - 1, u.shape[0]
     w, q, work = np.empty((4, 5)), np.empty((4, 5)), np.empty((5, 4, 4))
     i = 0
     for m in range(count):

@@ -44,52 +44,31 @@ def stretches(program: mv.Program) -> list[tuple[int, int]]:
 
 def stretch_of(program: mv.Program, starts: np.ndarray, first: int, last: int, great_circle: np.ndarray) -> Stretch | None:
     """The elements of rows first .. last; None if nothing moves (a dwell, or moves of no length)."""
-    m = program.moves
-    rows = np.arange(first, last + 1)
+    m, rows = program.moves, np.arange(first, last + 1)
     start, end = starts[rows], m.target[rows]
-    arc = m.kind[rows] == mv.ARC
-    centre, radius1, radius2 = m.centre[rows], np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
-    length = np.linalg.norm(end[:, :3] - start[:, :3], axis=1)
+    base, step, angle = start.copy(), end - start, m.angle[rows]
+    arc, length = angle > 0.0, np.linalg.norm(step[:, :3], axis=1)
+    base[:, :3], radius1, radius2 = m.circles(rows, start[:, :3])
     if arc.any():
-        normal = m.normal[rows]
-        arm = start[:, :3] - centre
-        radius1 = np.where(arc[:, None], arm - normal * np.einsum("ni,ni->n", arm, normal)[:, None], 0.0)
-        # the centre at the height of the start, so the rest of the motion is the pitch
-        centre = np.where(arc[:, None], start[:, :3] - radius1, centre)
-        radius2 = np.cross(normal, radius1)
-        rise = np.einsum("ni,ni->n", end[:, :3] - start[:, :3], normal)
-        length = np.where(arc, np.hypot(m.angle[rows] * np.linalg.norm(radius1, axis=1), rise), length)
-    turn = el.REFERENCE_RADIUS * np.linalg.norm(end[:, 3:] - start[:, 3:], axis=1)
-    length = np.hypot(length, turn)
+        rise = np.einsum("ni,ni->n", step[:, :3], m.normal[rows])
+        length = np.where(arc, np.hypot(angle * np.linalg.norm(radius1, axis=1), rise), length)
+        step[:, :3] = end[:, :3] - base[:, :3] - np.cos(angle)[:, None] * radius1 - np.sin(angle)[:, None] * radius2
+    length = np.hypot(length, el.REFERENCE_RADIUS * np.linalg.norm(step[:, 3:], axis=1))
     kept = length > 1e-10
     if not kept.any():
         return None
-    kind = np.where(arc, el.ARC, el.LINE)
-    fields = [kind, start, end, centre, radius1, radius2, m.angle[rows], length, rows]
-    if not kept.all():
-        fields = [v[kept] for v in fields]
+    fields = [v[kept] for v in (base, step, radius1, radius2, angle, length, rows)]
     if great_circle[rows].any():
         fields = _divided(program, fields, great_circle)
-    kind, start, end, centre, radius1, radius2, angle, length, row = fields
-    u = np.concatenate([[0.0], np.cumsum(length)])
-    elements = el.Elements(
-        u, kind.astype(np.int64), *(np.ascontiguousarray(v, float) for v in (start, end, centre, radius1, radius2, angle))
-    )
+    *curve, length, row = fields
+    elements = el.Elements(np.concatenate([[0.0], np.cumsum(length)]), *(np.ascontiguousarray(v, float) for v in curve))
 
     # joint k lies at the end of element k - 1; a joint inside a divided move has its tolerance too
     def joints(values: np.ndarray) -> np.ndarray:
         return np.concatenate([values[row[:1]], values[row]])
 
-    return Stretch(
-        elements,
-        row,
-        joints(m.tolerance),
-        joints(m.angle_tolerance),
-        joints(m.distance),
-        bool(m.traori[first]),
-        bool(m.brisk[first]),
-        float(m.tool_length[first]),
-    )
+    tolerances = joints(m.tolerance), joints(m.angle_tolerance), joints(m.distance)
+    return Stretch(elements, row, *tolerances, bool(m.traori[first]), bool(m.brisk[first]), float(m.tool_length[first]))
 
 
 def great_circle_rows(program: mv.Program, starts: np.ndarray) -> np.ndarray:
@@ -114,22 +93,26 @@ def great_circle_rows(program: mv.Program, starts: np.ndarray) -> np.ndarray:
 
 def _divided(program: mv.Program, fields: list[np.ndarray], great_circle: np.ndarray) -> list[np.ndarray]:
     """Elements with the great circles divided into parts."""
-    kind, start, end, centre, radius1, radius2, angle, _, row = fields
+    base, step, radius1, radius2, angle, _, row = fields
     out: list[list[np.ndarray]] = [[] for _ in fields]
     for i in range(len(row)):
-        angles = _great_circle(program, int(row[i]), start[i, 3:], end[i, 3:]) if great_circle[row[i]] and kind[i] == el.LINE else None
-        if angles is None:
-            for column, values in zip(out, fields):
-                column.append(values[i : i + 1])
-            continue
-        parts = len(angles) - 1
-        share = np.linspace(0.0, 1.0, parts + 1)[:, None]
-        points = np.hstack([start[i, :3] + share * (end[i, :3] - start[i, :3]), angles])
-        tip = np.linalg.norm(end[i, :3] - start[i, :3]) / parts
-        lengths = np.hypot(tip, el.REFERENCE_RADIUS * np.linalg.norm(np.diff(angles, axis=0), axis=1))
-        repeated = [np.repeat(v[i : i + 1], parts, axis=0) for v in (kind, centre, radius1, radius2, angle, row)]
-        for column, values in zip(out, (repeated[0], points[:-1], points[1:], *repeated[1:5], lengths, repeated[5])):
-            column.append(values)
+        parts, values = 1, [v[i : i + 1] for v in fields]
+        divided = great_circle[row[i]] and angle[i] == 0.0
+        if divided and (angles := _great_circle(program, int(row[i]), base[i, 3:], base[i, 3:] + step[i, 3:])) is not None:
+            parts = len(angles) - 1
+            share = np.linspace(0.0, 1.0, parts + 1)[:, None]
+            points = np.hstack([base[i, :3] + share * step[i, :3], angles])
+            tip = np.linalg.norm(step[i, :3]) / parts
+            lengths = np.hypot(tip, el.REFERENCE_RADIUS * np.linalg.norm(np.diff(angles, axis=0), axis=1))
+            values = [
+                points[:-1],
+                np.diff(points, axis=0),
+                *(np.repeat(v, parts, axis=0) for v in values[2:5]),
+                lengths,
+                np.repeat(values[6], parts),
+            ]
+        for column, value in zip(out, values):
+            column.append(value)
     return [np.concatenate(column) for column in out]
 
 
@@ -149,7 +132,7 @@ def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndar
     for parts in (8, 32, 128, 512, MOST_PARTS):
         share = np.linspace(0.0, 1.0, parts + 1)[:, None]
         directions = (np.sin((1.0 - share) * between) * first + np.sin(share * between) * last) / np.sin(between)
-        chosen = choose_angles(k, directions, start, check=False)
+        chosen = choose_angles(k, directions, start)
         angles = chosen.angles
         angles[0], angles[-1] = start, angles[-1]
         if np.any(chosen.status) or np.abs(angles[-1] - end).max() > 1e-6:
