@@ -259,7 +259,7 @@ def fingerprint(out, front) -> tuple:
         "local",
         "shift",
         "shift_on",
-        "home",
+        "reference",
         "modal_macro",
         "chosen",
         "pole",

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import math
-from pathlib import Path
 
 import numpy as np
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program import apt_arcs, arcs
+from twin.program import apt_words as words
 from twin.program import moves as mv
-from twin.program.apt_drilling import CYCLES, PER_MINUTE, PER_REVOLUTION, Cycle, cycle_of, strokes
-from twin.program.apt_words import FREE_TEXT, NOT_SIMULATED, WITHOUT_EFFECT, is_number, listed, moves_nothing, word_and_values
 from twin.program.collect import NO_RADIUS_COMPENSATION
 from twin.program.control import KEPT, Control
+from twin.program.expressions import WordError
 from twin.program.frames import Frame
 from twin.program.source import Source
 from twin.program.state import INCH, State
@@ -36,9 +35,9 @@ OFF_AXIS = 1e-3
 class AptReader:
     """Tool, frames and feeds while statements are read."""
 
-    def __init__(self, path: Path, machine: Machine) -> None:
-        self.source = Source(path)
-        self.state = State(path, machine, "apt", ("system",))
+    def __init__(self, source: Source, machine: Machine) -> None:
+        self.source, self.reading, self.files = source, source.path, ()
+        self.state = State(source.path, machine, "apt", ("system",))
         self.state.feed_word = "FEDRAT/ before this GOTO"
         self.control, self.out = Control(self.state), self.state.out
         self.state.transform(True)
@@ -49,26 +48,23 @@ class AptReader:
         self.arc: tuple[np.ndarray, np.ndarray, float | None, float | None] | None = None  # centre, axis, radius [m], angle [rad]
         self.world = False  # True: points are in the part frame, independent of CSYS
         self.direction: tuple[str, np.ndarray] | None = None
-        self.cycle: Cycle | None = None
+        self.cycle: words.Cycle | None = None
         self.ended = False
         self.on_profile = False  # Creo marks that its points are not those of the tool centre
         self.words = {
-            "GOTO": self._goto, "FROM": self._from, "GODLTA": self._step, "RAPID": self._rapid, "FEDRAT": self._feed, "CIRCLE": self._circle,
-            "UNITS": self._units, "UNIT": self._units, "DELAY": self._delay, "DWELL": self._delay, "FINI": self._fini, "TLAXIS": self._tool_axis,
+            "GOTO": self._goto, "FROM": self._goto, "GODLTA": self._step, "FEDRAT": self._feed, "CIRCLE": self._circle,
+            "UNITS": self._units, "UNIT": self._units, "DELAY": self._delay, "DWELL": self._delay,
             "INDIRV": self._direction, "INDIRP": self._direction, "TLON,GOFWD": self._driven, "GOFWD": self._driven, "CYCLE": self._cycle,
             "CUTCOM": self._compensation, "SPINDL": self._spindle, "MSYS": self._machine_system, "CSYS": self._coordinate_system,
-            "PSIS": self._part_surface, "GOHOME": self._home, "MOVARC": self._moved_arc, "TRNTYP": self._transformation_type,
+            "GOHOME": self._goto, "MOVARC": self._circle, "TRNTYP": self._transformation_type,
             "MCSYS": self._numbered_system,
         }  # fmt: skip
 
-    def read_statements(self) -> None:
+    def run(self) -> None:
         """Read all statements in order; `out` holds the moves."""
         for line, text in self._statements():
             self.state.line = line
-            try:
-                self._statement(text)
-            except arcs.ArcError as error:
-                raise self._fail(str(error)) from None
+            self._statement(text)
             if self.ended:
                 break
 
@@ -92,83 +88,77 @@ class AptReader:
                 text += " "
         yield first, text.strip()
 
-    def _fail(self, text: str) -> Exception:
-        return self.out.fail(self.state.line, -1, text)
-
     def _statement(self, text: str) -> None:
         if not text or text == "%":
             return
-        found = word_and_values(text)
+        found = words.word_and_values(text)
         if found is None:
-            raise self._fail(f"'{text[:40]}' is not an APT statement; expected WORD/ values")
+            raise WordError(f"'{text[:40]}' is not an APT statement; expected WORD/ values", 0)
         word, values = found
         first = word.split()[0].split(",")[0]
-        if word in self.words:
+        if word == "RAPID":
+            self.rapid = True
+        elif word == "FINI":
+            self.ended = True
+        elif word == "TLAXIS":
+            self.axis = np.array(words.numbers_of(values, word, (3,)))
+        elif word in self.words:
             self.words[word](word, values)
-        elif moves_nothing(word, values):
+        elif words.moves_nothing(word, values):
             self.state.note(f"{word}/0,0,0: a shift by zero")
-        elif word in NOT_SIMULATED or first in NOT_SIMULATED:
-            raise self._fail(f"{word}/ is not simulated: {NOT_SIMULATED.get(word) or NOT_SIMULATED[first]}")
-        elif word in WITHOUT_EFFECT or first in WITHOUT_EFFECT or word in FREE_TEXT:
+        elif word in words.NOT_SIMULATED or first in words.NOT_SIMULATED:
+            raise WordError(f"{word}/ is not simulated: {words.NOT_SIMULATED.get(word) or words.NOT_SIMULATED[first]}", 0)
+        elif word in words.WITHOUT_EFFECT or first in words.WITHOUT_EFFECT or word in words.FREE_TEXT:
             self.state.note(f"{word}: understood, no effect on the motion")
         elif "_" in word:
             self.state.note(f"{word}: a word of the CAM system outside the standard of CL data, assumed to have no effect on the motion")
         else:
-            hint = nearest(word, {*WITHOUT_EFFECT, *self.words})
+            hint = nearest(word, {*words.WITHOUT_EFFECT, *self.words, "RAPID", "FINI", "TLAXIS"})
             if not hint.startswith("did you"):
                 hint = "let the CAM system output points (GOTO) instead, or remove it if it moves nothing"
-            raise self._fail(f"statement '{word}' is not known; {hint}")
-
-    def _numbers(self, values: str, word: str, counts: tuple[int, ...]) -> list[float]:
-        try:
-            numbers = [float(v) for v in values.split(",")]
-        except ValueError:
-            raise self._fail(f"{word}/{values[:60]}: not all values are numbers; correct them") from None
-        if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
-            raise self._fail(f"{word}/ has {len(numbers)} values, expected {' or '.join(map(str, counts))} finite numbers; correct it")
-        return numbers
+            raise WordError(f"statement '{word}' is not known; {hint}", 0)
 
     # frames and modes
 
     def _units(self, word: str, values: str) -> None:
         if values.strip() not in UNITS:
-            raise self._fail(f"{word}/{values}: use {word}/MM or {word}/INCHES")
+            raise WordError(f"{word}/{values}: use {word}/MM or {word}/INCHES", 0)
         self.state.set_unit(UNITS[values.strip()], feed=True)
 
     def _machine_system(self, word: str, values: str) -> None:
         """MSYS/ origin, x axis, y axis of the frame in which the following points stand (NX)."""
-        n = self._numbers(values, word, (9,))
+        n = words.numbers_of(values, word, (9,))
         self._frame(word, np.array(n[3:6]), np.array(n[6:9]), np.array(n[:3]))
 
     def _coordinate_system(self, word: str, values: str) -> None:
         """CSYS/ three rows of a 3 x 4 matrix (Creo)."""
-        m = np.array(self._numbers(values, word, (12,))).reshape(3, 4)
+        m = np.array(words.numbers_of(values, word, (12,))).reshape(3, 4)
         if self.world:
             self.axis = m[:, 2] / (np.linalg.norm(m[:, 2]) or 1.0)
             return
         if np.linalg.norm(np.cross(m[:, 0], m[:, 1]) - m[:, 2]) > OFF_AXIS:
-            raise self._fail(f"{word}/: its third axis is not that of a right-handed frame; correct it")
+            raise WordError(f"{word}/: its third axis is not that of a right-handed frame; correct it", 0)
         self._frame(word, m[:, 0], m[:, 1], m[:, 3])
 
     def _transformation_type(self, word: str, values: str) -> None:
         """TRNTYP/WORLD,0,0,0: points stand in the part frame; the CSYS after it gives the tool axis only (RhinoCAM, VisualCAD)."""
-        parts = listed(values)
-        if parts[:1] != ["WORLD"] or any(not is_number(v) or float(v) for v in parts[1:]):
-            raise self._fail(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0")
+        parts = words.listed(values)
+        if parts[:1] != ["WORLD"] or any(not words.is_number(v) or float(v) for v in parts[1:]):
+            raise WordError(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0", 0)
         self.world = True
         self.state.note(f"{word}/WORLD: the points stand in the part frame; CSYS gives the tool axis of a GOTO without one")
 
     def _numbered_system(self, word: str, values: str) -> None:
         """MCSYS/ NUM, n, POINT, x,y,z, VECTOR, (x axis), VECTOR, (y axis): the frame of the points that follow (DMG MORI)."""
-        numbers = [float(v) for v in listed(values) if is_number(v)]
-        if len(numbers) != 10 or listed(values).count("VECTOR") != 2:
-            raise self._fail(f"{word}/ is not read; give NUM, n, POINT, x, y, z, VECTOR, (x axis), VECTOR, (y axis)")
+        numbers = [float(v) for v in words.listed(values) if words.is_number(v)]
+        if len(numbers) != 10 or words.listed(values).count("VECTOR") != 2:
+            raise WordError(f"{word}/ is not read; give NUM, n, POINT, x, y, z, VECTOR, (x axis), VECTOR, (y axis)", 0)
         self._frame(word, np.array(numbers[4:7]), np.array(numbers[7:10]), np.array(numbers[1:4]))
         self.axis = np.array([0.0, 0.0, 1.0])
 
     def _frame(self, word: str, x: np.ndarray, y: np.ndarray, origin: np.ndarray) -> None:
         if abs(np.linalg.norm(x) - 1.0) > OFF_AXIS or abs(np.linalg.norm(y) - 1.0) > OFF_AXIS or abs(float(x @ y)) > OFF_AXIS:
-            raise self._fail(f"{word}/ is not a frame: its axes must have length 1 and be at a right angle; correct it")
+            raise WordError(f"{word}/ is not a frame: its axes must have length 1 and be at a right angle; correct it", 0)
         x = x / np.linalg.norm(x)
         y = y - x * (x @ y)
         rotation = np.column_stack([x, y / np.linalg.norm(y), np.cross(x, y / np.linalg.norm(y))])
@@ -176,12 +166,9 @@ class AptReader:
         if not np.allclose(rotation, np.eye(3), atol=1e-9) or np.any(np.abs(origin * self.state.unit) > 1e-12):
             self.state.note(f"{word}: the points that follow stand in this frame; they are brought to the part frame")
 
-    def _tool_axis(self, word: str, values: str) -> None:
-        self.axis = np.array(self._numbers(values, word, (3,)))
-
     def _spindle(self, _word: str, values: str) -> None:
         """SPINDL/ speed, RPM, CLW in any order: for feeds per revolution."""
-        parts = listed(values)
+        parts = words.listed(values)
         numbers = [v for v in parts if v.replace(".", "", 1).replace("-", "", 1).isdigit()]
         if numbers and not {"SFM", "SMM"} & set(parts):
             self.spindle = float(numbers[0])
@@ -193,66 +180,49 @@ class AptReader:
         if values.strip() in ("OFF", ""):
             return
         if self.on_profile:
-            raise self._fail(f"{word}/{values[:30]} is not supported, since the points are those of the profile: {NO_RADIUS_COMPENSATION}")
+            raise WordError(
+                f"{word}/{values[:30]} is not supported, since the points are those of the profile: {NO_RADIUS_COMPENSATION}", 0
+            )
         self.state.note(f"{word}: the points are those of the tool centre, so the compensation is only for wear, which is assumed to be 0")
-
-    def _part_surface(self, word: str, _values: str) -> None:
-        self.state.note(f"{word}: understood, no effect on the motion")
-
-    def _fini(self, _word: str, _values: str) -> None:
-        self.ended = True
 
     # feeds
 
-    def _rapid(self, _word: str, _values: str) -> None:
-        self.rapid = True
-
     def _feed(self, word: str, values: str) -> None:
         """FEDRAT/ value [, unit], or unit first; FEDRAT/RAPID until the next one."""
-        parts = listed(values)
+        parts = words.listed(values)
         if parts == ["RAPID"]:
             self.rapid_feed = True
             return
-        self.turn_feed = (parts, word) if set(parts) & PER_REVOLUTION.keys() else None
+        self.turn_feed = (parts, word) if set(parts) & words.PER_REVOLUTION.keys() else None
         self.state.feed = math.nan if self.turn_feed and math.isnan(self.spindle) else self._feed_of(parts, word)
         self.rapid = self.rapid_feed = False
 
     def _feed_of(self, parts: list[str], word: str) -> float:
         """A feed in units of the file per minute, as the collector wants it."""
-        units = [v for v in parts if v in PER_MINUTE or v in PER_REVOLUTION]
-        value = self._numbers(",".join(v for v in parts if v not in units), word, (1,))[0]
+        units = [v for v in parts if v in words.PER_MINUTE or v in words.PER_REVOLUTION]
+        value = words.numbers_of(",".join(v for v in parts if v not in units), word, (1,))[0]
         unit = units[0] if units else "PERMIN"
-        metres = {**PER_MINUTE, **PER_REVOLUTION}[unit]
-        if unit in PER_REVOLUTION:
+        metres = {**words.PER_MINUTE, **words.PER_REVOLUTION}[unit]
+        if unit in words.PER_REVOLUTION:
             if math.isnan(self.spindle):
-                raise self._fail("a feed per revolution needs a spindle speed; give SPINDL/ in RPM before it, or a feed per minute")
+                raise WordError("a feed per revolution needs a spindle speed; give SPINDL/ in RPM before it, or a feed per minute", 0)
             value *= self.spindle
         return value if metres is None else value * metres / self.state.unit
 
     # moves
 
     def _goto(self, word: str, values: str) -> None:
-        numbers = self._numbers(values, word, (3, 6))
+        """GOTO/ place [, tool axis]; FROM/ and, with its place, GOHOME/ (NX) are rapid moves."""
+        if word == "GOHOME" and not values.strip():
+            raise WordError(f"{word} without its place is not simulated; give it as GOHOME/ x, y, z or as a GOTO", 0)
+        self.rapid |= word != "GOTO"
+        numbers = np.array(words.numbers_of(values, word, (3, 6)))
         if len(numbers) == 6:
-            self.axis = np.array(numbers[3:])
-        if self.cycle:
-            self._drill(np.array(numbers[:3]) * self.state.unit)
-        else:
-            self._move(np.array(numbers[:3]) * self.state.unit)
-
-    def _from(self, word: str, values: str) -> None:
-        self.rapid = True
-        self._goto(word, values)
-
-    def _home(self, word: str, values: str) -> None:
-        """GOHOME/ with its place (NX) is a rapid move there; without one the place is the machine's."""
-        if not values.strip():
-            raise self._fail(f"{word} without its place is not simulated; give it as GOHOME/ x, y, z or as a GOTO")
-        self.rapid = True
-        self._goto("GOTO", values)
+            self.axis = numbers[3:]
+        (self._drill if self.cycle else self._move)(numbers[:3] * self.state.unit)
 
     def _step(self, word: str, values: str) -> None:
-        step = self._numbers(values, word, (1, 3))
+        step = words.numbers_of(values, word, (1, 3))
         way = np.array(step) if len(step) == 3 else step[0] * self.axis / np.linalg.norm(self.axis)
         self._move(self.state.here() + way * self.state.unit)
 
@@ -269,37 +239,32 @@ class AptReader:
         self.control.make(self.control.move(kind, target, KEPT, (x, y, z), arc))
 
     def _circle(self, word: str, values: str) -> None:
-        """CIRCLE/ centre, axis [, radius]: the arc to the next point."""
-        numbers = self._numbers(values, word, (6, 7, 8, 9, 10, 11))
-        self._circle_to_come(word, numbers[:6], numbers[6] if len(numbers) > 6 else None, None)
+        """CIRCLE/ centre, axis [, radius]; MOVARC/ centre, axis, radius [, ANGLE, degrees] (Fusion), or CENTER, .., AXIS, .., RADIUS, r.
 
-    def _circle_to_come(self, word: str, numbers: list[float], radius: float | None, degrees: float | None) -> None:
-        normal = np.array(numbers[3:6])
+        The arc leads to the next point.
+        """
+        parts, degrees = words.listed(values), math.nan
+        if word == "CIRCLE":
+            numbers = words.numbers_of(values, word, (6, 7, 8, 9, 10, 11))
+        else:
+            numbers = [float(v) for v in parts if words.is_number(v)]
+            unknown = [v for v in parts if not words.is_number(v) and v not in ("CENTER", "AXIS", "RADIUS", "ANGLE")]
+            degrees = numbers.pop() if "ANGLE" in parts and len(numbers) == 8 else degrees
+            if len(numbers) != 7 or unknown:
+                raise WordError(f"{word}/{values[:60]} is not read; give centre, axis, radius, ANGLE, degrees", 0)
+        normal, unit = np.array(numbers[3:6]), self.state.unit
         if not np.linalg.norm(normal) > 0.0:
-            raise self._fail(f"{word} needs the axis of the circle as 4th to 6th value; correct it")
-        self.arc = (
-            np.array(numbers[:3]) * self.state.unit,
-            normal / np.linalg.norm(normal),
-            None if radius is None else radius * self.state.unit,
-            None if degrees is None else math.radians(degrees),
-        )
-
-    def _moved_arc(self, word: str, values: str) -> None:
-        """MOVARC/ centre, axis, radius [, ANGLE, degrees] (Fusion), or CENTER, .., AXIS, .., RADIUS, r: the arc to the next point."""
-        parts = listed(values)
-        numbers = [float(v) for v in parts if is_number(v)]
-        unknown = [v for v in parts if not is_number(v) and v not in ("CENTER", "AXIS", "RADIUS", "ANGLE")]
-        angle = numbers.pop() if "ANGLE" in parts and len(numbers) == 8 else None
-        if len(numbers) != 7 or unknown:
-            raise self._fail(f"{word}/{values[:60]} is not read; give centre, axis, radius, ANGLE, degrees")
-        self._circle_to_come(word, numbers[:6], numbers[6], angle)
+            raise WordError(f"{word} needs the axis of the circle as 4th to 6th value; correct it", 0)
+        radius = numbers[6] * unit if len(numbers) > 6 else None
+        sweep = None if math.isnan(degrees) else math.radians(degrees)
+        self.arc = np.array(numbers[:3]) * unit, normal / np.linalg.norm(normal), radius, sweep
 
     def _direction(self, word: str, values: str) -> None:
-        self.direction = word, np.array(self._numbers(values, word, (3,)))
+        self.direction = word, np.array(words.numbers_of(values, word, (3,)))
 
     def _driven(self, word: str, values: str) -> None:
         if self.direction is None:
-            raise self._fail(f"{word}/ needs the direction in which the tool leaves; give INDIRV/ before it")
+            raise WordError(f"{word}/ needs the direction in which the tool leaves; give INDIRV/ before it", 0)
         kind, given = self.direction
         start = self.state.here()
         direction = given if kind == "INDIRV" else given * self.state.unit - start
@@ -308,38 +273,37 @@ class AptReader:
         self.rapid, self.direction = False, None
 
     def _delay(self, word: str, values: str) -> None:
-        parts = listed(values)
+        parts = words.listed(values)
         turns = "REV" in parts
-        seconds = self._numbers(",".join(v for v in parts if v not in ("REV", "SEC")), word, (1,))[0]
+        seconds = words.numbers_of(",".join(v for v in parts if v not in ("REV", "SEC")), word, (1,))[0]
         if turns:
             if not self.spindle > 0.0:
-                raise self._fail(f"{word}/ in revolutions needs a spindle speed; give SPINDL/ before it")
+                raise WordError(f"{word}/ in revolutions needs a spindle speed; give SPINDL/ before it", 0)
             seconds *= 60.0 / self.spindle
-        self.out.pauses[len(self.out.kinds)] = seconds
-        self.out.add(mv.DWELL, (*self.out.position[:3], *KEPT), None, math.inf, self.state.line, -1)
+        self.control.dwell(seconds)
 
     # drilling
 
     def _cycle(self, word: str, values: str) -> None:
         """CYCLE/ kind, depth, feed, unit, clearance (CATIA), or with words FEDTO, RTRCTO, RAPTO, CLEAR (NX, Creo); OFF, ON."""
-        parts = listed(values)
+        parts = words.listed(values)
         kind = parts[0] if parts else ""
         if kind == "OFF" or kind == "NOMORE":
             self.cycle = None
             return
         if kind in ("ON", "INIT"):
             return
-        if kind not in CYCLES:
-            raise self._fail(f"{word}/{kind} is not simulated; let the CAM system output points (GOTO) instead")
-        self.cycle = cycle_of(kind, parts, self.state.unit, self.state.feed, lambda feed: self._feed_of(feed, word))
+        if kind not in words.CYCLES:
+            raise WordError(f"{word}/{kind} is not simulated; let the CAM system output points (GOTO) instead", 0)
+        self.cycle = words.cycle_of(kind, parts, self.state.unit, self.state.feed, lambda feed: self._feed_of(feed, word))
         if self.cycle is None:
-            raise self._fail(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance")
+            raise WordError(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance", 0)
         self.state.note(f"CYCLE/{kind}: one straight stroke to the depth; pecks and dwells are omitted")
 
     def _drill(self, hole: np.ndarray) -> None:
         assert self.cycle
         feed = self.state.feed
-        for kind, place, at_feed in strokes(self.cycle, hole, self.axis / np.linalg.norm(self.axis)):
+        for kind, place, at_feed in words.strokes(self.cycle, hole, self.axis / np.linalg.norm(self.axis)):
             self.state.feed = at_feed
             self._add(kind, place)
         self.state.feed, self.rapid = feed, False

@@ -15,9 +15,9 @@ import re
 
 import numpy as np
 
-from twin.program.arcs import CLOSING_TOLERANCE, Arc, ArcError
+from twin.program.apt_words import numbers_of
+from twin.program.arcs import CLOSING_TOLERANCE, Arc, ArcError, angle_between
 
-NO_ANGLE = 1e-9
 _PART = re.compile(r"\(?\s*(CIRCLE|LINE|PLANE)\s*/\s*([^()]*?)\s*\)?\s*(?=,\s*(?:ON|TO|PAST|TANTO|\d+\s*,\s*INTOF)\b|\s*\Z|,\s*\()", re.S)
 _ORDINAL = re.compile(r",\s*(\d+)\s*,\s*INTOF")
 
@@ -42,8 +42,7 @@ def arc_to(
                 f"the arc does not close: its {place} lies {np.linalg.norm(arm) * 1e3:.4f} mm from the axis of CIRCLE/, "
                 f"the radius is {radius * 1e3:.4f} mm; correct it"
             )
-    angle = _angle(arms[0], arms[1], normal)
-    angle = angle if angle > NO_ANGLE else 2.0 * math.pi
+    angle = angle_between(arms[0], arms[1], normal)
     if sweep is not None and abs(angle - abs(sweep)) > ANGLE_FITS:
         back = 2.0 * math.pi - angle
         if abs(back - abs(sweep)) > ANGLE_FITS:
@@ -58,7 +57,7 @@ def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis:
     if "CIRCLE" not in parts or not {"LINE", "PLANE"} & parts.keys():
         raise ArcError("TLON,GOFWD needs (CIRCLE/ ..) and (LINE/ ..) or (PLANE/ ..); let the CAM system output points instead")
     circle = parts["CIRCLE"].removeprefix("CANON").lstrip(" ,")
-    numbers = _numbers(circle, "CIRCLE")
+    numbers = numbers_of(circle, "CIRCLE", (4, 7))
     if len(numbers) == 4:
         normal = tool_axis / np.linalg.norm(tool_axis)
         way = start - np.array(numbers[:3]) * unit
@@ -67,13 +66,11 @@ def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis:
             if not np.linalg.norm(normal) > 0.0:
                 raise ArcError("INDIRV/ points along the radius of the circle, so the plane of the arc is not known; correct it")
             normal = normal / np.linalg.norm(normal)
-    elif len(numbers) == 7:
+    else:
         normal = np.array(numbers[3:6])
         if not np.linalg.norm(normal) > 0.0:
             raise ArcError("the axis of CIRCLE/CANON has no length; correct it")
         normal = normal / np.linalg.norm(normal)
-    else:
-        raise ArcError(f"CIRCLE/ has {len(numbers)} numbers; give x,y,z,r, or CANON,x,y,z,i,j,k,r")
     centre, radius = np.array(numbers[:3]) * unit, numbers[-1] * unit
     arm = _arm(start, centre, normal)
     if abs(np.linalg.norm(arm) - radius) > CLOSING_TOLERANCE or radius <= 0.0:
@@ -85,8 +82,7 @@ def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis:
     if abs(turn) < 1e-6 * radius * float(np.linalg.norm(direction)):
         raise ArcError("INDIRV/ points along the radius of the circle, so the sense of the arc is not known; correct it")
     normal = math.copysign(1.0, turn) * normal
-    meetings = sorted(_angle(arm, place, normal) or 2.0 * math.pi for place in _meetings(parts, centre, normal, radius, unit))
-    meetings = [a if a > 1e-6 else 2.0 * math.pi for a in meetings]
+    meetings = [angle_between(arm, place, normal, 1e-6) for place in _meetings(parts, centre, normal, radius, unit)]
     ordinal = int(match[1]) if (match := _ORDINAL.search(values)) else 1
     if ordinal < 1 or ordinal > len(meetings):
         raise ArcError(f"the circle meets the line {len(meetings)} times, not {ordinal}; correct it")
@@ -99,15 +95,11 @@ def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis:
 def _meetings(parts: dict[str, str], centre: np.ndarray, normal: np.ndarray, radius: float, unit: float) -> list[np.ndarray]:
     """Where the circle meets the line or plane, as arms from its centre (3,)."""
     if "PLANE" in parts:
-        numbers = _numbers(parts["PLANE"], "PLANE")
-        if len(numbers) != 4:
-            raise ArcError(f"PLANE/ has {len(numbers)} numbers; give i,j,k,d")
+        numbers = numbers_of(parts["PLANE"], "PLANE", (4,))
         along, distance = np.array(numbers[:3]), numbers[3] * unit - float(np.array(numbers[:3]) @ centre)
         flat = along - normal * (along @ normal)
     else:
-        numbers = _numbers(parts["LINE"], "LINE")
-        if len(numbers) not in (4, 6):
-            raise ArcError(f"LINE/ has {len(numbers)} numbers; give two points")
+        numbers = numbers_of(parts["LINE"], "LINE", (4, 6))
         half = len(numbers) // 2
         first, second = (np.pad(np.array(p) * unit, (0, 3 - half)) for p in (numbers[:half], numbers[half:]))
         way = _arm(second, first, normal)
@@ -127,18 +119,3 @@ def _meetings(parts: dict[str, str], centre: np.ndarray, normal: np.ndarray, rad
 def _arm(point: np.ndarray, centre: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """From the axis through the centre to a point (3,)."""
     return np.asarray(point - centre - normal * ((point - centre) @ normal))
-
-
-def _angle(first: np.ndarray, second: np.ndarray, normal: np.ndarray) -> float:
-    """Angle from one arm to the other about the axis, in [0, 2 pi)."""
-    return math.atan2(float(np.cross(first, second) @ normal), float(first @ second)) % (2.0 * math.pi)
-
-
-def _numbers(text: str, word: str) -> list[float]:
-    try:
-        numbers = [float(v) for v in text.split(",")]
-    except ValueError:
-        raise ArcError(f"{word}/{text[:40]}: not all values are numbers; correct them") from None
-    if not all(map(math.isfinite, numbers)):
-        raise ArcError(f"{word}/{text[:40]}: a value is not finite; correct it")
-    return numbers

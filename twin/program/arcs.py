@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import math
 
 import numpy as np
+
+from twin.program.expressions import WordError
 
 CHORD = 0.5e-6
 """Largest distance of the chords from a spline [m]."""
@@ -21,8 +22,11 @@ Arc = tuple[np.ndarray, np.ndarray, float]
 """Centre (3,), axis (3,) and angle > 0 [rad], right-handed about the axis."""
 
 
-class ArcError(Exception):
-    """A geometrically impossible arc; the reader adds the place."""
+class ArcError(WordError):
+    """A geometrically impossible arc."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, 0)
 
 
 def from_centre(
@@ -58,12 +62,6 @@ def from_centre(
     return middle, normal, angle + 2.0 * math.pi * turns
 
 
-def iso_tolerance(unit: float) -> Callable[[float], float]:
-    """Largest difference between the radii of an arc in ISO programs [m], LinuxCNC's rule: 28 um or a thousandth, at most 2.8 mm."""
-    least = 2.0 * math.sqrt(2.0) * (1e-5 if unit == 1e-3 else 1e-3 * unit)
-    return lambda radius: min(max(least, 1e-3 / (1.0 - 1e-3) * radius), 100.0 * least)  # of the larger radius
-
-
 def centre_from_radius(start: np.ndarray, end: np.ndarray, radius: float, plane: int, clockwise: bool) -> np.ndarray:
     """Centre of an arc from its radius: a positive radius gives less than half a circle, a negative one more."""
     a, b, _ = PLANES[plane]
@@ -92,7 +90,7 @@ def through(start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> Arc:
         raise ArcError("the three points of the arc lie on one line, or two of them are the same; correct the middle point (I1= J1= K1=)")
     centre = start + (np.cross(normal, u) * float(v @ v) + np.cross(v, normal) * float(u @ u)) / (2.0 * square)
     axis = normal / math.sqrt(square)
-    return centre, axis, _angle(start - centre, end - centre, axis)
+    return centre, axis, angle_between(start - centre, end - centre, axis)
 
 
 def tangential(start: np.ndarray, direction: np.ndarray, end: np.ndarray, plane: int) -> Arc:
@@ -108,13 +106,13 @@ def tangential(start: np.ndarray, direction: np.ndarray, end: np.ndarray, plane:
     centre, normal = start.copy(), np.zeros(3)
     centre[[a, b]] = np.array([start[a], start[b]]) + radius * left / math.hypot(*t)
     normal[c] = math.copysign(1.0, side)
-    return centre, normal, _angle(start - centre, end - centre, normal)
+    return centre, normal, angle_between(start - centre, end - centre, normal)
 
 
-def _angle(first: np.ndarray, last: np.ndarray, normal: np.ndarray) -> float:
-    """Angle from one arm to the other about the normal, above 0."""
+def angle_between(first: np.ndarray, last: np.ndarray, normal: np.ndarray, least: float = 1e-9) -> float:
+    """Angle from one arm (3,) to the other about the normal; one below `least` is a whole turn."""
     angle = math.atan2(float(np.cross(first, last) @ normal), float(first @ last)) % (2.0 * math.pi)
-    return angle if angle > 1e-9 else 2.0 * math.pi
+    return angle if angle > least else 2.0 * math.pi
 
 
 def bezier_chords(control: np.ndarray) -> np.ndarray:

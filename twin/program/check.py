@@ -69,24 +69,24 @@ def programs_in(path: Path) -> list[Path]:
 
 def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bool = True) -> Checked:
     """Read one program and, with `plan`, interpolate it block by block; `place` shifts a part that lies outside the travel."""
-    where = f"{path}: "
+
+    def refused(error: TwinError, understood: bool, moves: int = 0, notes: tuple[str, ...] = (), **more: Any) -> Checked:
+        return Checked(path, understood, False, moves, notes=notes, reason=str(error).removeprefix(f"{path}: "), **more)
+
     try:
+        program = read_program(path, machine)
+    except OutsideTravel as error:
+        program = error.program
         try:
-            program = read_program(path, machine)
-        except OutsideTravel as error:
             if not place:
-                return Checked(
-                    path, True, False, moves=len(error.program), reason=str(error).removeprefix(where), notes=error.program.notes
-                )
-            try:
-                program = placed(error.program)
-            except InputError as no_place:
-                reason = str(no_place).removeprefix(where)
-                return Checked(path, True, False, moves=len(error.program), reason=reason, notes=error.program.notes)
+                raise error
+            program = placed(program)
+        except InputError as no_place:
+            return refused(no_place, True, len(program), program.notes)
     except MovesNothing as nothing:
         return Checked(path, True, True, duration_s=0.0, notes=(*nothing.notes, NO_MOVE), reason=NO_MOVE)
     except InputError as error:
-        return Checked(path, False, False, reason=str(error).removeprefix(where), unread=unread_words(path, machine, str(error)))
+        return refused(error, False, unread=unread_words(path, machine, str(error)))
     if not plan:
         return Checked(path, True, True, moves=len(program), notes=program.notes)
     watch = LimitWatch(machine, machine.position_cycle)
@@ -99,7 +99,7 @@ def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bo
             low, high = np.minimum(low, position.min(axis=0)), np.maximum(high, position.max(axis=0))
             end = float(block.time[-1])
     except TwinError as error:
-        return Checked(path, True, False, moves=len(program), reason=str(error).removeprefix(where), notes=program.notes)
+        return refused(error, True, len(program), program.notes)
     reach = {axis.name: (float(a), float(b)) for axis, a, b in zip(machine.axes, low, high) if b > a}
     return Checked(path, True, True, len(program), end, reach, tuple(watch.warnings()), program.notes)
 
@@ -165,20 +165,8 @@ def document(checked: Sequence[Checked], machine: Machine) -> dict[str, Any]:
         for name, ends in one.reach.items():
             unit, factor = AXIS_UNITS[machine.axis(name).kind].position
             reach[name] = {"low": ends[0] * factor, "high": ends[1] * factor, "unit": unit}
-        programs.append(
-            {
-                "file": str(one.path),
-                "verdict": one.verdict,
-                "understood": one.understood,
-                "fits": one.fits,
-                "moves": one.moves,
-                "duration_s": one.duration_s,
-                "reach": reach,
-                "limits": list(one.limits),
-                "notes": list(one.notes),
-                "reason": one.reason,
-            }
-        )
+        same = {name: getattr(one, name) for name in ("verdict", "understood", "fits", "moves", "duration_s", "reason")}
+        programs.append({"file": str(one.path), **same, "reach": reach, "limits": list(one.limits), "notes": list(one.notes)})
     verdicts = Counter(one.verdict for one in checked)
     return {
         "machine": machine.name,

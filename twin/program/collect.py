@@ -7,7 +7,7 @@ line and block.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 import math
 from pathlib import Path
 
@@ -86,7 +86,7 @@ class Collector:
         self.notes: dict[str, None] = {}
         self.messages: list[str] = []
         self.files: tuple[Path, ...] = ()
-        self.missing: dict[str, tuple[int, int, str]] = {}  # an axis that this machine lacks: where it first moved
+        self.missing: tuple[int, int, str] | None = None  # an axis that this machine lacks: where it first moved
         self.feedforward: str | None = None
         self.mixed_feed = ""  # note where F meets X Y Z and A C in one block
         self.angles: list[np.ndarray] = []  # settled (row, 2)
@@ -125,15 +125,12 @@ class Collector:
         begin, end = self.settled, len(self.kinds)
         if end > begin:
             fixed = np.array([t[3:5] for t in self.targets[begin:end]])
-            axis = np.full((end - begin, 3), np.nan)
-            given = [i for i, v in enumerate(self.tool_axes[begin:end]) if v is not None]
-            if given:
-                axis[given] = np.array([self.tool_axes[begin + i] for i in given])
+            axis = np.array([v or (math.nan,) * 3 for v in self.tool_axes[begin:end]])
             lengths = np.linalg.norm(axis, axis=1)
             if np.any(lengths == 0.0):
                 row = begin + int(np.flatnonzero(lengths == 0.0)[0])
                 raise self.fail(self.lines[row], self.blocks[row], "the tool axis has no length; give A3= B3= C3= a direction")
-            chosen = choose_angles(self.kinematics, axis, self.last_angles, fixed=fixed, check=False)
+            chosen = choose_angles(self.kinematics, axis, self.last_angles, fixed)
             bad = np.flatnonzero(chosen.status != OK)
             if bad.size:
                 k = int(bad[0])
@@ -142,12 +139,9 @@ class Collector:
                 raise self.fail(self.lines[begin + k], self.blocks[begin + k], text)
             cut = np.flatnonzero(chosen.rewound & (np.array(self.kinds[begin:end]) != mv.RAPID))
             if cut.size:
-                k = begin + int(cut[0])
-                raise self.fail(
-                    self.lines[k],
-                    self.blocks[k],
-                    f"{self.kinematics.label[4]} meets its stop and would rewind inside the cut; retract before, or turn the part",
-                )
+                k, turning = begin + int(cut[0]), self.kinematics.label[4]
+                text = f"{turning} meets its stop and would rewind inside the cut; retract before, or turn the part"
+                raise self.fail(self.lines[k], self.blocks[k], text)
             self.angles.append(chosen.angles)
             self.last_angles = chosen.angles[-1]
             self.settled = end
@@ -155,38 +149,31 @@ class Collector:
 
     def change_frame(self, modes: Modes) -> None:
         """Switch TRAORI or the tool: the axes stay, the point gets its new coordinates."""
-        old, angles = self.modes, self.settle()
-        point = np.array([*self.position[:3]])
-        if old.traori:
-            point = self.kinematics.with_tool_length(old.tool_length).linear_axes(point[None], angles[None])[0]
+        point = np.array([[*self.position[:3], *self.settle()]])
+        if self.modes.traori:
+            point = mv.axes_at(self.kinematics, point, np.array([self.modes.tool_length]))
         if modes.traori:
-            axes = np.concatenate([point, angles])
-            point = self.kinematics.with_tool_length(modes.tool_length).forward(axes)[0][0]
-        self.position = [*map(float, point), *map(float, angles)]
+            point = mv.tips_at(self.kinematics, point, np.array([modes.tool_length]))
+        self.position = point[0].tolist()
         self.set_modes(modes)
 
     def finish(self) -> mv.Program:
         """The checked program."""
         if not self.kinds:
             raise MovesNothing(f"{self.path}: the program moves no axis; give at least one move, e.g. G1 X10 F1000", tuple(self.notes))
-        for line, block, name in self.missing.values():
+        if self.missing is not None:
+            line, block, name = self.missing
             raise self.fail(line, block, f"axis {name} moves, and this machine has {self.own_axes}; use a machine file with that axis")
         self.settle()
-        angles = np.vstack(self.angles)
-        n = len(self.kinds)
-        kind = np.array(self.kinds, np.int8)
-        target = np.array(self.targets)
-        target[:, 3:] = angles
-        modes = self.all_modes
+        n, kind, target, modes = len(self.kinds), np.array(self.kinds, np.int8), np.array(self.targets), self.all_modes
+        target[:, 3:] = np.vstack(self.angles)
         mode_of = np.array(self.mode_of)
-
-        def column(name: str, dtype: type) -> np.ndarray:
-            return np.array([getattr(m, name) for m in modes], dtype)[mode_of]
+        columns = {f.name: np.array([getattr(m, f.name) for m in modes])[mode_of] for f in fields(Modes)}
+        exact, traori, brisk, length = (columns[name] for name in ("exact_stop", "traori", "brisk", "spindle_tool_length"))
 
         centre, normal, angle = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
         for row, (c, axis, turn) in self.arcs.items():
             centre[row], normal[row], angle[row] = c, axis, turn
-        exact = column("exact_stop", bool)
         settling = np.array([SETTLING[m.stop_window] for m in modes])[mode_of] / min(a.loops.position_gain_per_s for a in self.machine.axes)
         stop = exact.copy()
         pause = np.where(exact, settling, 0.0)
@@ -196,40 +183,27 @@ class Collector:
         for row, time in self.pauses.items():
             pause[row] = time
         # no blending at a change of transformation, tool or acceleration mode, at a dwell, and at the end
-        traori, brisk = column("traori", bool), column("brisk", bool)
-        length = np.where(traori, column("tool_length", float), column("spindle_tool_length", float))
+        length = np.where(traori, columns["tool_length"], length)
         change = (traori[1:] != traori[:-1]) | (brisk[1:] != brisk[:-1]) | (length[1:] != length[:-1])
         change |= (kind[1:] == mv.DWELL) | (kind[:-1] == mv.DWELL)
         stop[:-1] |= change
         stop[-1] = True
         both_rapid = np.concatenate([(kind[1:] == mv.RAPID) & (kind[:-1] == mv.RAPID), [False]])
         factor = np.where(both_rapid, RAPID_TOLERANCE_FACTOR, 1.0)
-        moves = mv.Moves(
-            kind=kind,
-            target=target,
-            traori=traori,
-            workpiece_orientation=column("workpiece_orientation", bool),
-            feed=np.array(self.feeds),
-            rotary=np.zeros(n, bool),
-            stop=stop,
-            pause=pause,
-            tolerance=column("tolerance", float) * factor,
-            angle_tolerance=column("angle_tolerance", float) * factor,
-            distance=np.where(kind == mv.RAPID, column("rapid_distance", float), column("distance", float)),
-            brisk=brisk,
-            feedforward=column("feedforward", bool),
-            tool_length=length,
-            centre=centre,
-            normal=normal,
-            angle=angle,
-            block=np.array(self.blocks),
-            line=np.array(self.lines),
-        )
+        distance = np.where(kind == mv.RAPID, columns["rapid_distance"], columns["distance"])
+        modes_of_path = columns["tolerance"] * factor, columns["angle_tolerance"] * factor, distance, brisk, columns["feedforward"], length
+        motion = kind, target, traori, columns["workpiece_orientation"], np.array(self.feeds), np.zeros(n, bool), stop, pause
+        moves = mv.Moves(*motion, *modes_of_path, centre, normal, angle, np.array(self.blocks), np.array(self.lines))
         program = self._with_start(moves)
-        self._stop_at_reversals(program)
-        self._feeds(program, column("feed_mode", int), column("feed_unit", float), column("spindle", float), column("feed_of_all", bool))
+        self._feeds(program, *(columns[name][-len(program) :] for name in ("feed_mode", "feed_unit", "spindle", "feed_of_all")))
         program = replace(program, notes=tuple(self.notes))
-        self._check_travel(program)
+        # block ends against the travel; the motion between them is checked on the set points
+        axes = np.vstack([program.start, axes_of(program)])
+        if hit := self.kinematics.outside_travel(axes):
+            row, axis = hit
+            place = int(program.moves.line[row - 1]), int(program.moves.block[row - 1])
+            line, block = place if row else (self.lines[0], self.blocks[0])
+            raise OutsideTravel(str(self.fail(line, block, travel_text(axis, float(axes[row, axis]), self.kinematics))), program)
         return program
 
     def _with_start(self, moves: mv.Moves) -> mv.Program:
@@ -239,31 +213,34 @@ class Collector:
         if moves.kind[0] == mv.RAPID:
             start = moves.target[0].copy()
             if moves.traori[0]:
-                start[:3] = self.kinematics.with_tool_length(moves.tool_length[0]).linear_axes(start[None, :3], start[None, 3:])[0]
+                start = mv.axes_at(self.kinematics, start[None], moves.tool_length[:1])[0]
             moves = moves.take(np.arange(1, len(moves)))
-        program = mv.Program(
-            self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes), tuple(self.messages), self.files
-        )
+        said = tuple(self.notes), tuple(self.messages), self.files
+        program = mv.Program(self.path, start, moves, self.kinematics, self.feedforward, *said)
         if not len(moves) or not np.any((np.abs(program.starts() - moves.target) > 1e-12).any(axis=1) | (moves.kind == mv.ARC)):
             text = f"{self.path}: the program moves no axis from its start; a first rapid move defines the start, so add a move after it"
             raise MovesNothing(text, program.notes)
         return program
 
     def _feeds(self, program: mv.Program, mode: np.ndarray, unit: np.ndarray, spindle: np.ndarray, of_all: np.ndarray) -> None:
-        """Convert F words to m/s of the tip, or rad/s if only A and C move (in place).
+        """Convert F words to m/s of the tip, or rad/s if only A and C move, and stop at reversals (in place).
 
         Where F counts all axes, F = sqrt(tip^2 + turn^2) / time with a degree as a unit of length, so the tip has the share tip / sqrt(..).
         """
         moves = program.moves
-        mode, unit, spindle, of_all = (v[-len(moves) :] for v in (mode, unit, spindle, of_all))
-        way = moves.target - program.starts()
+        starts = program.starts()
+        way = moves.target - starts
         tip = np.linalg.norm(way[:, :3], axis=1)
         arc = moves.kind == mv.ARC
         if arc.any():
-            radius = np.linalg.norm(moves.centre - program.starts()[:, :3], axis=1)
+            radius = np.linalg.norm(moves.centre - starts[:, :3], axis=1)
             along = np.einsum("ni,ni->n", way[:, :3], moves.normal)
             tip[arc] = np.hypot(moves.angle * radius, along)[arc]
-        turn = np.linalg.norm(way[:, 3:], axis=1)
+        turn, whole = np.linalg.norm(way[:, 3:], axis=1), np.linalg.norm(way, axis=1)
+        # exact reversals are exact stops, because no curve can round them within a tolerance
+        straight = ((moves.kind == mv.LINE) | (moves.kind == mv.RAPID)) & (whole > 0.0) & np.isfinite(whole)
+        unit_way = way / np.where(straight, whole, 1.0)[:, None]
+        moves.stop[:-1] |= straight[1:] & straight[:-1] & (np.abs(unit_way[1:] + unit_way[:-1]).max(axis=1) < 1e-9)
         moves.rotary[:] = (tip < 1e-12) & (turn > 0.0)
         length = np.where(moves.rotary, turn, tip)
         per_minute = np.where(moves.rotary, rad_from_deg(1.0), unit)
@@ -282,39 +259,14 @@ class Collector:
             text = "the feed is 0; give F a number above 0" + (" and S a speed, since G95 is in force" if mode[row] == 95 else "")
             raise self.fail(int(moves.line[row]), int(moves.block[row]), text)
 
-    def _stop_at_reversals(self, program: mv.Program) -> None:
-        """Make exact reversals exact stops, because no curve can round them within a tolerance."""
-        moves = program.moves
-        way = moves.target - program.starts()
-        length = np.linalg.norm(way, axis=1)
-        straight = ((moves.kind == mv.LINE) | (moves.kind == mv.RAPID)) & (length > 0.0) & np.isfinite(length)
-        unit = way / np.where((length > 0.0) & np.isfinite(length), length, 1.0)[:, None]
-        back = straight[1:] & straight[:-1] & (np.abs(unit[1:] + unit[:-1]).max(axis=1) < 1e-9)
-        moves.stop[:-1] |= back
-
-    def _check_travel(self, program: mv.Program) -> None:
-        """Check every block end against the travel; the motion between block ends is checked on the set points."""
-        moves = program.moves
-        axes = np.hstack([axes_of(program), moves.target[:, 3:]])
-        at_start = self.kinematics.outside_travel(program.start[None])
-        hit = self.kinematics.outside_travel(axes)
-        if at_start or hit:
-            row, axis = at_start or hit  # type: ignore[misc]
-            value = program.start[axis] if at_start else axes[row, axis]
-            line, block = (self.lines[0], self.blocks[0]) if at_start else (int(moves.line[row]), int(moves.block[row]))
-            raise OutsideTravel(str(self.fail(line, block, travel_text(axis, float(value), self.kinematics))), program)
-
 
 def travel_text(axis: int, value: float, kinematics: Kinematics) -> str:
     """The message for an axis (0 to 4) outside its travel."""
     name = kinematics.label[axis]
     unit, factor = AXIS_UNITS["rotary" if axis > 2 else "linear"].position
     low, high = kinematics.travel[axis] * factor
+    text = f"axis {name} would go to {value * factor:.6g} {unit}, "
     if not kinematics.names[axis]:
-        return (
-            f"axis {name} would go to {value * factor:.6g} {unit}, and this machine has no axis {name}; use a machine file with that axis"
-        )
-    return (
-        f"axis {name} would go to {value * factor:.6g} {unit}, outside its travel {low:.6g} .. {high:.6g} {unit}; "
-        "move the program, set a frame (G54) or place the part elsewhere"
-    )
+        return f"{text}and this machine has no axis {name}; use a machine file with that axis"
+    hint = "move the program, set a frame (G54) or place the part elsewhere"
+    return f"{text}outside its travel {low:.6g} .. {high:.6g} {unit}; {hint}"

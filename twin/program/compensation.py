@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from twin.program.expressions import WordError
+
 TINY = 1e-9
 """Shorter lengths count as zero [m]."""
 SMOOTH = 1e-6
@@ -23,10 +25,6 @@ GOUGE = 1e-6
 outside corner."""
 BACK = 0.05
 """At a corner closer than this to a full reversal, the second element may cross the first and change sides [rad]."""
-
-
-class CompensationError(Exception):
-    """A contour that the tool cannot follow; the reader adds the place."""
 
 
 @dataclass
@@ -65,18 +63,15 @@ def moved(e: Element, offset: float) -> Element:
     """The element shifted by `offset` to its left."""
     a, b = (p + offset * _left(e.direction(end)) for p, end in ((e.a, False), (e.b, True)))
     if e.centre is not None and np.hypot(*(e.a - e.centre)) - e.sense * offset < TINY:
-        raise CompensationError("the radius of the arc is smaller than that of the tool on its inside; use a smaller tool")
+        raise WordError("the radius of the arc is smaller than that of the tool on its inside; use a smaller tool")
     return replace(e, a=a, b=b)
 
 
 class Compensation:
     """The elements between G41 or G42 and G40; `emit` is called with each finished element."""
 
-    def __init__(
-        self, radius: float, left: bool, *, along_next: bool, corners_meet: bool, emit: Callable[[Element], None], tool_radius: float
-    ) -> None:
-        self.offset = radius if left else -radius
-        self.tool_radius = tool_radius  # `radius` is in program coordinates, which a frame may scale
+    def __init__(self, offset: float, tool_radius: float, emit: Callable[[Element], None], *, along_next: bool, corners_meet: bool) -> None:
+        self.offset, self.tool_radius = offset, tool_radius  # to the left in program coordinates, which a frame may scale; as it is
         self.along_next, self.corners_meet, self.emit = along_next, corners_meet, emit
         self.last: Element | None = None  # programmed
         self.shifted: Element | None = None  # beside it, its start is final
@@ -90,7 +85,7 @@ class Compensation:
             return
         if self.last is None:
             if e.centre is not None:
-                raise CompensationError("G41 and G42 begin with a straight move in the plane, not with an arc; add one")
+                raise WordError("G41 and G42 begin with a straight move in the plane, not with an arc; add one")
             self.last, self.shifted = e, moved(e, self.offset)
             return
         new = moved(e, self.offset)
@@ -108,7 +103,7 @@ class Compensation:
         if self.shifted is None:
             return None
         if self.entry and self.along_next:
-            raise CompensationError("between G41 or G42 and G40 there is no contour; add a move in the plane")
+            raise WordError("between G41 or G42 and G40 there is no contour; add a move in the plane")
         assert self.last is not None
         self._put(self.shifted, self.last.behind)
         return self.shifted.b
@@ -133,16 +128,12 @@ class Compensation:
             shifted.b = meet(shifted, new, last.b)[0]
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
-        elif outside:
-            self._round(last, shifted, new)
+        elif outside:  # an arc about the corner
+            self._put(shifted, last.behind)
+            self.emit(Element(shifted.b, new.a, (last.across[1],) * 2, last.b.copy(), -1 if self.offset > 0 else 1, 0, new.move))
         else:
             self._inside(last, shifted, new, abs(turn))
         return new
-
-    def _round(self, last: Element, shifted: Element, new: Element) -> None:
-        """An outside corner: an arc about it."""
-        self._put(shifted, last.behind)
-        self.emit(Element(shifted.b, new.a, (last.across[1],) * 2, last.b.copy(), -1 if self.offset > 0 else 1, 0, new.move))
 
     def _inside(self, last: Element, shifted: Element, new: Element, turn: float) -> None:
         """An inside corner of `turn` [rad]: both elements end at their intersection, which must lie on both.
@@ -159,7 +150,7 @@ class Compensation:
             new.a = shifted.b.copy()
             self._put(shifted, last.behind)
             return
-        raise CompensationError("the tool cannot reach an inside corner without gouging; use a smaller tool or correct the contour")
+        raise WordError("the tool cannot reach an inside corner without gouging; use a smaller tool or correct the contour")
 
 
 def holds(e: Element, p: np.ndarray) -> bool:

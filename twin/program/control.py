@@ -15,7 +15,7 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.arcs import Arc
-from twin.program.compensation import GOUGE, Compensation, CompensationError, Element
+from twin.program.compensation import GOUGE, Compensation, Element
 from twin.program.cycles import ASIDE, BACK, DWELL, FEED, RAPID, Drilling, drill
 from twin.program.expressions import WordError
 from twin.program.frames import INDEX, LINEAR, ROTARY
@@ -62,49 +62,33 @@ class Control:
 
         `start` (3,): start of the move; default: position of the tool.
         """
-        out = self.state.out
-        if any(n in words and (words[n].how not in ("", "AC") or not self.state.absolute) for n in ROTARY):
+        s, out = self.state, self.state.out
+        if any(n in words and (words[n].how not in ("", "AC") or not s.absolute) for n in ROTARY):
             out.position[3:] = [float(v) for v in out.settle()]
-        if machine and self.state.comp is not None:
-            raise WordError("a block in machine coordinates is inside G41 or G42; write G40 and a move before", 1)
+        if machine and s.comp is not None:
+            raise WordError("a block in machine coordinates is inside G41 or G42; write G40 and a move before")
         if start is None:
-            start = np.array(out.position[:3]) if machine else self.state.here()
-        point = start.copy()
-        angles = [math.nan, math.nan]
+            start = np.array(out.position[:3]) if machine else s.here()
+        point, angles = start.copy(), [math.nan, math.nan]
         for name, (value, how, column) in words.items():
-            si = self.state.si(name, value)
-            relative = self.state.is_relative(how) and not (machine and how == "")
-            if name in LINEAR:
-                if how in ("DC", "ACP", "ACN"):
-                    raise WordError(f"{how}() is for rotary axes; use AC() or IC()", column)
-                i = INDEX[name]
-                point[i] = start[i] + si if relative else si
-            elif name in ROTARY:
-                i = INDEX[name]
-                offset, now = (0.0 if machine else self.state.offset[i]), out.position[i]
-                if relative:
-                    goal = now + si
-                elif how in ("DC", "ACP", "ACN"):
-                    way = (si + offset - now) % (2.0 * math.pi)
-                    if (how == "ACN" and way > 0.0) or (how == "DC" and way > math.pi):
-                        way -= 2.0 * math.pi
-                    goal = now + way
-                else:
-                    goal = si + offset
-                angles[i - 3] = goal
+            goal, i, turns = s.si(name, value), INDEX.get(name), how in ("DC", "ACP", "ACN")
+            relative = s.is_relative(how) and not (machine and how == "")
+            if i is None:  # an axis that this machine lacks; a value other than zero is reported at the end
+                s.other_axes[name] = s.other_axes[name] + goal if relative else goal
+                if s.other_axes[name] and out.missing is None:
+                    out.missing = s.line, s.block, next((n for n, slot in s.slot_of.items() if slot == name), name)
+            elif name in LINEAR and turns:
+                raise WordError(f"{how}() is for rotary axes; use AC() or IC()", column)
+            elif name in LINEAR:
+                point[i] = start[i] + goal if relative else goal
             else:
-                self.move_other(name, self.state.other_axes[name] + si if relative else si)
+                now = out.position[i]
+                way = goal if relative else goal + (0.0 if machine else s.offset[i]) - now
+                if turns:
+                    way %= 2.0 * math.pi
+                    way -= 2.0 * math.pi if (how == "ACN" and way > 0.0) or (how == "DC" and way > math.pi) else 0.0
+                angles[i - 3] = now + way if relative or turns else goal + (0.0 if machine else s.offset[i])
         return point, (angles[0], angles[1])
-
-    def move_other(self, name: str, value: float) -> None:
-        """Record an axis that this machine lacks; a value other than zero is reported at the end."""
-        self.state.other_axes[name] = value
-        if value and "other" not in self.state.out.missing:
-            self.state.out.missing["other"] = (
-                self.state.line,
-                self.state.block,
-                next((n for n, slot in self.state.slot_of.items() if slot == name), name),
-            )
 
     def move(
         self,
@@ -130,7 +114,7 @@ class Control:
             self.feed_given(move.feed)
         if s.after_compensation and s.comp is None:
             if move.arc is not None:
-                raise WordError("the move after G40 must be straight, not an arc; add a straight move", 1)
+                raise WordError("the move after G40 must be straight, not an arc; add a straight move")
             s.after_compensation = False
             s.settle_plain()
         if s.comp is not None and not move.machine:
@@ -141,7 +125,7 @@ class Control:
     def feed_given(self, feed: float) -> None:
         """Refuse a move without a feed; an ISO control refuses F0 in the block of the move."""
         if self.state.iso and feed == 0.0:
-            raise WordError("the feed is 0; give F a number above 0", 1)
+            raise WordError("the feed is 0; give F a number above 0")
         if math.isnan(feed):
             text = f"no feed is programmed yet; give {self.state.feed_word}, or feed_mm_min in [program] of the machine file"
             if self.state.path.suffix.lower() == ".spf":
@@ -170,7 +154,7 @@ class Control:
 
     def arc_about(self, start: np.ndarray, end: np.ndarray, centre: np.ndarray, clockwise: bool, turns: int = 0) -> Arc:
         """The arc about a centre in the plane; equal start and end are a full circle."""
-        limit = self.state.closing()(float(np.linalg.norm(start - centre)))
+        limit = self.state.closing(float(np.linalg.norm(start - centre)))
         return arcs.from_centre(start, end, centre, self.state.plane, clockwise, turns, limit)
 
     def _turned(self, circle: Arc) -> Arc:
@@ -179,7 +163,7 @@ class Control:
         if self.state.matrix is not None:
             gram = self.state.matrix.T @ self.state.matrix
             if not np.allclose(gram, np.eye(3) * gram[0, 0], atol=1e-9):
-                raise WordError("an arc under a SCALE that differs between axes is no arc; scale all axes alike", 1)
+                raise WordError("an arc under a SCALE that differs between axes is no arc; scale all axes alike")
             normal = self.state.matrix @ normal / math.sqrt(gram[0, 0]) * math.copysign(1.0, np.linalg.det(self.state.matrix))
         return self.state.to_machine(centre), normal, angle
 
@@ -187,21 +171,18 @@ class Control:
         """Centre (3,) from I J K or the radius, program coordinates."""
         clockwise = self.state.motion == 2
         if radius is not None and words:
-            raise WordError("the circle is given twice, by its centre (I J K) and by its radius; keep one", 1)
+            raise WordError("the circle is given twice, by its centre (I J K) and by its radius; keep one")
         if radius is not None:
             return arcs.centre_from_radius(start, point, radius, self.state.plane, clockwise)
-        a, b, _ = arcs.PLANES[self.state.plane]
+        a, b, across = arcs.PLANES[self.state.plane]
         middle = start.copy()
         for name, (value, how, column) in words.items():
-            i = "IJK".index(name)
-            if i not in (a, b) and value == 0.0 and not (how == "AC" or self.state.centre_absolute):
-                continue  # some posts write all three
-            if i not in (a, b):
+            i, absolute = "IJK".index(name), how == "AC" or (how == "" and self.state.centre_absolute)
+            if i == across and (value or absolute):  # some posts write all three
                 raise WordError(f"{name} does not lie in the plane G{self.state.plane}; select the plane with G17, G18 or G19", column)
-            absolute = how == "AC" or (how == "" and self.state.centre_absolute)
             middle[i] = value * self.state.unit + (0.0 if absolute else start[i])
         gap = _gap(start, point, middle, a, b)
-        if gap > self.state.closing()(float(np.linalg.norm((start - middle)[[a, b]]))):
+        if gap > self.state.closing(float(np.linalg.norm((start - middle)[[a, b]]))):
             raise arcs.ArcError(
                 f"the arc does not close: its radius is {gap * 1e3:.4f} mm greater or smaller at its end; {self._as_meant(start, point, words)}"
             )
@@ -211,7 +192,7 @@ class Control:
         """What to do about an open arc: whether it closes with another meaning of I J K."""
         a, b, _ = arcs.PLANES[self.state.plane]
         given = np.array([words["IJK"[i]].value * self.state.unit if "IJK"[i] in words else 0.0 for i in range(3)])
-        limit = self.state.closing()(float(np.linalg.norm(given - start)))
+        limit = self.state.closing(float(np.linalg.norm(given - start)))
         names = " ".join("IJK"[i] for i in sorted((a, b)))
         if not self.state.centre_absolute and _gap(start, point, given, a, b) <= limit:
             how = "write G90.1 before" if self.state.iso else f"write {'IJK'[a]}=AC(..) {'IJK'[b]}=AC(..)"
@@ -223,7 +204,7 @@ class Control:
     def stop(self, pause: float) -> None:
         """An exact stop at the end of the last move, then a pause [s] (G9, M0)."""
         if self.state.comp is not None:
-            raise WordError("an exact stop or a halt inside G41 or G42 is not simulated; write it after G40", 1)
+            raise WordError("an exact stop or a halt inside G41 or G42 is not simulated; write it after G40")
         if self.state.out.kinds:
             self.state.out.stops[len(self.state.out.kinds) - 1] = pause
 
@@ -249,7 +230,7 @@ class Control:
     def dwell(self, seconds: float) -> None:
         """A dwell at the current position."""
         if not 0.0 <= seconds <= LONGEST_DWELL:
-            raise WordError(f"a dwell of {seconds:g} s is out of range; give 0 to 3600 s", 1)
+            raise WordError(f"a dwell of {seconds:g} s is out of range; give 0 to 3600 s")
         out = self.state.out
         if self.state.comp is not None:
             out.notes["G4 inside G41 or G42 is omitted: the tool does not dwell on the contour"] = None
@@ -286,27 +267,21 @@ class Control:
 
     def compensate(self, side: int, radius: float, *, along_next: bool = False, corners_meet: bool = False) -> None:
         """G40 (0), G41 (1) or G42 (-1) from the next move on."""
-        if self.state.comp is not None:
-            if side and (side > 0) == (self.state.comp.offset * radius > 0) and self.state.comp.tool_radius == abs(radius):
+        s = self.state
+        if s.comp is not None:
+            if side and (side > 0) == (s.comp.offset * radius > 0) and s.comp.tool_radius == abs(radius):
                 return
             if side:
-                raise WordError("G41 and G42 change sides or radius without G40; write G40 and a move between them", 1)
-            self._end_compensation()
+                raise WordError("G41 and G42 change sides or radius without G40; write G40 and a move between them")
+            stands, s.comp = s.comp.finish(), None
+            s.after_compensation = stands is not None
         if side and radius:
-            if self.state.out.modes.traori and not self._stands_across():
-                raise WordError(
-                    "G41 and G42 need a tool perpendicular to the plane G17, G18 or G19; let the CAM system output the tool centre", 1
-                )
-            self.state.programmed = self.state.here()
-            self.state.comp = Compensation(
-                abs(radius) / self._scale(),
-                (side > 0) == (radius > 0),
-                along_next=along_next,
-                corners_meet=corners_meet,
-                emit=self._emit,
-                tool_radius=abs(radius),
-            )
-        self.state.settle_plain()
+            if s.out.modes.traori and not self._stands_across():
+                text = "G41 and G42 need a tool perpendicular to the plane G17, G18 or G19; let the CAM system output the tool centre"
+                raise WordError(text)
+            s.programmed, offset = s.here(), abs(radius) / self._scale() * (1.0 if (side > 0) == (radius > 0) else -1.0)
+            s.comp = Compensation(offset, abs(radius), self._emit, along_next=along_next, corners_meet=corners_meet)
+        s.settle_plain()
 
     def _scale(self) -> float:
         """Scale of the frame in the active plane (SCALE, G51); it scales the contour, not the radius of the tool."""
@@ -314,7 +289,7 @@ class Control:
             return 1.0
         first, second = (float(np.linalg.norm(self.state.matrix[:, i])) for i in arcs.PLANES[self.state.plane][:2])
         if abs(first - second) > SAME_SCALE * first:
-            raise WordError("G41 and G42 need the same scale along both axes of the plane; scale them alike, or write G40", 1)
+            raise WordError("G41 and G42 need the same scale along both axes of the plane; scale them alike, or write G40")
         return first
 
     def _stands_across(self) -> bool:
@@ -327,17 +302,6 @@ class Control:
             machine = np.concatenate([np.zeros(3), self.state.out.settle()])
             axis = self.state.out.kinematics.forward(machine)[1][0]
         return abs(float(axis @ normal)) > (1.0 - 1e-9) * float(np.linalg.norm(axis) * np.linalg.norm(normal))
-
-    def _end_compensation(self) -> None:
-        assert self.state.comp is not None
-        comp = self.state.comp
-        try:
-            stands = comp.finish()
-        except CompensationError as error:
-            raise WordError(str(error), 1) from None
-        self.state.comp = None
-        self.state.after_compensation = stands is not None
-        self.state.settle_plain()
 
     def in_plane(self, move: Move) -> bool:
         """Whether a move is a line, or an arc in the plane, without rotary axes."""
@@ -360,7 +324,7 @@ class Control:
         s, start, point = self.state, self.state.here(), move.point
         assert s.comp is not None
         if not self.in_plane(move):
-            raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before", 1)
+            raise WordError("only moves in X Y Z run inside G41 or G42; write G40 before")
         element, length = self.element(move, start), float(np.linalg.norm(point - start))
         if move.arc is not None:
             radius = float(np.hypot(*(element.a - element.centre)))
@@ -372,10 +336,7 @@ class Control:
             s.out.set_modes(mode)
             element.move = move
         s.programmed = point.copy()
-        try:
-            s.comp.add(element)
-        except CompensationError as error:
-            raise WordError(str(error), 1) from None
+        s.comp.add(element)
 
     def _emit(self, e: Element) -> None:
         """Emit a finished element of the compensation."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.compensation import CompensationError, Element, holds, meet, moved
+from twin.program.compensation import Element, holds, meet, moved
 from twin.program.control import KEPT, Control, Move
 from twin.program.expressions import WordError
 
@@ -83,7 +83,7 @@ class Corners:
             what, _, move, _ = self.held
             self.held = None
             if what != "RNDM":
-                raise WordError(f"a move in the plane must follow {what}; add it or remove {what}", 1)
+                raise WordError(f"a move in the plane must follow {what}; add it or remove {what}")
             self._go(move)
 
     def _cut_corner(self, held: Held, following: Move) -> Move:
@@ -104,19 +104,21 @@ class Corners:
                 self.state.note("RNDM: corners outside the plane and beside rotary axes are not rounded")
                 self._go(before)
                 return following
-            raise WordError(f"{what} needs a move in the plane G{self.state.plane} on both sides; select the plane, or write the corner", 1)
+            raise WordError(f"{what} needs a move in the plane G{self.state.plane} on both sides; select the plane, or write the corner")
         t, u = one.direction(True), two.direction(False)
         turn = math.atan2(t[0] * u[1] - t[1] * u[0], float(t @ u))
         if abs(turn) < 1e-6:
             self._go(before)
             return following
         if max(abs(before.point[axis] - start[axis]), abs(following.point[axis] - before.point[axis])) > 1e-9:
-            raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane", 1)
+            raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane")
         if what not in ("RND", "RNDM", ",R"):
-            raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)
+            raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks")
         if (cut := _fillet(one, two, math.copysign(size, turn))) is None:
-            raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller", 1)
-        first, last, centre = (self._in_space(p, before.point) for p in cut)
+            raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller")
+        first, last, centre = (before.point.copy() for _ in cut)
+        for place, p in zip((first, last, centre), cut):
+            place[list(arcs.PLANES[self.state.plane][:2])] = p
         self._go(self._from(before, start, first))
         rounding = self.control.arc_about(first, last, centre, turn < 0.0)
         self._go(before._replace(kind=mv.ARC, point=last, angles=KEPT, vector=None, arc=rounding, machine=False))
@@ -128,24 +130,18 @@ class Corners:
         ways = before.point - start, following.point - before.point
         lengths = [float(np.linalg.norm(way)) for way in ways]
         if min(lengths) < 1e-9:
-            raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks", 1)
+            raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks")
         t, u = (way / length for way, length in zip(ways, lengths))
         turn = math.acos(max(-1.0, min(1.0, float(t @ u))))
         cut = size if what in CUT_OFF else size / max(2.0 * math.cos(0.5 * turn), 1e-9)
         if turn > 1e-6 and (turn > math.pi - 1e-6 or cut > min(lengths) + 1e-9):
-            raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller", 1)
+            raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller")
         if turn < 1e-6:
             self._go(before)
             return following
         self._go(before._replace(point=before.point - cut * t))
         self._go(before._replace(point=before.point + cut * u, angles=KEPT, vector=None, machine=False))
         return following
-
-    def _in_space(self, p: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """A point (2,) of the plane at the height of another (3,)."""
-        point = at.copy()
-        point[list(arcs.PLANES[self.state.plane][:2])] = p
-        return point
 
     def _from(self, move: Move, start: np.ndarray, end: np.ndarray) -> Move:
         """The move with other ends on the same line or circle."""
@@ -162,7 +158,7 @@ def _fillet(one: Element, two: Element, offset: float) -> tuple[np.ndarray, np.n
     """
     try:
         shifted = moved(one, offset), moved(two, offset)
-    except CompensationError:
+    except WordError:
         return None
     for centre in meet(*shifted, one.b):
         if holds(shifted[0], centre) and holds(shifted[1], centre):

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
+from twin.program.expressions import WordError
+
 MOST_PECKS = 2000
 
 RAPID, FEED, DWELL, ASIDE, BACK = "rapid", "feed", "dwell", "aside", "back"
 Steps = list[tuple[str, float, float]]
 """Kind, height or time, share of the feed; ASIDE and BACK also move by a step in the plane."""
-
-
-class CycleError(Exception):
-    """An impossible cycle; the reader adds the place."""
 
 
 class Peck(NamedTuple):
@@ -67,7 +65,7 @@ def levels(top: float, bottom: float, step: float, less: float = 0.0, least: flo
         found.append(at)
         step = max(step - less, least if least > 0.0 else (step if less <= 0.0 else 1e-3 * step))
         if len(found) > MOST_PECKS:
-            raise CycleError(f"more than {MOST_PECKS} pecks in one hole; give a larger step")
+            raise WordError(f"more than {MOST_PECKS} pecks in one hole; give a larger step")
     return [*found, bottom]
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
+import operator
 import re
 from typing import Any
 
@@ -20,9 +21,9 @@ DEEPEST = 60
 
 
 class WordError(Exception):
-    """A fault in a block: text, and column (from 1)."""
+    """A fault in a block: text, and column from 1; 0: it is in no word, so no column is shown."""
 
-    def __init__(self, message: str, column: int) -> None:
+    def __init__(self, message: str, column: int = 1) -> None:
         super().__init__(message)
         self.column = column
 
@@ -36,7 +37,7 @@ def nearest_integer(x: float) -> float:
     return math.trunc(2.0 * x) - math.trunc(x)
 
 
-def _bits(operation: Callable[[int, int], int]) -> Callable[[float, float], float]:
+def _bits(operation: Callable[[Any, Any], int]) -> Callable[[float, float], float]:
     return lambda a, b: float(operation(int(a), int(b)))
 
 
@@ -53,37 +54,18 @@ def _power(a: float, b: float) -> float:
     return result
 
 
-COMPARE = {
-    "==": _equal,
-    "<>": lambda a, b: not _equal(a, b),
-    "<": lambda a, b: a < b,
-    ">": lambda a, b: a > b,
-    "<=": lambda a, b: a <= b,
-    ">=": lambda a, b: a >= b,
-}
+COMPARE: dict[str, Callable] = {
+    "==": _equal, "<>": lambda a, b: not _equal(a, b), "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge,
+}  # fmt: skip
 _LOGIC = {
-    "OR": lambda a, b: float(bool(a) or bool(b)),
-    "XOR": lambda a, b: float(bool(a) != bool(b)),
-    "AND": lambda a, b: float(bool(a) and bool(b)),
-}
-SUMS: dict[str, Callable] = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
-    "/": lambda a, b: a / b,
-}
+    "OR": lambda a, b: float(bool(a) or bool(b)), "XOR": lambda a, b: float(bool(a) != bool(b)), "AND": lambda a, b: float(bool(a) and bool(b)),
+}  # fmt: skip
+SUMS: dict[str, Callable] = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
 FUNCTIONS: dict[str, Callable] = {
-    "SIN": lambda x: math.sin(math.radians(x)),
-    "COS": lambda x: math.cos(math.radians(x)),
-    "TAN": lambda x: math.tan(math.radians(x)),
-    "ASIN": lambda x: math.degrees(math.asin(x)),
-    "ACOS": lambda x: math.degrees(math.acos(x)),
-    "SQRT": math.sqrt,
-    "ABS": abs,
-    "ROUND": nearest_integer,
-    "LN": math.log,
-    "EXP": math.exp,
-}
+    "SIN": lambda x: math.sin(math.radians(x)), "COS": lambda x: math.cos(math.radians(x)), "TAN": lambda x: math.tan(math.radians(x)),
+    "ASIN": lambda x: math.degrees(math.asin(x)), "ACOS": lambda x: math.degrees(math.acos(x)), "SQRT": math.sqrt, "ABS": abs,
+    "ROUND": nearest_integer, "LN": math.log, "EXP": math.exp,
+}  # fmt: skip
 
 
 def _text(value: Value) -> str:
@@ -106,65 +88,37 @@ SINUMERIK = Grammar(
     "(",
     ")",
     {
-        "OR": (1, _LOGIC["OR"]),
-        "XOR": (2, _LOGIC["XOR"]),
-        "AND": (3, _LOGIC["AND"]),
-        **{sign: (4, test) for sign, test in COMPARE.items()},
-        "<<": (5, lambda a, b: _text(a) + _text(b)),
-        "B_OR": (6, _bits(lambda a, b: a | b)),
-        "B_XOR": (7, _bits(lambda a, b: a ^ b)),
-        "B_AND": (8, _bits(lambda a, b: a & b)),
-        "+": (9, SUMS["+"]),
-        "-": (9, SUMS["-"]),
-        "*": (10, SUMS["*"]),
-        "/": (10, SUMS["/"]),
-        "DIV": (10, lambda a, b: float(math.trunc(a / b))),
-        "MOD": (10, math.fmod),
+        "OR": (1, _LOGIC["OR"]), "XOR": (2, _LOGIC["XOR"]), "AND": (3, _LOGIC["AND"]), **{sign: (4, test) for sign, test in COMPARE.items()},
+        "<<": (5, lambda a, b: _text(a) + _text(b)), "B_OR": (6, _bits(operator.or_)), "B_XOR": (7, _bits(operator.xor)), "B_AND": (8, _bits(operator.and_)),
+        "+": (9, SUMS["+"]), "-": (9, SUMS["-"]), "*": (10, SUMS["*"]), "/": (10, SUMS["/"]),
+        "DIV": (10, lambda a, b: float(math.trunc(a / b))), "MOD": (10, math.fmod),
     },
     FUNCTIONS
     | {
-        "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
-        "POT": lambda x: x * x,
-        "TRUNC": math.trunc,
-        "ROUNDUP": math.ceil,
-        "MINVAL": min,
-        "MAXVAL": max,
-        "BOUND": lambda low, high, x: min(max(low, x), high),
-        "STRLEN": lambda text: float(len(text)),
-        "TOUPPER": lambda text: text.upper(),
-        "TOLOWER": lambda text: text.lower(),
-        "SUBSTR": lambda text, at, n=200.0: text[int(at) : int(at) + int(n)],
-        "INDEX": lambda text, char: float(text.find(char)),
-        "NUMBER": float,
+        "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)), "POT": lambda x: x * x, "TRUNC": math.trunc, "ROUNDUP": math.ceil,
+        "MINVAL": min, "MAXVAL": max, "BOUND": lambda low, high, x: min(max(low, x), high), "NUMBER": float,
+        "STRLEN": lambda text: float(len(text)), "TOUPPER": lambda text: text.upper(), "TOLOWER": lambda text: text.lower(),
+        "SUBSTR": lambda text, at, n=200.0: text[int(at) : int(at) + int(n)], "INDEX": lambda text, char: float(text.find(char)),
     },
     {"PI": math.pi, "$PI": math.pi, "TRUE": 1.0, "FALSE": 0.0},
-)
+)  # fmt: skip
 ISO = Grammar(
     "[",
     "]",
     {
         **{name: (1, test) for name, test in _LOGIC.items()},
         **{name: (2, COMPARE[sign]) for name, sign in zip(("EQ", "NE", "LT", "GT", "LE", "GE"), COMPARE)},
-        "+": (3, SUMS["+"]),
-        "-": (3, SUMS["-"]),
-        "*": (4, SUMS["*"]),
-        "/": (4, SUMS["/"]),
-        "MOD": (4, lambda a, b: a - b * math.floor(a / b)),
+        "+": (3, SUMS["+"]), "-": (3, SUMS["-"]), "*": (4, SUMS["*"]), "/": (4, SUMS["/"]), "MOD": (4, lambda a, b: a - b * math.floor(a / b)),
         "**": (5, _power),
     },
     FUNCTIONS
     | {
-        "FIX": math.floor,
-        "FUP": math.ceil,
-        "SQR": math.sqrt,
-        "ATAN": lambda y, x=1.0: math.degrees(math.atan2(y, x)),
-        "POW": _power,
-        "BIN": lambda x: float(sum((int(x) >> 4 * i & 15) * 10**i for i in range(12))),
-        "BCD": lambda x: float(int(str(int(x)), 16)),
+        "FIX": math.floor, "FUP": math.ceil, "SQR": math.sqrt, "ATAN": lambda y, x=1.0: math.degrees(math.atan2(y, x)), "POW": _power,
+        "BIN": lambda x: float(sum((int(x) >> 4 * i & 15) * 10**i for i in range(12))), "BCD": lambda x: float(int(str(int(x)), 16)),
     },
     {},
-)
-_ON_BITS = {"AND": (4, _bits(lambda a, b: a & b)), "OR": (3, _bits(lambda a, b: a | b)), "XOR": (3, _bits(lambda a, b: a ^ b))}
+)  # fmt: skip
+_ON_BITS = {"AND": (4, _bits(operator.and_)), "OR": (3, _bits(operator.or_)), "XOR": (3, _bits(operator.xor))}
 FANUC = replace(
     ISO,
     operators={**ISO.operators, **_ON_BITS, "AN": _ON_BITS["AND"], "XO": _ON_BITS["XOR"]},
@@ -211,8 +165,8 @@ class Expression:
     def value(self, level: int = 1) -> Value:
         """The value up to the first character that does not continue the expression."""
         left = self.atom()
-        while (operator := self._operator()) and self.grammar.operators[operator[0]][0] >= level:
-            name, end = operator
+        while (sign := self._operator()) and self.grammar.operators[sign[0]][0] >= level:
+            name, end = sign
             at, self.at = self.at, end
             own, work = self.grammar.operators[name]
             right = self.value(own + 1)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from twin.errors import InputError
 from twin.program.expressions import WordError
 from twin.program.source import Unit
 from twin.program.state import State
-from twin.program.structures import Statement, loop_around, partners, structures_of
+from twin.program.structures import STRUCTURES, Statement, loop_around, partners, structures_of
 
 MOST_BLOCKS = 2_000_000  # that run, with repeats
 MOST_JUMPS = 100_000
@@ -39,45 +39,15 @@ class Frame:
     on_return: Callable[[], None] | None = None
 
 
-class Lines(Protocol):
-    """How a language writes lines: a line without comment, the statement of the flow in it, the labels of a program."""
-
-    def clean(self, text: str) -> str: ...
-    def statement(self, text: str) -> Statement | None: ...
-    def labels(self, unit: Unit) -> dict[str, list[int]]: ...
-
-
-class Values(Protocol):
-    """Variables and expressions of a language."""
-
-    def number_of(self, text: str, column: int) -> float: ...
-    def assign(self, name: str, value: float, column: int) -> None: ...
-
-
-class Calls(Protocol):
-    """Statements of a language that the flow does not know, and the end of a program that does not end itself."""
-
-    def other(self, statement: Statement, frame: Frame) -> None: ...
-    def runs_into(self, what: str, column: int) -> None: ...
-
-
-class Blocks(Protocol):
-    """Executes blocks; `fast` returns False for one that must be read word by word."""
-
-    def fast(self, text: str, line: int) -> bool: ...
-    def words(self, text: str) -> None: ...
-
-
 class Flow:
-    """Executes the blocks of a program."""
+    """Executes the blocks of a program.
 
-    lines: Lines
-    values: Values
-    calls: Calls
-    blocks: Blocks
+    `language` is its reader: `lines` clean a line, find its statement and the labels of a program; `values` have the formulas and variables;
+    `fast` and `words` carry out a block, `other` a statement that the flow does not know; `runs_into`: a program does not end itself.
+    """
 
-    def __init__(self, unit: Unit, state: State) -> None:
-        self.state = state
+    def __init__(self, unit: Unit, state: State, language: Any) -> None:
+        self.state, self.language = state, language
         self.frames = [Frame(unit, unit.first)]
         self.ran = self.jumps = self.same_jumps = 0
         self._seen: dict[tuple, tuple] = {}
@@ -88,13 +58,9 @@ class Flow:
         """The running program or subprogram."""
         return self.frames[-1]
 
-    def speak(self, lines: Lines, values: Values, calls: Calls, blocks: Blocks) -> None:
-        """Set the parts of the language."""
-        self.lines, self.values, self.calls, self.blocks = lines, values, calls, blocks
-
     def run(self) -> None:
         """Execute all blocks until the program ends."""
-        state, fast, calls = self.state, self.blocks.fast, self.calls
+        state, fast = self.state, self.language.fast
         while not self.ended and self.frames:
             frame = self.frames[-1]
             lines, offset = frame.unit.lines, frame.unit.offset
@@ -110,7 +76,7 @@ class Flow:
                     break
             else:
                 if not frame.style:
-                    calls.runs_into("the end of the file", 1)
+                    self.language.runs_into("the end of the file", 1)
                 self.back()
 
     def _run_line(self, frame: Frame, at: int, text: str) -> None:
@@ -123,15 +89,14 @@ class Flow:
             return
         depth = len(self.frames)
         if known:
-            self.blocks.words(known)  # type: ignore[arg-type]
-        if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
-            self.advance(frame)
+            self.language.words(known)  # type: ignore[arg-type]
+        self._done(frame, at, depth)
 
     def _statement(self, text: str) -> Statement | str:
-        clean = self.lines.clean(text)
+        clean = self.language.lines.clean(text)
         if not clean.strip():
             return ""
-        return self.lines.statement(clean) or clean
+        return self.language.lines.statement(clean) or clean
 
     def advance(self, frame: Frame) -> None:
         """Advance to the next line, or back to the start of a repeated part at its end."""
@@ -194,75 +159,88 @@ class Flow:
     def _follow(self, frame: Frame, at: int, s: Statement) -> None:
         """Execute a statement of the flow."""
         kind = s.kind
-        if kind == "if":
-            self._branch(frame, at, s)
-        elif kind in ("elseif", "else"):  # the part before it has run
-            frame.at = self._partners(frame, at, s)[-1]
+        if kind in ("label", "endif"):
             self.advance(frame)
-        elif kind == "while" and self._opens(frame, at):
-            if self._value(s.text, s.column):
-                self.advance(frame)
-            else:
-                self._behind(frame, self._partners(frame, at, s)[-1])
-        elif kind == "while":  # it ends a DO
-            self._loop(frame, self._partners(frame, at, s)[0], bool(self._value(s.text, s.column)), s.column)
-        elif kind == "endwhile" or kind == "endloop":
-            opener = self._partners(frame, at, s)[0]
-            self._jump(s.column)
-            frame.at = opener
-        elif kind == "until":
-            self._loop(frame, self._partners(frame, at, s)[0], not self._value(s.text, s.column), s.column)
-        elif kind == "for":
-            name, first, last = s.rest
-            self.values.assign(name, self._value(first, s.column), s.column)
-            if self._value(name, s.column) <= self._value(last, s.column):
-                self.advance(frame)
-            else:
-                self._behind(frame, self._partners(frame, at, s)[-1])
-        elif kind == "endfor":
-            opener = self._partners(frame, at, s)[0]
-            name, _, last = frame.unit.statements[opener].rest  # type: ignore[attr-defined]
-            self.values.assign(name, self._value(name, s.column) + 1.0, s.column)
-            self._loop(frame, opener, self._value(name, s.column) <= self._value(last, s.column), s.column)
-        elif kind == "times":
-            count = int(self._value(s.text, s.column))
-            frame.counters[at] = count
-            if count > 0:
-                self.advance(frame)
-            else:
-                self._behind(frame, self._partners(frame, at, s)[-1])
-        elif kind == "endtimes":
-            opener = self._partners(frame, at, s)[0]
-            frame.counters[opener] = frame.counters.get(opener, 1) - 1
-            self.same_jumps = 0
-            self._loop(frame, opener, frame.counters[opener] > 0, s.column)
-        elif kind == "break":
-            self._behind(frame, self._around(frame, at, s)[-1])
-        elif kind == "continue":
-            frame.at = self._around(frame, at, s)[-1]
-            self._jump(s.column)
-        elif kind in ("loop", "repeat", "do", "endif", "label"):
-            self.advance(frame)
-            if kind in ("loop", "repeat", "do"):
-                self._partners(frame, at, s)
-        elif kind == "sub":
-            self.calls.runs_into("a subprogram", s.column)
-            self._behind(frame, self._partners(frame, at, s)[-1])
         elif kind == "goto":
-            self._goto(frame, s)
+            if not s.rest[0] or self._value(s.rest[0], s.column):
+                self.jump_to(frame, s)
+            else:
+                self.advance(frame)
         elif kind == "repeat_label":
             self._repeat(frame, at, s)
+        elif kind in ("break", "continue"):
+            end = loop_around(self.table(frame.unit), frame.unit, at, s)[-1]
+            if kind == "break":
+                self._behind(frame, end)
+            else:
+                frame.at = end
+                self._jump(s.column)
+        elif kind in STRUCTURES:
+            self._structure(frame, at, s)
         else:
             depth = len(self.frames)
-            self.calls.other(s, frame)
-            if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
-                self.advance(frame)
+            self.language.other(s, frame)
+            self._done(frame, at, depth)
+
+    def _done(self, frame: Frame, at: int, depth: int) -> None:
+        """Advance behind a block that was neither a jump nor a call."""
+        if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
+            self.advance(frame)
+
+    def _structure(self, frame: Frame, at: int, s: Statement) -> None:
+        """The beginning of a loop or branch goes on or skips it; the end of a loop goes on or back: to its test, or behind it."""
+        kind, opens = s.kind, self.table(frame.unit).get(at, (at,))[0] == at
+        if opens and kind in ("while", "for", "times") and self._enters(frame, at, s):
+            self.advance(frame)
+            return
+        places = partners(self.table(frame.unit), at, s)
+        first, last = places[0], places[-1]
+        if kind == "if":
+            self._branch(frame, s, places)
+        elif kind in ("elseif", "else"):  # the part before it has run
+            frame.at = last
+            self.advance(frame)
+        elif kind == "sub":
+            self.language.runs_into("a subprogram", s.column)
+            self._behind(frame, last)
+        elif opens and kind in ("loop", "repeat", "do"):
+            self.advance(frame)
+        elif opens:
+            self._behind(frame, last)
+        elif kind in ("endwhile", "endloop") or self._again(frame, first, s):
+            self._jump(s.column)
+            frame.at = first + (kind not in ("endwhile", "endloop"))
+        else:
+            self.advance(frame)
+
+    def _enters(self, frame: Frame, at: int, s: Statement) -> bool:
+        """Whether a loop runs from its beginning on."""
+        if s.kind == "while":
+            return bool(self._value(s.text, s.column))
+        if s.kind == "for":
+            name, first, last = s.rest
+            self.language.values.assign(name, self._value(first, s.column), s.column)
+            return self._value(name, s.column) <= self._value(last, s.column)
+        frame.counters[at] = int(self._value(s.text, s.column))
+        return frame.counters[at] > 0
+
+    def _again(self, frame: Frame, first: int, s: Statement) -> bool:
+        """Whether a loop that began at the line `first` runs once more."""
+        if s.kind == "endtimes":
+            frame.counters[first] = frame.counters.get(first, 1) - 1
+            self.same_jumps = 0
+            return frame.counters[first] > 0
+        if s.kind == "endfor":
+            name, _, last = frame.unit.statements[first].rest  # type: ignore[attr-defined]
+            self.language.values.assign(name, self._value(name, s.column) + 1.0, s.column)
+            return self._value(name, s.column) <= self._value(last, s.column)
+        return bool(self._value(s.text, s.column)) == (s.kind == "while")
 
     def _value(self, text: str, column: int) -> float:
         """The value of a condition or of the bound of a loop."""
         reads: list[Any] = []
         self.state.reads = reads
-        value = self.values.number_of(text, column)
+        value: float = self.language.values.number_of(text, column)
         self.state.reads = None
         self.decided(text, (value, *reads))
         return value
@@ -274,13 +252,12 @@ class Flow:
             self._seen[key] = by
             self.same_jumps = 0
 
-    def _branch(self, frame: Frame, at: int, s: Statement) -> None:
+    def _branch(self, frame: Frame, s: Statement, places: tuple[int, ...]) -> None:
         """IF: go to the first branch whose condition is true; a branch ends at the next ELSE."""
         if self._value(s.text, s.column):
-            self._partners(frame, at, s)
             self.advance(frame)
             return
-        for place in self._partners(frame, at, s)[1:]:
+        for place in places[1:]:
             other = frame.unit.statements[place]
             assert isinstance(other, Statement)
             if other.kind != "elseif" or self._value(other.text, other.column):
@@ -294,14 +271,6 @@ class Flow:
         frame.at = place
         self.advance(frame)
 
-    def _loop(self, frame: Frame, opener: int, again: bool, column: int) -> None:
-        """The end of a loop: back to its start, or continue."""
-        if again:
-            self._jump(column)
-            frame.at = opener + 1
-        else:
-            self.advance(frame)
-
     def _jump(self, column: int) -> None:
         self._count()
         self.jumps += 1
@@ -314,15 +283,6 @@ class Flow:
         if self.jumps > MOST_JUMPS:
             raise WordError(f"more than {MOST_JUMPS} jumps have run; the loop with this jump does not end, correct it", column)
 
-    def _opens(self, frame: Frame, at: int) -> bool:
-        return self.table(frame.unit).get(at, (at,))[0] == at
-
-    def _partners(self, frame: Frame, at: int, s: Statement) -> tuple[int, ...]:
-        return partners(self.table(frame.unit), at, s)
-
-    def _around(self, frame: Frame, at: int, s: Statement) -> tuple[int, ...]:
-        return loop_around(self.table(frame.unit), frame.unit, at, s)
-
     def table(self, unit: Unit) -> dict[int, tuple[int, ...]]:
         """The structures of a program by their lines."""
         if unit.partners is None:
@@ -330,13 +290,6 @@ class Flow:
         return unit.partners
 
     # ------------------------------------------------------------------ jumps
-
-    def _goto(self, frame: Frame, s: Statement) -> None:
-        condition, *_ = s.rest
-        if condition and not self._value(condition, s.column):
-            self.advance(frame)
-            return
-        self.jump_to(frame, s)
 
     def jump_to(self, frame: Frame, s: Statement) -> None:
         """Continue at the target of a jump."""
@@ -346,13 +299,17 @@ class Flow:
         frame.repeats = [r for r in frame.repeats if r[2] <= place <= r[0]]
         frame.at = place
 
+    def labels(self, unit: Unit) -> dict[str, list[int]]:
+        """Lines of a program by their labels and block numbers."""
+        if unit.labels is None:
+            unit.labels = self.language.lines.labels(unit)
+        return unit.labels
+
     def place(self, frame: Frame, target: str, direction: str, column: int) -> int:
         """Line of a label or block number; `direction` F: forwards, B: backwards, C: a missing target is ignored."""
         if target.startswith("="):  # a block number by an expression
-            target = f"N{int(self.values.number_of(target[1:], column))}"
-        if frame.unit.labels is None:
-            frame.unit.labels = self.lines.labels(frame.unit)
-        places = frame.unit.labels.get(target, [])
+            target = f"N{int(self.language.values.number_of(target[1:], column))}"
+        places = self.labels(frame.unit).get(target, [])
         forward = [i for i in places if i > frame.at]
         back = [i for i in places if i <= frame.at]
         found = {"F": forward[:1], "B": back[-1:]}.get(direction, forward[:1] or back[-1:])
@@ -365,12 +322,10 @@ class Flow:
 
     def _repeat(self, frame: Frame, at: int, s: Statement) -> None:
         word, name, end, times_text = s.rest
-        if frame.unit.labels is None:
-            frame.unit.labels = self.lines.labels(frame.unit)
+        labels = self.labels(frame.unit)
 
         def label(text: str) -> int:
-            places = frame.unit.labels.get(text, [])  # type: ignore[union-attr]
-            if not places:
+            if not (places := labels.get(text, [])):
                 raise WordError(f"there is no label '{text}'; add '{text}:' before the part to repeat", s.column)
             return places[0]
 
@@ -380,11 +335,11 @@ class Flow:
         elif word == "REPEATB":
             last = first
         else:
-            closing = [i for i in frame.unit.labels.get("ENDLABEL", []) if i >= first]
+            closing = [i for i in labels.get("ENDLABEL", []) if i >= first]
             last = closing[0] if closing and (closing[0] < at or first > at) else (at - 1 if first < at else len(frame.unit.lines) - 1)
         if last < first or first <= at <= last:
             raise WordError(f"REPEAT {name}: the part to repeat holds the REPEAT itself or is empty; move the labels", s.column)
-        times = int(self.values.number_of(times_text, s.column)) if times_text else 1
+        times = int(self.language.values.number_of(times_text, s.column)) if times_text else 1
         if len(frame.repeats) >= 20:
             raise WordError("more than 20 REPEAT inside each other; correct the labels", s.column)
         if times <= 0:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 LINEAR, ROTARY, OTHER = ("X", "Y", "Z"), ("A", "C"), ("B", "U", "V", "W")
+AXES = (*LINEAR, *ROTARY, *OTHER)
 INDEX = {name: i for i, name in enumerate((*LINEAR, *ROTARY))}
 
 

@@ -10,11 +10,12 @@ from twin.program import arcs
 from twin.program import iso_frames as frames
 from twin.program import iso_moves as moves
 from twin.program.expressions import WordError
-from twin.program.iso_blocks import AXES, Block, Iso
-from twin.program.iso_calls import IsoCalls, call_block
-from twin.program.iso_lines import IsoLines
+from twin.program.frames import AXES
+from twin.program.iso_blocks import Iso
+from twin.program.iso_calls import call_block, other_statement
+from twin.program.reader import set_mode
 from twin.program.source import Unit
-from twin.program.state import INCH
+from twin.program.state import INCH, Block
 from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word
 
 LENGTH_ON = {43, 43.4, 43.5, 44, 234}
@@ -40,7 +41,7 @@ def iso(path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> Iso:
     """The reader of one program."""
     m = Iso(path, machine, unit, linuxcnc)
     m.carry_out = lambda b: execute(m, b)
-    m.flow.speak(IsoLines(m.state), m.values, IsoCalls(m), m)
+    m.other_statement = lambda s, frame: other_statement(m, s, frame)
     return m
 
 
@@ -80,14 +81,19 @@ def execute(m: Iso, b: Block) -> None:
         elif word.handler is not None:
             word.handler(m, b, number)
     if s.plane != plane and s.comp is not None:
-        raise WordError("the plane changes inside G41 or G42; write G40 before", 1)
+        raise WordError("the plane changes inside G41 or G42; write G40 before")
     if motion is not None and motion > 3:
         if m.cycle is None:
             m.sticky, m.initial = {}, float(s.here()[arcs.PLANES[s.plane][2]])
         m.cycle = int(motion)
     elif motion is not None:
         m.cycle, s.motion = None, int(motion)
-    pause = _m_codes(m, b)
+    keeping = (70, 71, 72, 73) if m.linuxcnc else ()
+    pause = s.note_m(b.m, ISO_M, {2, 30, *keeping})
+    for number in b.m:
+        if number in keeping:
+            _stored(m, number)
+        b.drop(WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else "P" if 48 <= number <= 53 else "")
     if "D" in b.w and not m.linuxcnc:
         moves.other_radius(m, b.w.pop("D"))
     moves.move_words(m, b)
@@ -97,7 +103,7 @@ def execute(m: Iso, b: Block) -> None:
         m.control.stop(0.0)
     if pause is not None:
         m.control.stop(pause)
-    s.all_used(b.w)
+    b.all_used()
     if 2 in b.m or 30 in b.m:
         m.flow.ended = True
 
@@ -132,7 +138,7 @@ def _feed_and_tool(m: Iso, b: Block) -> None:
     if given and not m.linuxcnc:
         s.set_feed(given.value, given.column)
     elif not given and s.out.modes.feed_mode == 93 and s.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
-        raise WordError("under G93 every block needs its own F; add it", 1)
+        raise WordError("under G93 every block needs its own F; add it")
     if "S" in w:
         s.set_spindle(b.take("S"))
     tool: dict[str, tuple] = {n: (w[n].value, w.pop(n).column) for n in ("T", "H") if n in w and (n == "T" or 10 not in codes)}
@@ -142,7 +148,7 @@ def _feed_and_tool(m: Iso, b: Block) -> None:
         tool["T"], tool["M6"] = (w["Q"].value, w.pop("Q").column), (6.0, 1)
     if 44 in codes:
         if s.out.modes.traori:
-            raise WordError("G44 under G43.4 is not supported; use G43 with a negative length", 1)
+            raise WordError("G44 under G43.4 is not supported; use G43 with a negative length")
         s.note("G44: treated as G43; without G43.4 X Y Z are positions of the axes for any length")
     if codes & LENGTH_ON:
         tool["G43"] = 43.0, 1
@@ -158,27 +164,16 @@ def _feed_and_tool(m: Iso, b: Block) -> None:
         raise WordError("E has no use in this block; remove it", w["E"].column)
 
 
-def _m_codes(m: Iso, b: Block) -> float | None:
-    """M codes before the move: notes and stored modes; the pause of one that stops behind it."""
-    keeping = (70, 71, 72, 73) if m.linuxcnc else ()
-    pause = m.state.note_m(b.m, ISO_M, {2, 30, *keeping})
-    for number in b.m:
-        if number in keeping:
-            _stored(m, number)
-        b.drop(WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else "P" if 48 <= number <= 53 else "")
-    return pause
-
-
 def _stored(m: Iso, number: int) -> None:
     """M70 stores the modes, M71 discards them, M72 restores them; M73 restores them at the end of the subprogram."""
     frame = m.flow.frame
     if number in (70, 73):
-        kept, system = m.state.kept(with_feed=True), m.system
+        kept, system = m.state.kept(with_feed=True), m.offsets.system
 
         def restore() -> None:
             kept()
-            m.system = system
-            m.set_frames()
+            m.offsets.system = system
+            m.offsets.set_frames()
 
         m.stored_modes[id(frame)] = restore
     if number == 73:
@@ -187,32 +182,15 @@ def _stored(m: Iso, number: int) -> None:
         m.stored_modes.pop(id(frame), None)
     elif number == 72:
         if id(frame) not in m.stored_modes:
-            raise WordError("M72 finds no modes that M70 has kept in this program or subprogram; add M70", 1)
+            raise WordError("M72 finds no modes that M70 has kept in this program or subprogram; add M70")
         m.stored_modes[id(frame)]()
 
 
 # ------------------------------------------------------------------ modes
 
 
-def _plane(m: Iso, _: Block, number: float) -> None:
-    m.state.plane = int(number)
-
-
-def _distance(m: Iso, _: Block, number: float) -> None:
-    m.state.absolute = number == 90
-    m.state.settle_plain()
-
-
-def _centre(m: Iso, _: Block, number: float) -> None:
-    m.state.centre_absolute = number == 90.1
-
-
 def _polar(m: Iso, _: Block, number: float) -> None:
     m.polar, m.polar_place = number == 16, None
-
-
-def _retract(m: Iso, _: Block, number: float) -> None:
-    m.state.retract_to_start = number == 98
 
 
 def _cycle_off(m: Iso, _: Block, number: float) -> None:
@@ -251,7 +229,7 @@ ISO_G: dict[float, Word[Handler]] = {
     9: Word(ACTS, "exact stop in this block"), 10: Word(ACTS, "L2 and L20 set a zero offset, L10 to L13 (LinuxCNC: L1) a tool", frames.g10), 11: Word(ACTS, "end of G10"), 10.9: Word(ACTS, "X0: radii, as here", _radii),
     12: Word(REFUSED, "circular pockets; write the arcs"), 13: Word(REFUSED, "circular pockets; write the arcs"),
     15: Word(ACTS, "polar coordinates off", _polar), 16: Word(ACTS, "polar coordinates about the program zero", _polar),
-    17: Word(ACTS, "plane XY", _plane, "plane"), 18: Word(ACTS, "plane ZX", _plane, "plane"), 19: Word(ACTS, "plane YZ", _plane, "plane"), 20: Word(ACTS, "inch", None, "unit"), 21: Word(ACTS, "mm", None, "unit"),
+    17: Word(ACTS, "plane XY", set_mode, "plane"), 18: Word(ACTS, "plane ZX", set_mode, "plane"), 19: Word(ACTS, "plane YZ", set_mode, "plane"), 20: Word(ACTS, "inch", None, "unit"), 21: Word(ACTS, "mm", None, "unit"),
     22: Word(NOTE, "stroke limits, which the machine file gives"), 23: Word(NOTE, "stroke limits, which the machine file gives"), 25: Word(NOTE, "spindle watch, " + NOTHING),
     26: Word(NOTE, "spindle watch, " + NOTHING), 27: Word(ACTS, "to the reference point at rapid; that it lies there is not checked"),
     28: Word(ACTS, "through the point of the block to the reference point"), 28.1: Word(ACTS, "this place is the reference point of G28", moves.keep_home),
@@ -280,10 +258,10 @@ ISO_G: dict[float, Word[Handler]] = {
     85: Word(ACTS, "boring, out at feed", None, "motion"), 86: Word(ACTS, "boring, out at rapid", None, "motion"), 87: Word(ACTS, "back boring, upwards from R to Z: aside by Q towards +, or by I J", None, "motion"),
     88: Word(ACTS, "boring with dwell; the halt for the hand is passed over", None, "motion"), 89: Word(ACTS, "boring with dwell, out at feed", None, "motion"),
     84.2: Word(REFUSED, "use G84"), 84.3: Word(REFUSED, "use G74"),
-    90: Word(ACTS, "absolute", _distance, "distance"), 91: Word(ACTS, "incremental", _distance, "distance"), 90.1: Word(ACTS, "I J K absolute", _centre), 91.1: Word(ACTS, "I J K from the start", _centre),
+    90: Word(ACTS, "absolute", set_mode, "distance"), 91: Word(ACTS, "incremental", set_mode, "distance"), 90.1: Word(ACTS, "I J K absolute", set_mode), 91.1: Word(ACTS, "I J K from the start", set_mode),
     92: Word(ACTS, "this place has these coordinates", frames.g92), 92.1: Word(ACTS, "G92 cleared", frames.g92_off), 92.2: Word(ACTS, "G92 off", frames.g92_off), 92.3: Word(ACTS, "G92 on again", frames.g92_off),
     93: Word(ACTS, "F is 1/min of the block", None, "feed"), 94: Word(ACTS, "F per minute", None, "feed"), 95: Word(ACTS, "F per turn of the spindle", None, "feed"),
-    96: Word(REFUSED, "constant cutting speed is not simulated; use G97"), 97: Word(NOTE, NOTHING), 98: Word(ACTS, "cycles retract to the start", _retract, "retract"), 99: Word(ACTS, "cycles retract to R", _retract, "retract"),
+    96: Word(REFUSED, "constant cutting speed is not simulated; use G97"), 97: Word(NOTE, NOTHING), 98: Word(ACTS, "cycles retract to the start", set_mode, "retract"), 99: Word(ACTS, "cycles retract to R", set_mode, "retract"),
     100: Word(ACTS, "end of G101; with T (Brother) a tool change, then rapid", frames.local_map), 101: Word(ACTS, "mirror about the zero of X Y Z (Haas)", frames.local_map),
     103: Word(NOTE, "look-ahead in blocks, " + NOTHING), 60: Word(NOTE, "approach from one side: the overshoot is omitted"),
     **dict.fromkeys((7.1, 12.1, 107, 112), Word(REFUSED, "cylinders and polar axes of other machines; let the CAM system output X Y Z")), 13.1: Word(NOTE, NOTHING),

@@ -7,8 +7,7 @@ parameters. Where the dialects differ, a note gives the chosen meaning.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 import re
 
@@ -16,65 +15,35 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.expressions import Null, WordError
-from twin.program.frames import LINEAR, NO_FRAME, OTHER, ROTARY, Frame, rotation, shifted
-from twin.program.iso_lines import SEPARATOR, between_percents, message_text
-from twin.program.iso_values import IsoValues, system_name
+from twin.program.flow import Frame as Call
+from twin.program.frames import AXES
+from twin.program.iso_lines import SEPARATOR, IsoLines, between_percents, message_text
+from twin.program.iso_values import IsoValues
 from twin.program.reader import NO_GROUP, Reader
 from twin.program.source import Unit
-from twin.program.state import Item
+from twin.program.state import Block, Item
+from twin.program.structures import Statement
 from twin.program.words import NUMBER
 
 ISO_FRAMES = ("system", "shift", "local", "mirror", "scale", "turn", "plane")
 """Zero offset, G92, G52, then G51.1, G51 and G68 in the order in which a Fanuc nests them, and G68.2."""
-AXES = (*LINEAR, *ROTARY, *OTHER)
 POLAR = ("@", "^")
 """Words of a radius and an angle (LinuxCNC)."""
-
-
-@dataclass
-class Block:
-    """The words of one block; each step takes away the words that it uses, so a word that remains is an error."""
-
-    g: list[tuple[float, int]] = field(default_factory=list)  # number and column
-    m: list[int] = field(default_factory=list)
-    w: dict[str, Item] = field(default_factory=dict)
-    column: int = 1  # of the G code in hand
-
-    @cached_property
-    def codes(self) -> set[float]:
-        """The G codes."""
-        return {number for number, _ in self.g}
-
-    def take(self, name: str, default: float = 0.0) -> float:
-        """Take a word away; its value."""
-        return self.w.pop(name).value if name in self.w else default
-
-    def drop(self, names: str) -> None:
-        """Take words of one letter away."""
-        for name in names:
-            self.w.pop(name, None)
-
-    def pick(self, *names: str) -> dict[str, Item]:
-        """Take words away."""
-        return {n: self.w.pop(n) for n in names if n in self.w}
 
 
 class Iso(Reader):
     """Reads the blocks of one ISO program."""
 
     carry_out: Callable[[Block], None]
+    lines: IsoLines
+    values: IsoValues
+    other_statement: Callable[[Statement, Call], None]
 
     def __init__(self, path: Path, machine: Machine, unit: Unit, linuxcnc: bool) -> None:
         super().__init__(path, machine, "linuxcnc" if linuxcnc else "iso", between_percents(unit), ISO_FRAMES)
         self.unit_read, self.linuxcnc, state = self.flow.frame.unit, linuxcnc, self.state
         state.motion, state.tools.modal_h = None, not linuxcnc
-        self.systems = {n: state.frame_table(system_name(n)) for n in range(1, 10)}
-        self.turned = dict.fromkeys(range(1, 10), 0.0)  # deg, by system
-        self.system = 1
-        self.shift, self.shift_kept, self.shift_on = np.zeros(5), np.zeros(5), False  # G92 (LinuxCNC: also G52)
-        self.local = np.zeros(5)  # G52 of Fanuc
         self.mirrors: dict[int, float] = {}  # axis of G51.1 -> place of the mirror [m]
-        self.home = {28: state.frame_table("G28"), 30: state.frame_table("G30")}
         self.cycle: int | None = None  # G73 to G89 in force
         self.sticky: dict[str, float] = {}  # words of the cycles
         self.given_absolute: dict[str, bool] = {}  # of the words in `sticky`: under G90
@@ -89,7 +58,8 @@ class Iso(Reader):
         self.parameter_lines = False  # behind G10 L50, up to G11
         self.stored_modes: dict[int, Callable[[], None]] = {}
         self.main_seen = False
-        self.values = IsoValues(self)
+        self.lines, self.values = IsoLines(state), IsoValues(state, self.flow)
+        self.offsets = self.values.offsets
         letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{3 * NO_GROUP}(?:F({NUMBER})\s*)?;?\s*$", re.A)
         self.out.set_modes(replace(self.out.modes, feed_of_all=not linuxcnc))
@@ -98,18 +68,18 @@ class Iso(Reader):
             if linuxcnc
             else "F beside X Y Z with A or C: it counts all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
         )
-        self.set_frames()
 
-    def set_frames(self) -> None:
-        """The zero offset in force with its rotation, G92 and G52."""
-        system = Frame(rotation(2, self.turned[self.system]), self.systems[self.system])
-        shift = shifted(self.shift) if self.shift_on else NO_FRAME
-        self.state.set_frames(system=system, shift=shift, local=shifted(self.local.copy()))
+    def other(self, s: Statement, frame: Call) -> None:
+        self.other_statement(s, frame)
+
+    def runs_into(self, what: str, column: int) -> None:
+        if self.main_seen and len(self.flow.frames) == 1 and self.linuxcnc:
+            raise WordError(f"the program O.. runs on into {what}; end it with M2, M30 or %", column)
 
     def plain_now(self) -> bool:
         return self.cycle is None and not self.polar and self.modal_macro is None
 
-    def block(self, text: str) -> None:
+    def words(self, text: str) -> None:
         body, *messages = text.split(SEPARATOR)
         if self.parameter_lines:
             self.parameter_lines = "G11" not in body

@@ -6,69 +6,69 @@ from typing import Any
 
 from twin.program.expressions import WordError
 from twin.program.flow import Frame
-from twin.program.iso_blocks import Block, Iso
+from twin.program.iso_blocks import Iso
 from twin.program.iso_cycles import MOST_REPEATS
-from twin.program.iso_lines import COMMENT, OWORD, PROGRAM, between_percents, subs_of
+from twin.program.iso_lines import between_percents
 from twin.program.reader import ADD_CALL
 from twin.program.source import Unit
+from twin.program.state import Block
 from twin.program.structures import Statement
 
 MACRO = dict(zip("ABCIJKDEFHMQRSTUVWXYZ", (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26)))
 """Letter of G65 -> variable that it sets."""
 
 
-class IsoCalls:
-    """Calls and returns by O-words and IF .. THEN."""
-
-    def __init__(self, m: Iso) -> None:
-        self.m = m
-
-    def other(self, s: Statement, frame: Frame) -> None:
-        """O-words of calls, program numbers, IF .. THEN."""
-        m, flow = self.m, self.m.flow
-        if s.kind == "then":
-            if m.values.number_of(s.text, s.column):
-                m.words(" " * s.rest[0] + s.key)
-        elif s.kind == "words_goto":
-            m.words(s.key)
-            flow.jump_to(frame, s)
-        elif s.kind == "program":  # the name of the program, or the start of the next one
-            if frame.style == "m98" or (m.main_seen and len(flow.frames) == 1):
-                raise WordError(f"the program runs on into O{s.key}; end it with M30 or M99 before", 1)
-            m.main_seen = m.main_seen or len(flow.frames) == 1
-        elif s.kind == "call":
-            _call_oword(m, s)
-        elif s.kind in ("return", "endsub"):
-            if s.kind == "return" and len(flow.frames) == 1:
-                raise WordError("RETURN is outside a subprogram; remove it", s.column)
-            if frame.style == "m98":
-                raise WordError("a subprogram called by M98 ends with M99, not with endsub", s.column)
-            m.values.returned_value = (m.values.number_of(s.text, s.column), 1.0) if s.text.strip() else (0.0, 0.0)
-            flow.back()
-        else:
-            raise WordError(f"O.. {s.kind} does not fit here; correct the O-words", s.column)
-
-    def runs_into(self, what: str, column: int) -> None:
-        """The main program reaches a subprogram or the end of the file; one with a name O.. must have ended before."""
-        if self.m.main_seen and len(self.m.flow.frames) == 1 and self.m.linuxcnc:
-            raise WordError(f"the program O.. runs on into {what}; end it with M2, M30 or %", column)
+def other_statement(m: Iso, s: Statement, frame: Frame) -> None:
+    """O-words of calls, program numbers, IF .. THEN."""
+    flow = m.flow
+    if s.kind == "then":
+        if m.values.number_of(s.text, s.column):
+            m.words(" " * s.rest[0] + s.key)
+    elif s.kind == "words_goto":
+        m.words(s.key)
+        flow.jump_to(frame, s)
+    elif s.kind == "program":  # the name of the program, or the start of the next one
+        if frame.style == "m98" or (m.main_seen and len(flow.frames) == 1):
+            raise WordError(f"the program runs on into O{s.key}; end it with M30 or M99 before")
+        m.main_seen = m.main_seen or len(flow.frames) == 1
+    elif s.kind == "call":
+        _call_oword(m, s)
+    elif s.kind in ("return", "endsub"):
+        if s.kind == "return" and len(flow.frames) == 1:
+            raise WordError("RETURN is outside a subprogram; remove it", s.column)
+        if frame.style == "m98":
+            raise WordError("a subprogram called by M98 ends with M99, not with endsub", s.column)
+        m.values.returned_value = (m.values.number_of(s.text, s.column), 1.0) if s.text.strip() else (0.0, 0.0)
+        flow.back()
+    else:
+        raise WordError(f"O.. {s.kind} does not fit here; correct the O-words", s.column)
 
 
 def call_block(m: Iso, b: Block) -> bool:
     """M97 to M99, G65 and G66; True if the block is done."""
     codes = b.codes
     if codes & {65, 66}:
-        _macro(m, b, modal=66 in codes)
+        p = b.need("P", "G65 and G66 need P, the number of the macro")
+        times, variables = int(b.take("L", 1.0)), dict[Any, float]()
+        for name, item in b.w.items():
+            if name not in MACRO:
+                raise WordError(f"{name} passes nothing to a macro", item.column)
+            variables[MACRO[name]] = item.value
+        place = _program_place(m, int(p.value), p.column)
+        if place is not None and 66 in codes:
+            m.modal_macro = *place, variables
+        elif place is not None and (
+            frame := m.flow.call(*place, times=min(times, MOST_REPEATS), name=f"O{p.value:g}", style="macro", column=p.column)
+        ):
+            frame.variables = variables
         return True
     if 67 in codes:
         m.modal_macro = None
     own = 97 in b.m
     if own or 98 in b.m or (198 in b.m and not m.linuxcnc):
         if own and m.linuxcnc:
-            raise WordError("M97 is no word of LinuxCNC; use M98 and O", 1)
-        if "P" not in b.w:
-            raise WordError(f"M{97 if own else 98} needs P, the number of the {'block' if own else 'subprogram'}", 1)
-        p, times = b.w.pop("P"), 1
+            raise WordError("M97 is no word of LinuxCNC; use M98 and O")
+        p, times = b.need("P", f"M{97 if own else 98} needs P, the number of the {'block' if own else 'subprogram'}"), 1
         number = int(p.value)
         if "L" in b.w or "K" in b.w:
             word = b.w.pop("L" if "L" in b.w else "K")
@@ -83,7 +83,7 @@ def call_block(m: Iso, b: Block) -> bool:
             raise WordError(f"M98 repeats more than {MOST_REPEATS} times", p.column)
         place = _program_place(m, number, p.column) if not own else None
         if own:
-            if not (found := m.flow.lines.labels(m.flow.frame.unit).get(f"N{number}")):
+            if not (found := m.flow.labels(m.flow.frame.unit).get(f"N{number}")):
                 raise WordError(f"M97 P{number}: this program has no block N{number}; add it", p.column)
             place = m.flow.frame.unit, found[0]
         if place is not None:
@@ -96,7 +96,7 @@ def call_block(m: Iso, b: Block) -> bool:
         m.flow.ended = True
         return True
     if m.flow.frame.style not in ("m98", "macro"):
-        raise WordError("M99 ends a subprogram that O.. sub began; end it with endsub", 1)
+        raise WordError("M99 ends a subprogram that O.. sub began; end it with endsub")
     target = f"N{int(b.take('P'))}" if "P" in b.w else ""
     if b.w:
         m.carry_out(Block(b.g, [n for n in b.m if n != 99], b.w))
@@ -106,17 +106,11 @@ def call_block(m: Iso, b: Block) -> bool:
 
 def _program_place(m: Iso, number: int, column: int) -> tuple[Unit, int] | None:
     """Unit and line of program O.., in this file or in the folder; None if the machine file lists it as a call without motion."""
-    wrong = False
-    for unit in dict.fromkeys((m.flow.frame.unit, m.unit_read)):
-        for at, line in enumerate(unit.lines):
-            body = COMMENT.sub("", line.split(";")[0]).upper()
-            if "O" not in body and ":" not in body:
-                continue
-            if (match := PROGRAM.match(body)) and match[1].isdigit() and int(match[1]) == number:
-                return unit, at + 1
-            oword = OWORD.match(body)
-            wrong = wrong or bool(oword and oword[2] == "SUB" and oword[1].isdigit() and int(oword[1]) == number)
-    if wrong:
+    units = dict.fromkeys((m.flow.frame.unit, m.unit_read))
+    for unit in units:
+        if lines := m.flow.labels(unit).get(f"O{number}"):
+            return unit, lines[0] + 1
+    if any(f"SUB {number}" in m.flow.labels(unit) for unit in units):
         raise WordError(f"O{number} is a subprogram 'O{number} sub' and is called by 'O{number} call', not by M98", column)
     beside = m.folder.find(f"O{number:04d}", f"O{number}", f"{number:04d}", str(number))
     if beside is None:
@@ -124,25 +118,7 @@ def _program_place(m: Iso, number: int, column: int) -> tuple[Unit, int] | None:
             return None
         raise WordError(f"subprogram O{number} is neither in this file nor beside it (O{number:04d}.nc); {ADD_CALL}", column)
     beside = between_percents(beside)
-    return beside, next((i + 1 for i, line in enumerate(beside.lines) if PROGRAM.match(COMMENT.sub("", line).upper())), 0)
-
-
-def _macro(m: Iso, b: Block, *, modal: bool) -> None:
-    """G65, G66: a macro with its arguments."""
-    if "P" not in b.w:
-        raise WordError("G65 and G66 need P, the number of the macro", 1)
-    p, times, variables = b.w.pop("P"), int(b.take("L", 1.0)), dict[Any, float]()
-    for name, item in b.w.items():
-        if name not in MACRO:
-            raise WordError(f"{name} passes nothing to a macro", item.column)
-        variables[MACRO[name]] = item.value
-    place = _program_place(m, int(p.value), p.column)
-    if place is not None and modal:
-        m.modal_macro = *place, variables
-    elif place is not None and (
-        frame := m.flow.call(*place, times=min(times, MOST_REPEATS), name=f"O{p.value:g}", style="macro", column=p.column)
-    ):
-        frame.variables = dict(variables)
+    return beside, next((lines[0] + 1 for name, lines in m.flow.labels(beside).items() if name.startswith("O")), 0)
 
 
 def _call_oword(m: Iso, s: Statement) -> None:
@@ -155,15 +131,15 @@ def _call_oword(m: Iso, s: Statement) -> None:
         arguments[len(arguments) + 1] = float(e.atom())
     calling, found, at = m.flow.frame, None, None
     for unit in dict.fromkeys((calling.unit, m.unit_read)):
-        at = subs_of(unit).get(name)
+        at = m.flow.labels(unit).get(f"SUB {name}", [None])[0]
         if at is not None and not (name.isdigit() and unit is not m.unit_read and at > calling.at):
             found = unit  # a numbered subprogram of another file must stand before its call
             break
     else:
         found = m.folder.find(name.strip("<>"))
-        at = None if found is None else subs_of(found).get(name)
+        at = None if found is None else m.flow.labels(found).get(f"SUB {name}", [None])[0]
     if found is None or at is None:
-        fanuc = any((p := PROGRAM.match(COMMENT.sub("", line).upper())) and p[1] == name for line in m.unit_read.lines)
+        fanuc = f"O{name}" in m.flow.labels(m.unit_read)
         where = f"subprogram O{name.lower()} is neither in this file nor beside it; add it"
         raise WordError(f"O{name} is called by M98 P{name}" if fanuc else where, s.column)
     if m.flow.table(found).get(at, (at,))[0] < 0:

@@ -7,8 +7,8 @@ from twin.program import moves as mv
 from twin.program.cycles import ASIDE, BACK, DWELL, FEED, RAPID, Drilling, levels, pecks
 from twin.program.expressions import WordError
 from twin.program.frames import INDEX, LINEAR, OTHER, ROTARY
-from twin.program.iso_blocks import Block, Iso
-from twin.program.state import Item
+from twin.program.iso_blocks import Iso
+from twin.program.state import Block, Item
 
 CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89}
 USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 87, 88, 89}, "Q": {73, 76, 83, 87}, "I": {76, 87}, "J": {76, 87}}
@@ -42,7 +42,16 @@ def drill_holes(m: Iso, b: Block, places: dict[str, Item]) -> None:
             raise WordError(f"{name}{item.value:g} is not a whole number of repetitions; correct it", item.column)
     if not (places or turned or b.codes & CYCLES or repeats != 1):
         return
-    _complete(m, number, depth_axis, repeats)
+    if "Z" not in m.sticky or "R" not in m.sticky:
+        raise WordError(f"G{number} needs {depth_axis if 'Z' not in m.sticky else 'R'}; add it")
+    if number in (73, 83) and not m.sticky.get("Q", 0.0) > 0.0:
+        raise WordError(f"G{number} needs Q, the depth of one peck, above 0; add it")
+    if not s.feed > 0.0:
+        m.control.feed_given(0.0)
+    if s.comp is not None:
+        raise WordError("a drilling cycle is inside G41 or G42; write G40 before")
+    if repeats > MOST_REPEATS:
+        raise WordError(f"the cycle repeats more than {MOST_REPEATS} times")
     initial, start_height = m.initial / s.unit, float(s.here()[across]) / s.unit
     as_given = {"R": s.absolute, "Z": s.absolute} if linuxcnc else m.given_absolute
     safe = m.sticky["R"] + (0.0 if as_given["R"] else initial)
@@ -52,10 +61,10 @@ def drill_holes(m: Iso, b: Block, places: dict[str, Item]) -> None:
     elif not linuxcnc and not s.absolute == as_given["R"] == as_given["Z"]:
         s.note("G90, G91 in an active cycle: R and Z keep their levels, as on a Fanuc; in .ngc files they are taken anew")
     if linuxcnc and s.plane != 17 and number in (74, 84):
-        raise WordError(f"G{number} outside G17 is not read: LinuxCNC itself moves other axes there; write the moves", 1)
+        raise WordError(f"G{number} outside G17 is not read: LinuxCNC itself moves other axes there; write the moves")
     if (depth > safe) != (number == 87) and depth != safe:
         where = "below" if number == 87 else "above"
-        raise WordError(f"G{number}: {depth_axis} {depth:g} lies {where} R {safe:g}; correct one", 1)
+        raise WordError(f"G{number}: {depth_axis} {depth:g} lies {where} R {safe:g}; correct one")
     cycle = _drilling(m, number, safe, depth, max(safe, initial) if s.retract_to_start else safe)
     angles = m.control.target(turned)[1]
     if start_height < safe and number != 87:
@@ -74,20 +83,6 @@ def drill_holes(m: Iso, b: Block, places: dict[str, Item]) -> None:
         if abs(s.here()[across] / s.unit - safe) > 1e-12:
             m.control.height(safe)
         m.control.drill(cycle)
-
-
-def _complete(m: Iso, number: int, depth_axis: str, repeats: int) -> None:
-    """Refuse a cycle that lacks a word."""
-    if "Z" not in m.sticky or "R" not in m.sticky:
-        raise WordError(f"G{number} needs {depth_axis if 'Z' not in m.sticky else 'R'}; add it", 1)
-    if number in (73, 83) and not m.sticky.get("Q", 0.0) > 0.0:
-        raise WordError(f"G{number} needs Q, the depth of one peck, above 0; add it", 1)
-    if not m.state.feed > 0.0:
-        m.control.feed_given(0.0)
-    if m.state.comp is not None:
-        raise WordError("a drilling cycle is inside G41 or G42; write G40 before", 1)
-    if repeats > MOST_REPEATS:
-        raise WordError(f"the cycle repeats more than {MOST_REPEATS} times", 1)
 
 
 def _drilling(m: Iso, number: int, safe: float, depth: float, clear: float) -> Drilling:

@@ -6,8 +6,9 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program.expressions import WordError
-from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, about, mirrored, rotation, shifted
-from twin.program.iso_blocks import AXES, ISO_FRAMES, Block, Iso
+from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, about, mirrored, rotation, shifted
+from twin.program.iso_blocks import ISO_FRAMES, Iso
+from twin.program.state import Block
 
 SYSTEMS = {54: 1, 55: 2, 56: 3, 57: 4, 58: 5, 59: 6, 59.1: 7, 59.2: 8, 59.3: 9}
 """G code -> number of its zero offset."""
@@ -17,28 +18,26 @@ def _named_offsets(m: Iso, b: Block) -> dict[int, float]:
     """Axes and values [m, rad] of the block."""
     for name, item in b.pick(*OTHER).items():
         if item.value:
-            raise WordError(f"an offset of {name} cannot be set on this machine", 1)
+            raise WordError(f"an offset of {name} cannot be set on this machine")
     return {INDEX[name]: m.state.si(name, item.value) for name, item in b.pick(*LINEAR, *ROTARY).items()}
 
 
 def choose_system(m: Iso, b: Block, number: float) -> None:
     """G54 to G59.3; G54.1 P, G154 P and G110 to G129 are additional ones."""
     if 110 <= number < 130:  # Haas
-        m.system = additional(m, number - 109)
+        m.offsets.system = additional(m, number - 109)
     elif number in (54.1, 154) or (number == 54 and "P" in b.w and not m.linuxcnc):
-        if "P" not in b.w:
-            raise WordError(f"G{number:g} needs P, the number of the offset", b.column)
-        m.system = additional(m, b.take("P"))
+        m.offsets.system = additional(m, b.need("P", f"G{number:g} needs P, the number of the offset", b.column).value)
     else:
-        m.system = SYSTEMS[number]
-    m.set_frames()
+        m.offsets.system = SYSTEMS[number]
+    m.offsets.set_frames()
 
 
 def additional(m: Iso, number: float) -> int:
     """The number here of an additional zero offset, G54.1 P1 and on."""
     extra = 100 + int(number)
-    if extra not in m.systems:
-        m.systems[extra], m.turned[extra] = m.state.frame_table(f"G54.1P{extra - 100}"), 0.0
+    if extra not in m.offsets.systems:
+        m.offsets.systems[extra], m.offsets.turned[extra] = m.state.frame_table(f"G54.1P{extra - 100}"), 0.0
     return extra
 
 
@@ -65,9 +64,9 @@ def g10(m: Iso, b: Block, _: float) -> None:
     """G10: zero offsets (L2, L20) and tools."""
     s = m.state
     if "L" not in b.w and not m.linuxcnc and "R" in b.w and not b.w.keys() & set(AXES):
-        if "P" not in b.w:  # a Fanuc whose offsets are one list: the same number serves as length and as radius
-            raise WordError("G10 R needs P, the number of the offset; add it", b.w["R"].column)
-        name, value = f"{b.take('P'):g}", b.take("R") * s.unit
+        # a Fanuc whose offsets are one list: the same number serves as length and as radius
+        name = f"{b.need('P', 'G10 R needs P, the number of the offset; add it', b.w['R'].column).value:g}"
+        value = b.take("R") * s.unit
         for quantity in ("length", "radius"):
             old = 0.0 if s.absolute else s.tools.value(name, quantity) or 0.0
             s.tools.set_value(name, quantity, old + value)
@@ -82,14 +81,15 @@ def g10(m: Iso, b: Block, _: float) -> None:
             f"G10 L20: it sets the additional offset G54.1 P{number}, as on a Fanuc; on LinuxCNC (.ngc), grbl and Mach this place gets the coordinates"
         )
         number, what = additional(m, number), 2
-    number = number or m.system
-    if number not in m.systems:
+    number = number or m.offsets.system
+    if number not in m.offsets.systems:
         raise WordError(f"G10 P{number}: there is no such zero offset; use P1 to P9", b.column)
-    m.turned[number] = b.take("R", m.turned[number])
-    place, new, turn = np.array([*s.out.position[:3], *m.values.place()[3:]]), m.systems[number].copy(), rotation(2, m.turned[number])
+    m.offsets.turned[number] = b.take("R", m.offsets.turned[number])
+    place, turn = np.array([*s.out.position[:3], *m.values.place()[3:]]), rotation(2, m.offsets.turned[number])
+    new = m.offsets.systems[number].copy()
     named = _named_offsets(m, b)
     if what == 20:
-        shift = m.shift if m.shift_on else np.zeros(5)
+        shift = m.offsets.shift if m.offsets.shift_on else np.zeros(5)
         wanted = turn.T @ (place[:3] - new[:3]) - shift[:3]
         wanted = np.array([named.get(i, wanted[i]) for i in range(3)])
         new[:3] = place[:3] - turn @ (wanted + shift[:3])
@@ -99,9 +99,9 @@ def g10(m: Iso, b: Block, _: float) -> None:
     else:
         for i, value in named.items():
             new[i] = value if s.absolute or m.linuxcnc else new[i] + value  # G91 adds on a Fanuc
-    m.systems[number] = new
-    if number == m.system:
-        m.set_frames()
+    m.offsets.systems[number] = new
+    if number == m.offsets.system:
+        m.offsets.set_frames()
 
 
 def g92(m: Iso, b: Block, _: float) -> None:
@@ -109,26 +109,26 @@ def g92(m: Iso, b: Block, _: float) -> None:
     s, named = m.state, _named_offsets(m, b)
     if not named:
         raise WordError("G92 needs a coordinate, e.g. G92 X0", b.column)
-    if not m.shift_on:
-        m.shift, m.shift_on = np.zeros(5), True
-        m.set_frames()
-    turn = rotation(2, m.turned[m.system])
-    place = turn.T @ (np.array(s.out.position[:3]) - m.systems[m.system][:3]) - m.local[:3]
-    angles = m.values.place()[3:] + np.array(s.offset[3:]) - m.systems[m.system][3:]
-    shift = m.shift.copy()
+    if not m.offsets.shift_on:
+        m.offsets.shift, m.offsets.shift_on = np.zeros(5), True
+        m.offsets.set_frames()
+    turn = rotation(2, m.offsets.turned[m.offsets.system])
+    place = turn.T @ (np.array(s.out.position[:3]) - m.offsets.systems[m.offsets.system][:3]) - m.offsets.local[:3]
+    angles = m.values.place()[3:] + np.array(s.offset[3:]) - m.offsets.systems[m.offsets.system][3:]
+    shift = m.offsets.shift.copy()
     for i, value in named.items():
         shift[i] = (place[i] if i < 3 else angles[i - 3]) - value
-    m.shift = m.shift_kept = shift
-    m.set_frames()
+    m.offsets.shift = m.offsets.shift_kept = shift
+    m.offsets.set_frames()
 
 
 def g92_off(m: Iso, _: Block, number: float) -> None:
     """G92.1 clears the shift, G92.2 keeps it, G92.3 restores it."""
     if number == 92.1:
-        m.shift_kept = np.zeros(5)
-    m.shift_on = number == 92.3
-    m.shift = m.shift_kept if m.shift_on else np.zeros(5)
-    m.set_frames()
+        m.offsets.shift_kept = np.zeros(5)
+    m.offsets.shift_on = number == 92.3
+    m.offsets.shift = m.offsets.shift_kept if m.offsets.shift_on else np.zeros(5)
+    m.offsets.set_frames()
 
 
 def g52(m: Iso, b: Block, _: float) -> None:
@@ -137,12 +137,12 @@ def g52(m: Iso, b: Block, _: float) -> None:
         m.state.note("G52: a local shift beside that of G92, as on a Fanuc; in .ngc files the same as G92")
     for i, value in _named_offsets(m, b).items():
         if m.linuxcnc:
-            m.shift = m.shift.copy()
-            m.shift[i] = value
-            m.shift_on, m.shift_kept = True, m.shift
+            m.offsets.shift = m.offsets.shift.copy()
+            m.offsets.shift[i] = value
+            m.offsets.shift_on, m.offsets.shift_kept = True, m.offsets.shift
         else:
-            m.local[i] = value
-    m.set_frames()
+            m.offsets.local[i] = value
+    m.offsets.set_frames()
 
 
 def local_map(m: Iso, b: Block, number: float) -> None:
@@ -150,7 +150,7 @@ def local_map(m: Iso, b: Block, number: float) -> None:
     s = m.state
     if number == 69:
         s.untilt()
-    if m.shift_on and np.any(m.shift):
+    if m.offsets.shift_on and np.any(m.offsets.shift):
         s.note("G68, G51: their centre is in the coordinates before G92")
     places = {LINEAR.index(n): item.value * s.unit for n, item in b.pick(*LINEAR).items()}
     if number in (51.1, 101):

@@ -75,7 +75,9 @@ class IsoLines:
         """The statement of the flow in a line."""
         body = text.split(SEPARATOR)[0]
         if match := OWORD.match(body):
-            return _oword(match)
+            word = match[2].lower()
+            kind = {"repeat": "times", "endrepeat": "endtimes"}.get(word, word)
+            return Statement(kind, plain_key(match[1]), match[3], match.start(3) + 1)
         if match := PROGRAM.match(body):
             return Statement("program", match[1].lstrip("0") or "0")
         if SEPARATOR in text:
@@ -102,11 +104,18 @@ class IsoLines:
         return f"N{int(text)}" if text.isdigit() else f"={text}"
 
     def labels(self, unit: Unit) -> dict[str, list[int]]:
-        """Lines by block number, N100."""
+        """Lines by block number (N100), number of a program (O100) and name of a subprogram of O-words (SUB 100, SUB <name>)."""
         found: dict[str, list[int]] = {}
         for i, line in enumerate(unit.lines):
-            if match := _NUMBERED.match(line.upper().lstrip("/ ")):
+            text = line.upper()
+            if match := _NUMBERED.match(text.lstrip("/ ")):
                 found.setdefault(f"N{int(match[1])}", []).append(i)
+            if "O" in text or ":" in text:
+                body = COMMENT.sub("", text.split(";")[0])
+                if match := PROGRAM.match(body):
+                    found.setdefault(f"O{match[1].lstrip('0') or '0'}", []).append(i)
+                elif (match := OWORD.match(body)) and match[2] == "SUB":
+                    found.setdefault(f"SUB {plain_key(match[1])}", []).append(i)
         return found
 
 
@@ -119,25 +128,8 @@ def between_percents(unit: Unit) -> Unit:
     return unit
 
 
-def subs_of(unit: Unit) -> dict[str, int]:
-    """Subprograms of O-words in a program: name -> line."""
-    if unit.subs is None:
-        unit.subs = {}
-        for at, line in enumerate(unit.lines):
-            if "O" in line.upper() and (m := OWORD.match(COMMENT.sub("", line.split(";")[0]).upper())) and m[2] == "SUB":
-                unit.subs.setdefault(plain_key(m[1]), at)
-    return unit.subs
-
-
 def plain_key(key: str) -> str:
     return str(int(key)) if key.isdigit() else key.replace(" ", "")
-
-
-def _oword(match: re.Match[str]) -> Statement:
-    key, word, text = plain_key(match[1]), match[2].lower(), match[3]
-    column = match.start(3) + 1
-    kind = {"repeat": "times", "endrepeat": "endtimes"}.get(word, word)
-    return Statement(kind, key, text, column)
 
 
 def message_text(text: str, number_of: Callable[[str, int], float]) -> str:

@@ -10,10 +10,10 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.expressions import WordError
-from twin.program.frames import INDEX, LINEAR, ROTARY
-from twin.program.iso_blocks import AXES, POLAR, Block, Iso
+from twin.program.frames import AXES, INDEX, LINEAR, ROTARY
+from twin.program.iso_blocks import POLAR, Iso
 from twin.program.iso_cycles import drill_holes
-from twin.program.state import Item
+from twin.program.state import Block, Item
 
 REFERENCES = {27, 28, 29, 30}
 """G codes of the reference point."""
@@ -49,14 +49,14 @@ def move_words(m: Iso, b: Block) -> None:
     m.any_motion = m.any_motion or s.motion is not None
     moves = bool(places or vector or (s.motion in (2, 3) and (centre or "R" in w)))
     if codes & {2, 3} and not moves:
-        raise WordError("a circle needs its centre (I J K) or radius R, and an end point; add them", 1)
+        raise WordError("a circle needs its centre (I J K) or radius R, and an end point; add them")
     if not moves:
         return
     if s.motion is None:
-        raise WordError("coordinates without a motion: G80 is in force; give G0 or G1", 1)
+        raise WordError("coordinates without a motion: G80 is in force; give G0 or G1")
     kind, machine = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[s.motion], 53 in codes
     if machine and kind == mv.ARC:
-        raise WordError("G53 goes with G0 or G1; give the arc in the work coordinates", 1)
+        raise WordError("G53 goes with G0 or G1; give the arc in the work coordinates")
     start = m.corners.start()
     point, angles = m.control.target(places, machine, None if machine else start)
     arc = _arc(m, b, start, point, centre) if kind == mv.ARC else None
@@ -80,36 +80,26 @@ def _arc(m: Iso, b: Block, start: np.ndarray, point: np.ndarray, centre: dict[st
         if turns != int(turns) or not 1 <= turns <= 10_000:
             raise WordError(f"P{turns:g}: the number of turns of an arc is a whole number from 1", column)
     if radius is None and not centre:
-        raise WordError("a circle needs its centre (I J K) or radius R; add it to the block", 1)
+        raise WordError("a circle needs its centre (I J K) or radius R; add it to the block")
     in_plane = [n for n in centre if "IJK".index(n) in arcs.PLANES[s.plane][:2]]
     if s.centre_absolute and centre and len(in_plane) < 2:
-        raise WordError("under G90.1 a circle needs both words of its centre; add the other", 1)
+        raise WordError("under G90.1 a circle needs both words of its centre; add the other")
     return m.control.arc_about(start, point, m.control.arc_centre(start, point, centre, radius), s.motion == 2, int(turns) - 1)
-
-
-def _in_plane(m: Iso, places: dict[str, Item], radius: float, angle: float, column: int) -> None:
-    """The first two axes of the plane from a radius [program units] and an angle [deg] about the zero of the program."""
-    for i, part in zip(arcs.PLANES[m.state.plane], (math.cos, math.sin)):
-        places[LINEAR[i]] = Item(radius * part(math.radians(angle)), "AC", column)
-
-
-def _place(m: Iso) -> tuple[float, float]:
-    """Radius [program units] and angle [deg] of the start about the zero of the program."""
-    first, second = m.corners.start()[list(arcs.PLANES[m.state.plane][:2])] / m.state.unit
-    return math.hypot(first, second), math.degrees(math.atan2(second, first))
 
 
 def _radius_and_angle(m: Iso, b: Block, places: dict[str, Item]) -> None:
     """@ and ^ of LinuxCNC: radius and angle about the program zero; a missing one is kept, with G91 they are added."""
-    words = b.pick(*POLAR)
+    words, how = b.pick(*POLAR), "" if m.state.absolute else "IC"
     column = next(iter(words.values())).column
     if m.state.plane != 17 or places.keys() & {"X", "Y"}:
         raise WordError("@ and ^ stand for X and Y under G17; remove the other words", column)
-    here = _place(m)
-    radius, angle = (
-        words[n].value + (0.0 if m.state.absolute else before) if n in words else before for n, before in zip(POLAR, here)
-    )  # fmt: skip
-    _in_plane(m, places, radius, angle, column)
+    _about_zero(m, places, *(words[n]._replace(how=how) if n in words else None for n in POLAR), column)
+
+
+def _about_zero(m: Iso, places: dict[str, Item], radius: Item | None, angle: Item | None, column: int) -> None:
+    """The first two axes of the plane from a radius and an angle about the zero of the program."""
+    point = m.control.polar(np.zeros(3), m.corners.start(), radius, angle)
+    places |= {LINEAR[i]: Item(point[i] / m.state.unit, "AC", column) for i in arcs.PLANES[m.state.plane][:2]}
 
 
 def _polar(m: Iso, places: dict[str, Item]) -> None:
@@ -117,19 +107,23 @@ def _polar(m: Iso, places: dict[str, Item]) -> None:
 
     With G91 the angle counts from the last one. A radius with G91 would be about the place of the tool, which is refused.
     """
-    first, second = (LINEAR[i] for i in arcs.PLANES[m.state.plane][:2])
-    if not places.keys() & {first, second}:
+    i, j, _ = arcs.PLANES[m.state.plane]
+    if not places.keys() & {LINEAR[i], LINEAR[j]}:
         return
-    radius, angle = m.polar_place or _place(m)
-    if first in places and not m.state.absolute:
-        raise WordError(
-            f"{first} under G16 and G91 is a radius about the place of the tool, which is not read; use G90", places[first].column
-        )
-    radius = places[first].value if first in places else radius
-    if second in places:
-        angle = places[second].value + (0.0 if m.state.absolute else angle)
+    if m.polar_place is None:
+        u, v = m.corners.start()[[i, j]] / m.state.unit
+        m.polar_place = math.hypot(u, v), math.degrees(math.atan2(v, u))
+    radius, angle = m.polar_place
+    column = next(iter(places.values())).column
+    if LINEAR[i] in places and not m.state.absolute:
+        text = f"{LINEAR[i]} under G16 and G91 is a radius about the place of the tool, which is not read; use G90"
+        raise WordError(text, places[LINEAR[i]].column)
+    if LINEAR[i] in places:
+        radius = places[LINEAR[i]].value
+    if LINEAR[j] in places:
+        angle = places[LINEAR[j]].value + (0.0 if m.state.absolute else angle)
     m.polar_place = radius, angle
-    _in_plane(m, places, radius, angle, next(iter(places.values())).column)
+    _about_zero(m, places, Item(radius), Item(angle), column)
 
 
 def _reference(m: Iso, b: Block, number: int, places: dict[str, Item]) -> None:
@@ -141,7 +135,7 @@ def _reference(m: Iso, b: Block, number: int, places: dict[str, Item]) -> None:
         s.note("G27: a rapid move; that it ends at the reference point is not checked") if number == 27 else None
         control.go(mv.RAPID, *control.target(places))
         return
-    home = m.home[number]
+    home = m.offsets.reference[number]
     if number == 30 and "P" in b.w and (which := int(b.take("P"))) != 2:
         home = s.frame_table(f"G30P{which}")
     s.note("G28, G30: the reference point is the zero of the axes, or [frame.G28] x_m .. of the machine file")
@@ -155,20 +149,20 @@ def _reference(m: Iso, b: Block, number: int, places: dict[str, Item]) -> None:
 
 def keep_home(m: Iso, _: Block, number: float) -> None:
     """G28.1, G30.1: this place is the reference point."""
-    m.home[int(number)] = np.array([*m.out.position[:3], *m.values.place()[3:]])
+    m.offsets.reference[int(number)] = np.array([*m.out.position[:3], *m.values.place()[3:]])
 
 
 def _spline(m: Iso, b: Block, number: float, places: dict[str, Item]) -> None:
     """G5 and G5.1 of LinuxCNC: a cubic or quadratic Bezier curve in the XY plane, as chords."""
     s = m.state
     if s.plane != 17 or places.keys() - {"X", "Y"} or s.comp is not None or not s.feed > 0.0:
-        raise WordError(f"G{number:g} moves X and Y under G17 with a feed, outside G41 and G42; correct the block", 1)
+        raise WordError(f"G{number:g} moves X and Y under G17 with a feed, outside G41 and G42; correct the block")
     needed = "IJPQ" if number == 5 else "IJ"
     given = {n: item.value * s.unit for n, item in b.pick(*needed).items()}
     if number == 5 and s.motion == 5 and not given.keys() & {"I", "J"}:
         given["I"], given["J"] = (-v for v in m.spline_arm)  # the next curve goes on smoothly
     if set(needed) - given.keys():
-        raise WordError(f"G{number:g} needs {' '.join(needed)}; add them", 1)
+        raise WordError(f"G{number:g} needs {' '.join(needed)}; add them")
     start = s.here()
     point, _ = m.control.target(places)
     near = start + np.array([given["I"], given["J"], 0.0])
@@ -184,10 +178,12 @@ def _spline(m: Iso, b: Block, number: float, places: dict[str, Item]) -> None:
 def _thread(m: Iso, b: Block, number: float, places: dict[str, Item]) -> None:
     """G33 and G33.1 of LinuxCNC: a line with K per turn of the spindle; G33.1 (tapping) returns along it."""
     s = m.state
-    if "K" not in b.w or not s.out.modes.spindle > 0.0:
-        raise WordError(f"G{number:g} needs K, the pitch, and a spindle speed S; add them", 1)
+    text = f"G{number:g} needs K, the pitch, and a spindle speed S; add them"
+    pitch = b.need("K", text).value
+    if not s.out.modes.spindle > 0.0:
+        raise WordError(text)
     start, feed = s.here(), s.feed
-    s.feed = abs(b.take("K")) * s.out.modes.spindle
+    s.feed = abs(pitch) * s.out.modes.spindle
     s.note("G33, G33.1: a line at K times S; the angle of the spindle is not simulated")
     m.control.go(mv.LINE, *m.control.target(places))
     if number == 33.1:
@@ -197,10 +193,8 @@ def _thread(m: Iso, b: Block, number: float, places: dict[str, Item]) -> None:
 
 def dwell(m: Iso, b: Block, _: float) -> None:
     """G4: P in s or, written whole on a Fanuc, in ms; X, U in s."""
-    name = next((n for n in (("P",) if m.linuxcnc else ("P", "X", "U")) if n in b.w), None)
-    if name is None:
-        raise WordError("G4 needs its time, e.g. G4 P1.5", 1)
-    item = b.w.pop(name)
+    name = next((n for n in ("X", "U") if n in b.w and "P" not in b.w and not m.linuxcnc), "P")
+    item = b.need(name, "G4 needs its time, e.g. G4 P1.5")
     seconds = item.value
     if name == "P" and not m.linuxcnc:
         text = m.flow.frame.unit.lines[m.flow.frame.at]
@@ -250,9 +244,9 @@ def compensation(m: Iso, b: Block, number: float) -> None:
     if number == 40:
         m.control.compensate(0, 0.0)
         return
-    if number in (41.1, 42.1):
-        if d is None:
-            raise WordError("G41.1 and G42.1 need D, the diameter of the tool", b.column)
+    if number in (41.1, 42.1) and d is None:
+        raise WordError("G41.1 and G42.1 need D, the diameter of the tool", b.column)
+    if d is not None and number in (41.1, 42.1):
         radius = 0.5 * d.value * s.unit
     else:
         m.edge = d or (m.edge and m.edge._replace(column=b.column))

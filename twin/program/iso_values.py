@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 
-from twin.program.collect import Collector
 from twin.program.expressions import FANUC, ISO, Expression, Null, WordError
 from twin.program.flow import Flow
-from twin.program.frames import INDEX, OTHER, ROTARY
+from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame, rotation, shifted
+from twin.program.reader import Values
 from twin.program.state import State
-from twin.program.values import Values
 
 _TOOL_TABLE = {10: ("length", True), 11: ("length", False), 12: ("radius", True), 13: ("radius", False)}
 """Tool data of a Fanuc from #10001, #11001, #12001 and #13001 on: the quantity, and whether it is its wear."""
@@ -21,29 +19,32 @@ _TOOLS_OTHERWISE = range(2001, 2801)
 LETTERS = "XYZABCUVW"
 
 
-class Offsets(Protocol):
-    """The zero offsets of a reader, which parameters show and set."""
+class Offsets:
+    """Zero offsets (G54 to G59.3, G54.1 as 101 and on), the shifts of G92 and G52, and the reference points of G28 and G30."""
 
-    state: State
-    flow: Flow
-    out: Collector
-    systems: dict[int, np.ndarray]
-    turned: dict[int, float]
-    system: int
-    shift: np.ndarray
-    shift_kept: np.ndarray
-    shift_on: bool
-    home: dict[int, np.ndarray]
+    def __init__(self, state: State) -> None:
+        self.state = state
+        self.systems = {n: state.frame_table(system_name(n)) for n in range(1, 10)}
+        self.turned = dict.fromkeys(range(1, 10), 0.0)  # deg, by system
+        self.system = 1
+        self.shift, self.shift_kept, self.shift_on = np.zeros(5), np.zeros(5), False  # G92 (LinuxCNC: also G52)
+        self.local = np.zeros(5)  # G52 of Fanuc
+        self.reference = {28: state.frame_table("G28"), 30: state.frame_table("G30")}
+        self.set_frames()
 
-    def set_frames(self) -> None: ...
+    def set_frames(self) -> None:
+        """The zero offset in force with its rotation, G92 and G52."""
+        system = Frame(rotation(2, self.turned[self.system]), self.systems[self.system])
+        shift = shifted(self.shift) if self.shift_on else NO_FRAME
+        self.state.set_frames(system=system, shift=shift, local=shifted(self.local.copy()))
 
 
 class IsoValues(Values):
     """Parameters: #1 to #33 (LinuxCNC: #30) and names belong to one program, the others to all."""
 
-    def __init__(self, m: Offsets) -> None:
-        super().__init__(m.state, m.flow, ISO if m.state.linuxcnc else FANUC)
-        self.m, self.fanuc = m, not m.state.linuxcnc
+    def __init__(self, state: State, flow: Flow) -> None:
+        super().__init__(state, flow, ISO if state.linuxcnc else FANUC)
+        self.offsets, self.fanuc = Offsets(state), not state.linuxcnc
         self.numbers: dict[int, float] = {}
         self.names: dict[str, float] = {}
         self.returned_value = (0.0, 0.0)
@@ -120,7 +121,7 @@ class IsoValues(Values):
 
     def write(self, key: int | str, value: float, column: int) -> None:
         """Assign a value to a parameter."""
-        own, m = self.flow.frame.variables, self.m
+        own, m = self.flow.frame.variables, self.offsets
         if isinstance(key, str):
             if key.startswith(("_INI[", "_HAL[")) or (self._predefined(key) is not None and key not in own):
                 raise WordError(f"#<{key.lower()}> belongs to the control; choose another name", column)
@@ -148,7 +149,7 @@ class IsoValues(Values):
                 m.systems[n] = m.systems[n].copy()
                 m.systems[n][INDEX[letter]] = math.radians(value) if letter in ROTARY else value * 1e-3
             elif value:
-                raise WordError("an offset of B U V W cannot be set on this machine", 1)
+                raise WordError("an offset of B U V W cannot be set on this machine")
             if n == m.system:
                 m.set_frames()
         else:
@@ -159,7 +160,7 @@ class IsoValues(Values):
     def _of_system(self, key: int) -> tuple[int, int] | None:
         """Zero offset and component (1 to 9, 10 its rotation) of #5221 and on."""
         n, k = (key - 5201) // 20, (key - 5200) % 20
-        return (n, k) if 5221 <= key <= 5390 and n in self.m.systems and 1 <= k <= 10 else None
+        return (n, k) if 5221 <= key <= 5390 and n in self.offsets.systems and 1 <= k <= 10 else None
 
     def _slot(self, k: int) -> str:
         """The axis of component k (1 to 9)."""
@@ -179,7 +180,7 @@ class IsoValues(Values):
         return np.concatenate([self.state.here(), angles - np.array(self.state.offset[3:])])
 
     def _system_value(self, key: int) -> float | None:
-        m, s, fanuc = self.m, self.state, self.fanuc
+        m, s, fanuc = self.offsets, self.state, self.fanuc
         if 5420 <= key < 5429 or (fanuc and (5001 <= key <= 5006 or 5041 <= key <= 5046)):
             k = key - 5419 if key >= 5420 else key - (5000 if key < 5040 else 5040)
             name = self._slot(k)
@@ -190,7 +191,7 @@ class IsoValues(Values):
             return self._own(np.array([*s.out.position[:3], *s.out.settle()]), key - 5439)
         if 5021 <= key <= 5029:
             return self._own(np.array(s.out.position), key - 5020)
-        for first, values in ((5211, m.shift if m.shift_on else m.shift_kept), (5161, m.home[28]), (5181, m.home[30])):
+        for first, values in ((5211, m.shift if m.shift_on else m.shift_kept), (5161, m.reference[28]), (5181, m.reference[30])):
             if first <= key < first + 9:
                 return self._own(values, key - first + 1, stored=True) + 0.0
         if (place := self._of_system(key)) is not None:
@@ -228,7 +229,7 @@ class IsoValues(Values):
             "_LINE": lambda: s.line, "_METRIC": lambda: s.unit == 1e-3, "_IMPERIAL": lambda: s.unit != 1e-3,
             "_ABSOLUTE": lambda: s.absolute, "_INCREMENTAL": lambda: not s.absolute,
             "_FEED": lambda: 0.0 if math.isnan(s.feed) else s.feed, "_RPM": lambda: s.out.modes.spindle,
-            "_CCOMP": lambda: s.comp is not None, "_PLANE": lambda: s.plane * 10.0, "_COORD_SYSTEM": lambda: _system_number(self.m.system),
+            "_CCOMP": lambda: s.comp is not None, "_PLANE": lambda: s.plane * 10.0, "_COORD_SYSTEM": lambda: _system_number(self.offsets.system),
             "_TASK": lambda: 0.0, "_CURRENT_TOOL": self._tool, "_CALL_LEVEL": lambda: len(self.flow.frames) - 1, "_REMAP_LEVEL": lambda: 0.0,
         }  # fmt: skip
         return float(values[name]()) if name in values else None  # type: ignore[operator]

@@ -37,7 +37,7 @@ def tool_call(m: Klartext, _: str, text: str, column: int) -> None:
     assert match
     number = match[1] or (match[2] and f"{m.values.number_of(match[2], column):g}")
     block = m.scan(text[match.end() :], column + match.end(), "in TOOL CALL; write its axis, S, F, DL, DR")
-    values = {name: item.value for name, item in block.words.items()}
+    values = {name: item.value for name, item in block.w.items()}
     if match[3]:
         if state.comp is not None:
             raise WordError("the tool changes inside RL or RR; write R0 and a move before", column)
@@ -48,16 +48,8 @@ def tool_call(m: Klartext, _: str, text: str, column: int) -> None:
         m.set_feed(block.feed, column)
         m.tool_feed = state.feed
     length, more = values.pop("DL", 0.0), values.pop("DR", 0.0)
-    if (
-        block.rapid
-        or length
-        or any(values.values())
-        or values.keys() - {"L", "R", "DR2"}
-        or block.m
-        or block.arg
-        or block.sense
-        or block.side is not None
-    ):
+    beside = block.rapid or block.m or block.arg or block.sense or block.side is not None
+    if beside or length or any(values.values()) or values.keys() - {"L", "R", "DR2"}:
         what = "DL" if length else next(iter(values), "FMAX" if block.rapid else "the rest")
         raise WordError(f"{what} is not read in TOOL CALL; give the tool in [tool] of the machine file", column)
     if number:
@@ -168,11 +160,11 @@ def call_cycle(m: Klartext, _: str, text: str, column: int) -> None:
     at_place = text.split()[:1] == ["POS"]
     block = m.scan(text.replace("POS", "   ", 1) if at_place else text, column)
     m.modes(block, column)
-    if block.side or block.sense or block.arg or (not at_place and (block.rapid or block.words)):
+    if block.side or block.sense or block.arg or (not at_place and (block.rapid or block.w)):
         raise WordError("CYCL CALL takes a place behind POS only", column)
     if at_place:
         element, angles = path.element_of(m, "L", block, m.start(), False, column)
-        m.state.all_used(block.words)
+        block.all_used()
         if element is not None:
             m.emit(mv.RAPID if block.rapid else mv.LINE, element, angles)
     cycle_here(m)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 import re
@@ -18,6 +18,7 @@ from twin.program.flow import Frame as Call
 from twin.program.klartext_lines import VALUE, KlartextLines, KlartextValues, joined, without_number
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader
 from twin.program.source import Unit
+from twin.program.state import Block as Words
 from twin.program.state import Item
 from twin.program.structures import Statement
 from twin.program.tables import NOTE, REFUSED, UNKNOWN, Word
@@ -36,20 +37,14 @@ Element = tuple[np.ndarray, Arc | None]
 
 
 @dataclass
-class Block:
-    """The words of a block: coordinates and values by name, and what stands beside them."""
+class Block(Words):
+    """The words of a block, and what stands beside them."""
 
-    words: dict[str, Item] = field(default_factory=dict)
     side: int | None = None
     sense: int = 0
     rapid: bool = False
     feed: str = ""
-    m: list[int] = field(default_factory=list)
     arg: str = ""
-
-    def pick(self, *names: str) -> dict[str, Item]:
-        """Take these words away."""
-        return {n: self.words.pop(n) for n in names if n in self.words}
 
 
 Handler = Callable[["Klartext", str, str, int], None]
@@ -59,11 +54,12 @@ Handler = Callable[["Klartext", str, str, int], None]
 class Klartext(Reader):
     """Reads the blocks of one Klartext program."""
 
+    values: KlartextValues
+
     def __init__(self, path: Path, machine: Machine, unit: Unit, table: Mapping[str, Word[Handler]], m_table: Mapping[int, Word]) -> None:
         super().__init__(path, machine, "klartext", joined(unit), ("preset", "shift", "plane", "inner", "mirror", "turn", "scale"))
         state, self.table, self.m_table = self.state, table, m_table
-        self.values = KlartextValues(state, self.flow)
-        self.flow.speak(KlartextLines(), self.values, self, self)
+        self.lines, self.values = KlartextLines(), KlartextValues(state, self.flow)
         self.pole: np.ndarray | None = None  # CC (3,)
         self.tool_feed, self.extra_radius = math.nan, 0.0  # F and DR of TOOL CALL
         self.shorter_way = False  # M126
@@ -82,7 +78,7 @@ class Klartext(Reader):
     def plain_now(self) -> bool:
         return not (self.waiting or self.cycle_everywhere or self.shorter_way)
 
-    def block(self, text: str) -> None:
+    def words(self, text: str) -> None:
         body, self.state.block = without_number(text)
         column = len(body) - len(body.lstrip()) + 1
         body = body.strip()
@@ -121,11 +117,11 @@ class Klartext(Reader):
                 raise WordError("F occurs twice in the block; keep one", place)
             elif match["feed"]:
                 block.rapid, block.feed = match["feed"] == "MAX", match["feed"]
-            elif match["name"] in block.words:
+            elif match["name"] in block.w:
                 raise WordError(f"{match['name']} occurs twice in the block; keep one", place)
             else:
                 name = self.state.slot_of.get(str(match["name"]), str(match["name"]))
-                block.words[name] = Item(self.values.number_of(match["value"], place), "IC" if match["inc"] else "", place)
+                block.w[name] = Item(self.values.number_of(match["value"], place), "IC" if match["inc"] else "", place)
         return block
 
     def only_words(self, head: str, text: str, column: int, names: str, hint: str = "", added: bool = False) -> dict[str, Item]:
@@ -133,8 +129,8 @@ class Klartext(Reader):
         where = f"in {head}, which takes {names}{hint}"
         block = self.scan(text, column, where)
         words = block.pick(*names.split())
-        if block.m or block.side is not None or block.sense or block.feed or block.arg or block.words:
-            what = next(iter(block.words), "a word of a path block")
+        if block.m or block.side is not None or block.sense or block.feed or block.arg or block.w:
+            what = next(iter(block.w), "a word of a path block")
             raise WordError(f"{what} is not read {where}", column)
         if not added and (increments := [name for name, item in words.items() if item.how]):
             raise WordError(f"I{increments[0]} is not read {where}", column)
@@ -157,7 +153,7 @@ class Klartext(Reader):
         for number in block.m:
             word = self.m_table.get(number, Word(NOTE, UNKNOWN))
             if word.kind == REFUSED:
-                raise WordError(f"M{number} is not supported: {word.meaning}", 1)
+                raise WordError(f"M{number} is not supported: {word.meaning}")
             if word.kind == NOTE:
                 state.note(f"M{number}: {word.meaning}")
             elif number in (128, 129):
@@ -170,7 +166,7 @@ class Klartext(Reader):
             elif number == 89:
                 self.cycle_everywhere = True
         if block.arg and not set(block.m) & {101, 120, 140}:
-            raise WordError(f"{block.arg} belongs to an M code that is missing; remove it", 1)
+            raise WordError(f"{block.arg} belongs to an M code that is missing; remove it")
         self.set_feed(block.feed, column)
 
     # ------------------------------------------------------------------ moves
@@ -196,7 +192,7 @@ class Klartext(Reader):
     def settle(self) -> None:
         """Emit what waits for the next element."""
         if self.waiting is not None:
-            raise WordError("behind APPR there is no contour; add an element in the plane", 1)
+            raise WordError("behind APPR there is no contour; add an element in the plane")
         self.corners.release()
 
     def radius(self, column: int) -> float:
@@ -235,6 +231,3 @@ class Klartext(Reader):
             self.flow.back()
         elif s.kind == "end":
             self.flow.ended = True
-
-    def runs_into(self, what: str, column: int) -> None:
-        """The end of the file ends a program as END PGM does."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.cycles import ASIDE, BACK, DWELL, FEED, CycleError, Drilling, Peck, Steps, levels, pecks
+from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, Peck, Steps, levels, pecks
 from twin.program.expressions import WordError
 from twin.program.klartext_blocks import Klartext
 
@@ -32,23 +32,23 @@ def cycle_here(m: Klartext) -> None:
     m.settle()
     state, control, number = m.state, m.control, m.cycle
     if state.comp is not None:
-        raise WordError("a cycle is called inside RL or RR; write R0 and a move before", 1)
+        raise WordError("a cycle is called inside RL or RR; write R0 and a move before")
     if number is None:
-        raise CycleError("no cycle is defined that a call could carry out; add CYCL DEF before")
+        raise WordError("no cycle is defined that a call could carry out; add CYCL DEF before")
 
     def q(key: int, default: float = 0.0) -> float:
         return m.values.parameter(f"Q{key}", 1, default)
 
     if missing := [f"Q{n}" for n in NEEDS[number].split() if math.isnan(q(int(n), math.nan))]:
-        raise CycleError(f"cycle {number} needs {' '.join(missing)}; add them")
+        raise WordError(f"cycle {number} needs {' '.join(missing)}; add them")
     safe, out, bottom = q(203) + q(200), q(203) + max(q(200), q(204)), q(203) + q(201)
     if number != 204 and not q(201) < 0.0:
-        raise CycleError(f"cycle {number}: the depth Q201={q(201):g} must be below 0, as the control is set when delivered; correct it")
+        raise WordError(f"cycle {number}: the depth Q201={q(201):g} must be below 0, as the control is set when delivered; correct it")
     per_turn = number in (207, 209)
     pitch_feed = abs(q(239)) * state.out.modes.spindle * state.unit / state.out.modes.feed_unit
     feed = pitch_feed if per_turn else q(254) if number == 204 else q(206)
     if not feed > 0.0:
-        raise CycleError(f"cycle {number} needs a feed above 0" + (": a pitch Q239 and a spindle speed S" if per_turn else ""))
+        raise WordError(f"cycle {number} needs a feed above 0" + (": a pitch Q239 and a spindle speed S" if per_turn else ""))
     before, mode_before = state.feed, state.out.modes.feed_mode
     state.set_feed_mode(94)
     state.feed = feed
@@ -88,7 +88,7 @@ def _drilling(number: int, q: Parameters, safe: float, bottom: float, mm: float)
         leave = replace(plain, out=FEED, out_scale=back_share, between=back_share) if back_share else plain
         return replace(leave, pecks=tuple(infeeds), dwell_out=q(210))
     if q(379):
-        raise CycleError("cycle 205 with a deepened start Q379 is not supported; set Q379=0")
+        raise WordError("cycle 205 with a deepened start Q379 is not supported; set Q379=0")
     infeeds, at = [], surface
     for k, depth in enumerate(depths):
         way = q(258, stop) + (k - 1) / max(1, len(depths) - 2) * (q(259, stop) - q(258, stop))
@@ -101,7 +101,7 @@ def _drilling(number: int, q: Parameters, safe: float, bottom: float, mm: float)
 def _aside(q: Parameters, way: float) -> tuple[float, float]:
     """The step in the direction Q214."""
     if int(q(214)) not in DIRECTIONS:
-        raise CycleError(f"Q214={q(214):g} is no direction; give 0 to 4")
+        raise WordError(f"Q214={q(214):g} is no direction; give 0 to 4")
     u, v = DIRECTIONS[int(q(214))]
     return u * way, v * way
 
@@ -111,7 +111,7 @@ def _back_boring(m: Klartext, q: Parameters, safe: float) -> None:
     edge = q(203) - q(250) - q(200) - q(252)  # of the tip, with the edge one clearance below the lower side of the part
     depth, aside = q(203) - q(250) + q(249) - q(252), _aside(q, q(251))
     if aside == (0.0, 0.0) or not q(253) > 0.0:
-        raise CycleError("cycle 204 needs the direction Q214 (1 to 4), the distance Q251 and the feed Q253; correct them")
+        raise WordError("cycle 204 needs the direction Q214 (1 to 4), the distance Q251 and the feed Q253; correct them")
     to = q(253) / q(254)
     pause: Steps = [(DWELL, q(255), 1.0)] if q(255) > 0.0 else []
     m.control.steps([(ASIDE, safe, 1.0), (FEED, edge, to), (BACK, edge, 1.0), (FEED, depth, 1.0), *pause, (FEED, edge, to)], aside)
@@ -123,9 +123,9 @@ def _bore_milling(m: Klartext, q: Parameters, safe: float, bottom: float) -> Non
     state, control = m.state, m.control
     radius = 0.5 * q(335) * state.unit - state.tools.radius(state.tools.name, 1)
     if not radius > 0.0 or not q(334) > 0.0:
-        raise CycleError("cycle 208: the bore Q335 must be larger than the tool, and the infeed Q334 above 0; correct them")
+        raise WordError("cycle 208: the bore Q335 must be larger than the tool, and the infeed Q334 above 0; correct them")
     if q(342):
-        raise CycleError("cycle 208 with a roughed bore Q342 is not supported; set Q342=0")
+        raise WordError("cycle 208 with a roughed bore Q342 is not supported; set Q342=0")
     state.note("cycle 208: the tool goes to the wall and back on half circles at the heights where the helix begins and ends")
     a, _, c = arcs.PLANES[state.plane]
     centre, clockwise = state.here(), q(351, 1.0) < 0.0

@@ -16,7 +16,7 @@ from twin.program.expressions import WordError
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, ROTARY, Frame, about, mirrored, rotation, rotation_xyz, shifted
 from twin.program.klartext_blocks import Klartext
 from twin.program.klartext_lines import VALUE
-from twin.program.orientation import choose_angles
+from twin.program.orientation import OK, choose_angles, unreachable_text
 
 _SPATIAL = re.compile(rf"\s*SP[ABC]\s*{VALUE}", re.A)
 
@@ -37,7 +37,7 @@ def datum(m: Klartext, head: str, text: str, column: int) -> None:
             raise WordError(f"a datum shift of {axis} cannot be set on this machine", at)
         new[INDEX[axis]] = state.si(axis, value) + (old[INDEX[axis]] if how else 0.0)
     if np.any(new[:3] != old[:3]) and np.any(new[:3]) and _in_force(m):
-        raise WordError("a datum shift while mirror, rotation or scale is in force is not simulated; write it before them", 1)
+        raise WordError("a datum shift while mirror, rotation or scale is in force is not simulated; write it before them")
     if np.any(new[3:] != old[3:]):
         state.out.settle()
     state.set_frames(**{name: shifted(new)})
@@ -121,7 +121,10 @@ def tilt(m: Klartext, angles: dict[str, float], column: int, sequence: str = "")
         matrix = rotation_xyz({"X": angles.get("A", 0.0), "Y": angles.get("B", 0.0), "Z": angles.get("C", 0.0)})
         state.tilt(Frame(matrix, np.zeros(5)))
         axis, now = matrix[:, arcs.PLANES[state.plane][2]], np.array(state.out.settle())
-        chosen = choose_angles(state.out.kinematics, axis, now).angles[-1]
+        found = choose_angles(state.out.kinematics, axis, now)
+        if found.status[-1] != OK:
+            raise WordError(unreachable_text(state.out.kinematics, axis, int(found.status[-1])), column)
+        chosen = found.angles[-1]
         if sequence:
             chosen = _solution(m, axis, now, 1.0 if sequence == "+" else -1.0, chosen, column)
             m.turn_to = float(chosen[0]), float(chosen[1])

@@ -8,10 +8,10 @@ import re
 from twin.errors import nearest
 from twin.program.expressions import COMPARE, FUNCTIONS, SUMS, Expression, Grammar, WordError
 from twin.program.flow import Flow
+from twin.program.reader import Values
 from twin.program.source import Unit
 from twin.program.state import State
 from twin.program.structures import Statement
-from twin.program.values import Values
 
 VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+|Q[LR]?\d+)"
 """A number or a parameter with its sign, as it stands behind a letter."""

@@ -24,11 +24,11 @@ def move(m: Klartext, head: str, text: str, column: int) -> None:
     parts = all_parts(text)
     block = m.scan(parts[0], column)
     m.modes(block, column)
-    words, machine, vector = block.words, 91 in block.m, None
+    words, machine, vector = block.w, 91 in block.m, None
     if head == "M" and (block.side is not None or block.rapid or block.sense):
         raise WordError("R0, RL, RR, FMAX and DR belong to a path word, e.g. L; write it", column)
     if 118 in block.m and head == "M":
-        words = block.words = {}
+        words = block.w = {}
     if head == "LN":
         x, y, z = (words.pop(n).value if n in words else 0.0 for n in ("TX", "TY", "TZ"))
         block.pick("NX", "NY", "NZ")
@@ -39,7 +39,7 @@ def move(m: Klartext, head: str, text: str, column: int) -> None:
     if block.side is not None or (m.waiting is None and m.state.comp is None):
         m.compensate(block.side or 0, column)
     element, angles = element_of(m, head, block, np.array(m.out.position[:3]) if machine else m.start(), machine, column)
-    m.state.all_used(words)
+    block.all_used()
     if element is not None:
         if block.rapid and element[1] is not None:
             raise WordError("FMAX on an arc is not supported; give its feed", column)
@@ -56,7 +56,7 @@ def element_of(
     m: Klartext, head: str, block: Block, start: np.ndarray, machine: bool, column: int
 ) -> tuple[Element | None, tuple[float, float]]:
     """The element of a block from `start` (3,), which takes its words away, and A and C."""
-    words, way = block.words, 0.0
+    words, way = block.w, 0.0
     if (head in ("C", "CP", "CR")) != bool(block.sense):
         raise WordError(f"{head} {'has no use for' if block.sense else 'needs'} its sense DR+ or DR-; correct it", column)
     if head == "CR" and "R" not in words:
@@ -88,7 +88,7 @@ def element_of(
         arc = m.control.arc_about(start, point, centre, clockwise)
     elif head in ("CT", "CTP"):
         if (direction := m.corners.direction()) is None:
-            raise WordError("CT needs a contour element before it, whose direction it continues", 1)
+            raise WordError("CT needs a contour element before it, whose direction it continues")
         arc = arcs.tangential(start, direction, point, m.state.plane)
     return (point, arc), angles
 
@@ -194,7 +194,7 @@ def _soft(m: Klartext, head: str, text: str, column: int) -> tuple[Block, np.nda
     places = block.pick(*LINEAR)
     needed = {"LT": {"LEN"}, "LN": {"LEN"}, "CT": {"R", "CCA"}, "LCT": {"R"}}[head.split()[1]]
     along = {LINEAR[arcs.PLANES[m.state.plane][2]]}
-    if block.words.keys() != needed or (head.startswith("DEP") and "LCT" not in head and places.keys() - along):
+    if block.w.keys() != needed or (head.startswith("DEP") and "LCT" not in head and places.keys() - along):
         raise WordError(f"{head} needs {' and '.join(sorted(needed))}, no more; correct the block", column)
     if block.rapid or block.sense:
         raise WordError(f"{head} is read with a feed, not with FMAX or DR; correct it", column)
@@ -209,9 +209,9 @@ def carry_out_approach(m: Klartext, element: Element) -> None:
     t = element[0] - to if element[1] is None else np.cross(element[1][1], to - element[1][0])
     t[across] = 0.0
     if not np.linalg.norm(t) > 1e-12:
-        raise WordError("the element behind APPR does not move in the plane; write L, C or CR", 1)
+        raise WordError("the element behind APPR does not move in the plane; write L, C or CR")
     start, feed = m.corners.start(), m.state.feed
-    begin, arc = _way(m, kind, start, to, t / np.linalg.norm(t), side or 1, m.radius(1) if side else 0.0, block.words)
+    begin, arc = _way(m, kind, start, to, t / np.linalg.norm(t), side or 1, m.radius(1) if side else 0.0, block.w)
     first = begin.copy()
     first[across] = start[across]
     if kind != "LN":
@@ -237,7 +237,7 @@ def depart(m: Klartext, head: str, text: str, column: int) -> None:
         raise WordError(f"{head} needs a contour element with RL or RR before it", column)
     t[across] = 0.0
     side, radius = (1, 0.0) if comp is None else (1 if comp.offset > 0 else -1, comp.tool_radius)
-    end, arc = _way(m, kind, point, at, -t / np.linalg.norm(t), -side, radius, block.words)
+    end, arc = _way(m, kind, point, at, -t / np.linalg.norm(t), -side, radius, block.w)
     end[across] = at[across]
     if kind == "LN":
         m.compensate(0, column)
@@ -276,7 +276,7 @@ def _way(
         way[across] = 0.0
         distance = float(np.linalg.norm(way))
         if distance <= size:
-            raise WordError("the start lies inside the circle of the approach or departure; give a smaller R or another point", 1)
+            raise WordError("the start lies inside the circle of the approach or departure; give a smaller R or another point")
         arms = [turned(way * (size / distance), sign * math.acos(size / distance)) for sign in (1.0, -1.0)]
         begin = centre + max(arms, key=lambda arm: float((arm - way) @ (sense * np.cross(normal, arm))))
     begin[across] = to[across]

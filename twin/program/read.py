@@ -7,7 +7,7 @@ import re
 
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.program import arcs
+from twin.program.apt import AptReader
 from twin.program.collect import Collector
 from twin.program.expressions import WordError
 from twin.program.iso import iso
@@ -77,10 +77,13 @@ _BOTH = (
         re.compile(r"^\s*(?:N\d+\s*)?I[+-][\d.]+\s*J[+-][\d.]+\s*\*?\s*$|\bM13\b|\bG98\s*L\d|\bD0?0\s*Q\d", re.M),
         DIN_ISO,
     ),
+    (  # a length of the tool that is called without G43
+        re.compile(r"\A(?![\s\S]*G43)[\s\S]*?^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M),
+        re.compile(r"\bE\d\b"),
+        "a FADAL program",
+    ),
 )
 """Languages recognised by two marks together."""
-_FADAL = re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M)
-"""A length of the tool that is called without G43."""
 
 
 def dialect(source: Source) -> str:
@@ -97,8 +100,6 @@ def dialect(source: Source) -> str:
         return "klartext"
     if found:
         raise InputError(f"{source.path}: this is {found[0]}, which is not read; post the program as SINUMERIK, ISO or APT")
-    if "G43" not in text and _FADAL.search(text) and re.search(r"\bE\d\b", text):
-        raise InputError(f"{source.path}: this is a FADAL program, which is not read; post the program as SINUMERIK, ISO or APT")
     if ending in SINUMERIK_ENDINGS:
         return "sinumerik"
     if ending in APT:
@@ -123,35 +124,27 @@ def understand(path: str | Path, machine: Machine) -> Collector:
 def understand_source(source: Source, machine: Machine) -> Collector:
     """The moves of a program whose lines are read already."""
     path, language = source.path, dialect(source)
+    front: Reader | AptReader
     if language == "apt":
-        from twin.program.apt import AptReader
-
-        reader = AptReader(path, machine)
-        reader.read_statements()
-        return reader.out
-    units = units_of(source)
-    front: Reader
-    if language == "klartext":
-        front = klartext(path, machine, units[0])
+        front = AptReader(source, machine)
+    elif language == "klartext":
+        front = klartext(path, machine, units_of(source)[0])
     elif language == "sinumerik":
-        front = sinumerik(path, machine, units)
+        front = sinumerik(path, machine, units_of(source))
     else:
-        front = iso(path, machine, units[0], linuxcnc=language == "linuxcnc")
+        front = iso(path, machine, units_of(source)[0], linuxcnc=language == "linuxcnc")
+    where = path
     try:
         front.run()
-    except (WordError, arcs.ArcError) as error:
-        where = front.flow.frames[-1].unit.path if front.flow.frames else path
-        column = error.column if isinstance(error, WordError) else None
-        raise InputError(f"{place_of(where, front.state.line, front.state.block, column)}: {error}") from None
+        front.out.files = tuple(front.files)
+        return front.out
+    except WordError as error:
+        where, text, column = front.reading, str(error), error.column
     except ArithmeticError:
-        place = place_of(path, front.state.line, front.state.block)
-        raise InputError(f"{place}: a number of this block is out of range; correct it") from None
+        text, column = "a number of this block is out of range; correct it", 0
     except RecursionError:
-        raise InputError(
-            f"{place_of(path, front.state.line, front.state.block)}: calls or brackets are nested too deeply; take some apart"
-        ) from None
-    front.out.files = tuple(front.folder.read)
-    return front.out
+        text, column = "calls or brackets are nested too deeply; take some apart", 0
+    raise InputError(f"{place_of(where, front.state.line, front.state.block, column)}: {text}")
 
 
 def read_program(path: str | Path, machine: Machine) -> Program:

@@ -1,31 +1,96 @@
-"""What the readers of all languages share: the control composed of its parts, plain blocks, subprograms beside the program, M codes."""
+"""What the readers of all languages share: the control composed of its parts, values of formulas, plain blocks, subprograms beside the program."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 import math
 from pathlib import Path
 import re
+from typing import Any
 
 from twin.machine.machine import Machine
 from twin.program import moves as mv
 from twin.program.collect import Collector
 from twin.program.control import Control
 from twin.program.corners import Corners
-from twin.program.cycles import CycleError
-from twin.program.expressions import WordError
-from twin.program.flow import Flow
-from twin.program.machine_file import moves_no_axis
+from twin.program.expressions import Expression, Grammar, Value, WordError
+from twin.program.flow import Flow, Frame
 from twin.program.source import Folder, Unit
 from twin.program.state import State
+from twin.program.structures import Statement
 
 NO_GROUP = "((?!))?"
 ADD_CALL = "add it, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 
 
+class Values:
+    """Formulas over the variables of the running program; a language says what a name means."""
+
+    def __init__(self, state: State, flow: Flow, grammar: Grammar) -> None:
+        self.state, self.flow, self.grammar = state, flow, grammar
+
+    def variable(self, e: Expression, name: str, at: int) -> Value:
+        """The value of a name at column `at` of an expression."""
+        raise NotImplementedError
+
+    def hashed(self, e: Expression, at: int) -> Value:
+        """The value of what follows a `#`."""
+        raise e.fail("a number or variable is missing before '#'", at)
+
+    def expression(self, text: str, column: int = 1) -> Expression:
+        """An expression that begins at `column`; a condition notes what it reads, so that loops without progress are seen."""
+
+        variable, hashed, reads = self.variable, self.hashed, self.state.reads
+
+        def noted(read: Callable[..., Value], *at: Any) -> Value:
+            value = read(*at)
+            if reads is not None:
+                reads.append(value)
+            return value
+
+        if reads is not None:
+            variable, hashed = partial(noted, variable), partial(noted, hashed)
+        return Expression(text, self.grammar, variable, hashed, 0, column)
+
+    def value_of(self, text: str, column: int) -> Value:
+        """The value of an expression: a number or a text."""
+        return self.expression(text, column).whole()
+
+    def number_of(self, text: str, column: int) -> float:
+        """The value of an expression or condition (1 true, 0 false)."""
+        return as_number(self.value_of(text, column), column)
+
+    def no_value(self, name: str, how: str = "set it before") -> str:
+        """The message about a variable that has none."""
+        return f"{name} has no value here; {how}, or give it in the table [variables] of the machine file"
+
+
+def as_number(value: Value, column: int) -> float:
+    """A value that must be a number."""
+    if isinstance(value, str):
+        raise WordError(f'a number is needed here, not the text "{value[:20]}"', column)
+    return float(value)
+
+
+MODES: dict[float, tuple[str, Any]] = {
+    17: ("plane", 17), 18: ("plane", 18), 19: ("plane", 19), 90: ("absolute", True), 91: ("absolute", False),
+    90.1: ("centre_absolute", True), 91.1: ("centre_absolute", False), 98: ("retract_to_start", True), 99: ("retract_to_start", False),
+}  # fmt: skip
+"""G code -> the attribute of the state that it sets, and its value."""
+
+
+def set_mode(m: Reader, _: object, number: float) -> None:
+    """A G code that only sets a mode of the state."""
+    setattr(m.state, *MODES[number])
+    m.state.settle_plain()
+
+
 class Reader:
     """One program under one control; a language adds its lines, values, words and calls."""
 
+    lines: Any
+    values: Values
     plain_block: re.Pattern[str]
     """A block of coordinates alone; its groups: number, G0 or G1, x y z A C, the tool axis, F. `NO_GROUP` stands for a word that a language lacks."""
 
@@ -34,8 +99,18 @@ class Reader:
         self.out: Collector = self.state.out
         self.control = Control(self.state)
         self.corners = Corners(self.control)
-        self.flow = Flow(unit, self.state)
+        self.flow = Flow(unit, self.state, self)
         self.folder = Folder(path)
+
+    @property
+    def reading(self) -> Path:
+        """The file whose blocks run."""
+        return self.flow.frames[-1].unit.path if self.flow.frames else self.state.path
+
+    @property
+    def files(self) -> list[Path]:
+        """Subprograms that were read from other files."""
+        return self.folder.read
 
     def run(self) -> None:
         """Read all blocks; `out` holds the moves."""
@@ -44,15 +119,15 @@ class Reader:
         self.control.compensate(0, 0.0)
 
     def words(self, text: str) -> None:
-        """One block."""
-        try:
-            self.block(text)
-        except CycleError as error:
-            raise WordError(str(error), 1) from None
-
-    def block(self, text: str) -> None:
         """Carry out the words of one block."""
         raise NotImplementedError
+
+    def other(self, s: Statement, frame: Frame) -> None:
+        """Carry out a statement that the flow does not know."""
+        raise NotImplementedError
+
+    def runs_into(self, what: str, column: int) -> None:
+        """The end of the file, or a subprogram, is reached without the end of the program, which it stands for."""
 
     def plain_now(self) -> bool:
         """Whether no mode of the language acts on a block of coordinates alone."""
@@ -100,7 +175,7 @@ class Reader:
 
     def moves_nothing(self, *names: str) -> bool:
         """Whether the machine file lists a call, by one of its names, as one without motion; it is noted."""
-        still = moves_no_axis(self.state.machine, names)
-        if still:
+        listed = {str(name).upper() for name in self.state.settings.get("calls_without_motion", [])}
+        if still := not listed.isdisjoint(names):
             self.state.note(f"{names[0]}: the machine file lists it as moving no axis")
         return still

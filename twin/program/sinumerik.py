@@ -10,10 +10,10 @@ from twin.machine.machine import Machine
 from twin.program import sinumerik_cycles as cycles
 from twin.program import sinumerik_moves as moves
 from twin.program.expressions import WordError
-from twin.program.frames import ROTARY
+from twin.program.frames import AXES, ROTARY
+from twin.program.reader import set_mode
 from twin.program.sinumerik_blocks import Block, Sinumerik
-from twin.program.sinumerik_calls import SinumerikCalls, call, modal_call
-from twin.program.sinumerik_frames import frame_words
+from twin.program.sinumerik_calls import call, modal_call, other_statement
 from twin.program.source import Unit, plain_name
 from twin.program.state import INCH
 from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word, named
@@ -30,29 +30,28 @@ def sinumerik(path: Path, machine: Machine, units: list[Unit]) -> Sinumerik:
     """The reader of one program."""
     m = Sinumerik(path, machine, units, SINUMERIK_NAMES)
     m.carry_out = lambda b: carry_out(m, b)
-    m.flow.speak(m.lines, m.values, SinumerikCalls(m), m)
+    m.other_statement = lambda s, frame: other_statement(m, s, frame)
     return m
 
 
 def carry_out(m: Sinumerik, b: Block) -> None:
     """Execute the words of a block in the order of the control."""
-    s, numbers, extra = m.state, b.numbers, b.extra
+    s, codes = m.state, b.codes
     for number, column in b.g:
         s.check_code("G", number, SINUMERIK_G.get(number), column)
-    s.one_of_each(sorted(numbers), {n: SINUMERIK_G[n].group for n in numbers})
-    if numbers & {25, 26}:
-        b.coordinates.clear()
-        b.take("S")
+    s.one_of_each(sorted(codes), {n: SINUMERIK_G[n].group for n in codes})
+    if codes & {25, 26}:
+        b.pick(*AXES, "S")
     if b.tool or 6 in b.m:
         if 6 in b.m:
             b.tool["M6"] = 6.0, 1
         s.tools.block(b.tool)
-    if 4 in numbers:
+    if 4 in codes:
         moves.dwell(m, b)
         return
     vector = moves.orientation(m, b)
     _values(m, b)
-    modal, feed = m.modal, s.feed
+    modal, moves_axes = m.modal, bool(b.w.keys() & set(AXES))
     for number, column in b.g:
         b.column = column
         if (handler := SINUMERIK_G[number].handler) is not None:
@@ -61,32 +60,33 @@ def carry_out(m: Sinumerik, b: Block) -> None:
         _name(m, b, word)
     pause = s.note_m(b.m, SINUMERIK_M, (2, 17, 30))
     frame_word = next((w for w in b.names if SINUMERIK_NAMES[w.name].meaning == SINUMERIK_NAMES["ROT"].meaning), None)
-    shift = next((n for n in (58, 59) if n in numbers), None)
-    if frame_word is not None or shift is not None:
-        frame_words(m, b, frame_word, shift)
-    elif numbers & {74, 75}:
-        moves.fixed_point(m, b, 75 if 75 in numbers else 74)
-    elif numbers & {110, 111, 112}:
-        moves.set_pole(m, b, next(n for n in (110, 111, 112) if n in numbers))
+    if frame_word is not None or codes & {58, 59}:
+        moves.frame_words(m, b, frame_word)
+    elif codes & {74, 75}:
+        moves.fixed_point(m, b)
+    elif codes & {110, 111, 112}:
+        moves.set_pole(m, b)
     else:
         feed = s.feed
-        if "FB" in extra:
+        if "FB" in b.w:
             s.set_feed(b.take("FB"))
-        moves.motion_block(m, b, vector, bool(numbers & {53, 153}) or b.has("SUPA"))
-        s.feed = feed if numbers.isdisjoint({331, 332}) else s.feed
-        if b.coordinates and m.modal is not None and m.modal is modal:
+        moves.motion_block(m, b, vector, bool(codes & {53, 153}) or b.has("SUPA"))
+        s.feed = feed if codes.isdisjoint({331, 332}) else s.feed
+        if moves_axes and m.modal is not None and m.modal is modal:
             m.modal()
-    for halt in (0.0 if 9 in numbers else None, pause):
+    for halt in (0.0 if 9 in codes else None, pause):
         if halt is not None:
             m.corners.release()
             m.control.stop(halt)
-    times = int(b.take("P")) if "P" in extra and b.calls else 1
-    s.all_used(extra)
+    times = int(b.take("P")) if "P" in b.w and b.calls else 1
+    b.all_used()
     if len(b.calls) > 1:
         raise WordError(f"'{b.calls[1].name}' is a second call in the block; write it in the next one", b.calls[1].column)
     for word in b.calls:
         call(m, word, times)
-    if 17 in b.m or b.has("RET", "ENDPROC"):
+    if returns := b.has("RET", "ENDPROC"):
+        m.corners.release()
+    if returns or 17 in b.m:
         m.flow.back()
     elif 2 in b.m or 30 in b.m:
         m.flow.ended = True
@@ -94,27 +94,26 @@ def carry_out(m: Sinumerik, b: Block) -> None:
 
 def _values(m: Sinumerik, b: Block) -> None:
     """G93 to G95, units, F, S, OVR and the tolerances of the block, which count before its names."""
-    s, numbers, extra = m.state, b.numbers, b.extra
+    s, codes = m.state, b.codes
     for number in (93, 94, 95):
-        if number in numbers:
+        if number in codes:
             s.set_feed_mode(number)
     for number in (70, 71, 700, 710):
-        if number in numbers:
+        if number in codes:
             s.set_unit(INCH if number in (70, 700) else 1e-3, feed=number in (700, 710))
-    if "F" in extra:
-        item = extra.pop("F")
-        s.set_feed(item.value, item.column)
+    if "F" in b.w:
+        column = b.w["F"].column
+        s.set_feed(b.take("F"), column)
     s.override = b.take("OVR", 100.0 * s.override) / 100.0
     if not 0.0 < s.override <= 2.0:
-        raise WordError(f"OVR={100 * s.override:g} is out of range; give 1 to 200 percent", 1)
-    if "S" in extra:
+        raise WordError(f"OVR={100 * s.override:g} is out of range; give 1 to 200 percent")
+    if "S" in b.w:
         s.set_spindle(b.take("S"))
-    changed = extra.keys() & {"CTOL", "OTOL", "ADIS", "ADISPOS"}
-    s.set_tolerances(b.take("CTOL") if "CTOL" in extra else None, b.take("OTOL") if "OTOL" in extra else None)
-    for name in ("ADIS", "ADISPOS"):
-        if name in extra:
-            setattr(s, name.lower(), max(0.0, b.take(name)) * s.unit)
-    if changed:
+    given = {name: item.value for name, item in b.pick("CTOL", "OTOL", "ADIS", "ADISPOS").items()}
+    s.set_tolerances(given.get("CTOL"), given.get("OTOL"))
+    for name in given.keys() & {"ADIS", "ADISPOS"}:
+        setattr(s, name.lower(), max(0.0, given[name]) * s.unit)
+    if given:
         s.round_corners()
 
 
@@ -142,12 +141,7 @@ def _plane(m: Sinumerik, b: Block, number: float) -> None:
     if m.state.comp is not None and m.state.plane != number:
         raise WordError("the plane changes inside G41 or G42; write G40 before", b.column)
     m.corners.release()
-    m.state.plane = int(number)
-
-
-def _distance(m: Sinumerik, _: Block, number: float) -> None:
-    m.state.absolute = number == 90
-    m.state.settle_plain()
+    set_mode(m, b, number)
 
 
 def _rounding(m: Sinumerik, _: Block, number: float) -> None:
@@ -170,7 +164,7 @@ def _corner(m: Sinumerik, _: Block, number: float) -> None:
 
 
 def _settable(m: Sinumerik, _: Block, number: float) -> None:
-    m.choose(f"G{int(number)}")
+    m.values.choose(f"G{int(number)}")
 
 
 # ------------------------------------------------------------------ names
@@ -196,26 +190,24 @@ def _transformation(m: Sinumerik, _: Block, word: Written) -> None:
     m.state.transform(word.name == "TRAORI")
 
 
-def _orientation(m: Sinumerik, _: Block, word: Written) -> None:
+CHANGES: dict[str, tuple[str, bool]] = {
+    **dict.fromkeys(("ORIWKS", "ORIVECT", "ORIPLANE"), ("workpiece_orientation", True)),
+    **dict.fromkeys(("ORIMKS", "ORIAXES"), ("workpiece_orientation", False)),
+    "FFWON": ("feedforward", True), "FFWOF": ("feedforward", False), "BRISK": ("brisk", True), "SOFT": ("brisk", False),
+}  # fmt: skip
+"""Name -> the mode that it sets."""
+
+
+def _mode(m: Sinumerik, _: Block, word: Written) -> None:
     _bare(word)
-    m.out.set_modes(replace(m.out.modes, workpiece_orientation=word.name not in ("ORIMKS", "ORIAXES")))
+    if word.name in ("FFWON", "FFWOF") and m.out.feedforward is None:
+        m.out.feedforward = "velocity+torque" if word.name == "FFWON" else "off"
+    m.out.set_modes(replace(m.out.modes, **dict([CHANGES[word.name]])))
 
 
 def _angles(m: Sinumerik, _: Block, word: Written) -> None:
     _bare(word)
     m.angles_are_rpy = {"ORIRPY": True, "ORIEULER": False}.get(word.name)
-
-
-def _feedforward(m: Sinumerik, _: Block, word: Written) -> None:
-    _bare(word)
-    if m.out.feedforward is None:
-        m.out.feedforward = "velocity+torque" if word.name == "FFWON" else "off"
-    m.out.set_modes(replace(m.out.modes, feedforward=word.name == "FFWON"))
-
-
-def _acceleration(m: Sinumerik, _: Block, word: Written) -> None:
-    _bare(word)
-    m.out.set_modes(replace(m.out.modes, brisk=word.name == "BRISK"))
 
 
 def _feed_axes(m: Sinumerik, _: Block, word: Written) -> None:
@@ -238,10 +230,6 @@ def _zero_only(m: Sinumerik, _: Block, word: Written) -> None:
 
 def _curve(m: Sinumerik, b: Block, word: Written) -> None:
     b.curve, m.state.motion = word.name, 2
-
-
-def _end(m: Sinumerik, _: Block, word: Written) -> None:
-    m.corners.release()
 
 
 def _by_text(m: Sinumerik, b: Block, word: Written) -> None:
@@ -281,7 +269,7 @@ SINUMERIK_G: dict[float, Word[Handler]] = {
     601: Word(ACTS, "exact stop waits 3/Kv", _stop_window, "window"), 602: Word(ACTS, "exact stop waits 1/Kv", _stop_window, "window"), 603: Word(ACTS, "exact stop does not wait", _stop_window, "window"),
     70: Word(ACTS, "inch, not the feed", None, "unit"), 71: Word(ACTS, "mm, not the feed", None, "unit"), 700: Word(ACTS, "inch, the feed too", None, "unit"), 710: Word(ACTS, "mm, the feed too", None, "unit"),
     74: Word(ACTS, "to the reference point: the zero of the axes named"), 75: Word(ACTS, "to the fixed point: [frame.G75] of the axes named"),
-    90: Word(ACTS, "absolute", _distance, "distance"), 91: Word(ACTS, "incremental", _distance, "distance"), 93: Word(ACTS, "F is 1/min of the block", None, "feed"), 94: Word(ACTS, "F per minute", None, "feed"), 95: Word(ACTS, "F per turn of the spindle", None, "feed"),
+    90: Word(ACTS, "absolute", set_mode, "distance"), 91: Word(ACTS, "incremental", set_mode, "distance"), 93: Word(ACTS, "F is 1/min of the block", None, "feed"), 94: Word(ACTS, "F per minute", None, "feed"), 95: Word(ACTS, "F per turn of the spindle", None, "feed"),
     96: Word(REFUSED, "constant cutting speed is not simulated; use G97"), 97: Word(NOTE, NOTHING), 961: Word(REFUSED, "constant cutting speed is not simulated; use G97"),
     971: Word(NOTE, NOTHING), 110: Word(ACTS, "pole from the last position"), 111: Word(ACTS, "pole in the work coordinates"), 112: Word(ACTS, "pole from the last pole"),
     147: Word(REFUSED, "soft approach; write the moves"), 148: Word(REFUSED, "soft approach; write the moves"), 247: Word(REFUSED, "soft approach; write the moves"),
@@ -324,10 +312,10 @@ SINUMERIK_NAMES: dict[str, Word[NameHandler]] = {
         "START EXTERN LOCK UNLOCK CANCEL DISABLE ENABLE CLRINT SETAL SETINT NEWCONF DELT RESETMON GETT GETSELT GETTCOR TOOLENV CPROT CPROTDEF EXTCALL_OFF "
         "PUNCHACC POLF LIFTFAST DELAYFSTON DELAYFSTOF HIGHSPEED LOADWCS MMC FGRP CYCLE_HSC CYCLE207 ISD EXTCLOSE EXTOPEN STRINGIS CYCLE208")),
     **named(ACTS, "five-axis transformation on or off; X Y Z are then the tool tip in the part frame", "TRAORI TRAFOOF", _transformation),
-    **named(ACTS, "the tool axis turns on a great circle", "ORIWKS ORIVECT ORIPLANE", _orientation),
-    **named(ACTS, "A and C turn linearly", "ORIMKS ORIAXES", _orientation),
+    **named(ACTS, "the tool axis turns on a great circle", "ORIWKS ORIVECT ORIPLANE", _mode),
+    **named(ACTS, "A and C turn linearly", "ORIMKS ORIAXES", _mode),
     **named(ACTS, "A2= B2= C2= are angles about turned axes, or about fixed ones", "ORIEULER ORIRPY ORIVIRT1 ORIRPY2", _angles),
-    **named(ACTS, "feedforward", "FFWON FFWOF", _feedforward), **named(ACTS, "jerk limited or not", "SOFT BRISK", _acceleration), **named(NOTE, NOTHING, "DRIVE SOFTA BRISKA DRIVEA"),
+    **named(ACTS, "feedforward", "FFWON FFWOF", _mode), **named(ACTS, "jerk limited or not", "SOFT BRISK", _mode), **named(NOTE, NOTHING, "DRIVE SOFTA BRISKA DRIVEA"),
     **named(ACTS, "text for the operator", "MSG", _message),
     **named(ACTS, "programmable frame: new, or in addition (A..); alone it is cleared", "TRANS ATRANS ROT AROT SCALE ASCALE MIRROR AMIRROR ROTS AROTS", _later),
     **named(ACTS, "machine coordinates in this block", "SUPA", _later),
@@ -335,7 +323,7 @@ SINUMERIK_NAMES: dict[str, Word[NameHandler]] = {
     **named(ACTS, "drilling", "CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE87 CYCLE88 CYCLE89", cycles.carry_out), **named(ACTS, "tapping at pitch times speed", "CYCLE84 CYCLE840", cycles.carry_out),
     **named(ACTS, "holes on a line, a circle, a grid, at places", "HOLES1 HOLES2 CYCLE801 CYCLE802", cycles.carry_out),
     **named(ACTS, "a cycle or subprogram behind each move", "MCALL", _modal),
-    **named(ACTS, "subprogram by a name in a text", "CALL PCALL EXTCALL", _by_text), **named(ACTS, "end of a subprogram", "RET ENDPROC", _end),
+    **named(ACTS, "subprogram by a name in a text", "CALL PCALL EXTCALL", _by_text), **named(ACTS, "end of a subprogram", "RET ENDPROC", _later),
     **named(ACTS, "arc through I1= J1= K1=, tangent arc", "CIP CT", _curve),
     **named(ACTS, "words of arcs, lines and corners", "CR AR TURN AP RP RPL ANG CHF CHR RND RNDM ADIS ADISPOS CTOL OTOL I1 J1 K1 FP", group="value"),
     **named(ACTS, "tool axis as a vector, or by angles", "A3 B3 C3 A2 B2 C2", group="value"),

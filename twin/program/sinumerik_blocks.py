@@ -11,12 +11,15 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.expressions import Value, WordError
-from twin.program.frames import INDEX, OTHER, Frame, shifted
+from twin.program.flow import Frame as Call
+from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
 from twin.program.sinumerik_lines import SinumerikLines
 from twin.program.sinumerik_values import SinumerikValues
 from twin.program.source import Unit, plain_name
+from twin.program.state import Block as Words
 from twin.program.state import Item
+from twin.program.structures import Statement
 from twin.program.tables import REFUSED
 from twin.program.tables import Word as Meaning
 from twin.program.words import NUMBER, Word, split_words
@@ -28,28 +31,13 @@ _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
 
 
 @dataclass
-class Block:
-    """The words of one block by their use; each step removes the words that it used, so a remaining word is an error."""
+class Block(Words):
+    """The words of one block by their use."""
 
-    coordinates: dict[str, Item] = field(default_factory=dict)
-    centre: dict[str, Item] = field(default_factory=dict)  # I J K
-    extra: dict[str, Item] = field(default_factory=dict)  # other words with a number
     tool: dict[str, tuple[Value, int]] = field(default_factory=dict)  # T D H M6: value and column
-    g: list[tuple[float, int]] = field(default_factory=list)  # number and column
-    m: list[int] = field(default_factory=list)
     names: list[Word] = field(default_factory=list)  # words without a number
     calls: list[Word] = field(default_factory=list)  # subprograms
-    column: int = 1  # of the G code in hand
     curve: str = ""  # CIP or CT
-
-    @property
-    def numbers(self) -> set[float]:
-        """The G codes."""
-        return {number for number, _ in self.g}
-
-    def take(self, name: str, default: float = 0.0) -> float:
-        """Take a word away; its value."""
-        return self.extra.pop(name).value if name in self.extra else default
 
     def has(self, *names: str) -> bool:
         """Whether one of these names stands in the block."""
@@ -60,44 +48,38 @@ class Sinumerik(Reader):
     """Reads the blocks of one SINUMERIK program."""
 
     carry_out: Callable[[Block], None]
+    lines: SinumerikLines
+    values: SinumerikValues
+    other_statement: Callable[[Statement, Call], None]
 
     def __init__(self, path: Path, machine: Machine, units: list[Unit], names: Mapping[str, Meaning]) -> None:
         super().__init__(path, machine, "sinumerik", units[0], SINUMERIK_FRAMES)
         self.known = names
         self.units = {plain_name(u.name): u for u in reversed(units)}
         self.lines = SinumerikLines(self.state)
-        self.settable: dict[str, Frame] = {}
-        self.chosen = "G500"  # settable frame in force
         self.pole = np.zeros(3)
         self.angles_are_rpy: bool | None = None  # ORIRPY, ORIEULER
         self.corners_meet = False  # G451
         self.modal: Callable[[], None] | None = None  # MCALL
         self.written_back: list[tuple[str, dict, int]] = []  # target, store and column of VAR values of the call in hand
-        self.values = SinumerikValues(self, names)
+        self.values = SinumerikValues(self.state, self.flow, self.corners, names)
         letters = "".join(rf"(?:{letter}=?({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         vector = rf"(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?"
         self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{vector}(?:F({NUMBER})\s*)?$", re.A)
         self.out.mixed_feed = "F beside X Y Z with A or C: it counts X Y Z alone, the setting as delivered (FGROUP changes it)"
-        self.choose("G500")
-
-    def settable_frame(self, name: str) -> Frame:
-        """A frame from the program or the machine file."""
-        return self.settable.setdefault(name, shifted(self.state.frame_table(name)))
-
-    def choose(self, name: str) -> None:
-        """Select a settable frame."""
-        self.corners.release()
-        self.chosen = name
-        self.state.set_frames(settable=self.settable_frame(name))
+        self.values.choose("G500")
 
     def find(self, name: str) -> Unit | None:
         """A subprogram in this file or beside it."""
         return self.units.get(plain_name(name)) or self.folder.find(name)
 
+    def other(self, s: Statement, frame: Call) -> None:
+        self.other_statement(s, frame)
+
     def plain_now(self) -> bool:
         return self.modal is None and not self.corners.every_corner and self.state.override == 1.0
 
-    def block(self, text: str) -> None:
+    def words(self, text: str) -> None:
         body, number = self.lines.body(text)
         if number >= 0:
             self.state.block = number
@@ -108,7 +90,7 @@ class Sinumerik(Reader):
 
     def _sort(self, block: Block, word: Word, name: str) -> None:
         """Put a word where it is used; a variable gets its value at once."""
-        values, with_number, extra = self.values, word.value is not None or word.assigned, block.extra
+        values, with_number = self.values, word.value is not None or word.assigned
         meaning = self.known.get(name)
         if word.assigned and (name in self.flow.frame.variables or name in values.globals or re.fullmatch(r"R\d*", name) or name[0] == "$"):
             values.assignment(word)
@@ -116,20 +98,16 @@ class Sinumerik(Reader):
             block.g.append((values.value(word) if word.index is None else values.of_group(word), word.column))
         elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in _INDEXED_AXES and word.index):
             self._axis(block, word, name)
-        elif name in ("I", "J", "K"):
-            block.centre[name] = values.item(word)
-        elif name in ("F", "S", "P") or (meaning is not None and meaning.group == "value"):
-            if name in extra:
-                raise WordError(f"{name} occurs twice in the block; keep one", word.column)
-            extra[name] = values.item(word)
+        elif name in ("I", "J", "K", "F", "S", "P") or (meaning is not None and meaning.group == "value"):
+            self._once(block, name, word)
         elif name == "M" and with_number:
             block.m.append(int(values.value(word)))
         elif name in ("T", "D", "H") and with_number:
             block.tool[name] = values.value_of(word.text or "", word.text_column) if word.assigned else values.value(word), word.column
         elif name == "L" and word.value is not None:
             block.calls.append(word)
-        elif name == "S1" and word.assigned and "S" not in extra:
-            extra["S"] = values.item(word)
+        elif name == "S1" and word.assigned and "S" not in block.w:
+            self._once(block, "S", word)
         elif re.fullmatch(r"[SMHTD]\d+", name) and word.assigned:
             self.state.note(f"{name}=: a word of another spindle or tool, understood, no effect on the motion")
         elif name == "R":
@@ -145,6 +123,12 @@ class Sinumerik(Reader):
         else:
             block.calls.append(word)
 
+    def _once(self, block: Block, name: str, word: Word) -> None:
+        """Put a word with a number into the block."""
+        if name in block.w:
+            raise WordError(f"{name} occurs twice in the block; keep one", word.column)
+        block.w[name] = self.values.item(word)
+
     def _axis(self, block: Block, word: Word, name: str) -> None:
         """A coordinate: X, X1, AX[..], POS[..]."""
         if word.index and name not in _INDEXED_AXES:
@@ -153,9 +137,7 @@ class Sinumerik(Reader):
         axis = self.state.slot_of.get(axis, axis) if axis != name else axis
         if axis not in INDEX and axis not in OTHER:
             raise WordError(f"{name}[{axis}]: this machine has {self.out.own_axes}", word.column)
-        if axis in block.coordinates:
-            raise WordError(f"{axis} occurs twice in the block; keep one", word.column)
-        block.coordinates[axis] = self.values.item(word)
+        self._once(block, axis, word)
         if name.startswith("POS"):
             self.state.note("POS, POSA: the axis moves with the others of the block, and at rapid if it is alone")
-            block.extra["POS"] = Item(1.0, "", word.column)
+            block.w["POS"] = Item(1.0, "", word.column)

@@ -13,6 +13,7 @@ from twin.program.source import Unit
 from twin.program.structures import Statement
 from twin.program.words import Word, split_arguments
 
+ADD_FILE = "add the file, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 _DEFINE = re.compile(r"\s*DEFINE\s+([A-Z_][A-Z0-9_]*)\s+AS\s+(.+?)\s*\Z", re.A)
 _QUIET = re.compile(
     r"\s*(?:M\d*=?\d+|H\d*=?\d+|(?:\$A_OUTA?|\$AC_MARKER|\$AC_PARAM|\$AC_TIMER|\$R|\$A_DB\w+|\$A_DLB|\$AC_FIFO\d*)\s*(?:\[[^\]]*\])?\s*=\s*[^ ]+|SETAL\([^)]*\))",
@@ -23,41 +24,29 @@ _CASE_PART = re.compile(r"\s*(DEFAULT|[^\s].*?)\s+(GOTO[FBC]?)\s+([A-Z0-9_]+)", 
 _PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
 
 
-class SinumerikCalls:
-    """Statements that are not of the flow."""
-
-    def __init__(self, m: Sinumerik) -> None:
-        self.m = m
-
-    def other(self, s: Statement, frame: Frame) -> None:
-        """CASE, DEF, PROC and the like."""
-        m = self.m
-        if s.kind == "case":
-            _case(m, s, frame)
-        elif s.kind in ("def", "redef"):
-            m.values.define(s, frame)
-        elif s.kind == "define":
-            match = _DEFINE.match(s.text)
-            if not match:
-                raise WordError("DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
-            m.lines.macros[match[1]] = match[2]
-            frame.unit.statements.clear()
-            frame.unit.partners = None
-        elif s.kind == "synchronised":
-            if _QUIET.sub("", s.text).strip() or not s.text.strip():
-                raise WordError(f"DO{s.text[:30]}: {m.known['DO'].meaning}", s.column)
-            m.state.note("DO: a synchronised action that sets outputs or marks, without effect on the motion")
-        elif s.kind == "proc" and len(m.flow.frames) == 1:
-            match = _PROC.match(s.text)
-            for part, _ in split_arguments(match[2] or "") if match else []:
-                m.values.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
-        elif s.kind == "extern":
-            m.state.note("EXTERN: a declaration, without effect on the motion")
-        elif s.kind in ("endwhile", "endif"):
-            raise WordError(f"{s.kind.upper()} ends nothing that was begun", s.column)
-
-    def runs_into(self, what: str, column: int) -> None:
-        """The end of the file ends a program like M30."""
+def other_statement(m: Sinumerik, s: Statement, frame: Frame) -> None:
+    """CASE, DEF, PROC and the like."""
+    if s.kind == "case":
+        _case(m, s, frame)
+    elif s.kind in ("def", "redef"):
+        m.values.define(s, frame)
+    elif s.kind == "define":
+        match = _DEFINE.match(s.text)
+        if not match:
+            raise WordError("DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
+        m.lines.macros[match[1]] = match[2]
+        frame.unit.statements.clear()
+        frame.unit.partners = None
+    elif s.kind == "synchronised":
+        if _QUIET.sub("", s.text).strip() or not s.text.strip():
+            raise WordError(f"DO{s.text[:30]}: {m.known['DO'].meaning}", s.column)
+        m.state.note("DO: a synchronised action that sets outputs or marks, without effect on the motion")
+    elif s.kind == "proc" and len(m.flow.frames) == 1:
+        match = _PROC.match(s.text)
+        for part, _ in split_arguments(match[2] or "") if match else []:
+            m.values.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
+    elif s.kind == "extern":
+        m.state.note("EXTERN: a declaration, without effect on the motion")
 
 
 def _case(m: Sinumerik, s: Statement, frame: Frame) -> None:
@@ -86,11 +75,8 @@ def call(m: Sinumerik, word: Word, times: int) -> None:
             return
         hint = nearest(name, m.known) if len(name) > 2 else ""
         hint = f"{hint}; or " if hint.startswith("did you") else ""
-        raise WordError(
-            f"word '{name}' is not known and there is no subprogram {name}.SPF beside the program; {hint}add the file, or list it in "
-            "[program] calls_without_motion of the machine file if it moves no axis",
-            word.column,
-        )
+        what = f"word '{name}' is not known and there is no subprogram {name}.SPF beside the program"
+        raise WordError(f"{what}; {hint}{ADD_FILE}", word.column)
     m.corners.release()
     variables, first = arguments(m, unit, word)
     written, m.written_back = m.written_back, []
@@ -127,14 +113,14 @@ def _by_reference(m: Sinumerik, given: tuple[str, int], start: Value) -> dict[tu
 
 def _kept_modes(m: Sinumerik) -> Callable[[], None]:
     """What PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
-    kept, side, chosen = m.state.kept((m, ("corners_meet", "angles_are_rpy")), frames=("program", "fine")), m.state.comp, m.chosen
+    kept, side, chosen = m.state.kept((m, ("corners_meet", "angles_are_rpy")), frames=("program", "fine")), m.state.comp, m.values.chosen
 
     def restore() -> None:
         m.corners.release()
         if (m.state.comp is None) != (side is None):
-            raise WordError("SAVE with a change of G40, G41 or G42 in the subprogram is not supported; change it in the caller", 1)
+            raise WordError("SAVE with a change of G40, G41 or G42 in the subprogram is not supported; change it in the caller")
         kept()
-        m.choose(chosen)
+        m.values.choose(chosen)
 
     return restore
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.cycles import FEED, MOST_PECKS, CycleError, Drilling, pecks
+from twin.program.cycles import FEED, MOST_PECKS, Drilling, pecks
 from twin.program.expressions import WordError
 from twin.program.frames import Frame, rotation, shifted
 from twin.program.sinumerik_blocks import Block, Sinumerik
@@ -60,17 +60,17 @@ class Arguments(list):
         """Argument k; without a default it must be given."""
         if k is None or not self.has(k):
             if default is None:
-                raise CycleError(f"argument {(k or 0) + 1} of the cycle is missing; add it")
+                raise WordError(f"argument {(k or 0) + 1} of the cycle is missing; add it")
             return default
         if isinstance(self[k], str):
-            raise CycleError(f"argument {k + 1} of the cycle is a number")
+            raise WordError(f"argument {k + 1} of the cycle is a number")
         return float(self[k])
 
     def count(self, k: int, default: float | None = None) -> int:
         """A number of holes."""
         value = self.number(k, default)
         if not 0 <= value <= MOST_HOLES:
-            raise CycleError(f"{value:g} holes are too many; at most {MOST_HOLES}")
+            raise WordError(f"{value:g} holes are too many; at most {MOST_HOLES}")
         return int(value)
 
 
@@ -93,10 +93,10 @@ def carry_out(m: Sinumerik, b: Block, word: Word) -> None:
     """One cycle call, made at once or repeated by MCALL."""
     m.corners.release()
     if word is not modal_cycle(m, b):
-        other = {"CYCLE832": smooth, "CYCLE800": swivel, **dict.fromkeys(("HOLES1", "HOLES2", "CYCLE801", "CYCLE802"), holes)}.get(
-            word.name
-        )
-        other(m, arguments_of(m, word), word) if other else drilling(m, word)()
+        if (other := OTHERS.get(word.name)) is not None:
+            other(m, arguments_of(m, word), word)
+        else:
+            drilling(m, word)()
 
 
 def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
@@ -115,7 +115,12 @@ def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
         raise WordError(f"{name} needs the depth DP or DPR; add it", word.column)
     if (depth - safe) * down <= 0.0:
         raise WordError(f"{name}: the depth {depth:g} does not lie below the reference plane {rfp:g}; correct one", word.column)
-    _later_arguments(m, a, layout, word)
+    if int(a.number(layout.gmode)) == 1:
+        s.note(f"{name}: its depth is that of the shank (_GMODE 1); here the tip goes to it, since the angle of the tip is not known")
+    if (axis := int(a.number(layout.axis))) in (1, 2) and axis != arcs.PLANES[s.plane][2] + 1:
+        raise WordError(f"{name} along geometry axis {axis} is not supported; select its plane with G17, G18 or G19", word.column)
+    if int(a.number(layout.pecks)):
+        s.note(f"{name}: one stroke to its depth; intermediate strokes (_VARI) are omitted")
     in_turns = int(a.number(layout.amode)) // 10 % 10 == 2
 
     def time(k: int | None) -> float:
@@ -167,19 +172,6 @@ def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
     return run
 
 
-def _later_arguments(m: Sinumerik, a: Arguments, layout: Layout, word: Word) -> None:
-    """Arguments after the classic ones that have an effect on the control: noted or refused."""
-    if int(a.number(layout.gmode)) == 1:
-        m.state.note(
-            f"{word.name}: its depth is that of the shank (_GMODE 1); here the tip goes to it, since the angle of the tip is not known"
-        )
-    axis = int(a.number(layout.axis))
-    if axis in (1, 2) and axis != arcs.PLANES[m.state.plane][2] + 1:
-        raise WordError(f"{word.name} along geometry axis {axis} is not supported; select its plane with G17, G18 or G19", word.column)
-    if int(a.number(layout.pecks)):
-        m.state.note(f"{word.name}: one stroke to its depth; intermediate strokes (_VARI) are omitted")
-
-
 def _lead(m: Sinumerik, pitch: float, unit: int) -> float:
     """Pitch of a thread in program units; `unit` as _PITA counts: 2 threads an inch, 3 inches, 4 modules, otherwise program units."""
     if not pitch or unit in (0, 1):
@@ -201,7 +193,7 @@ def _deep(
     while (depth - at) * down > 1e-9:
         levels.append(at)
         if len(levels) > MOST_PECKS:
-            raise CycleError(f"more than {MOST_PECKS} pecks in one hole; give a larger step")
+            raise WordError(f"more than {MOST_PECKS} pecks in one hole; give a larger step")
         if shrink > 0.0:
             size = size - shrink if size - shrink > shrink else min(size, shrink)
         elif shrink < 0.0:
@@ -304,3 +296,7 @@ def smooth(m: Sinumerik, a: Arguments, word: Word) -> None:
     if tolerance and m.out.feedforward is None:
         m.out.feedforward = "velocity+torque"
     m.state.round_corners(**({"brisk": False, "feedforward": True} if tolerance else {}))
+
+
+OTHERS = {"CYCLE832": smooth, "CYCLE800": swivel, **dict.fromkeys(("HOLES1", "HOLES2", "CYCLE801", "CYCLE802"), holes)}
+"""Cycles that are not of drilling."""

@@ -1,4 +1,4 @@
-"""The motion blocks of SINUMERIK programs: lines, arcs, tool axes, polar coordinates, fixed points, dwell."""
+"""The motion blocks of SINUMERIK programs: lines, arcs, tool axes, polar coordinates, fixed points, dwell; and their programmable frames."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.control import Vector
 from twin.program.expressions import WordError
-from twin.program.frames import INDEX, LINEAR, ROTARY, rotation, rotation_xyz
+from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, mirrored, rotation, rotation_xyz, shifted
 from twin.program.sinumerik_blocks import Block, Sinumerik
-from twin.program.sinumerik_frames import note_increments
 from twin.program.state import Item
+from twin.program.words import Word
 
 _ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
 _OF_ARCS = "I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add"
@@ -21,15 +21,15 @@ _OF_ARCS = "I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add"
 
 def orientation(m: Sinumerik, b: Block) -> Vector | None:
     """The tool axis of a block, by a vector or by angles."""
-    by_vector, by_angles = (b.extra.keys() & names for names in ({"A3", "B3", "C3"}, {"A2", "B2", "C2"}))
+    by_vector, by_angles = (b.w.keys() & names for names in ({"A3", "B3", "C3"}, {"A2", "B2", "C2"}))
     if not by_vector and not by_angles:
         return None
     if not m.out.modes.traori:
-        raise WordError("A3= B3= C3= need TRAORI; switch it on before, or program A= and C=", 1)
+        raise WordError("A3= B3= C3= need TRAORI; switch it on before, or program A= and C=")
     if by_vector:
         return b.take("A3"), b.take("B3"), b.take("C3")
     if m.angles_are_rpy is None:
-        raise WordError("A2= B2= C2= count as the control is set; write ORIRPY or ORIEULER before", 1)
+        raise WordError("A2= B2= C2= count as the control is set; write ORIRPY or ORIEULER before")
     x, y, z = b.take("A2"), b.take("B2"), b.take("C2")
     matrix = rotation_xyz({"X": x, "Y": y, "Z": z}) if m.angles_are_rpy else rotation(2, x) @ rotation(0, y) @ rotation(2, z)
     return float(matrix[0, 2]), float(matrix[1, 2]), float(matrix[2, 2])
@@ -37,27 +37,27 @@ def orientation(m: Sinumerik, b: Block) -> Vector | None:
 
 def motion_block(m: Sinumerik, b: Block, vector: Vector | None, machine: bool) -> None:
     """One motion block: target, tool axis, arc, corner."""
-    s, numbers, places, centre, extra = m.state, b.numbers, b.coordinates, b.centre, b.extra
+    s, codes, extra, places, centre = m.state, b.codes, b.w, b.pick(*AXES), b.pick("I", "J", "K")
     about_pole = bool(extra.keys() & {"AP", "RP"}) and not centre and "CR" not in extra
-    _polar(m, b)
-    _slanted(m, b)
+    _polar(m, b, places)
+    _slanted(m, b, places)
     if vector and places.keys() & {"A", "C"}:
-        raise WordError("the tool axis is given twice, by A3= B3= C3= and by A= C=; keep one", 1)
+        raise WordError("the tool axis is given twice, by A3= B3= C3= and by A= C=; keep one")
     if "RNDM" in extra:
         m.corners.every_corner = max(0.0, b.take("RNDM")) * s.unit
     corner = next(((n, b.take(n) * s.unit) for n in ("RND", "CHF", "CHR") if n in extra), None)
     kind = (mv.RAPID, mv.LINE, mv.ARC, mv.ARC)[s.motion if s.motion is not None else 1]
-    if numbers & {331, 332, 63}:
+    if codes & {331, 332, 63}:
         kind = mv.LINE
-        _tap(m, b)
-    if extra.pop("POS", None) is not None and len(places) == 1 and not numbers:
+        _tap(m, b, centre)
+    if extra.pop("POS", None) is not None and len(places) == 1 and not codes:
         kind = mv.RAPID
     by_words = extra.keys() & _ARC_WORDS
-    moves = bool(places or vector or (centre and kind == mv.ARC) or (by_words and (numbers & {2, 3} or b.curve)))
+    moves = bool(places or vector or (centre and kind == mv.ARC) or (by_words and (codes & {2, 3} or b.curve)))
     if (centre or by_words) and (not moves or kind != mv.ARC):
-        raise WordError(f"{_OF_ARCS} {'it to the block' if moves else 'the motion and its end point'}", 1)
+        raise WordError(f"{_OF_ARCS} {'it to the block' if moves else 'the motion and its end point'}")
     if not moves and corner:
-        raise WordError(f"{corner[0]} belongs in the block of a move; write it there", 1)
+        raise WordError(f"{corner[0]} belongs in the block of a move; write it there")
     if not moves:
         return
     start = np.array(m.out.position[:3]) if machine else m.corners.start()
@@ -67,44 +67,44 @@ def motion_block(m: Sinumerik, b: Block, vector: Vector | None, machine: bool) -
     point, angles = m.control.target(places, machine, start)
     if kind == mv.ARC and about_pole and not b.curve and "AR" not in extra:
         centre |= {"IJK"[i]: Item(m.pole[i] / s.unit, "AC") for i in arcs.PLANES[s.plane][:2]}
-    arc = _arc(m, b, start, point) if kind == mv.ARC else None
+    arc = _arc(m, b, start, point, centre) if kind == mv.ARC else None
     m.corners.queue(m.control.move(kind, point, angles, vector, arc, machine), corner)
 
 
-def _arc(m: Sinumerik, b: Block, start: np.ndarray, point: np.ndarray) -> arcs.Arc:
+def _arc(m: Sinumerik, b: Block, start: np.ndarray, point: np.ndarray, centre: dict[str, Item]) -> arcs.Arc:
     """The arc of the block; AR= sets the end `point` (3,)."""
     s, clockwise, turns = m.state, m.state.motion == 2, int(b.take("TURN"))
     if not 0 <= turns <= 10_000:
-        raise WordError(f"TURN={turns} is out of range; give 0 to 10000", 1)
+        raise WordError(f"TURN={turns} is out of range; give 0 to 10000")
     if b.curve == "CIP":
         middle = start.copy()
         for i, name in enumerate(("I1", "J1", "K1")):
-            if name in b.extra:
-                item = b.extra.pop(name)
+            if name in b.w:
+                item = b.w.pop(name)
                 middle[i] = item.value * s.unit + (start[i] if s.is_relative(item.how) else 0.0)
         return arcs.through(start, middle, point)
     if b.curve == "CT":
         if (direction := m.corners.direction()) is None:
-            raise WordError("CT needs a move before it, whose direction it continues; use CIP or G2", 1)
+            raise WordError("CT needs a move before it, whose direction it continues; use CIP or G2")
         return arcs.tangential(start, direction, point, s.plane)
-    if "AR" in b.extra:
-        middle = _by_angle(m, b, start, point, clockwise)
+    if "AR" in b.w:
+        middle = _by_angle(m, b, start, point, centre, clockwise)
         return m.control.arc_about(start, point, middle, clockwise, turns)
-    radius = b.take("CR") * s.unit if "CR" in b.extra else None
-    if radius is None and not b.centre:
-        raise WordError("a circle needs its centre (I J K) or radius (CR=, in .ngc files R); add it to the block", 1)
-    return m.control.arc_about(start, point, m.control.arc_centre(start, point, b.centre, radius), clockwise, turns)
+    radius = b.take("CR") * s.unit if "CR" in b.w else None
+    if radius is None and not centre:
+        raise WordError("a circle needs its centre (I J K) or radius (CR=, in .ngc files R); add it to the block")
+    return m.control.arc_about(start, point, m.control.arc_centre(start, point, centre, radius), clockwise, turns)
 
 
-def _by_angle(m: Sinumerik, b: Block, start: np.ndarray, point: np.ndarray, clockwise: bool) -> np.ndarray:
+def _by_angle(m: Sinumerik, b: Block, start: np.ndarray, point: np.ndarray, centre: dict[str, Item], clockwise: bool) -> np.ndarray:
     """Centre (3,) of an arc by its angle AR= and its end, or its centre, which then gives the end `point` (3,)."""
-    item = b.extra.pop("AR")
+    item = b.w.pop("AR")
     if not 0.0 < item.value < 360.0:
         raise WordError(f"AR={item.value:g}: the angle of an arc lies between 0 and 360 degrees", item.column)
     plane = list(arcs.PLANES[m.state.plane][:2])
     angle = math.radians(item.value) * (-1.0 if clockwise else 1.0)
-    if b.centre:
-        middle = m.control.arc_centre(start, point, b.centre, None)
+    if centre:
+        middle = m.control.arc_centre(start, point, centre, None)
         x, y = start[plane] - middle[plane]
         c, s = math.cos(angle), math.sin(angle)
         point[plane] = middle[plane] + [c * x - s * y, s * x + c * y]
@@ -114,79 +114,132 @@ def _by_angle(m: Sinumerik, b: Block, start: np.ndarray, point: np.ndarray, cloc
     return middle
 
 
-def _tap(m: Sinumerik, b: Block) -> None:
+def _tap(m: Sinumerik, b: Block, centre: dict[str, Item]) -> None:
     """G331, G332: along the thread; the feed is pitch times speed. G63 uses the active feed."""
-    if 63 in b.numbers:
+    if 63 in b.codes:
         return
     s, modes, across = m.state, m.out.modes, "IJK"[arcs.PLANES[m.state.plane][2]]
-    if across not in b.centre:
-        raise WordError(f"G331 and G332 need the pitch {across}; add it", 1)
-    pitch = abs(b.centre.pop(across).value)
+    if across not in centre:
+        raise WordError(f"G331 and G332 need the pitch {across}; add it")
+    pitch = abs(centre.pop(across).value)
     if not modes.spindle:
-        raise WordError("G331 and G332 need a spindle speed; give S before", 1)
+        raise WordError("G331 and G332 need a spindle speed; give S before")
     s.set_feed_mode(94)
     s.feed = pitch * modes.spindle * s.unit / modes.feed_unit
 
 
-def _polar(m: Sinumerik, b: Block) -> None:
+def _polar(m: Sinumerik, b: Block, places: dict[str, Item]) -> None:
     """AP= and RP=: angle and radius about the pole."""
-    if not b.extra.keys() & {"AP", "RP"}:
+    if not b.w.keys() & {"AP", "RP"}:
         return
-    point = m.control.polar(m.pole, m.corners.start(), b.extra.pop("RP", None), b.extra.pop("AP", None))
+    point = m.control.polar(m.pole, m.corners.start(), b.w.pop("RP", None), b.w.pop("AP", None))
     for i in arcs.PLANES[m.state.plane][:2]:
-        if LINEAR[i] in b.coordinates:
-            raise WordError(f"{LINEAR[i]} cannot be combined with AP= and RP=; keep one", b.coordinates[LINEAR[i]].column)
-        b.coordinates[LINEAR[i]] = Item(point[i] / m.state.unit, "AC", 1)
+        if LINEAR[i] in places:
+            raise WordError(f"{LINEAR[i]} cannot be combined with AP= and RP=; keep one", places[LINEAR[i]].column)
+        places[LINEAR[i]] = Item(point[i] / m.state.unit, "AC", 1)
 
 
-def _slanted(m: Sinumerik, b: Block) -> None:
+def _slanted(m: Sinumerik, b: Block, places: dict[str, Item]) -> None:
     """ANG=: a line at an angle to the first axis of the plane; one coordinate is given."""
-    if "ANG" not in b.extra:
+    if "ANG" not in b.w:
         return
-    item, s, here = b.extra.pop("ANG"), m.state, m.corners.start()
+    item, s, here = b.w.pop("ANG"), m.state, m.corners.start()
     i, j, _ = arcs.PLANES[s.plane]
-    if (LINEAR[i] in b.coordinates) == (LINEAR[j] in b.coordinates):
+    if (LINEAR[i] in places) == (LINEAR[j] in places):
         raise WordError(f"ANG= needs one of {LINEAR[i]} and {LINEAR[j]} as the end of the line", item.column)
     slope = math.tan(math.radians(item.value))
-    if LINEAR[j] in b.coordinates:
+    if LINEAR[j] in places:
         i, j, slope = j, i, 1.0 / slope if slope else math.inf
     if abs(slope) > 1e9:
         raise WordError("ANG= runs along the other axis; give that coordinate", item.column)
-    value = b.coordinates[LINEAR[i]]
+    value = places[LINEAR[i]]
     way = value.value * s.unit - (0.0 if s.is_relative(value.how) else here[i])
-    b.coordinates[LINEAR[j]] = Item((here[j] + way * slope) / s.unit, "AC", item.column)
+    places[LINEAR[j]] = Item((here[j] + way * slope) / s.unit, "AC", item.column)
 
 
-def set_pole(m: Sinumerik, b: Block, number: float) -> None:
+def set_pole(m: Sinumerik, b: Block) -> None:
     """G110 to G112: from the position, the zero of the work, the last pole."""
-    base = {110: m.corners.start(), 111: np.zeros(3), 112: m.pole}[int(number)].copy()
-    if b.extra.keys() & {"AP", "RP"}:
+    base = {110: m.corners.start(), 111: np.zeros(3), 112: m.pole}[int(min(b.codes & {110, 111, 112}))].copy()
+    if b.w.keys() & {"AP", "RP"}:
         radius, angle = Item(b.take("RP")), Item(b.take("AP"))
         base = m.control.polar(base, base, radius, angle)
-    for name, item in b.coordinates.items():
+    for name, item in b.pick(*AXES).items():
         if name not in LINEAR:
             raise WordError(f"{name} is no coordinate of a pole", item.column)
         base[INDEX[name]] += item.value * m.state.unit
     m.pole = base
 
 
-def fixed_point(m: Sinumerik, b: Block, number: int) -> None:
+def fixed_point(m: Sinumerik, b: Block) -> None:
     """G74, G75: rapid move of the named axes to their zero, or to [frame.G75]."""
     m.corners.release()
-    b.extra.pop("FP", None)
+    b.w.pop("FP", None)
     m.state.note("G74, G75: the point is the zero of the axes, or [frame.G75] x_m .. of the machine file")
     traori = m.out.modes.traori
     m.state.transform(False)
-    m.control.to_home(m.state.frame_table(f"G{number}"), b.coordinates)
+    m.control.to_home(m.state.frame_table("G75" if 75 in b.codes else "G74"), b.pick(*AXES))
     m.state.transform(traori)
 
 
 def dwell(m: Sinumerik, b: Block) -> None:
     """G4: F in s, S in turns of the spindle."""
-    alone = not (b.coordinates or b.centre or b.names or b.calls) and b.numbers == {4}
-    if not alone or b.extra.keys() not in ({"F"}, {"S"}):
-        raise WordError("G4 must be alone in its block with one time, e.g. G4 F<seconds>; write the rest in another block", 1)
+    alone = not (b.names or b.calls) and b.codes == {4}
+    if not alone or b.w.keys() not in ({"F"}, {"S"}):
+        raise WordError("G4 must be alone in its block with one time, e.g. G4 F<seconds>; write the rest in another block")
     m.corners.release()
-    if "S" in b.extra and not m.out.modes.spindle:
-        raise WordError("G4 S<turns> needs a spindle speed before; give S or use G4 F<seconds>", 1)
-    m.control.dwell(b.take("F") if "F" in b.extra else b.take("S") * 60.0 / m.out.modes.spindle)
+    if "S" in b.w and not m.out.modes.spindle:
+        raise WordError("G4 S<turns> needs a spindle speed before; give S or use G4 F<seconds>")
+    m.control.dwell(b.take("F") if "F" in b.w else b.take("S") * 60.0 / m.out.modes.spindle)
+
+
+def note_increments(m: Sinumerik, coordinates: dict[str, Item]) -> None:
+    """State the assumption where an axis goes on by an increment behind a change of its offset."""
+    s = m.state
+    for name, (_, how, _) in coordinates.items():
+        i = INDEX.get(name)
+        if i in s.shifted and s.is_relative(how) and s.shifted[i] == s.out.position[i]:
+            s.note(
+                "G91, IC() behind a change of the frame: the increment alone is moved, not the change (SD42440 0; with 1 the control adds it)"
+            )
+
+
+def frame_words(m: Sinumerik, b: Block, word: Word | None) -> None:
+    """TRANS, ROT, SCALE, MIRROR and their additions; G58, G59."""
+    m.corners.release()
+    values, shift = {n: i.value for n, i in b.pick(*AXES).items()}, min(b.codes & {58, 59}, default=None)
+    for name in OTHER:
+        if values.pop(name, 0.0):
+            raise WordError(f"a shift of {name} cannot be set on this machine")
+    name = word.name if word else ""
+    if word is not None and word.text is not None and word.text.strip():
+        raise WordError(f"{name} takes its axes as words, e.g. {name} X10", word.column)
+    if not name.endswith("TRANS") and shift is None and set(values) & set(ROTARY):
+        raise WordError(f"{name} of A or C is not supported; let the CAM system output the final coordinates")
+    before, way = m.state.frames["program"], {axis: m.state.si(axis, value) for axis, value in values.items()}
+    if shift is not None:
+        part = "program" if shift == 58 else "fine"
+        old = m.state.frames[part]
+        places = old.shift.copy()
+        for axis, value in way.items():
+            places[INDEX[axis]] = value
+        m.state.set_frames(**{part: Frame(old.matrix, places)})
+        return
+    inner = NO_FRAME
+    if name.endswith("TRANS"):
+        inner = shifted(way)
+    elif name in ("ROT", "AROT") and "RPL" in b.w:
+        inner = Frame(rotation(arcs.PLANES[m.state.plane][2], b.take("RPL")), np.zeros(5))
+    elif name in ("ROT", "AROT"):
+        inner = Frame(rotation_xyz(values), np.zeros(5))
+    elif name.endswith("SCALE"):
+        if not all(values.values()):
+            raise WordError(f"{name} by 0 leaves nothing; give factors other than 0")
+        inner = Frame(np.diag([values.get(n, 1.0) for n in LINEAR]), np.zeros(5))
+    elif name.endswith("MIRROR"):
+        inner = Frame(mirrored(values), np.zeros(5))
+    elif values:
+        raise WordError(f"{name} is not supported: a turn by angles in space; use ROT with X Y Z")
+    if name.startswith("A"):
+        m.state.set_frames(program=before @ inner)
+    else:
+        m.state.set_frames(program=inner, fine=NO_FRAME)

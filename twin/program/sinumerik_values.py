@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 import itertools
 import math
 import re
-from typing import Protocol
 
 import numpy as np
 
 from twin.errors import nearest
+from twin.program.corners import Corners
 from twin.program.expressions import SINUMERIK, Expression, Value, WordError
 from twin.program.flow import Flow
 from twin.program.flow import Frame as Call
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
+from twin.program.reader import Values, as_number
 from twin.program.state import Item, State
 from twin.program.structures import Statement
-from twin.program.values import Values, as_number
 from twin.program.words import Word, split_arguments
 
 _DEF = re.compile(
@@ -27,6 +27,8 @@ _WRAPPED = re.compile(r"\s*(AC|IC|DC|ACP|ACN)\s*\((.*)\)\s*\Z", re.S)
 _FRAME_PART = re.compile(r"\s*(?:C(TRANS|FINE|ROT|SCALE|MIRROR)\s*\(([^()]*)\)|([A-Z_$]\w*)(?:\[([^\]]*)\])?)\s*:?")
 _FRAMES = ("$P_UIFR", "$P_PFRAME", "$P_UBFR", "$P_BFRAME", "$P_CHBFR", "$P_NCBFR", "$P_IFRAME", "$P_ACTBFRAME")
 """Frames of the control that a program may read and write."""
+_ZERO = ("$P_SIM", "$P_ISTEST", "$P_SEARCH", "$P_SEARCHL", "$P_DRYRUN", "$AC_ALARM_STAT", "$P_SUBPAR", "$AC_MARKER", "$AC_PARAM")
+"""Variables that are 0, or that a program finds so before it has set them."""
 AXIS_NAMES = {*INDEX, *OTHER, "X1", "Y1", "Z1", "A1", "C1", "B1", "TR", "FI", "RT", "SC", "MI", "SPI", "SP1"}
 MOST_ELEMENTS = 100_000
 
@@ -37,28 +39,28 @@ G_GROUPS = {
 """G codes by group, in the order in which G[group]=number and $P_GG[group] count them."""
 
 
-class Settable(Protocol):
-    """The settable frames of a reader, which variables show and set."""
-
-    state: State
-    flow: Flow
-    chosen: str
-    settable: dict[str, Frame]
-
-    def settable_frame(self, name: str) -> Frame: ...
-    def choose(self, name: str) -> None: ...
-
-
 class SinumerikValues(Values):
     """Values of variables, words and expressions."""
 
-    def __init__(self, m: Settable, names: Collection[str]) -> None:
-        super().__init__(m.state, m.flow, SINUMERIK)
-        self.m, self.names = m, names
+    def __init__(self, state: State, flow: Flow, corners: Corners, names: Collection[str]) -> None:
+        super().__init__(state, flow, SINUMERIK)
+        self.corners, self.names = corners, names
+        self.settable: dict[str, Frame] = {}
+        self.chosen = "G500"  # settable frame in force
         self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
         self.parameters: dict[int, float] = {}
         self.globals: dict[str, dict[tuple, Value]] = {}
         self.frame_variables: dict[str, Frame] = {}  # DEF FRAME
+
+    def settable_frame(self, name: str) -> Frame:
+        """A frame from the program or the machine file."""
+        return self.settable.setdefault(name, shifted(self.state.frame_table(name)))
+
+    def choose(self, name: str) -> None:
+        """Select a settable frame."""
+        self.corners.release()
+        self.chosen = name
+        self.state.set_frames(settable=self.settable_frame(name))
 
     def define(self, s: Statement, frame: Call) -> None:
         match = _DEF.match(s.text)
@@ -129,54 +131,36 @@ class SinumerikValues(Values):
 
     def _system(self, name: str, index: tuple) -> Value | None:
         """System variables with a meaning here."""
-        if name in ("$P_SIM", "$P_ISTEST", "$P_SEARCH", "$P_SEARCHL", "$P_DRYRUN", "$AC_ALARM_STAT", "$P_SUBPAR"):
-            return 0.0
-        if (
-            name in ("$P_EP", "$AA_IW", "$AA_IM", "$AA_MW", "$P_EPM")
-            and len(index) == 1
-            and self.state.slot_of.get(str(index[0]), index[0]) in INDEX
-        ):
-            i = INDEX[self.state.slot_of.get(str(index[0]), str(index[0]))]
-            machine = name == "$AA_IM"
+        s, tools, modes = self.state, self.state.tools, self.state.out.modes
+        values: dict[str, Callable[[], Value]] = {
+            **dict.fromkeys(_ZERO, lambda: 0.0), "$P_F": lambda: 0.0 if math.isnan(s.feed) else s.feed,
+            "$P_S": lambda: modes.spindle, "$P_SDIR": lambda: modes.spindle, "$P_TOOLNO": lambda: float(tools.name) if tools.name.isdigit() else 0.0,
+            "$P_TOOL": lambda: float(tools.name not in ("", "0")), "$P_TOOLR": lambda: tools.radius(tools.name, 1) / s.unit,
+            "$P_UIFRNUM": lambda: float(frame_number(self.chosen)), "$P_PROG": lambda: self.flow.frame.unit.name,
+            "$P_PROGPATH": lambda: self.flow.frame.unit.name, "$P_STACK": lambda: float(len(self.flow.frames) - 1),
+        }  # fmt: skip
+        if name in values:
+            return values[name]()
+        first = s.slot_of.get(str(index[0]), str(index[0])) if index else ""
+        if name in ("$P_EP", "$AA_IW", "$AA_IM", "$AA_MW", "$P_EPM") and len(index) == 1 and first in INDEX:
+            i, machine = INDEX[first], name == "$AA_IM"
             if i >= 3:
-                angle = float(self.state.out.settle()[i - 3]) - (0.0 if machine else self.state.offset[i])
-                return math.degrees(angle)
-            return float((np.array(self.state.out.position[:3]) if machine else self.state.here())[i]) / self.state.unit
-        if name in ("$AC_MARKER", "$AC_PARAM"):
-            return 0.0  # what a program finds before it has set them
+                return math.degrees(float(s.out.settle()[i - 3]) - (0.0 if machine else s.offset[i]))
+            return float((np.array(s.out.position[:3]) if machine else s.here())[i]) / s.unit
         if name == "$TC_DP6" and index:
-            tool = f"{index[0]:g}" if not isinstance(index[0], str) else index[0]
-            return self.state.tools.radius(tool, 1) / self.state.unit
-        if name == "$P_F":
-            return 0.0 if math.isnan(self.state.feed) else self.state.feed
-        if name in ("$P_S", "$P_SDIR"):
-            return self.state.out.modes.spindle
-        if name == "$P_TOOLNO":
-            return float(self.state.tools.name) if self.state.tools.name.isdigit() else 0.0
-        if name == "$P_TOOL":
-            return 1.0 if self.state.tools.name not in ("", "0") else 0.0
-        if name == "$P_TOOLR":
-            return self.state.tools.radius(self.state.tools.name, 1) / self.state.unit
-        if name == "$P_UIFRNUM":
-            return float(frame_number(self.m.chosen))
+            return tools.radius(_tool_name(index[0]), 1) / s.unit
         if name == "$P_UIFR" and len(index) == 3 and index[1] in INDEX:
-            matrix, offset = self.m.settable_frame(frame_name(index[0]))
-            if index[2] == "TR":
-                i = INDEX[index[1]]
-                return math.degrees(offset[i]) if i >= 3 else offset[i] / self.state.unit
-            if index[2] == "FI":
-                return 0.0
+            i, offset = INDEX[index[1]], self.settable_frame(frame_name(index[0])).shift
+            return {"TR": math.degrees(offset[i]) if i >= 3 else offset[i] / s.unit, "FI": 0.0}.get(str(index[2]))
         if name == "$P_GG" and len(index) == 1:
             groups = {
-                1.0: 1 + (self.state.motion or 0), 6.0: self.state.plane - 16, 7.0: 1 if self.state.comp is None else 2 if self.state.comp.offset > 0 else 3,
-                8.0: frame_number(self.m.chosen) + 1, 13.0: 1 if self.state.unit != 1e-3 else 2, 14.0: 1 + (not self.state.absolute),
+                1.0: 1 + (s.motion or 0), 6.0: s.plane - 16, 7.0: 1 if s.comp is None else 2 if s.comp.offset > 0 else 3,
+                8.0: frame_number(self.chosen) + 1, 13.0: 1 if s.unit != 1e-3 else 2, 14.0: 1 + (not s.absolute),
             }  # fmt: skip
             return float(groups[index[0]]) if index[0] in groups else None
         if name in ("$P_AXN1", "$P_AXN2", "$P_AXN3"):
-            slots = {slot: letter for letter, slot in self.state.slot_of.items()}
+            slots = {slot: letter for letter, slot in s.slot_of.items()}
             return slots.get("XYZ"[int(name[-1]) - 1], "XYZ"[int(name[-1]) - 1])
-        if name in ("$P_PROG", "$P_STACK", "$P_PROGPATH"):
-            return self.flow.frame.unit.name if name != "$P_STACK" else float(len(self.flow.frames) - 1)
         return None
 
     def assign(self, name: str, value: Value, column: int, index: tuple = ()) -> None:
@@ -250,8 +234,7 @@ class SinumerikValues(Values):
             return
         value = self.value_of(word.text or "", word.text_column)
         if name == "$TC_DP6" and len(index) == 2:
-            tool = f"{index[0]:g}" if not isinstance(index[0], str) else index[0]
-            self.state.tools.set_value(tool, "radius", as_number(value, word.column) * self.state.unit)
+            self.state.tools.set_value(_tool_name(index[0]), "radius", as_number(value, word.column) * self.state.unit)
             return
         if name.startswith("$TC_DP3"):
             self.state.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")
@@ -280,21 +263,21 @@ class SinumerikValues(Values):
             self.frame_variables[name] = new
             return
         if name in ("$P_UIFR", "$P_IFRAME"):
-            self.m.settable[self._settable_name(name, index)] = new
-            self.m.choose(self.m.chosen)
+            self.settable[self._settable_name(name, index)] = new
+            self.choose(self.chosen)
         else:
-            self.m.choose(self.m.chosen)
+            self.choose(self.chosen)
             self.state.set_frames(**{"program" if name == "$P_PFRAME" else "basic": new})
 
     def _settable_name(self, name: str, index: tuple) -> str:
-        return self.m.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
+        return self.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
 
     def _frame_named(self, name: str, index: tuple) -> Frame:
         """The frame of a variable or of the control."""
         if name in self.frame_variables:
             return self.frame_variables[name]
         if name in ("$P_UIFR", "$P_IFRAME"):
-            return self.m.settable_frame(self._settable_name(name, index))
+            return self.settable_frame(self._settable_name(name, index))
         return self.state.frames["program" if name == "$P_PFRAME" else "basic"]
 
     def _frame_of(self, text: str, column: int) -> Frame:
@@ -322,6 +305,10 @@ class SinumerikValues(Values):
                 matrix = rotation_xyz(pairs) if part[1] == "ROT" else np.diag([pairs.get(n, 1.0) for n in LINEAR])
                 whole = whole @ Frame(matrix, np.zeros(5))
         return whole
+
+
+def _tool_name(index: Value) -> str:
+    return index if isinstance(index, str) else f"{index:g}"
 
 
 def frame_name(number: Value) -> str:

@@ -85,7 +85,6 @@ class Unit:
     statements: dict[int, object] = field(default_factory=dict)
     partners: dict[int, tuple[int, ...]] | None = None
     labels: dict[str, list[int]] | None = None
-    subs: dict[str, int] | None = None
 
 
 def plain_name(name: str) -> str:

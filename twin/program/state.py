@@ -7,7 +7,8 @@ scales). Lengths are in m and rad; a front end converts the programmed values.
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,6 @@ from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Col
 from twin.program.compensation import Compensation
 from twin.program.expressions import WordError
 from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame
-from twin.program.machine_file import first_feed
 from twin.program.tables import NOTE, REFUSED, STOPS, UNKNOWN, Word
 from twin.program.tools import Tools
 from twin.units import rad_from_deg
@@ -42,6 +42,45 @@ class Item(NamedTuple):
     column: int = 1
 
 
+@dataclass
+class Block:
+    """The words of one block; each step takes away the words that it uses, so a word that remains is an error."""
+
+    g: list[tuple[float, int]] = field(default_factory=list)  # number and column
+    m: list[int] = field(default_factory=list)
+    w: dict[str, Item] = field(default_factory=dict)
+    column: int = 1  # of the G code in hand
+
+    @cached_property
+    def codes(self) -> set[float]:
+        """The G codes."""
+        return {number for number, _ in self.g}
+
+    def take(self, name: str, default: float = 0.0) -> float:
+        """Take a word away; its value."""
+        return self.w.pop(name).value if name in self.w else default
+
+    def need(self, name: str, text: str, column: int = 1) -> Item:
+        """Take a word away that must be there; `text`: the fault if it is not."""
+        if name not in self.w:
+            raise WordError(text, column)
+        return self.w.pop(name)
+
+    def drop(self, names: str) -> None:
+        """Take words of one letter away."""
+        for name in names:
+            self.w.pop(name, None)
+
+    def pick(self, *names: str) -> dict[str, Item]:
+        """Take words away."""
+        return {n: self.w.pop(n) for n in names if n in self.w}
+
+    def all_used(self) -> None:
+        """Refuse a word that no step of the block has used."""
+        for name, item in self.w.items():
+            raise WordError(f"{name} has no use in this block; remove it, or add what it belongs to", item.column)
+
+
 class State:
     """The modal state while blocks are executed; the module docstring defines the frames."""
 
@@ -54,7 +93,8 @@ class State:
         """Frames by name, the outermost first; a tilted plane is `plane`."""
         self.out = Collector(path, machine)
         self.motion: int | None = 1
-        self.feed = first_feed(machine)  # till the first F
+        self.settings: Mapping[str, Any] = machine.document.get("program", {})
+        self.feed = float(self.settings.get("feed_mm_min", math.nan))  # till the first F
         self.feed_word = "F (mm/min, deg/min for A and C alone) in or before this block"
         self.override = 1.0  # OVR
         self.plane = 17
@@ -129,7 +169,7 @@ class State:
         The tool stands across a tilted plane. Its transformation counts from the part frame, so the frames outside it do, too.
         """
         if self.comp is not None:
-            raise WordError("the zero offset changes inside G41 or G42; write G40 and a move before", 1)
+            raise WordError("the zero offset changes inside G41 or G42; write G40 and a move before")
         self.frames |= changed
         whole, self.fixed_axis = NO_FRAME, None
         for name, frame in self.frames.items():
@@ -214,9 +254,10 @@ class State:
         )
         self.out.set_modes(replace(modes, **changes))  # type: ignore[arg-type]
 
-    def closing(self) -> Callable[[float], float]:
-        """The largest difference of the radii of an arc by its radius [m]."""
-        return arcs.iso_tolerance(self.unit) if self.iso else lambda radius: arcs.CLOSING_TOLERANCE
+    def closing(self, radius: float) -> float:
+        """The largest difference of the radii of an arc [m]; for ISO LinuxCNC's rule: 28 um or a thousandth, at most 2.8 mm."""
+        least = 2.0 * math.sqrt(2.0) * (1e-5 if self.unit == 1e-3 else 1e-3 * self.unit)
+        return min(max(least, 1e-3 / (1.0 - 1e-3) * radius), 100.0 * least) if self.iso else arcs.CLOSING_TOLERANCE
 
     def tilt(self, plane: Frame) -> None:
         """Start a tilted plane: TRAORI on, the tool perpendicular to the plane."""
@@ -237,7 +278,7 @@ class State:
     def transform(self, on: bool) -> None:
         """Switch TRAORI on or off."""
         if self.comp is not None:
-            raise WordError("the transformation changes inside G41 or G42; write G40 and a move before", 1)
+            raise WordError("the transformation changes inside G41 or G42; write G40 and a move before")
         if self.out.modes.traori != on:
             self.out.change_frame(replace(self.out.modes, traori=on))
 
@@ -290,13 +331,7 @@ class State:
         """A block takes one code of a modal group."""
         for group in dict.fromkeys(groups.get(n, "") for n in codes):
             if group and len(both := [n for n in codes if groups.get(n) == group]) > 1:
-                raise WordError("G" + " and G".join(f"{n:g}" for n in both) + " are in one block; keep one", 1)
-
-    @staticmethod
-    def all_used(words: Mapping[str, Item]) -> None:
-        """Refuse a word that no step of the block has used."""
-        for name, item in words.items():
-            raise WordError(f"{name} has no use in this block; remove it, or add what it belongs to", item.column)
+                raise WordError("G" + " and G".join(f"{n:g}" for n in both) + " are in one block; keep one")
 
     def given(self, *names: str) -> float | str | None:
         """The value of a variable from the table [variables] of the machine file, by its first name there."""

@@ -17,6 +17,9 @@ CLOSES = {
 }  # fmt: skip
 """Structure -> the statement that ends it; a label is repeated by `repeat_label`, LinuxCNC's O.. REPEAT is `times`."""
 
+STRUCTURES = {*CLOSES, *CLOSES.values(), "elseif", "else"} - {"endif", "endsub"}
+"""Statements that belong to a structure; an ENDIF only marks its end, and ENDSUB returns."""
+
 Table = dict[int, tuple[int, ...]]
 """Line -> lines of its structure, first to last."""
 
@@ -97,8 +100,8 @@ def loop_around(table: Table, unit: Unit, at: int, s: Statement) -> tuple[int, .
             len(places) > 1
             and places[0] < at < places[-1]
             and isinstance(opener, Statement)
-            and opener.key == s.key
             and opener.kind != "if"
+            and opener.key == s.key
         ):
             return places
     raise WordError(f"{s.kind.upper()} is outside the loop {s.key}; correct its number", s.column)
