@@ -125,7 +125,9 @@ class Collector:
         begin, end = self.settled, len(self.kinds)
         if end > begin:
             fixed = np.array([t[3:5] for t in self.targets[begin:end]])
-            axis = np.array([v or (math.nan,) * 3 for v in self.tool_axes[begin:end]])
+            axis = np.full((end - begin, 3), np.nan)
+            if given := [i for i, v in enumerate(self.tool_axes[begin:end]) if v is not None]:
+                axis[given] = np.array([self.tool_axes[begin + i] for i in given])
             lengths = np.linalg.norm(axis, axis=1)
             if np.any(lengths == 0.0):
                 row = begin + int(np.flatnonzero(lengths == 0.0)[0])
@@ -200,10 +202,10 @@ class Collector:
         # block ends against the travel; the motion between them is checked on the set points
         axes = np.vstack([program.start, axes_of(program)])
         if hit := self.kinematics.outside_travel(axes):
-            row, axis = hit
+            row, k = hit
             place = int(program.moves.line[row - 1]), int(program.moves.block[row - 1])
             line, block = place if row else (self.lines[0], self.blocks[0])
-            raise OutsideTravel(str(self.fail(line, block, travel_text(axis, float(axes[row, axis]), self.kinematics))), program)
+            raise OutsideTravel(str(self.fail(line, block, travel_text(k, float(axes[row, k]), self.kinematics))), program)
         return program
 
     def _with_start(self, moves: mv.Moves) -> mv.Program:

@@ -93,7 +93,8 @@ def _radius_and_angle(m: Iso, b: Block, places: dict[str, Item]) -> None:
     column = next(iter(words.values())).column
     if m.state.plane != 17 or places.keys() & {"X", "Y"}:
         raise WordError("@ and ^ stand for X and Y under G17; remove the other words", column)
-    _about_zero(m, places, *(words[n]._replace(how=how) if n in words else None for n in POLAR), column)
+    radius, angle = (words[n]._replace(how=how) if n in words else None for n in POLAR)
+    _about_zero(m, places, radius, angle, column)
 
 
 def _about_zero(m: Iso, places: dict[str, Item], radius: Item | None, angle: Item | None, column: int) -> None:

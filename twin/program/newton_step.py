@@ -96,7 +96,7 @@ def assemble(c, b, mu, fresh, dual, equations):
     dual_top, dual_c, dual_a, dual_j = dual
     gradient, diagonal, beside, apart = equations
     intervals, axes = q1.shape[0] - 1, q1.shape[1]
-    a, slope = node_values(h, c)
+    at, slopes = node_values(h, c)
     gradient[:] = 0.0
     diagonal[:] = 0.0
     beside[:] = 0.0
@@ -104,25 +104,26 @@ def assemble(c, b, mu, fresh, dual, equations):
     time = gap = 0.0
     for i in range(1, intervals):
         # a and a' at node i from the two coefficients i and i + 1
+        a, slope = at[i], slopes[i]
         width = h[i - 1] + h[i]
         w1 = h[i - 1] / width
         w0 = 1.0 - w1
         d = 2.0 / width
         share = 0.25 * width
-        root = math.sqrt(a[i])
+        root = math.sqrt(a)
         time += share / root
         # first and second derivatives by a and by a': the time, then each limit at the node
-        s = 1.0 / (most[i] - a[i])
+        s = 1.0 / (most[i] - a)
         if fresh:
             dual_top[i] = mu * s
         gap += dual_top[i] / s
-        ga = mu * s - 0.5 * share / (a[i] * root)
-        haa = dual_top[i] * s + 0.75 * share / (a[i] * a[i] * root)
+        ga = mu * s - 0.5 * share / (a * root)
+        haa = dual_top[i] * s + 0.75 * share / (a * a * root)
         gs = hss = has = 0.0
         for k in range(axes):
             fs = 0.5 * q1[i, k]
             fa = q2[i, k]
-            f = fs * slope[i] + fa * a[i]
+            f = fs * slope + fa * a
             up = 1.0 / (limit_a[i, k] - f)
             down = 1.0 / (limit_a[i, k] + f)
             if fresh:
@@ -161,23 +162,23 @@ def assemble(c, b, mu, fresh, dual, equations):
         b0 = d / h[i]
         b2 = d2 / h[i]
         b1 = -(b0 + b2)
-        bend = (slope[i + 1] - slope[i]) / h[i]
+        bend = (slopes[i + 1] - slope) / h[i]
         for end in range(2):
-            n = i + end
+            n, x, y = i + end, at[i + end], slopes[i + end]
             if end == 0:
                 a0, a1, a2, s0, s1, s2 = w0, w1, 0.0, -d, d, 0.0
             else:
                 a0, a1, a2, s0, s1, s2 = 0.0, v0, v1, 0.0, -d2, d2
-            inverse_root = 1.0 / math.sqrt(a[n])
+            inverse_root = 1.0 / math.sqrt(x)
             ex = ey = eb = 0.0
             xx = xy = xb = yy = yb = bb = 0.0
             for k in range(axes):
                 fb = 0.5 * q1[n, k]
                 fy = 1.5 * q2[n, k]
                 fx = q3[i, end, k]
-                f = fb * bend + fy * slope[n] + fx * a[n]
+                f = fb * bend + fy * y + fx * x
                 bound = ease[i] * limit_j[k] * inverse_root
-                fall = 0.5 * bound / a[n]  # the bound falls by this with a
+                fall = 0.5 * bound / x  # the bound falls by this with a
                 up = 1.0 / (bound - f)
                 down = 1.0 / (bound + f)
                 if fresh:
@@ -225,16 +226,17 @@ def dual_steps(c, step, b, mu, dual, move):
     dual_top, dual_c, dual_a, dual_j = dual
     move_top, move_c, move_a, move_j = move
     intervals, axes = q1.shape[0] - 1, q1.shape[1]
-    (a, slope), (da, dslope) = node_values(h, c), node_values(h, step)
+    (at, slopes), (at_step, slope_step) = node_values(h, c), node_values(h, step)
     primal = falls = 0.0  # greatest relative fall of a slack, of a multiplier
     for i in range(1, intervals):
-        s = 1.0 / (most[i] - a[i])
-        primal = max(primal, da[i] * s, -da[i] / a[i])
-        move_top[i] = mu * s - dual_top[i] * (1.0 - da[i] * s)
+        a, slope, da, dslope = at[i], slopes[i], at_step[i], slope_step[i]
+        s = 1.0 / (most[i] - a)
+        primal = max(primal, da * s, -da / a)
+        move_top[i] = mu * s - dual_top[i] * (1.0 - da * s)
         falls = max(falls, -move_top[i] / dual_top[i])
         for k in range(axes):
-            f = 0.5 * q1[i, k] * slope[i] + q2[i, k] * a[i]
-            df = 0.5 * q1[i, k] * dslope[i] + q2[i, k] * da[i]
+            f = 0.5 * q1[i, k] * slope + q2[i, k] * a
+            df = 0.5 * q1[i, k] * dslope + q2[i, k] * da
             up = 1.0 / (limit_a[i, k] - f)
             down = 1.0 / (limit_a[i, k] + f)
             primal = max(primal, df * up, -df * down)
@@ -247,15 +249,15 @@ def dual_steps(c, step, b, mu, dual, move):
         primal = max(primal, -step[i + 1] / c[i + 1], step[i + 1] * s)
         move_c[i] = mu * s - dual_c[i] * (1.0 - step[i + 1] * s)
         falls = max(falls, -move_c[i] / dual_c[i])
-        bend, dbend = (slope[i + 1] - slope[i]) / h[i], (dslope[i + 1] - dslope[i]) / h[i]
+        bend, dbend = (slopes[i + 1] - slope) / h[i], (slope_step[i + 1] - dslope) / h[i]
         for end in range(2):
-            n = i + end
-            inverse_root = 1.0 / math.sqrt(a[n])
+            n, x, y, dx, dy = i + end, at[i + end], slopes[i + end], at_step[i + end], slope_step[i + end]
+            inverse_root = 1.0 / math.sqrt(x)
             for k in range(axes):
-                f = 0.5 * q1[n, k] * bend + 1.5 * q2[n, k] * slope[n] + q3[i, end, k] * a[n]
-                df = 0.5 * q1[n, k] * dbend + 1.5 * q2[n, k] * dslope[n] + q3[i, end, k] * da[n]
+                f = 0.5 * q1[n, k] * bend + 1.5 * q2[n, k] * y + q3[i, end, k] * x
+                df = 0.5 * q1[n, k] * dbend + 1.5 * q2[n, k] * dy + q3[i, end, k] * dx
                 bound = ease[i] * limit_j[k] * inverse_root
-                dbound = 0.5 * bound / a[n] * da[n]
+                dbound = 0.5 * bound / x * dx
                 up = 1.0 / (bound - f)
                 down = 1.0 / (bound + f)
                 fall_up = (dbound + df) * up

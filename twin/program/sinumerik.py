@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from twin.machine.machine import Machine
 from twin.program import sinumerik_cycles as cycles
@@ -190,7 +191,7 @@ def _transformation(m: Sinumerik, _: Block, word: Written) -> None:
     m.state.transform(word.name == "TRAORI")
 
 
-CHANGES: dict[str, tuple[str, bool]] = {
+CHANGES: dict[str, tuple[str, Any]] = {
     **dict.fromkeys(("ORIWKS", "ORIVECT", "ORIPLANE"), ("workpiece_orientation", True)),
     **dict.fromkeys(("ORIMKS", "ORIAXES"), ("workpiece_orientation", False)),
     "FFWON": ("feedforward", True), "FFWOF": ("feedforward", False), "BRISK": ("brisk", True), "SOFT": ("brisk", False),

@@ -72,6 +72,14 @@ def _multipliers(intervals, axes):
 
 
 @compiled(allocates=True)
+def _add(to, share, change):
+    """Add a share of one array to another in place."""
+    one, other = to.ravel(), change.ravel()
+    for i in range(one.shape[0]):
+        one[i] += share * other[i]
+
+
+@compiled(allocates=True)
 def time_law(b):
     """Coefficients c (interval + 2,) of a(u) within `Bounds` b of at least four intervals, and whether a feasible start was found."""
     h, intervals, axes = b.h, b.h.shape[0], b.q1.shape[1]
@@ -94,7 +102,6 @@ def time_law(b):
     c *= 0.8
     equations = Equations(np.empty(n), np.empty(n), np.empty(n), np.empty(n))
     dual, move = _multipliers(intervals, axes), _multipliers(intervals, axes)
-    of_top, of_middle, of_a, of_j = dual
     rows = (intervals - 1.0) * (2.0 + 2.0 * axes) + (intervals - 2.0) * 4.0 * axes
     mu = 0.3 / rows * np.sum(0.5 * (h[:-1] + h[1:]) / np.sqrt(node_values(h, c)[0][1:-1]))
     settled = False
@@ -114,10 +121,10 @@ def time_law(b):
         for i in range(2, n - 2):
             grown = max(grown, step[i] / c[i])
         c += go_primal * step
-        of_top += go_dual * move.top
-        of_middle += go_dual * move.middle
-        of_a += go_dual * move.a
-        of_j += go_dual * move.j
+        _add(dual.top, go_dual, move.top)
+        _add(dual.middle, go_dual, move.middle)
+        _add(dual.a, go_dual, move.a)
+        _add(dual.j, go_dual, move.j)
         worse = min(go_primal, go_dual)
         settled = worse > 0.6 and grown < STILL_GROWING
         # the larger the last step, the more the multipliers are reduced
