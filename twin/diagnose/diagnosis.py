@@ -240,7 +240,7 @@ class Diagnosis:
         }
 
     def _not_visible(self) -> list[dict[str, Any]] | None:
-        """Effects that would not be visible in these runs and signals, with the multiple of their usual size from which they would.
+        """Effects that would not be visible in these runs and signals, with the smallest multiple of their usual size that would.
 
         `usual_sizes` None: at no size. None instead of the list: not computed, in a quick look.
         """

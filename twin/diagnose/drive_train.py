@@ -88,7 +88,7 @@ def with_drive_train(
 ) -> Tuning:
     """The tuning with the elasticity of an axis' drive train, and its damping if that has enough evidence; each linear about its size.
 
-    `linear` is the estimate for a linear response, `largest` the share of the normal elasticity from which it is an effect. The tuning is
+    `linear` is the estimate for a linear response, `largest` the largest share of the normal elasticity that is no effect. The tuning is
     unchanged if no size near the estimate explains `residual` (row,).
     """
     tried = _TrialLosses(group, tuning, axis, residual, linear.column)

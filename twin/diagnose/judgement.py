@@ -18,20 +18,20 @@ ALL_BUT = 0.1
 """Largest unexplained fraction of the gap for the verdict 'law'."""
 
 LOUD = 3.0
-"""Level above which a law is sought although effects explain most of the gap of the axis."""
+"""A law is sought for a louder axis although effects explain most of its gap."""
 
 LOUD_SIGNAL = 1.5
 """The same limit for a single signal. A deviation at reversals only contributes little to the level of an axis."""
 
 NEXT_TO_NOTHING = 1e-3
-"""Unexplained fraction of the gap of an axis below which a single loud signal does not trigger the search for a law, unless several effects
+"""A single loud signal starts no search for a law if a smaller fraction of the gap of the axis is unexplained, unless several effects
 share a block."""
 
 QUIET = 1.3
-"""Level up to which an axis counts as explained down to noise."""
+"""Largest level of an axis that is explained down to noise."""
 
 HARDLY_LOUD = 2.0
-"""Level above which a law is sought if effects explain less than half of the gap."""
+"""A law is sought for a louder axis if effects explain less than half of its gap."""
 
 
 def above_noise(level: float) -> float:

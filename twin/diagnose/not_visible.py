@@ -24,7 +24,7 @@ from twin.machine.machine import Machine
 
 
 def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) -> dict[tuple[str, str, str | None], float]:
-    """Effects that are not visible at their usual size, with the multiple of it from which they would be (inf: at no size).
+    """Effects that are not visible at their usual size, with the smallest multiple of it that is visible (inf: none).
 
     The middle start of each effect is used, and the worse of two phases.
     """

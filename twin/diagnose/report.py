@@ -34,9 +34,9 @@ STRETCHES_SHOWN = 3
 ROWS_SHOWN = 20
 """Most contributions of a budget in the page; diagnosis.json holds all."""
 SMALL = 0.1
-"""Contribution, as a multiple of the noise, below which a row of the budget that is no finding is only counted."""
+"""Rows of the budget with a smaller contribution, in multiples of the noise, are only counted, unless they are findings."""
 LEFT = 2.0
-"""Gap after the correction, as a multiple of the noise, above which a row is highlighted."""
+"""Rows with a larger gap after the correction, in multiples of the noise, are highlighted."""
 
 _HOW_TO_READ = [
     "The gap is measured minus simulated, in multiples of the measuring noise: 1 is a perfect twin. Shares refer to the squared gap above noise.",

@@ -33,7 +33,7 @@ NOISE, CLOSED = "#8b929c", "#b9d3f0"
 HEAT = LinearSegmentedColormap.from_list("heat", ["#fff7e6", "#ffcc73", "#ed7333", "#b81c1c"], gamma=0.7)
 """Colour of a share, from white over yellow to red."""
 WORTH_A_SHARE = 0.1
-"""Drop of the squared level below which shares are not shown."""
+"""Smallest drop of the squared level with shares."""
 MOST_POINTS = 4000
 """Largest number of points of a curve in the page."""
 

@@ -26,27 +26,27 @@ class Thresholds:
     """Thresholds of a diagnosis. Squares are relative to noise, nat is the unit of log likelihood, a share is between 0 and 1."""
 
     # the campaign
-    off_set_point: float = _of(0.2, "share of the motion", "position gap from which the record belongs to another machine")
+    off_set_point: float = _of(0.2, "share of the motion", "smallest position gap of a record of another machine")
     off_lag: float = _of(3.0, "1", "position gap over the lag of the loop that is possible on any machine")
     enough_samples: int = _of(50, "samples", "smallest number of moving samples of a channel")
 
     # noise of a channel
     noise_correlation: int = _of(150, "samples", "longest correlation of the noise, set by the closed loop")
-    noisier: float = _of(5.0, "1", "ratio of measured to expected roughness up to which roughness counts as sensor noise")
+    noisier: float = _of(5.0, "1", "largest ratio of measured to expected roughness that is sensor noise")
     break_away_s: float = _of(
         0.06, "s", "time after break-away in which the position depends on where the axis stuck; length of a reversal"
     )
-    settled_s: float = _of(0.2, "s", "time after break-away from which no signal depends on how the axis stuck")
+    settled_s: float = _of(0.2, "s", "time after break-away until no signal depends on how the axis stuck")
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
     law_floor: float = _of(0.01, "share of the speed noise", "smallest noise of the control law")
-    clipped: float = _of(0.999, "share of the limit", "command from which it counts as saturated and is not compared with the law")
+    clipped: float = _of(0.999, "share of the limit", "smallest saturated command; it is not compared with the law")
     law_share: float = _of(
         1e-4, "share of the speed", "model error of a control law; a law fitted by hand to a real control deviates by 3e-5 of the top speed"
     )
 
     followed: float = _of(0.8, "share", "share of motor minus scale that the motion of other axes explains if one of them pushes this axis")
-    pushed: float = _of(5.0, "encoder noises", "motion of motor minus scale from which an axis at rest counts as pushed")
+    pushed: float = _of(5.0, "encoder noises", "smallest motion of motor minus scale of a resting axis that is pushed")
 
     # a channel without a fault
     clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel")
@@ -68,13 +68,13 @@ class Thresholds:
     prior_weight: float = _of(50.0, "1", "weight of the prior: a parameter at the edge of its tolerance costs 75 nat")
     widest: float = _of(2.0, "tolerances", "largest deviation of a re-tuned parameter")
     nearby: float = _of(0.03, "share", "step of a finite-difference slope of a toleranced parameter")
-    normal_mode_hz: float = _of(180.0, "Hz", "first mode of a drive train from which its elasticity counts as normal")
+    normal_mode_hz: float = _of(180.0, "Hz", "lowest first mode of a drive train with a normal elasticity")
     normal_slip_linear_m: float = _of(0.8e-6, "m", "largest normal travel before break-away, linear axis")
     normal_slip_rotary_arcsec: float = _of(0.8, "arcsec", "largest normal travel before break-away, rotary axis")
     normal_damping: float = _of(2.0, "1", "factor by which the damping of a drive train may differ from the assumed one")
     least_imperfection: float = _of(0.01, "share of normal", "a smaller imperfection is treated as zero")
     least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
-    slip_unchanged: float = _of(0.15, "share", "change of slip below which it is not simulated again")
+    slip_unchanged: float = _of(0.15, "share", "largest change of slip that is not simulated again")
     train_shown: float = _of(0.6, "share", "share of the response to a drive train that the runs used to identify it must hold")
     train_finer: float = _of(0.03, "share", "final frequency step when a drive train is identified")
 
@@ -84,9 +84,9 @@ class Thresholds:
     refit_steps: int = _of(4, "steps", "the same for a fit that starts at an earlier optimum")
     slope: float = _of(1.0, "scale units", "finite-difference step: wide, because a break-away moves by whole samples")
     narrow_slope: float = _of(0.1, "scale units", "the same once wide steps no longer reduce the loss")
-    slopes_hold: float = _of(0.5, "share", "ratio of actual to predicted gain from which slopes are reused")
+    slopes_hold: float = _of(0.5, "share", "smallest ratio of actual to predicted gain with which slopes are reused")
     above_noise: float = _of(1.05, "1", "loss over the loss of noise at which a fit stops")
-    converged: float = _of(0.02, "nat", "gain below which a fit has converged")
+    converged: float = _of(0.02, "nat", "largest gain of a fit that has converged")
     within_mode: float = _of(0.06, "share", "finite-difference step of a drive train's elasticity")
     wave_run_s: float = _of(15.0, "s", "length of a run assumed for the scale of a frequency")
     wave_step: float = _of(0.1, "waves", "phase shift at the end of that run for a step of 1")
@@ -101,10 +101,12 @@ class Thresholds:
     most_fits: int = _of(2, "times", "rounds in which an effect is fitted: it may be refused at first and accepted next to others")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
     span: float = _of(
-        0.01, "share of the best gain", "gain from which an effect enters in the same round; responses are not exactly linear"
+        0.01, "share of the best gain", "smallest gain of an effect that enters in the same round; responses are not exactly linear"
     )
     promising: float = _of(
-        0.5, "share of the evidence needed", "gain in screening from which an effect is fitted; its shape parameters are not optimised yet"
+        0.5,
+        "share of the evidence needed",
+        "smallest gain in screening of an effect that is fitted; its shape parameters are not optimised yet",
     )
     promising_single: float = _of(0.9, "share of the evidence needed", "the same for an effect with one parameter")
     collinear: float = _of(
@@ -114,7 +116,7 @@ class Thresholds:
     same_gain: float = _of(
         0.5, "share of its gain", "a rival explains the same if its gain falls below this share with the effect eliminated"
     )
-    rivals_within: float = _of(0.25, "share of the best gain", "gain in screening from which a rival is fitted")
+    rivals_within: float = _of(0.25, "share of the best gain", "smallest gain in screening of a rival that is fitted")
     nonlinear_rivals_within: float = _of(0.08, "share of the best gain", "the same for nonlinear effects")
 
     # acceptance of an effect
@@ -124,64 +126,64 @@ class Thresholds:
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same for a block that the signals do not isolate", IMITATION)
     price: float = _of(2.0, "nat", "cost of each further free parameter")
     joint_refits: int = _of(3, "times", "largest number of joint refits of effects and imperfections")
-    small_residual: float = _of(1.3, "1", "loss over the loss of noise up to which imperfections are refitted")
+    small_residual: float = _of(1.3, "1", "largest loss over the loss of noise with which imperfections are refitted")
     least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
     information_in_fold: float = _of(0.99, "share", "share of the information about a parameter that one fold may hold")
     near_noise: float = _of(0.02, "share", "relative excess over noise, or over another fit, that counts as none")
-    quiet: float = _of(0.25, "1", "mean square above noise up to which a quick look skips an axis")
+    quiet: float = _of(0.25, "1", "largest mean square above noise of an axis that a quick look skips")
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
-    invisible: float = _of(1e-9, "share of the evidence", "possible gain below which an effect is invisible at any size")
+    invisible: float = _of(1e-9, "share of the evidence", "largest possible gain of an effect that is invisible at any size")
 
     smallest_size: float = _of(0.02, "smallest usual size", "a smaller effect is implausible: every machine has a little of most effects")
     smallest_set_size: float = _of(
         0.12, "smallest usual size", "the same for what is set or normal if small: controller laws, factors, springs, clamped masses"
     )
     largest_size: float = _of(4.0, "largest usual size", "a larger effect is implausible")
-    usual_shape: float = _of(4.5, "1", "factor outside the usual range from which a speed, wavelength or frequency is implausible")
-    imitated: float = _of(5.0, "tolerances", "size up to which an effect is not accepted next to a normal imperfection that imitates it")
+    usual_shape: float = _of(4.5, "1", "largest factor outside the usual range of a plausible speed, wavelength or frequency")
+    imitated: float = _of(5.0, "tolerances", "largest size of an effect that a normal imperfection beside it imitates")
 
     # verdict
     worse_by_chance: float = _of(0.3, "1", "increase of gap over noise by which a correction may be worse than the machine file by chance")
     signal_worse: float = _of(
         2.0,
         "1",
-        "gap over noise of a signal, and ratio to its gap without the law, above which a law makes that signal worse and is refused",
+        "largest gap over noise of a signal, or ratio to its gap without the law, with a law that is not refused",
     )
     undecided: float = _of(
-        6.0, "1", "held-out gap over noise above which 'none' becomes 'unknown'; a control that interpolates in its own way leaves 3"
+        6.0, "1", "largest held-out gap over noise with the verdict 'none'; a control that interpolates in its own way leaves 3"
     )
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
-    unexplained_gap: float = _of(1.5, "1", "gap over noise of an axis from which it is listed as unexplained")
-    remaining: float = _of(0.1, "share", "remaining share of the excess over noise from which the verdict is 'unknown'")
-    noticed_excess: float = _of(0.12, "1", "mean square above noise from which a residual remains", IMITATION)
+    unexplained_gap: float = _of(1.5, "1", "smallest gap over noise of an axis that is listed as unexplained")
+    remaining: float = _of(0.1, "share", "largest remaining share of the excess over noise without the verdict 'unknown'")
+    noticed_excess: float = _of(0.12, "1", "largest mean square above noise without a remaining residual", IMITATION)
     systematic: float = _of(
-        5.0, "1", "median mean square over the runs from which the law is wrong: true laws leave 3.3, the most similar wrong laws 60"
+        5.0, "1", "largest median mean square over the runs with a right law: true laws leave 3.3, the most similar wrong laws 60"
     )
-    local_samples: int = _of(1000, "samples", "samples of a channel from which it is tested by itself")
-    local_law_square: float = _of(4.0, "1", "mean square from which the error of a control law is a residual")
-    beyond_chance: float = _of(4.0, "1", "standard deviations from which the size in a run differs")
+    local_samples: int = _of(1000, "samples", "smallest number of samples of a channel that is tested by itself")
+    local_law_square: float = _of(4.0, "1", "largest mean square of the error of a control law that holds")
+    beyond_chance: float = _of(4.0, "1", "largest difference of the size in a run by chance")
     one_size: float = _of(0.12, "share", "relative difference of a size that is allowed between runs")
-    ambiguous: float = _of(10.0, "nat", "difference in evidence up to which a rival is reported as ambiguous")
+    ambiguous: float = _of(10.0, "nat", "largest difference in evidence of a rival that is reported as ambiguous")
     model_error: float = _of(
         0.007, "share", "relative standard deviation of a size due to model error, independent of the number of samples"
     )
 
     # where
-    noticed_square: float = _of(1.6, "1", "mean square from which a block, or a channel tested by itself, has a residual")
+    noticed_square: float = _of(1.6, "1", "largest mean square of a block, or a channel tested by itself, without a residual")
     place_share: float = _of(
-        0.02, "share", "share of its axis' gap from which a block is listed, and of the worst axis' from which an axis is"
+        0.02, "share", "smallest share of its axis' gap of a block that is listed, and of the worst axis' gap of an axis"
     )
     echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with one")
     most_of_runs: float = _of(0.8, "share", "share of a block's excess that the named runs hold")
-    regime_share: float = _of(0.6, "share", "share of the excess from which a regime is named")
+    regime_share: float = _of(0.6, "share", "smallest share of the excess of a regime that is named")
     scales_share: float = _of(0.1, "share", "share of a residual that a regressor must explain to be named")
     stretch_s: float = _of(0.5, "s", "length of the interval with the largest excess")
     smooth_s: float = _of(0.025, "s", "window over which a recorded motion is smoothed")
     drift_s: float = _of(0.2, "s", "window of the drift that is removed from a predicted current")
-    sliding: float = _of(3e-4, "share of the top speed", "speed from which an axis slides")
-    accelerating: float = _of(0.03, "share of the top acceleration", "acceleration from which an axis accelerates")
+    sliding: float = _of(3e-4, "share of the top speed", "smallest speed of a sliding axis")
+    accelerating: float = _of(0.03, "share of the top acceleration", "smallest acceleration of an accelerating axis")
 
 
 T = Thresholds()

@@ -20,7 +20,7 @@ SAME_LINE = 0.02
 """Spectral lines closer than this share of their value are one start."""
 
 LARGEST_ORDER_HZ = 60.0
-"""Frequency above which the current does not follow a disturbance."""
+"""Highest frequency of a disturbance that the current follows."""
 
 LONGEST_WAVE = 4.0
 """Longest wave along the travel in the scan, over the longest usual one."""
@@ -29,7 +29,7 @@ OVERSAMPLED = 8.0
 """Trial wave numbers per resolved wave number."""
 
 ENOUGH_HITS = 20.0
-"""Samples per bin above which its weight is constant."""
+"""More samples in a bin add no weight."""
 
 NO_WAVES = np.array([1.0]), np.array([0.0])
 """Result of an empty scan: one value without power."""

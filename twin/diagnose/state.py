@@ -86,7 +86,7 @@ class GroupState:
     accepted: tuple[Fit, ...] = ()  # the fit after each round
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round
-    not_visible: Mapping[Key, float] | None = None  # invisible effects: multiple of the usual size from which each is visible
+    not_visible: Mapping[Key, float] | None = None  # invisible effects: smallest visible multiple of the usual size
     unknown: bool = False  # is there a residual that no effect explains?
     response_cache: dict[str, CachedResponse | TwinError] = field(default_factory=dict, repr=False, compare=False)
 

@@ -9,7 +9,7 @@ from twin.effects import EFFECTS, Parameter
 from twin.effects.readable import interval_text, parameter_label
 
 MANY = 10
-"""Number of effects of one axis above which they are not listed one by one."""
+"""More effects of one axis are not listed one by one."""
 
 FEW = 3
 """Largest number of effects in a sentence; of more effects, the sentence names this many, largest first."""

@@ -38,7 +38,7 @@ FEW_STEPS = 2
 """Steps of a fit that starts near its optimum."""
 
 SHORTEST_REST_S = 5e-3
-"""Duration of a rest from which an axis sticks. A shorter one is a reversal without a stop: its motion is not random, and laws of friction show there."""
+"""Shortest rest in which an axis sticks. A shorter one is a reversal without a stop: its motion is not random, and laws of friction show there."""
 
 Settings = tuple[Setting, ...]
 

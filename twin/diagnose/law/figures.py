@@ -17,7 +17,7 @@ from twin.simulation.law_picture import draw_response, shown_in
 from twin.units import AXIS_UNITS
 
 HARDLY = 0.002
-"""Fraction of the samples below which a point counts as hardly measured."""
+"""Largest fraction of the samples at a point that is hardly measured."""
 
 
 def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyped-def]

@@ -40,7 +40,7 @@ LAW_SHARE = 0.01
 """Relative model error of the nominal output of a block."""
 
 STANDS_OUT = 30.0
-"""Signal-to-noise power ratio of a band above which its response is shown."""
+"""Smallest signal-to-noise power ratio of a band whose response is shown."""
 
 RESPONSE_POINTS = 40
 """Number of points of a measured response."""

@@ -29,7 +29,7 @@ MOST_LAWS = 12
 """Largest number of laws of one axis."""
 
 LITTLE_LEFT = 0.02
-"""Fraction of the gap before the first law below which the search for laws ends: a law is measured to some percent of its size."""
+"""The search for laws ends when a smaller fraction of the gap before the first law is left: a law is measured to some percent of its size."""
 
 MOST_EFFECTS = 5
 """Largest number of effects of an axis that a law may replace."""

@@ -17,7 +17,7 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 
 NOISY = 1.15
-"""Power of the residual of a block over noise up to which no law is sought in it."""
+"""Largest power over noise of the residual of a block in which no law is sought."""
 
 LEAST_RUNS = 0.6
 """Smallest fraction of the runs, weighted by their loss, that a law must improve."""

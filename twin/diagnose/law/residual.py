@@ -41,7 +41,7 @@ OTHER_PERIOD_S = 4e-3
 """Sample period of the other blocks."""
 
 MOST_SAMPLES = 800
-"""Number of samples of an axis in a run from twice which on only every second, third, ... one is used; more only take time."""
+"""Samples of an axis in a run. Of twice as many only every second one is used, of three times as many every third; more only take time."""
 
 MOST_IN_A_ROW = 8000
 """Largest number of samples of an axis in a run for a block that needs consecutive samples."""
@@ -53,7 +53,7 @@ LEAST_SAMPLES = 50
 """Smallest number of samples of an axis in a usable run."""
 
 ONE_RUN = 0.95
-"""Fraction of the gap above noise in one run above which a law can be confirmed only within that run."""
+"""A run with a larger fraction of the gap above noise can confirm a law only within itself."""
 
 HIGHEST_IN_STEPS = 0.4
 """Highest frequency that a speed set point shows, as a fraction of the position cycle rate. It changes in steps, and their shape between the steps

@@ -39,8 +39,7 @@ def with_rigid_drive_train(settings: Settings, axis: str) -> Settings:
 
 
 def with_fitted_spring(settings: Settings, machine: Machine, axis: str, law: Described, samples: Samples) -> Settings:
-    """The settings with the spring stiffness that was fitted together with a law over the windup, and with the damping from which the fit then
-    starts; unchanged for any other law."""
+    """The settings with the spring stiffness that was fitted together with a law over the windup, and with the start value of its damping; unchanged for any other law."""
     spring = spring_of(settings, axis)
     if law.candidate.variable != "windup" or spring is None:
         return settings
