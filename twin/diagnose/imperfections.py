@@ -10,13 +10,12 @@ import math
 import numpy as np
 
 from twin.diagnose.drive_train import with_drive_train
-from twin.diagnose.observe import Group, Variation, channels_of, noise_seed
+from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import SimulationRequest, Variant, simulate_groups
+from twin.diagnose.simulations import Variant
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, can_be_imperfect, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
 from twin.errors import TwinError
-from twin.simulation.run import all_or_raise
 
 SHARES = (0.05, 0.2, 0.8)
 """Trial sizes of a normal imperfection, as shares of the largest normal one; the response is not linear."""
@@ -140,25 +139,16 @@ def _at_shares(tuning: Tuning, group: Group, nuisance: Nuisance, residual: np.nd
 
 def rebased(group: Group, machine_of: Variant) -> Group:
     """The group about another machine: the same channels, residuals of that machine's nominal motion."""
-    views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
-
-    present = {run: tuple(a for a in group.axes if view.moves(a)) for run, view in enumerate(views)}
-    runs = [run for run, axes in present.items() if axes]
-    seeds = [None] * len(runs) + [noise_seed(group.seed, run) for run in runs]
-    requests = [SimulationRequest(views[run], present[run], noise_seed=seed) for run, seed in zip([*runs, *runs], seeds)]
-    found = all_or_raise(
-        simulate_groups(requests, group.mapper, lambda i, run: channels_of(run.without_noise, requests[i].view, requests[i].axes))
-    )
-    nominal: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
-    shaken: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
-    for i, run in enumerate(runs):
-        nominal[run], shaken[run] = found[i], found[len(runs) + i]
+    quiet, noisy = (group.response(machine_of, shaken=shaken) / group.weights for shaken in (False, True))
+    nominal, shaken = [dict(of_run) for of_run in group.nominal], [dict(of_run) for of_run in group.shaken]
     channels = []
     for c in group.channels:
-        key = (c.axis, c.name)
-        if c.name == "motor_minus_scale":  # follows the motion and differs between realisations of noise
-            shift = nominal[c.run][key] - group.nominal[c.run][key]
-        else:
-            shift = 0.0 if c.name == "controller" else shaken[c.run][key] - group.shaken[c.run][key]
-        channels.append(replace(c, residual=c.residual - shift))
-    return Group(group.axes, views, channels, nominal, shaken, group.seed, mapper=group.mapper)
+        key = c.axis, c.name
+        nominal[c.run][key] = nominal[c.run][key] + quiet[c.rows]
+        shift = quiet if c.name == "motor_minus_scale" else noisy  # the others differ between realisations of noise
+        if c.name != "controller":  # its inputs are recorded
+            shaken[c.run][key] = shaken[c.run][key] + noisy[c.rows]
+            c = replace(c, residual=c.residual - shift[c.rows])
+        channels.append(c)
+    views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
+    return replace(group, views=views, channels=channels, nominal=nominal, shaken=shaken)
