@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import swings
-from twin.diagnose.fit import Fit, free_parameters, relinearised_tuning, simulated_response
+from twin.diagnose.fit import Fit, free_parameters, simulated_response
 from twin.diagnose.observe import observe
-from twin.diagnose.tuning import tuning_of
+from twin.diagnose.tuning import linearised, tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import parse_setting
 from twin.machine.machine import Machine
@@ -39,7 +39,7 @@ def test_an_unbalance_on_the_tilting_axis_changes_the_table_axis(table):
 def test_relinearising_leaves_the_tuning_as_it_was(table, mikron: Machine):
     group, fit = table
     before = fit.about.jacobian.copy()
-    beside = relinearised_tuning(group, fit)
+    beside = linearised(fit.about, group, fit.settings, fit.response)
     np.testing.assert_array_equal(fit.about.jacobian, before)
     assert np.abs(beside.jacobian - before).max() > 0.1
     with pytest.raises(ValueError, match="read-only"):
@@ -50,7 +50,7 @@ def test_relinearising_leaves_the_tuning_as_it_was(table, mikron: Machine):
 def test_a_motor_parameter_changes_its_own_axis_only(table, mikron: Machine, quantity: str):
     """Regression: the column of one axis contained minus the effect on the other, so that re-tuning could cancel the effect."""
     group, fit = table
-    beside = relinearised_tuning(group, fit)
+    beside = linearised(fit.about, group, fit.settings, fit.response)
     (i,) = (i for i, n in enumerate(beside.nuisances) if (n.owner, n.quantity) == ("A", quantity))
     own, other = (np.abs(beside.jacobian[rows(group, axis), i]).max() for axis in "AC")
     assert own > 0.1

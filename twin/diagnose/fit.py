@@ -20,7 +20,6 @@ import numpy as np
 
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import Tuning, moved_by, stacked_columns
 from twin.effects import Setting
 from twin.effects.effect import Parameter
@@ -314,33 +313,6 @@ def simulated_responses(group: Group, several: Sequence[Sequence[Setting]]) -> l
     """Response to each of several sets of effects, or the error of its simulation."""
     moved = [moved_by(settings, group) for settings in several]
     return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)])
-
-
-def relinearised_tuning(group: Group, fit: Fit, only: Collection[str] = ()) -> Tuning:
-    """The tuning of a fit, linearised on the machine with the fit's effects: backlash, for example, decides when the load changes sides.
-
-    `only` restricts it to these quantities.
-    """
-    if not fit.about.nuisances:
-        return fit.about
-    tuning, own = fit.about, moved_by(fit.settings, group)
-
-    steps, variations = {}, []
-    for i, nuisance in enumerate(tuning.nuisances):
-        if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # creep is only visible with noise in the loop
-            continue
-        step = max(T.nearby, tuning.spread)
-        if nuisance.quantity == "damping":
-            step = T.nearby * group.machine.parameter_tolerance
-        elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
-            step = max(T.within_mode * abs(float(tuning.base[i])), 1.05 * T.least_imperfection * group.machine.parameter_tolerance)
-        steps[i] = step
-        axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
-        variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + step), fit.settings, axes))
-    columns = np.array(tuning.jacobian[:, : len(tuning.nuisances)], order="F")
-    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations))):
-        columns[:, i] = (changed - fit.response) * (tuning.spread / step)
-    return replace(tuning.of(tuning.nuisances, columns), base=tuning.base)
 
 
 def _slopes(

@@ -22,7 +22,7 @@ import numpy as np
 
 from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.cross_validation import evidence_needed, residual_within
-from twin.diagnose.fit import fit_effects, no_effect, relinearised_tuning, simulated_response, slopes_of_linear_effects
+from twin.diagnose.fit import fit_effects, no_effect, simulated_response, slopes_of_linear_effects
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
 from twin.diagnose.not_visible import effects_not_visible
 from twin.diagnose.observe import Group, with_noise_about
@@ -34,7 +34,7 @@ from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_refitted_slip
 from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, localised_on
 from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import Tuning, tuning_of
+from twin.diagnose.tuning import Tuning, linearised, tuning_of
 from twin.errors import TwinError
 
 
@@ -120,7 +120,7 @@ def _initial_state(group: Group) -> GroupState:
         rigid, group = with_noise_about(rigid, group, no_effect(group, tuning).residual(group))
         tuning = tuning.reweighted(group.weights / weights)
         with contextlib.suppress(TwinError):  # nearly unstable: keep the linearisation of the rigid machine
-            tuning = relinearised_tuning(group, no_effect(group, tuning), only=NORMAL)
+            tuning = linearised(tuning, group, (), 0.0, only=NORMAL)
     retuned = no_effect(group, tuning)
     return GroupState(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
 
@@ -139,7 +139,7 @@ def _refit_imperfections(state: GroupState) -> GroupState:
     for _ in range(T.joint_refits):
         before = state.fit.loss
         try:
-            tuning = relinearised_tuning(state.group, state.fit)
+            tuning = linearised(state.fit.about, state.group, state.fit.settings, state.fit.response)
             fit = fit_effects(state.group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
             if fit is None or fit.loss > before:
                 break
@@ -194,7 +194,7 @@ def _with_relinearised_tuning(state: GroupState) -> GroupState:
     if all(s.effect.is_linear for s in settings):
         return state
     try:
-        tuning = relinearised_tuning(state.group, state.fit)
+        tuning = linearised(state.fit.about, state.group, state.fit.settings, state.fit.response)
     except TwinError:  # nearly unstable: keep the linearisation without the effects
         return state
     fit = fit_effects(state.group, tuning, settings, T.refit_steps, known=state.fit.slopes)

@@ -13,10 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.diagnose.fit import fit_effects, relinearised_tuning
+from twin.diagnose.fit import fit_effects
 from twin.diagnose.plausible import is_plausible, normal_deviation
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, is_cut
+from twin.diagnose.tuning import linearised
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
@@ -27,7 +28,7 @@ def with_final_sizes(state: GroupState) -> GroupState:
         return state
     state = replace(state, response_cache={})
     with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning linearised without effects
-        state = replace(state, tuning=relinearised_tuning(state.group, state.fit))
+        state = replace(state, tuning=linearised(state.fit.about, state.group, state.fit.settings, state.fit.response))
     change = state.fit.response / state.group.weights
     for _ in range(T.size_rounds):
         state = state.doubted(change * state.group.weights, state.fit.residual(state.group))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from scipy.linalg import null_space
 
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
+from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of
 from twin.effects import Setting
 from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
@@ -143,26 +143,45 @@ class Tuning:
 
 
 def tuning_of(group: Group, settings: Sequence[Setting] = (), response: np.ndarray | float = 0.0) -> Tuning:
-    """Simulate the response to each toleranced parameter of the machine with these effects, whose own response is `response` (row,)."""
+    """The tuning of all toleranced parameters of the machine with these effects, whose own response is `response` (row,)."""
     nuisances = nuisances_of(group.machine, group.axes)
     spread = group.machine.parameter_tolerance * UNIFORM
-    if spread <= 0.0 or not nuisances:
-        return _with_zeros(tuning_from((), np.zeros((group.size, 0)), 0.0, T.prior_weight), group)
-    step, own = max(T.nearby, spread), moved_by(settings, group)
-    axes = [tuple(a for a in group.axes if a in own or a in n.axes(group.axes)) for n in nuisances]
-    variations = [Variation(functools.partial(n.apply, factor=1.0 + step), settings, moved) for n, moved in zip(nuisances, axes)]
-    columns = [(c - response)[:, None] * (spread / step) for c in all_or_raise(group.responses(variations))]
-    return _with_zeros(tuning_from(nuisances, stacked_columns(*columns), spread, T.prior_weight), group)
+    if spread <= 0.0:
+        nuisances = ()
+    columns = np.zeros((group.size, len(nuisances)))
+    nothing = tuning_from(nuisances, columns, spread).with_free(zeros_of(group), 1.0)  # encoder zeros are further columns
+    return linearised(nothing, group, settings, response)
+
+
+def linearised(
+    tuning: Tuning, group: Group, settings: Sequence[Setting], response: np.ndarray | float, only: Collection[str] = ()
+) -> Tuning:
+    """The tuning with the simulated response to its nuisances on the machine with these effects; `only` restricts it to these quantities.
+
+    The response depends on the effects: backlash, for example, decides when the load changes sides.
+    """
+    own, steps, variations = moved_by(settings, group), {}, []
+    for i, nuisance in enumerate(tuning.nuisances):
+        if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # creep is only visible with noise in the loop
+            continue
+        steps[i] = max(T.nearby, tuning.spread)
+        if nuisance.quantity == "damping":
+            steps[i] = T.nearby * group.machine.parameter_tolerance
+        elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
+            steps[i] = max(T.within_mode * abs(float(tuning.base[i])), 1.05 * T.least_imperfection * group.machine.parameter_tolerance)
+        axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
+        variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + steps[i]), settings, axes))
+    if not steps:
+        return tuning
+    columns = np.array(tuning.jacobian[:, : len(tuning.nuisances)], order="F")
+    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations))):
+        columns[:, i] = (changed - response) * (tuning.spread / step)
+    return replace(tuning.of(tuning.nuisances, columns), base=tuning.base)
 
 
 def moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
     """Axes on which effects act. In the decoupled plant this is their own axis, unless they edit bodies that several axes carry."""
     return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
-
-
-def _with_zeros(tuning: Tuning, group: Group) -> Tuning:
-    """The tuning with encoder zeros as further columns."""
-    return tuning.with_free(zeros_of(group), 1.0)
 
 
 def zeros_of(group: Group) -> np.ndarray:
