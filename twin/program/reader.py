@@ -40,18 +40,15 @@ class Values:
 
     def expression(self, text: str, column: int = 1) -> Expression:
         """An expression that begins at `column`; a condition notes what it reads, so that loops without progress are seen."""
-
-        variable, hashed, reads = self.variable, self.hashed, self.state.reads
+        reads = self.state.reads
 
         def noted(read: Callable[..., Value], *at: Any) -> Value:
-            value = read(*at)
-            if reads is not None:
-                reads.append(value)
+            reads.append(value := read(*at))  # type: ignore[union-attr]
             return value
 
-        if reads is not None:
-            variable, hashed = partial(noted, variable), partial(noted, hashed)
-        return Expression(text, self.grammar, variable, hashed, 0, column)
+        if reads is None:
+            return Expression(text, self.grammar, self.variable, self.hashed, 0, column)
+        return Expression(text, self.grammar, partial(noted, self.variable), partial(noted, self.hashed), 0, column)
 
     def value_of(self, text: str, column: int) -> Value:
         """The value of an expression: a number or a text."""
