@@ -171,7 +171,7 @@ def _as_probable_as_complete(correction: Validated, settings: Named, machine: Ma
     an effect that only resembles the true cause leaves a part of it.
     """
     closed, doubtful = correction.closed(machine), correction.doubtful(machine)
-    return [(s, f, p * closed.get(s.axis, 1.0) if s.axis in doubtful else p) for s, f, p in settings]
+    return [(s, f, min(p, closed.get(s.axis, 1.0)) if s.axis in doubtful else p) for s, f, p in settings]
 
 
 def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
