@@ -11,6 +11,7 @@ from twin.diagnose import validation
 from twin.diagnose.law.laws import MOST_EFFECTS
 from twin.diagnose.law.proposals import settings_of_proposals
 from twin.effects import EFFECTS, Setting
+from twin.simulation.gap import SignalGap
 
 
 def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None, effects=()):
@@ -69,3 +70,11 @@ def test_the_length_of_a_play_is_its_height(mikron):
     proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))
     starts = [s.parameters["length"] for _, _, s in settings_of_proposals([(proposal, None)], "X", mikron)]
     assert starts == [8e-6]
+
+
+@pytest.mark.parametrize(("after", "doubtful"), [(1.1, set()), (1.5, {"X"}), (9.0, {"X"})])
+def test_an_axis_at_noise_is_not_doubtful_beside_an_unknown_one(mikron, after, doubtful):
+    """A small effect may stand on an axis whose gap is hardly above noise, in a group with another axis that nothing explains."""
+    state = replace(found_of(group_of([np.full(50, 3.0)], "X")), unknown=True)
+    held_out = SimpleNamespace(gaps=lambda *_: {"run": {"X": {"position": SignalGap(after, after, 1.0, "um", after)}}})
+    assert validation.Validated((), [state], held_out, {"X": 1.6}, {"X": after}, mikron).doubtful(mikron) == doubtful

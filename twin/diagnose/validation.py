@@ -70,8 +70,10 @@ class Validated:
         return {law.axis for law in self.laws.laws} if self.laws else set()
 
     def doubtful(self, machine: Machine) -> set[str]:
-        """Axes with an unlisted law, with a residual that no effect explains, or with a considerable gap."""
-        return self.with_law | {axis for f in self.states if f.unknown for axis in f.group.axes} | self.remaining(machine)
+        """Axes with an unlisted law or a considerable gap, and those above noise in a group with a residual that no effect explains."""
+        after = levels(self.held_out.gaps(machine, self.runs))
+        unknown = {axis for f in self.states if f.unknown for axis in f.group.axes if after.get(axis, 1.0) > QUIET}
+        return self.with_law | unknown | self.remaining(machine)
 
 
 def validated(setup: Setup, runs: Runs, motions: Motions, states: list[GroupState]) -> Validated:
