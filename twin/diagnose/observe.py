@@ -305,36 +305,29 @@ def axis_groups(machine: Machine, measured: Sequence[str], seen_together: Iterab
 def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> Group:
     """Residuals of the nominal twin and their noise, for one group of axes in all runs."""
     channels: list[Channel] = []
-    nominal: list[dict[tuple[str, str], np.ndarray]] = []
-    shaken: list[dict[tuple[str, str], np.ndarray]] = []
+    nominal: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
+    shaken: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
     for r, view in enumerate(views):
         present = tuple(a for a in axes if view.moves(a))
         if not present:
-            nominal.append({})
-            shaken.append({})
             continue
-        nominal.append(_kept(channels_of(simulate_group(view, present).trace, view, present)))
+        nominal[r] = _kept(channels_of(simulate_group(view, present).trace, view, present))
         drawn = all_or_raise(
             simulate_groups([SimulationRequest(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)])
         )
         seen = [channels_of(run.trace, view, present) for run in drawn]
         clean = [channels_of(run.without_noise, view, present) for run in drawn]
-        shaken.append(_kept(clean[0]))
-        measured = channels_of(view.trace, view, present)
-        for key, values in measured.items():
-            expected = np.mean([c[key] for c in clean], axis=0)
-            if key[1] == "controller":
-                expected = np.zeros_like(values)  # the law itself: its inputs are recorded
-            deviations = np.array([s[key] for s in seen]) - expected
-            residual = values - expected
-            if key[1] == "controller":
+        shaken[r] = _kept(clean[0])
+        for key, values in channels_of(view.trace, view, present).items():
+            if key[1] == "controller":  # the error of the law itself: its inputs are recorded
                 axis = view.machine.axis(key[0])
                 sigma = np.full(len(values), law_sigma(view, axis))
-                channels.append(Channel(r, *key, residual, sigma, 1.0, model=law_model_error(view, axis)))
+                channels.append(Channel(r, *key, values, sigma, 1.0, model=law_model_error(view, axis)))
                 continue
-            model = _model_error(view, *key)
-            seen_as = Scatter(deviations, np.var([c[key] for c in clean], axis=0, ddof=1))
-            channels.append(_with_noise(Channel(r, *key, residual, np.ones(len(residual)), 1.0, model=model), seen_as, residual, view))
+            expected = np.mean([c[key] for c in clean], axis=0)
+            scatter = Scatter(np.array([s[key] for s in seen]) - expected, np.var([c[key] for c in clean], axis=0, ddof=1))
+            channel = Channel(r, *key, values - expected, np.ones(len(values)), 1.0, model=_model_error(view, *key))
+            channels.append(_with_noise(channel, scatter, channel.residual, view))
     return Group(axes, views, channels, nominal, shaken, seed)
 
 
