@@ -90,9 +90,14 @@ class ClosedLoop:
     parts: Parts
 
     @functools.cached_property
+    def own(self) -> np.ndarray:
+        """Mask (row,) of the rows of the axis."""
+        return np.concatenate([np.full(len(c.residual), c.axis == self.axis) for c in self.group.channels])
+
+    @functools.cached_property
     def expected(self) -> float:
         """Half the expected squares of the axis from noise."""
-        return 0.5 * sum(float(self.group.expected[c.rows].sum()) for c in self.group.channels if c.axis == self.axis)
+        return 0.5 * float(self.group.expected @ self.own)
 
     @functools.cached_property
     def zeros(self) -> np.ndarray:
@@ -164,8 +169,7 @@ class ClosedLoop:
         return max(fitted.held_out - self.expected, 0.0)
 
     def _inflation(self, residual: np.ndarray) -> float:
-        square = sum(float(residual[c.rows] @ residual[c.rows]) for c in self.group.channels if c.axis == self.axis)
-        return max(1.0, 0.5 * square / max(self.expected, 1e-300))
+        return max(1.0, 0.5 * float(residual**2 @ self.own) / max(self.expected, 1e-300))
 
     def halving_its_only_loud_fold(self, fitted: Fitted) -> ClosedLoop:
         """A closed loop that halves the fold with almost all of the loss above noise; this one if there is none.
@@ -175,7 +179,8 @@ class ClosedLoop:
         if self.parts.halved is not None:
             return self
         left = fitted.fit.residual(self.group)
-        above = [sum(float(np.sum(left[r] ** 2 - self.group.expected[r])) for r in rows) for rows in self.parts.rows]
+        excess = (left**2 - self.group.expected) * self.own
+        above = [sum(float(excess[r].sum()) for r in rows) for rows in self.parts.rows]
         loudest = int(np.argmax(above))
         if above[loudest] < ONE_RUN * sum(max(a, 0.0) for a in above):
             return self
