@@ -77,13 +77,10 @@ _BOTH = (
         re.compile(r"^\s*(?:N\d+\s*)?I[+-][\d.]+\s*J[+-][\d.]+\s*\*?\s*$|\bM13\b|\bG98\s*L\d|\bD0?0\s*Q\d", re.M),
         DIN_ISO,
     ),
-    (  # a length of the tool that is called without G43
-        re.compile(r"\A(?![\s\S]*G43)[\s\S]*?^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M),
-        re.compile(r"\bE\d\b"),
-        "a FADAL program",
-    ),
 )
 """Languages recognised by two marks together."""
+_FADAL = re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M)
+"""A length of the tool that is called without G43."""
 
 
 def dialect(source: Source) -> str:
@@ -96,6 +93,8 @@ def dialect(source: Source) -> str:
     text = "\n".join(source.lines[:SNIFFED_LINES])
     found = [name for pattern, name in _OTHER if pattern.search(text)]
     found += [name for first, second, name in _BOTH if first.search(text) and second.search(text)]
+    if "G43" not in text and _FADAL.search(text) and re.search(r"\bE\d\b", text):
+        found.append("a FADAL program")
     if ending == ".h" or _KLARTEXT.search(text):
         return "klartext"
     if found:

@@ -52,7 +52,7 @@ def carry_out(m: Sinumerik, b: Block) -> None:
         return
     vector = moves.orientation(m, b)
     _values(m, b)
-    modal, moves_axes = m.modal, bool(b.w.keys() & set(AXES))
+    modal, moves_axes = m.modal, not b.w.keys().isdisjoint(AXES)
     for number, column in b.g:
         b.column = column
         if (handler := SINUMERIK_G[number].handler) is not None:
@@ -105,16 +105,16 @@ def _values(m: Sinumerik, b: Block) -> None:
     if "F" in b.w:
         column = b.w["F"].column
         s.set_feed(b.take("F"), column)
-    s.override = b.take("OVR", 100.0 * s.override) / 100.0
+    if "OVR" in b.w:
+        s.override = b.take("OVR") / 100.0
     if not 0.0 < s.override <= 2.0:
         raise WordError(f"OVR={100 * s.override:g} is out of range; give 1 to 200 percent")
     if "S" in b.w:
         s.set_spindle(b.take("S"))
-    given = {name: item.value for name, item in b.pick("CTOL", "OTOL", "ADIS", "ADISPOS").items()}
-    s.set_tolerances(given.get("CTOL"), given.get("OTOL"))
-    for name in given.keys() & {"ADIS", "ADISPOS"}:
-        setattr(s, name.lower(), max(0.0, given[name]) * s.unit)
-    if given:
+    if given := {name: item.value for name, item in b.pick("CTOL", "OTOL", "ADIS", "ADISPOS").items()}:
+        s.set_tolerances(given.get("CTOL"), given.get("OTOL"))
+        for name in given.keys() & {"ADIS", "ADISPOS"}:
+            setattr(s, name.lower(), max(0.0, given[name]) * s.unit)
         s.round_corners()
 
 

@@ -21,7 +21,7 @@ _OF_ARCS = "I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add"
 
 def orientation(m: Sinumerik, b: Block) -> Vector | None:
     """The tool axis of a block, by a vector or by angles."""
-    by_vector, by_angles = (b.w.keys() & names for names in ({"A3", "B3", "C3"}, {"A2", "B2", "C2"}))
+    by_vector, by_angles = (not b.w.keys().isdisjoint(names) for names in (("A3", "B3", "C3"), ("A2", "B2", "C2")))
     if not by_vector and not by_angles:
         return None
     if not m.out.modes.traori:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -51,7 +50,7 @@ class Block:
     w: dict[str, Item] = field(default_factory=dict)
     column: int = 1  # of the G code in hand
 
-    @cached_property
+    @property
     def codes(self) -> set[float]:
         """The G codes."""
         return {number for number, _ in self.g}
