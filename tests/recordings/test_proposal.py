@@ -227,3 +227,16 @@ def test_without_out_it_prints_only(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
     assert main(["import", str(file), "--out", str(tmp_path / "out")]) == 2
     assert "--interval-ms" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
+def test_a_column_with_an_impossible_value_is_said_without_a_warning(value: float) -> None:
+    """The first value is no number of a machine, in the column of a position, of a time without a name, and in all of them."""
+    columns = move(TIME)
+    for spoilt in (("ist",), ("strom", "speed"), tuple(columns)):
+        made = {name: np.where(np.arange(len(v)) < 2, value, v) if name in spoilt else v for name, v in columns.items()}
+        with np.errstate(all="raise"):
+            found = propose([recording(made), recording(made, 2e-3)])
+        said = [*found.left_out, *found.unknown.values(), *(c.doubt for c in found.columns)]
+        assert any("at sample 1: repair it" in text for text in said)
+        assert not any("nan" in text for text in said)

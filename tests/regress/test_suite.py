@@ -368,6 +368,7 @@ def test_a_simulation_that_stops_fails_with_its_axis(suite: Path, tmp_path: Path
         ('unit = "um, arcsec"', 'unit = "mm"', ("unit = 'mm'", "um, arcsec")),
         ('kind = "run"', 'kind = "runn"', ("kind = 'runn'", "did you mean 'run'?")),
         ('kind = "run"', 'kind = "run', ("not a valid TOML file",)),
+        ('kind = "run"', 'kind = ["run"]', ("kind = ['run']", "did you mean 'run'?")),
         ("distances_mm", "distance_mm", ("unknown key 'distance_mm'", "did you mean 'distances_mm'?")),
         ("moves.U", "moves.V", ("[moves.V]", "no such axis")),
         ('machine = "../small.toml"', 'machine = "../smal.toml"', ("no such file", "smal.toml")),
