@@ -9,7 +9,7 @@ import numpy as np
 from twin.recordings.convert import Channel
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
-from twin.recordings.relations import stuck_at
+from twin.recordings.relations import stuck
 from twin.recordings.signals import Recording
 from twin.recordings.skew import Skew
 from twin.recordings.trace import POSITIONS
@@ -39,15 +39,8 @@ def skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], peri
 
 def stuck_channels(channels: Sequence[Channel]) -> list[str]:
     """Notes on counters that stand at the end of their range."""
-    notes = []
-    for channel in channels:
-        values = channel.source.signal.head
-        if channel.column.sign_bit is None and (limit := stuck_at(values)) is not None:
-            share = np.count_nonzero(values == limit) / len(values)
-            notes.append(
-                f"{'.'.join(channel.key)}: '{channel.column.name}' stands at {limit:.0f}, the end of its counter, in {share:.0%} of the samples"
-            )
-    return notes
+    free = [c for c in channels if c.column.sign_bit is None]
+    return [f"{'.'.join(c.key)}: '{c.column.name}' {place}" for c in free if (place := stuck(c.source.signal.head))]
 
 
 def radians(channels: Sequence[Channel]) -> list[str]:

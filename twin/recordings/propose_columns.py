@@ -92,9 +92,8 @@ def proposed_columns(
             column = replace(column, doubt=f"it stays near {role.column.values.mean():.4g}: a supply, no command")
         else:
             column = _force(column, role, base, recorded, period, kind)
-        if (limit := relations.stuck_at(role.column.values)) is not None and role.column.name not in bits and not column.doubt:
-            share = np.count_nonzero(role.column.values == limit) / len(role.column.values)
-            column = replace(column, doubt=f"it stands at {limit:.0f}, the end of its counter, in {share:.0%} of the samples")
+        if role.column.name not in bits and not column.doubt and (place := relations.stuck(role.column.values)):
+            column = replace(column, doubt=f"it {place}")
         columns.append(column)
     return _without_double(columns), speed
 

@@ -154,12 +154,12 @@ SUPPLY = 20.0
 """Least mean over standard deviation of the voltage of a supply; a command of an axis that moves passes through zero or changes."""
 
 
-def stuck_at(values: np.ndarray) -> float | None:
-    """The limit of a counter at which a column stops (the largest or smallest number of 8, 16 or 32 bits), or None."""
+def stuck(values: np.ndarray) -> str:
+    """Where and how long a column stands at the limit of a counter (the largest or smallest number of 8, 16 or 32 bits); "" if it does not."""
     for end in (float(values.min()), float(values.max())):
-        if end in LIMITS and 1 < np.count_nonzero(values == end) < len(values):
-            return end
-    return None
+        if end in LIMITS and 1 < (count := np.count_nonzero(values == end)) < len(values):
+            return f"stands at {end:.0f}, the end of its counter, in {count / len(values):.0%} of the samples"
+    return ""
 
 
 LIMITS = {float(sign * 2**bits - over) for bits in (7, 15, 31) for sign, over in ((1, 1), (-1, 0), (-1, -1))} | {65535.0, 4294967295.0}
