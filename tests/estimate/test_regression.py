@@ -87,3 +87,12 @@ def test_as_few_strokes_as_columns_are_not_exact(strokes: int) -> None:
 def test_enough_strokes_stay_whole() -> None:
     strokes = np.repeat([3, 1, 2, 0, 4], 7)
     assert np.array_equal(_enough_clusters(strokes, 3), strokes)
+
+
+def test_columns_that_are_barely_apart_are_uncertain() -> None:
+    """Their products are a singular matrix; the sum of both coefficients is known, each alone is not."""
+    t = np.linspace(0.0, 1.0, 400)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    fit = regress(np.column_stack([t, t + 2e-8 * np.sin(40.0 * t)]), 2.0 * t + noise, np.arange(len(t)) // 10)
+    assert fit.values.sum() == pytest.approx(2.0, abs=0.01)
+    assert fit.deviations.min() > 100.0

@@ -56,6 +56,9 @@ OUT_OF_LINE = 8.0
 TRIMMED = 0.97
 """Share of the cycles with the smallest residuals that compares the starts, so that outliers do not matter."""
 
+ROUNDING = 1e-9
+"""A column that varies by less than this share of its size is constant: the free constant of its run takes it."""
+
 NOT_RECORDED = "no speed set point is recorded"
 
 ALL_ROWS = slice(None)
@@ -216,7 +219,9 @@ class _Law:
                 columns = self._slopes(run, on, x)
                 e = self.residual(x)[k]
                 if use.any():
-                    columns, e = columns - columns[use].mean(axis=0), e - float(np.median(e[use]))
+                    centred, size = columns - columns[use].mean(axis=0), np.abs(columns[use]).max(axis=0)
+                    columns = centred * (np.abs(centred[use]).max(axis=0) > ROUNDING * size)
+                    e = e - float(np.median(e[use]))
                 spread = max(robust_deviation(e[use]) if use.any() else 0.0, 1e-9)
                 use = use & (np.abs(e) < OUT_OF_LINE * spread)
                 rows.append(columns[use])
