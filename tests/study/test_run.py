@@ -315,7 +315,7 @@ def test_workers_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixtur
         message = refused(capsys, "study", str(spec), "--out", out, "--scheduler", address, "--resume")
         assert f"--scheduler {address}: no Dask scheduler answers there" in message
     assert "leave out one of" in refused(capsys, "study", str(spec), "--out", out, "--scheduler", "tcp://127.0.0.1:9", "--threads", "2")
-    assert "give 1 or more" in refused(capsys, "study", str(spec), "--out", out, "--threads", "0")
+    assert "give a whole number, 1 or more" in refused(capsys, "study", str(spec), "--out", out, "--threads", "0")
 
 
 def test_no_variant_at_all_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
