@@ -110,6 +110,8 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
     if x[0] <= GAIN_SIGNIFICANCE * fit.deviations[0]:
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
+    if not any(best.on):  # no run shows the feedforward
+        x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
     values = dict(zip(NAMES, x.tolist()))
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, fit.deviations, apart)}
