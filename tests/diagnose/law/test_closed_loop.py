@@ -14,7 +14,7 @@ from tests.builders.diagnosis_state import found_of, group_of, no_tuning
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.fit import fit_with_fixed_effects, free_parameters, simulated_response
 from twin.diagnose.law import laws as law_search
-from twin.diagnose.law.closed_loop import PRICE, ClosedLoop, Parts, closed_loop, halved
+from twin.diagnose.law.closed_loop import OUTSIDE, ClosedLoop, Parts, closed_loop, halved
 from twin.diagnose.law.laws import _search_from, laws_of, settled
 from twin.diagnose.law.proposals import STRONG, WEAK
 from twin.diagnose.law.springs import with_rigid_drive_train
@@ -324,7 +324,7 @@ def test_a_single_run_is_predicted_half_by_half():
 
 @pytest.mark.parametrize(("left_by_effect", "named"), [(15.0, ["backlash"]), (20.0, ["law"])])
 def test_an_effect_replaces_a_law_only_if_it_predicts_as_well(left_by_effect, named):
-    """Play of a scale explains almost as much as a backlash; the difference decides, with the prices of a law (30) and of an effect (14)."""
+    """Play of a scale explains almost as much as a backlash; the difference decides, against the price of a claim outside the library (16)."""
     play, backlash = (Setting(settings_of(with_effects(X, [PLAY]))[0].effect, "X", PLAY), Setting(EFFECTS["backlash"], "X", {}))
     assert play_or_effect({("law",): 0.0, ("backlash",): left_by_effect, (): 1000.0}, play, backlash) == named
 
@@ -339,7 +339,7 @@ def costs_of(misfits: dict[tuple[str, ...], float]) -> Any:
 
     def refit(like, settings, steps=None):
         misfit = misfits.get(tuple(s.effect.name for s in settings), 1e4)
-        cost = misfit + sum(PRICE if s.effect.name == "law" else T.evidence for s in settings)
+        cost = misfit + T.evidence * len(settings) + OUTSIDE * any(s.effect.name == "law" for s in settings)
         return SimpleNamespace(settings=tuple(settings), misfit=misfit, held_out=misfit, cost=cost, fit=None)
 
     return SimpleNamespace(
@@ -421,7 +421,7 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
 
     def refit(like, settings, steps=None):
         fit = plain(like, settings, steps)
-        fit.fit, fit.cost = SimpleNamespace(about=about, tuning=np.zeros(0)), fit.misfit + PRICE * len(settings)
+        fit.fit, fit.cost = SimpleNamespace(about=about, tuning=np.zeros(0)), fit.misfit + T.evidence * len(settings) + OUTSIDE * bool(settings)
         return fit
 
     loop.refit, loop.start = refit, lambda settings: refit(None, settings)

@@ -1,6 +1,6 @@
 """Laws and effects of one axis in closed loop: the fit of the search, and what a set of them costs.
 
-    cost = sum over channels of n/2 log(1 + S) + sum over terms of their price          [nat]
+    cost = sum over channels of n/2 log(1 + S) + price of each term + price of the claim that a law acts          [nat]
 
 S is the mean square over that of noise on runs left out, n the number of independent samples of a channel, at most `shapes`: a model error is
 correlated over many samples. It is the negative log density with a model error of unknown size. A channel whose noise is overestimated
@@ -28,8 +28,8 @@ from twin.effects import Setting
 from twin.effects.law import NAME
 from twin.errors import TwinError
 
-PRICE = 30.0
-"""Price of a law [nat]. It is higher than that of an effect of the library, `evidence`, because a law may have many shapes."""
+OUTSIDE = 16.0
+"""Price of the claim that something outside the library acts at all [nat]; the laws themselves cost as much as effects, `evidence`."""
 
 IMPOSSIBLE = 1e6
 """Cost of a term that cannot be there [nat]: more than any misfit."""
@@ -151,7 +151,7 @@ class ClosedLoop:
                 held_out += 0.5 * square
         fitted = Fitted(fit, held_out, misfit, 0.0, self._inflation(fit.residual(group)))
         impossible = sum(not self.is_possible(fitted, s) for s in fit.settings if self._is_free(s, fit.settings))
-        return replace(fitted, cost=misfit + sum(map(self.price, fit.settings)) + IMPOSSIBLE * impossible)
+        return replace(fitted, cost=misfit + self.price(fit.settings) + IMPOSSIBLE * impossible)
 
     def is_possible(self, fitted: Fitted, setting: Setting) -> bool:
         """Has a setting a plausible size whose 95 % interval excludes that without effect?"""
@@ -160,9 +160,9 @@ class ClosedLoop:
         significant = abs(size.deviation(setting.size)) > 1.96 * deviation
         return significant and (bool(setting.effect.normal) or is_plausible(setting, self.group.machine))
 
-    def price(self, setting: Setting) -> float:
-        """Price of a law or effect [nat]; none for a normal imperfection, which every axis may have."""
-        return PRICE if setting.effect.name == NAME else 0.0 if setting.effect.normal else T.evidence
+    def price(self, settings: Settings) -> float:
+        """Price of laws and effects together [nat]; none for a normal imperfection, which every axis may have."""
+        return T.evidence * sum(not s.effect.normal for s in settings) + OUTSIDE * bool(laws_in(settings))
 
     def above_noise(self, fitted: Fitted) -> float:
         """Held-out loss above that of noise."""

@@ -189,7 +189,8 @@ def _certain(found: _AxisLaws, setting: Setting) -> float:
     without = found.without.get(setting.key)
     if without is None:
         return 1.0
-    return 1.0 / (1.0 + math.exp(min((found.fitted.misfit + found.loop.price(setting) - without.misfit) / T.temperature, 50.0)))
+    more = found.loop.price(found.fitted.settings) - found.loop.price(without.settings)
+    return 1.0 / (1.0 + math.exp(min((found.fitted.misfit + more - without.misfit) / T.temperature, 50.0)))
 
 
 def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _AxisLaws | None:
