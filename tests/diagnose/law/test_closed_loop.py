@@ -421,7 +421,10 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
 
     def refit(like, settings, steps=None):
         fit = plain(like, settings, steps)
-        fit.fit, fit.cost = SimpleNamespace(about=about, tuning=np.zeros(0)), fit.misfit + T.evidence * len(settings) + OUTSIDE * bool(settings)
+        fit.fit, fit.cost = (
+            SimpleNamespace(about=about, tuning=np.zeros(0)),
+            fit.misfit + T.evidence * len(settings) + OUTSIDE * bool(settings),
+        )
         return fit
 
     loop.refit, loop.start = refit, lambda settings: refit(None, settings)
