@@ -28,6 +28,6 @@ def test_the_size_is_the_one_that_was_put_in(mikron: Machine, effect: str, theta
     k = [d.name for d in directions].index(direction.name)
     w = filters(p.gram, scatter_of(directions))[:, k]
     slope = float(w @ p.right / (w @ p.gram[:, k]))
-    found = sizes_on([run], machine, in_turn)(direction, ("X",), slope)
+    found = sizes_on(lambda: [run], machine, in_turn)(direction, ("X",), slope)
     assert found == pytest.approx(theta, rel=0.04)
     assert (abs(slope / theta - 1.0) > 0.1) is (effect != "coulomb_friction")  # friction is linear, the others are not

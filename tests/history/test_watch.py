@@ -107,6 +107,18 @@ def test_an_unreadable_campaign_is_named_and_the_others_are_judged(
     assert "Traceback" not in said.err
 
 
+def test_an_unreadable_last_campaign_stops_nothing(watched: tuple[Path, int], weeks: Path, tmp_path: Path) -> None:
+    """Sizes are simulated on the last recording that could be read."""
+    out, folder = shutil.copytree(watched[0], tmp_path / "history"), shutil.copytree(weeks, tmp_path / "weeks")
+    (folder / "2026-06-01").mkdir()
+    (folder / "2026-06-01" / "campaign.toml").write_text('machine = "mikron_ucp710"\n[[run]]\nfile = "damaged.parquet"\n')
+    (folder / "2026-06-01" / "damaged.parquet").write_bytes(b"PAR1 cut off")
+    assert main(["watch", str(folder), "--out", str(out)]) == 1
+    document = json.loads((out / "history.json").read_text())
+    assert any("damaged.parquet" in note for note in document["notes"])
+    assert [c["effect"] for c in document["changes"]] == ["backlash"]
+
+
 def test_another_machine_is_refused(watched: tuple[Path, int], tmp_path: Path) -> None:
     out = shutil.copytree(watched[0], tmp_path / "history")
     other = load_machine().with_values({"axis.X.loops.position_gain_per_s": 60.0})

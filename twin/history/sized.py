@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+import functools
 
 import numpy as np
 
@@ -24,13 +25,14 @@ STEPS, CLOSE, FACTOR = 8, 0.002, 4.0
 """Most simulations of a change, the relative difference at which its size is found, and the largest factor on the slope's size."""
 
 
-def sizes_on(runs: Sequence[MeasuredRun], machine: Machine, mapper: Mapper) -> SizeOf:
+def sizes_on(runs: Callable[[], Sequence[MeasuredRun]], machine: Machine, mapper: Mapper) -> SizeOf:
     """Sizes by simulation on the set points of these runs; the slope's size where it cannot be simulated."""
+    shown_by = functools.cache(lambda axes: _Shown(machine, axes, runs(), mapper))
 
     def size_of(direction: Direction, axes: tuple[str, ...], y: float) -> float:
-        shown, theta = _shown(direction, machine, axes, runs, mapper), y
+        shown, theta = shown_by(axes), y
         for _ in range(STEPS):
-            found = shown(theta)
+            found = shown(direction, theta)
             if found is None or found * y <= 0.0 or not 1.0 / FACTOR < theta / y < FACTOR:
                 return y
             theta *= y / found
@@ -41,24 +43,25 @@ def sizes_on(runs: Sequence[MeasuredRun], machine: Machine, mapper: Mapper) -> S
     return size_of
 
 
-def _shown(
-    direction: Direction, machine: Machine, axes: tuple[str, ...], runs: Sequence[MeasuredRun], mapper: Mapper
-) -> Callable[[float], float | None]:
-    """What the recordings of a change theta of a direction show of it [usual sizes]; None if it cannot be simulated."""
-    directions = directions_of(machine, axes)
-    k, scatter = [d.name for d in directions].index(direction.name), scatter_of(directions)
-    groups = [g for g in (observe([reference_view(machine, run)], axes) for run in runs) if g.size]
-    columns = [responses(g, directions, mapper) for g in groups]
-    gram = np.sum([projection_of(g, c, g.residual).gram for g, c in zip(groups, columns)], axis=0)
-    w = filters(gram, scatter)[:, k]
+class _Shown:
+    """What recordings of changes of a group of axes show of them; the slopes of the group are simulated once."""
 
-    def shown(theta: float) -> float | None:
+    def __init__(self, machine: Machine, axes: tuple[str, ...], runs: Sequence[MeasuredRun], mapper: Mapper) -> None:
+        self.directions = directions_of(machine, axes)
+        observed = [replace(g, mapper=mapper) for g in (observe([reference_view(machine, run)], axes) for run in runs) if g.size]
+        self.groups = [(g, responses(g, self.directions, mapper)) for g in observed]
+        count = len(self.directions)
+        self.gram = np.sum([np.zeros((count, count)), *(projection_of(g, c, g.residual).gram for g, c in self.groups)], axis=0)
+
+    def __call__(self, direction: Direction, theta: float) -> float | None:
+        """The change theta of a direction, by its slope [usual sizes]; None if it cannot be simulated."""
+        k = [d.name for d in self.directions].index(direction.name)
+        w = filters(self.gram, scatter_of(self.directions))[:, k]
         total = 0.0
-        for group, own in zip(groups, columns):
-            [response] = replace(group, mapper=mapper).responses([variation([(direction, theta)])])
+        for group, columns in self.groups:
+            [response] = group.responses([variation([(direction, theta)])])
             if not isinstance(response, np.ndarray):
                 return None
-            total += float(w @ projection_of(group, own, response).right)
-        return total / float(w @ gram[:, k])
-
-    return shown
+            total += float(w @ projection_of(group, columns, response).right)
+        own = float(w @ self.gram[:, k])
+        return total / own if own > 0.0 else None

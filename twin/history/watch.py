@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+import functools
 import hashlib
 import json
 import os
@@ -70,9 +71,17 @@ def watch(
         raise InputError(f"{folder}: no campaign could be judged; {notes[-1]}")
     progress("judging")
     groups = sorted({axes for row in rows for axes in row.projections}, key=lambda axes: machine.axis_names.index(axes[0]))
-    limit_of = limits_of(machine, limits, tolerance, lambda: dated[-1].runs(machine))
+    judged_here = {row.digest for row in rows}
+
+    @functools.cache
+    def last() -> Sequence[MeasuredRun]:
+        """Runs of the last recording that was judged and is still there; read when a change asks for them."""
+        one = next((one for one in reversed(dated) if one.digest in judged_here), None)
+        return one.runs(machine) if one else ()
+
+    limit_of = limits_of(machine, limits, tolerance, last)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        size_of = sizes_on(dated[-1].runs(machine), machine, on_threads(pool))
+        size_of = sizes_on(last, machine, on_threads(pool))
         return judged(rows, {axes: directions_of(machine, axes) for axes in groups}, limit_of, size_of), notes
 
 
