@@ -121,9 +121,6 @@ FILTERED = {
 }
 """Block and output of a filter, and its input variable."""
 
-DEFINING = ("block", "output", "variables", "formula", "points", "between", "period")
-"""Entries of a law's table that define its structure; the others are fitted numbers."""
-
 
 @dataclass(frozen=True)
 class Law:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.control.library import BLOCKS
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of, parameter
@@ -117,9 +118,11 @@ def _characteristic(amplitude: float, knee: float, unit: str, axis: Axis) -> tup
 def _backlash(values: dict[str, float], old: dict[str, float], axis: Axis, control: str) -> ForControl:
     unit, factor = _length(axis)
     width, before = values["width"] * factor, old.get("width", 0.0) * factor
-    name = {"sinumerik": "MD32450 BACKLASH", "heidenhain": "MP710", "linuxcnc": "BACKLASH", "isg": "getriebe[0].lose"}[control]
     if control == "isg":
-        return ForControl((Entry(name, round(width * 1e4), round(before * 1e4), "0.1 um" if axis.kind == "linear" else "0.0001 deg", "A"),))
+        return ForControl(
+            (Entry("getriebe[0].lose", round(width * 1e4), round(before * 1e4), "0.1 um" if axis.kind == "linear" else "0.0001 deg", "A"),)
+        )
+    name, *_ = BLOCKS[BACKLASH].numbers[0].data[control]
     return ForControl((Entry(name, width, before, unit, "A"),))
 
 
