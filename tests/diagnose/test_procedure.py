@@ -40,8 +40,8 @@ def test_an_effect_beside_a_law_is_as_probable_as_what_its_removal_costs_there(m
 def test_an_effect_beside_something_unknown_is_as_probable_as_the_gap_of_its_axis_is_closed(mikron, after, doubtful, probability):
     """An integral time in place of a dead band of the position controller closed a quarter of the squared gap."""
     _, found = spring(mikron, 3e8)
-    correction = SimpleNamespace(closed=lambda _: {"X": 1.0 - (after**2 - 1.0) / (38.82**2 - 1.0)}, doubtful=lambda _: doubtful)
-    ((_, _, p),) = _as_probable_as_complete(correction, [(found, None, 0.98)], mikron)
+    correction = SimpleNamespace(closed=lambda _: {"X": 1.0 - (after**2 - 1.0) / (38.82**2 - 1.0)}, doubtful=lambda _: doubtful, laws=None)
+    ((_, _, p),), _ = _as_probable_as_complete(correction, [(found, None, 0.98)], mikron)
     assert p == pytest.approx(probability, abs=0.01)
 
 

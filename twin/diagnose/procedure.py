@@ -14,7 +14,7 @@ from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.judgement import LOUD, above_noise, final_verdict
-from twin.diagnose.law.laws import Laws
+from twin.diagnose.law.laws import Law, Laws
 from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import axis_groups, observe
 from twin.diagnose.search import search
@@ -102,7 +102,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
     settings = named(states)
     if correction.laws is not None:
         settings = effects_beside_laws(correction.laws, settings)
-    settings = _as_probable_as_complete(correction, settings, machine)
+    settings, laws = _as_probable_as_complete(correction, settings, machine)
     verdict = verdict_of(states, settings)
     return Diagnosis(
         campaign=campaign,
@@ -117,7 +117,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
         proposal=propose(machine, states, verdict),
         notes=_notes(setup, campaign, correction, zeros),
         predictions=held_out.predictions,
-        laws=correction.laws.laws if correction.laws else (),
+        laws=laws,
         without_laws=correction.after,
     )
 
@@ -166,12 +166,19 @@ def effects_beside_laws(laws: Laws, settings: Named) -> list[tuple[Setting, Grou
     return [(now, state, p) for now, found, state, p in kept if not is_normal(corrected, now) or is_normal(corrected, found)]
 
 
-def _as_probable_as_complete(correction: Validated, settings: Named, machine: Machine) -> list[tuple[Setting, GroupState, float]]:
-    """The effects; where a law or something unknown is beside one, it is at most as probable as the share of its axis' gap that the correction closes:
-    an effect that only resembles the true cause leaves a part of it.
+def _as_probable_as_complete(
+    correction: Validated, settings: Named, machine: Machine
+) -> tuple[list[tuple[Setting, GroupState, float]], tuple[Law, ...]]:
+    """Effects and laws; where a law or something unknown is beside one, it is at most as probable as the share of its axis' gap that the correction closes:
+    what only resembles the true cause leaves a part of it.
     """
-    closed, doubtful = correction.closed(machine), correction.doubtful(machine)
-    return [(s, f, min(p, closed.get(s.axis, 1.0)) if s.axis in doubtful else p) for s, f, p in settings]
+    doubtful = correction.doubtful(machine)
+    most = {axis: share for axis, share in correction.closed(machine).items() if axis in doubtful}
+    laws = correction.laws.laws if correction.laws else ()
+    return (
+        [(s, f, min(p, most.get(s.axis, 1.0))) for s, f, p in settings],
+        tuple(replace(law, probability=min(law.probability, most.get(law.axis, 1.0))) for law in laws),
+    )
 
 
 def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:

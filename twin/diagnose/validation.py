@@ -54,14 +54,20 @@ class Validated:
     corrected: Machine
     laws: Laws | None = None
 
+    def left(self, machine: Machine) -> dict[str, float]:
+        """Level of each axis on held-out runs, with the laws."""
+        return levels(self.held_out.gaps(machine, self.runs))
+
     def closed(self, machine: Machine) -> dict[str, float]:
         """Share of the squared gap above noise of each axis that the correction closes, with its laws."""
-        after = levels(self.held_out.gaps(machine, self.runs))
+        after = self.left(machine)
         return {axis: 1.0 - min(unexplained_share(before, after[axis]), 1.0) for axis, before in self.before.items() if axis in after}
 
     def remaining(self, machine: Machine) -> set[str]:
         """Axes on which a considerable gap remains."""
-        after = levels(self.held_out.gaps(machine, self.runs))
+        return self._with_considerable(self.left(machine))
+
+    def _with_considerable(self, after: Mapping[str, float]) -> set[str]:
         return {axis for axis, before in self.before.items() if gap_remains(before, after.get(axis, 1.0))}
 
     @property
@@ -71,9 +77,9 @@ class Validated:
 
     def doubtful(self, machine: Machine) -> set[str]:
         """Axes with an unlisted law or a considerable gap, and those above noise in a group with a residual that no effect explains."""
-        after = levels(self.held_out.gaps(machine, self.runs))
+        after = self.left(machine)
         unknown = {axis for f in self.states if f.unknown for axis in f.group.axes if after.get(axis, 1.0) > QUIET}
-        return self.with_law | unknown | self.remaining(machine)
+        return self.with_law | unknown | self._with_considerable(after)
 
 
 def validated(setup: Setup, runs: Runs, motions: Motions, states: list[GroupState]) -> Validated:
@@ -107,7 +113,7 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
         # where laws leave no considerable gap, other weights of the samples find no better ones
         if least_share < ALL_BUT or (best.laws and not best.with_law & best.remaining(setup.machine)):
             break
-    return _as_probable_as_complete(best, setup.machine)
+    return best
 
 
 def many_effects_explain(found: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
@@ -150,18 +156,6 @@ def _several_in_one_block(found: GroupState, axis: str) -> bool:
 
 def _effect_count(found: GroupState, axis: str) -> int:
     return sum(s.axis == axis for s in found.fit.settings)
-
-
-def _as_probable_as_complete(correction: Validated, machine: Machine) -> Validated:
-    """The correction, each law with a probability of at most the share of its axis' squared gap above noise that the correction closes.
-
-    Beside a large unexplained gap a law describes a part of something unknown, however clearly it predicts that part.
-    """
-    if correction.laws is None:
-        return correction
-    closed = correction.closed(machine)
-    laws = tuple(replace(law, probability=min(law.probability, closed[law.axis])) for law in correction.laws.laws)
-    return replace(correction, laws=replace(correction.laws, laws=laws))
 
 
 def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> tuple[float, Validated]:

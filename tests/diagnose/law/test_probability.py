@@ -9,7 +9,8 @@ import pytest
 
 from tests.diagnose.law.test_closed_loop import PLAY, X
 from twin.diagnose.law.laws import Law, Laws
-from twin.diagnose.validation import Validated, _as_probable_as_complete
+from twin.diagnose.procedure import _as_probable_as_complete
+from twin.diagnose.validation import Validated
 from twin.effects import settings_of, with_effects
 from twin.simulation.gap import SignalGap
 
@@ -20,6 +21,5 @@ def test_a_law_beside_a_large_unexplained_gap_is_not_probable(after: float, prob
     law = Law(settings_of(with_effects(X, [PLAY]))[0], nothing, nothing, 0.5, 0.98, {})
     held_out: Any = SimpleNamespace(gaps=lambda *_: {"run": {"X": {"position": SignalGap(after, after, 1.0, "um", after)}}})
     correction = Validated((), [], held_out, {"X": 20.0}, {"X": 20.0}, X, Laws((law,), (), X, {}))
-    found = _as_probable_as_complete(correction, X).laws
-    assert found is not None
-    assert found.laws[0].probability == pytest.approx(probability, abs=0.01)
+    _, found = _as_probable_as_complete(correction, [], X)
+    assert found[0].probability == pytest.approx(probability, abs=0.01)
