@@ -25,6 +25,7 @@ from twin.machine.lumped_file import AxisLumps, Law, write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
+from twin.units import AXIS_UNITS
 
 LONGEST_TRIED_S = 8.0
 """Longest recorded time on which speed controllers are tried [s]."""
@@ -209,7 +210,7 @@ def _tuned(attempt: Attempt, lumps: Sequence[AxisLumps], say: Callable[[str], No
 
 def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
     """One line that states how well the machine reproduces an axis."""
-    unit, factor = ("um", 1e6) if one.kind == "linear" else ("arcsec", 180.0 / math.pi * 3600.0)
+    unit, factor = AXIS_UNITS[one.kind].error
     # without a recorded set point there is no following error
     share = f", {followed.gap / followed.following:.2%} of the following error" if followed.following > 1e-12 else ""
     if followed.gap >= followed.following > 1e-12:

@@ -11,6 +11,7 @@ import numpy as np
 from twin.iso230.circles import QUADRANTS, CircleTest
 from twin.iso230.positioning import COVERAGE, Positioning
 from twin.report.figure import BLUE, GREEN, INK, RED, SOFT, new_figure, save_png
+from twin.units import AXIS_UNITS
 
 COLOURS = {"forward": BLUE, "backward": RED, "ccw": BLUE, "cw": RED}
 
@@ -19,8 +20,7 @@ def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str
     """One panel per axis: mean deviation of both directions, bands of two standard deviations, A marked."""
     figure, axes = new_figure(len(results), 1, height=4.2)
     for (name, found), ax in zip(results.items(), axes[:, 0]):
-        length, small = (1e3, 1e6) if kinds[name] == "linear" else (180.0 / math.pi, 3600.0 * 180.0 / math.pi)
-        unit, fine = ("mm", "um") if kinds[name] == "linear" else ("deg", "arcsec")
+        (unit, length), (fine, small) = AXIS_UNITS[kinds[name]].position, AXIS_UNITS[kinds[name]].error
         target = found.target * length
         upper, lower = [], []
         for direction, mean, spread in (

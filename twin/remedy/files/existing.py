@@ -22,7 +22,8 @@ from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.remedy.advice import TABLE
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
-from twin.remedy.files.table import PER_SI, ErrorTable
+from twin.remedy.files.table import ErrorTable
+from twin.units import AXIS_UNITS
 
 DEFAULTS = {"cycles": 1.0}
 """Numbers of blocks that no file of a control holds: a play is worked off in one cycle."""
@@ -137,14 +138,14 @@ def correction_of(table: ErrorTable, axis: Axis) -> tuple[dict[str, float], floa
 def lines_of(found: Existing) -> list[str]:
     """What was read in words, and the tables to enter in the machine file."""
     axis, lines, blocks = found.axis, [], dict(found.blocks)
-    unit, to = ("um", 1e6) if axis.kind == "linear" else ("arcsec", 3600.0 * 180.0 / math.pi)
+    (length, per_si), (unit, to) = AXIS_UNITS[axis.kind].position, AXIS_UNITS[axis.kind].error
     if (table := found.table) is not None:
-        q, way = table.positions * PER_SI[axis.kind], "by direction" if table.by_direction else "one for both directions"
+        q, way = table.positions * per_si, "by direction" if table.by_direction else "one for both directions"
         own, left = correction_of(table, axis)
         both = np.concatenate([table.forward, table.backward])
         over = f" over axis {table.input_axis}" if table.input_axis not in ("", table.axis) else ""
         lines.append(
-            f"{axis.name}: {len(q)} points from {q[0]:.6g} to {q[-1]:.6g} {'mm' if axis.kind == 'linear' else 'deg'}{over}, {way}; "
+            f"{axis.name}: {len(q)} points from {q[0]:.6g} to {q[-1]:.6g} {length}{over}, {way}; "
             f"the axis goes {both.min() * to:.4g} to {both.max() * to:.4g} {unit} too far"
         )
         if over:
