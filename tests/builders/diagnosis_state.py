@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin.diagnose.channel import Channel
+from twin.diagnose.columns import Columns
 from twin.diagnose.fit import Fit, no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.state import GroupState
@@ -50,11 +51,16 @@ def group_of(runs: Sequence[np.ndarray], axes: str = "X", moving: np.ndarray | N
 
 def no_tuning(rows: int) -> Tuning:
     """A tuning without nuisances of a group with so many rows."""
-    return tuning_from((), np.zeros((rows, 0)), 0.01)
+    return tuning_from((), Columns([], rows), 0.01)
+
+
+def columns_of(matrix: np.ndarray) -> Columns:
+    """The columns of a matrix (row, n)."""
+    return Columns(matrix.T, len(matrix))
 
 
 def found_of(group: Group, tuning: Tuning | None = None, fit: Fit | None = None) -> GroupState:
     """The state of a search that has found the effects of this fit; without one none."""
     tuning = tuning or (fit.about if fit else no_tuning(group.size))
-    retuned = no_effect(group, tuning)
-    return GroupState(group, group, tuning, fit or retuned, retuned, 1.0, accepted=(fit,) if fit else ())
+    state = GroupState(group, group, tuning, fit or no_effect(group, tuning), 1.0)
+    return state.with_accepted(1) if fit else state

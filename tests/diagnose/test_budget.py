@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.builders.diagnosis_state import PERIOD_S, found_of, group_of, no_tuning
+from tests.builders.diagnosis_state import PERIOD_S, columns_of, found_of, group_of, no_tuning
 from tests.builders.script import script
 from twin.diagnose.budget import Budget, budget_over, document_of, noise_of, overlap_text, parts_of
 from twin.diagnose.corrected import corrected_machine
@@ -43,7 +43,7 @@ def of_drift():
     """The budget of a machine with thermal drift of a screw, and the machine."""
     group = group_of([np.zeros(SAMPLES)])
     setting = Setting(EFFECTS["thermal_drift"], "X", {"rate": RATE})
-    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), no_tuning(SAMPLES))
+    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), columns_of(np.zeros((SAMPLES, 0))), no_tuning(SAMPLES))
     machine, found = group.views[0].machine, [found_of(group, fit=fit)]
     return budget_of(machine, corrected_machine(machine, found), found, group.views, [None], {}), machine, setting
 
@@ -70,9 +70,9 @@ def test_a_budget_without_re_tuning_has_the_other_rows():
     group = group_of([np.zeros(SAMPLES)])
     machine = group.views[0].machine
     nuisances = nuisances_of(machine, ("X",))
-    tuning = tuning_from(nuisances, np.eye(SAMPLES)[:, : len(nuisances)], 0.01)
+    tuning = tuning_from(nuisances, columns_of(np.eye(SAMPLES)[:, : len(nuisances)]), 0.01)
     setting = Setting(EFFECTS["thermal_drift"], "X", {"rate": RATE})
-    fit = Fit((setting,), [], 0.0, np.ones(len(nuisances)), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), tuning)
+    fit = Fit((setting,), [], 0.0, np.ones(len(nuisances)), np.zeros(SAMPLES), columns_of(np.zeros((SAMPLES, 0))), tuning)
     found = [found_of(group, tuning, fit=fit)]
     rows = budget_of(machine, corrected_machine(machine, found), found, group.views, [None], {}).rows
     assert {row.kind for row in rows} == {"effect", "re-tuned"}
@@ -152,7 +152,7 @@ def test_drift_of_an_axis_at_rest_counts(of_drift):
     still = Trace(time, {(axis, "setpoint"): np.zeros(SAMPLES) for axis in machine.axis_names}, machine.kinds)
     view = view_of(machine, MeasuredRun("still", still, None, 100.0))
     group = group_of([np.zeros(SAMPLES)])
-    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), no_tuning(SAMPLES))
+    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), columns_of(np.zeros((SAMPLES, 0))), no_tuning(SAMPLES))
     found = [found_of(group, fit=fit)]
     budget = budget_of(machine, corrected_machine(machine, found), found, [view], [None], {})
     (row,) = [r for r in budget.rows if r.kind == "effect"]
@@ -163,7 +163,7 @@ def test_what_was_not_recorded_does_not_change_the_multiple_of_noise():
     """A spring moves the motor encoder most. Without that encoder in the record, the multiple is that of the other signals alone."""
     group = group_of([np.zeros(SAMPLES)])
     setting = Setting(EFFECTS["thermal_drift"], "X", {"rate": RATE})
-    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), np.zeros((SAMPLES, 0)), no_tuning(SAMPLES))
+    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), columns_of(np.zeros((SAMPLES, 0))), no_tuning(SAMPLES))
     machine, found = group.views[0].machine, [found_of(group, fit=fit)]
     corrected = corrected_machine(machine, found)
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import columns_of
 from twin.diagnose.cross_validation import folds_of, held_out_loss, leave_out
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import Nuisance
@@ -17,15 +18,15 @@ PRIOR = np.diag([1e-6] * EFFECTS + [T.prior_weight] * NUISANCES)
 def linear(runs_with_effect: range = range(RUNS)):
     """A linear fit with noise around known coefficients, (state, fit, X, y, best); the second effect acts only in the runs `runs_with_effect`."""
     rng = np.random.default_rng(4)
-    x = rng.normal(size=(RUNS * SAMPLES, EFFECTS + NUISANCES))
+    x = rng.normal(size=(RUNS * SAMPLES, EFFECTS + NUISANCES)).astype(np.float32).astype(float)  # as columns are held
     runs = np.arange(RUNS * SAMPLES) // SAMPLES
     x[~np.isin(runs, runs_with_effect), 1] = 0.0
     y = x @ np.array([1.0, -2.0, 0.3, 0.0, -0.3]) + rng.normal(size=len(x))
     best = np.linalg.solve(x.T @ x + PRIOR, x.T @ y)
     channels = [SimpleNamespace(run=k, rows=slice(k * SAMPLES, (k + 1) * SAMPLES)) for k in range(RUNS)]
     fit = SimpleNamespace(
-        columns=x[:, :EFFECTS],
-        about=tuning_from([Nuisance("X", name) for name in "abc"], x[:, EFFECTS:], 0.01),
+        columns=columns_of(x[:, :EFFECTS]),
+        about=tuning_from([Nuisance("X", name) for name in "abc"], columns_of(x[:, EFFECTS:]), 0.01),
         tuning=best[EFFECTS:],
         free=[None] * EFFECTS,
         residual=lambda group: y - x @ best,

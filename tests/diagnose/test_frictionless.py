@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.builders.diagnosis_state import group_of
+from tests.builders.diagnosis_state import columns_of, group_of
 from twin.diagnose import imperfections
 from twin.diagnose.tolerance import is_normal, nuisances_of
 from twin.diagnose.tuning import tuning_from
@@ -22,7 +22,7 @@ def test_no_slip_is_tried_without_friction(frictionless: Machine, monkeypatch: p
     """All channels exceed noise, so that every normal imperfection is tried that the axis can have."""
     rows = np.full(400, 5.0)
     group = group_of([rows, rows], "X")
-    tuning = tuning_from(nuisances_of(frictionless, ("X",)), np.eye(group.size)[:, :7], 0.01)
+    tuning = tuning_from(nuisances_of(frictionless, ("X",)), columns_of(np.eye(group.size)[:, :7]), 0.01)
     for machine, can_slip in ((frictionless, False), (frictionless.with_axis("X", coulomb_friction_nm=1.0), True)):
         tried: list[str] = []
         monkeypatch.setattr(imperfections, "_at_shares", lambda current, group, nuisance, *_, to=tried: to.append(nuisance.quantity) or [])

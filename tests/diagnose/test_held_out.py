@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.builders.diagnosis_state import found_of, group_of
+from tests.builders.diagnosis_state import columns_of, found_of, group_of
 from twin.diagnose import corrected, judgement, validation
 from twin.diagnose.tolerance import nuisances_of
 from twin.diagnose.tuning import tuning_from
@@ -84,7 +84,7 @@ def test_the_judgement_does_not_depend_on_the_number_of_axes():
 def test_axes_that_a_correction_makes_worse_keep_the_machine_file(mikron):
     group = group_of([np.full(50, 3.0), np.full(50, -2.0)])
     nuisances = nuisances_of(mikron, ("X",))
-    found = found_of(group, tuning_from(nuisances, np.eye(group.size)[:, : len(nuisances)], 0.01))
+    found = found_of(group, tuning_from(nuisances, columns_of(np.eye(group.size)[:, : len(nuisances)]), 0.01))
     nominal = with_effects(mikron, []).document
     stays = corrected.uncorrected(found)
     assert stays.unknown

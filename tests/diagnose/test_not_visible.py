@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.builders.diagnosis_state import found_of, group_of
+from tests.builders.diagnosis_state import columns_of, found_of, group_of
 from twin.diagnose import not_visible
 from twin.diagnose.candidates import Start
 from twin.diagnose.settings import T
@@ -23,7 +23,7 @@ ACROSS = np.repeat([0.0, 1.0], ROWS // 2)
 
 def sizes_of(columns, monkeypatch, moving=None):
     """Multiples of the usual size from which effects with these responses are visible; a nuisance absorbs the part along ALONG."""
-    tuning = tuning_from([Nuisance("X", "moving_mass")], np.asfortranarray(1e6 * ALONG[:, None]), 0.01)
+    tuning = tuning_from([Nuisance("X", "moving_mass")], columns_of(1e6 * ALONG[:, None]), 0.01)
     group = group_of([np.zeros(ROWS)], moving=moving)
     group = replace(group, views=[replace(view, file=load_machine()) for view in group.views])
     found = found_of(group, tuning)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.builders.diagnosis_state import found_of, group_of, no_tuning
+from tests.builders.diagnosis_state import columns_of, found_of, group_of, no_tuning
 from twin.diagnose.fit import Fit, free_parameters
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.sizes import without_implausible
@@ -50,7 +50,7 @@ def test_an_effect_with_an_undetermined_size_is_removed(slope: float, kept: bool
     group = group_of([np.zeros(1000)], "Z")
     settings = (Setting(EFFECTS["backlash"], "Z", {"clearance": 4e-6}),)
     free = free_parameters(settings, MACHINE)
-    fit = Fit(settings, free, 1.0, np.zeros(0), np.zeros(group.size), np.full((group.size, 1), slope), no_tuning(group.size))
+    fit = Fit(settings, free, 1.0, np.zeros(0), np.zeros(group.size), columns_of(np.full((group.size, 1), slope)), no_tuning(group.size))
     rest = without_implausible(found_of(group, fit=fit))
     assert (rest.fit.settings == settings) == kept
 
@@ -76,8 +76,8 @@ def test_a_size_that_may_be_zero_or_tolerance_is_removed(effect: str, size: floa
     group = group_of([np.zeros(1000)], "X")
     free = [f for f in free_parameters((setting,), MACHINE) if f.parameter is parameter]
     scale = free[0].unit * (size if free[0].logarithmic else 1.0)
-    fit = Fit((setting,), free, 1.0, np.zeros(0), np.zeros(group.size), np.ones((group.size, 1)), no_tuning(group.size))
+    fit = Fit((setting,), free, 1.0, np.zeros(0), np.zeros(group.size), columns_of(np.ones((group.size, 1))), no_tuning(group.size))
     steep = float(np.sqrt(fit.sizes().covariance()[0, 0])) * scale / known
-    fit = replace(fit, columns=fit.columns * steep)
+    fit = replace(fit, columns=fit.columns.scaled(np.full(group.size, steep)))
     rest = without_implausible(found_of(group, fit=fit))
     assert (rest.fit.settings == (setting,)) == kept

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import no_tuning
 from twin.diagnose import verdict
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Sizes, no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.state import Candidate, GroupState
-from twin.diagnose.tuning import tuning_from
 from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.wording import sentence_case, verdict_sentence
 from twin.effects import EFFECTS, Setting
@@ -68,7 +68,7 @@ def test_an_implausible_size_is_improbable():
 
 def test_the_residual_of_a_removed_effect_makes_the_verdict_unknown(monkeypatch: pytest.MonkeyPatch):
     """An effect whose final size is implausible is removed. The verdict must then not be 'none'."""
-    before, after = (GroupState(None, None, None, SimpleNamespace(settings=s), None, 1.0) for s in (("an effect",), ()))
+    before, after = (GroupState(None, None, None, SimpleNamespace(settings=s), 1.0) for s in (("an effect",), ()))
     monkeypatch.setattr(verdict, "without_implausible", lambda found, *_: found)
     monkeypatch.setattr(verdict, "with_final_sizes", lambda *_: after)
     monkeypatch.setattr(verdict, "is_unknown", lambda found: not found.fit.settings)
@@ -85,9 +85,9 @@ def test_each_axis_of_a_group_is_judged_by_itself(monkeypatch: pytest.MonkeyPatc
     noise = np.random.default_rng(2).normal(size=(2, 3000))
     channels = [Channel(0, axis, "velocity", size * rows, np.ones(3000), 1.0) for axis, size, rows in zip("AC", (of_a, of_c), noise)]
     group = Group(("A", "C"), [None], channels, [{}], [{}], 0)
-    tuning = tuning_from((), np.zeros((group.size, 0)), 0.01)
+    tuning = no_tuning(group.size)
     fit = no_effect(group, tuning)
-    assert verdict.is_unknown(GroupState(group, group, tuning, fit, fit, 1.0)) is unknown
+    assert verdict.is_unknown(GroupState(group, group, tuning, fit, 1.0)) is unknown
 
 
 def effect(name: str, axis: str, source: str | None = None, mass: float = 1.0) -> dict:

@@ -22,7 +22,7 @@ UNSTABLE = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 9.0})
 def test_a_response_is_simulated_once_and_follows_the_weights(monkeypatch):
     rng = np.random.default_rng(0)
     column, doubt = rng.normal(size=ROWS), rng.uniform(0.2, 1.0, ROWS)
-    found = GroupState(SimpleNamespace(weights=np.ones(ROWS)), None, None, None, None, 1.0)
+    found = GroupState(SimpleNamespace(weights=np.ones(ROWS)), None, None, None, 1.0)
     simulated = []
 
     def simulated_responses(group, several):

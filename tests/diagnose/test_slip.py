@@ -80,7 +80,7 @@ def wound_up():
     group, tuning = moved_to(rigid, tuning, theta)
     fit = fit_effects(group, tuning, there, 2)
     assert fit is not None
-    return GroupState(group, rigid, tuning, fit, no_effect(group, tuning), 1.0, (fit,))
+    return GroupState(group, rigid, tuning, fit, 1.0).with_accepted(1)
 
 
 def slip_of(found):
@@ -104,7 +104,7 @@ def test_missed_slip_is_found(group):
     """The residual is near noise but the slip is missing: all sizes tried on a rigid machine may have been far from the true one."""
     plain = tuning_of(group)
     bare = no_effect(group, plain)
-    missed = GroupState(group, group, plain, bare, bare, 1.0, ())
+    missed = GroupState(group, group, plain, bare, 1.0)
     assert missed.fit.loss < T.small_residual * group.expected_loss
     found = with_refitted_slip(missed)
     assert slip_of(found) == pytest.approx(TRAVEL, rel=0.3)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import columns_of
 from twin.diagnose.channel import Channel
 from twin.diagnose.fit import Free, no_effect
 from twin.diagnose.search import axes_above_noise_within_tolerance
@@ -46,7 +47,7 @@ def found_with(left, slope):
             run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,
         ),
         fit=SimpleNamespace(
-            settings=(SETTING,), free=[Free(0, parameter, False, 0.05)], columns=np.concatenate(slope)[:, None], residual=lambda group: rows
+            settings=(SETTING,), free=[Free(0, parameter, False, 0.05)], columns=columns_of(np.concatenate(slope)[:, None]), residual=lambda group: rows
         ),
     )
 
@@ -107,7 +108,7 @@ def test_only_axes_above_their_noise_are_listed():
 def test_a_residual_that_exceeds_the_tolerance_is_above_noise(size, loud):
     """A friction of many times the tolerance would leave noise only, but is no re-tuning. `size` is in noise; the tolerance accounts for 3."""
     wave = np.where(np.arange(RUNS * SAMPLES) % 40 < 20, 1.0, -1.0)
-    tuning = tuning_from([Nuisance("X", "coulomb_friction")], 3.0 * wave[:, None] * UNIFORM, TOLERANCE * UNIFORM)
+    tuning = tuning_from([Nuisance("X", "coulomb_friction")], columns_of(3.0 * wave[:, None] * UNIFORM), TOLERANCE * UNIFORM)
     found = found_with(noise(5), np.ones((RUNS, SAMPLES)))
     group = found.group
     group.credit, group.residual = np.ones(group.size), group.residual + size * wave

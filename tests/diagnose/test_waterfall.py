@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of, no_tuning
+from twin.diagnose.columns import Columns
 from twin.diagnose.fit import Fit
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.effects import EFFECTS, Setting
@@ -56,8 +57,8 @@ def test_normal_imperfections_count_as_re_tuned():
     rigid, imperfect = (group_of([np.full(50, level)]) for level in (10.0, 1.0))
     state = replace(found_of(imperfect), rigid=rigid)
     setting = replace(FRICTION)
-    fit = Fit((setting,), [], 0.0, np.zeros(0), np.full(50, 0.5), np.zeros((50, 0)), no_tuning(50))
-    state = replace(state, fit=fit, accepted=(fit,))
+    fit = Fit((setting,), [], 0.0, np.zeros(0), np.full(50, 0.5), Columns([], 50), no_tuning(50))
+    state = replace(state, fit=fit).with_accepted(1)
     steps = waterfall([state], {"X": (100.0, 0.25)}, 0.01, {setting.key})
     assert [level for _, level in steps] == pytest.approx([10.0, 1.0, 0.5])
     assert retuning_share(steps) == pytest.approx(1.0)

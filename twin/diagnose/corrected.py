@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose.columns import Columns
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.fit import no_effect
 from twin.diagnose.settings import T
@@ -30,9 +31,9 @@ FEWER_REALISATIONS = 2
 def uncorrected(state: GroupState) -> GroupState:
     """The state of a group whose axes keep the values of the machine file, because the correction predicts held-out runs worse."""
     group = state.rigid
-    nothing = tuning_from((), np.zeros((group.size, 0)), 0.0, T.prior_weight)
+    nothing = tuning_from((), Columns([], group.size), 0.0, T.prior_weight)
     fit = no_effect(group, nothing)
-    return replace(state, group=group, tuning=nothing, fit=fit, retuned=fit, accepted=(), unknown=True)
+    return replace(state, group=group, tuning=nothing, fit=fit, accepted=(), unknown=True)
 
 
 def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine:

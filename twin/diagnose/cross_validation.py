@@ -44,7 +44,7 @@ def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: 
 
 def _bounds(tuning: Tuning, tolerance: float) -> np.ndarray:
     """Bound of each column in spreads: the tolerance for nuisances, infinite for further columns."""
-    bound = np.full(tuning.jacobian.shape[1], np.inf)
+    bound = np.full(len(tuning.jacobian), np.inf)
     bound[: len(tuning.nuisances)] = tolerance / tuning.spread if tuning.spread else 0.0
     return bound
 
@@ -59,7 +59,7 @@ def _inside(tuning: Tuning, residual: np.ndarray, bound: np.ndarray, weight: flo
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, SINGULAR * values[-1]))
-    target = vectors.T @ (scale * (tuning.jacobian.T @ residual)) / root
+    target = vectors.T @ (scale * tuning.project(residual)) / root
     reach = np.maximum(bound, 1e-12) / scale
     return np.asarray(scale * lsq_linear(root[:, None] * vectors.T, target, (-reach, reach), method="bvls", max_iter=10 * len(bound)).x)
 
@@ -76,7 +76,7 @@ def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool 
     bound = _bounds(tuning, tolerance)
     if not normal:
         bound[: len(tuning.nuisances)][[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
-    return residual - tuning.jacobian @ _inside(tuning, residual, bound, 1.0)
+    return residual - tuning.jacobian.times(_inside(tuning, residual, bound, 1.0))
 
 
 def loss_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> float:
@@ -142,7 +142,7 @@ class Linear:
         for fold in folds:
             shift = self.shift(fold, share)
             for rows in (rows for part in self.of(fold) for rows in self.rows[part]):
-                left[rows] -= fit.columns[rows] @ shift[: self.own] + fit.about.jacobian[rows] @ shift[self.own :]
+                left[rows] -= fit.columns.beside(fit.about.jacobian).part(rows) @ shift
         return left
 
     def of(self, fold: Sequence[int]) -> list[int]:
@@ -170,17 +170,15 @@ def linear_in(group: Group, fit: Fit, rows: Sequence[Sequence[slice]] | None = N
     """The linearised fit by parts with these rows; by runs without them."""
     if rows is None:
         rows = [[c.rows for c in group.channels if c.run == run] for run in range(1 + max((c.run for c in group.channels), default=-1))]
-    jacobian, own = fit.about.jacobian, fit.columns.shape[1]
-    n = own + jacobian.shape[1]
+    everything, own = fit.columns.beside(fit.about.jacobian), len(fit.columns)
+    n = len(everything)
     products, slopes, residual = np.zeros((len(rows), n, n)), np.zeros((len(rows), n)), fit.residual(group)
     products[:, own:, own:] = fit.about.products(rows)
     for i, slices in enumerate(rows):
         for part in slices:
-            columns = fit.columns[part]
-            products[i, :own, :own] += columns.T @ columns
-            products[i, own:, :own] += jacobian[part].T @ columns
-            slopes[i, :own] += columns.T @ residual[part]
-            slopes[i, own:] += jacobian[part].T @ residual[part]
+            columns = everything.part(part)
+            products[i, :, :own] += columns.T @ columns[:, :own]
+            slopes[i] += columns.T @ residual[part]
         products[i, :own, own:] = products[i, own:, :own].T
     normal = products.sum(axis=0) + np.diag(np.concatenate([np.full(own, FREE), fit.about.prior]))
     return Linear(rows, own, products, slopes, normal, residual)

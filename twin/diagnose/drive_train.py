@@ -42,9 +42,7 @@ class _TrialLosses:
         channels = [c for c in group.channels if c.axis == axis and c.run in runs]
         rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
         self.group = replace(group, channels=channels)
-        self.tuning = tuning_from(
-            tuning.nuisances, np.asfortranarray(tuning.jacobian[rows]), tuning.spread, tuning.prior_weight, tuning.further
-        )
+        self.tuning = tuning_from(tuning.nuisances, tuning.jacobian.at(rows), tuning.spread, tuning.prior_weight, tuning.further)
         self.residual, self.axis = residual[rows], axis
         self.losses: dict[Point, float] = {}  # loss after re-tuning
 

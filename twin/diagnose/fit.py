@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.diagnose.columns import Columns
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.tuning import Tuning, moved_by, stacked_columns
+from twin.diagnose.tuning import Tuning, moved_by
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.effects.law import NAME
@@ -146,18 +147,18 @@ class Fit:
     loss: float
     tuning: np.ndarray  # theta, in units of the spread
     response: np.ndarray  # D(p), (row,)
-    columns: np.ndarray  # dD/dp in scale units, (row, free)
+    columns: Columns  # dD/dp in scale units, one for each free parameter
     about: Tuning  # the tuning whose coefficients `tuning` holds
 
     @property
     def slopes(self) -> dict[Slope, np.ndarray]:
         """Columns by effect and parameter, as starting slopes for another fit."""
-        return {(self.settings[f.setting].key, f.parameter.name): self.columns[:, i] for i, f in enumerate(self.free)}
+        return {(self.settings[f.setting].key, f.parameter.name): self.columns.each[i] for i, f in enumerate(self.free)}
 
     @property
     def retuning(self) -> np.ndarray:
         """Response to the tuning (row,)."""
-        return self.about.jacobian @ self.tuning
+        return self.about.jacobian.times(self.tuning)
 
     def residual(self, group: Group) -> np.ndarray:
         """Residual of a group after effects and tuning (row,), weighted."""
@@ -168,7 +169,7 @@ class Fit:
         response = self.response * scale
         left = residual - response
         tuning, loss = about.solve(left), about.loss(left)
-        return replace(self, response=response, columns=self.columns * scale[:, None], about=about, tuning=tuning, loss=loss)
+        return replace(self, response=response, columns=self.columns.scaled(scale), about=about, tuning=tuning, loss=loss)
 
     @property
     def linear_effect_slopes(self) -> dict[Slope, np.ndarray]:
@@ -200,7 +201,7 @@ def no_effect(group: Group, tuning: Tuning) -> Fit:
 def fit_with_fixed_effects(group: Group, tuning: Tuning, settings: tuple[Setting, ...], response: np.ndarray) -> Fit:
     """A fit of re-tuning with fixed effects whose response is `response` (row,)."""
     residual = group.residual - response
-    return Fit(settings, [], tuning.loss(residual), tuning.solve(residual), response, np.zeros((group.size, 0)), tuning)
+    return Fit(settings, [], tuning.loss(residual), tuning.solve(residual), response, Columns([], group.size), tuning)
 
 
 def fit_effects(
@@ -225,18 +226,19 @@ def fit_effects(
     here = _point(group, tuning, residual, tuple(settings))
     free = [f for f in free_parameters(settings, group.machine) if moving is None or f.setting in moving]
     if here is None or not free:
-        return here and here.as_fit([], np.zeros((group.size, 0)), tuning)
+        return here and here.as_fit([], Columns([], group.size), tuning)
     farthest = np.array([f.farthest for f in free])
-    columns = stacked_columns(*(known.get(_name(f, settings), np.zeros(group.size))[:, None] for f in free))
+    nothing = np.zeros(group.size, np.float32)
+    columns = Columns((known.get(_name(f, settings), nothing) for f in free), group.size)
     step_sizes = np.full(len(free), T.slope)
     outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     projected = information = None
     for _ in range(T.fit_steps if steps is None else steps):
         try:
-            for i, column in zip(outdated, _slopes(group, here.settings, here.response, [(free[i], step_sizes[i]) for i in outdated])):
-                columns[:, i] = column
+            new = dict(zip(outdated, _slopes(group, here.settings, here.response, [(free[i], step_sizes[i]) for i in outdated])))
         except TwinError:
             return None
+        columns = Columns((new.get(i, column) for i, column in enumerate(columns.each)), group.size)
         if outdated or projected is None or information is None:
             projected = tuning.project(columns)
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
@@ -280,7 +282,7 @@ class _Point(NamedTuple):
     projected: np.ndarray
     loss: float
 
-    def as_fit(self, free: list[Free], columns: np.ndarray, tuning: Tuning) -> Fit:
+    def as_fit(self, free: list[Free], columns: Columns, tuning: Tuning) -> Fit:
         return Fit(self.settings, free, self.loss, tuning.solve_projected(self.projected), self.response, columns, tuning)
 
 

@@ -51,8 +51,8 @@ def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tu
     if not tuning.nuisances:
         return tuning
     parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
-    plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian[:, parameters])
-    remaining = (residual - plain.jacobian @ plain.solve(residual)) / group.weights
+    plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian.chosen(parameters))
+    remaining = (residual - plain.jacobian.times(plain.solve(residual))) / group.weights
     above_noise = channels_above_noise(group, remaining)
     cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
     elastic = [a for a in group.axes if above_noise & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
@@ -100,7 +100,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
     def moved(left_out: Container[tuple[str, str]]) -> tuple[float, Group, Tuning]:
         kept = np.array([kind not in left_out for kind in kinds], bool)
         nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
-        part = tuning if kept.all() else tuning.of(nuisances, tuning.jacobian[:, : len(kept)][:, kept])
+        part = tuning if kept.all() else tuning.of(nuisances, tuning.jacobian.chosen(np.flatnonzero(kept).tolist()))
         try:
             there, about = moved_to(group, part, theta[kept])
         except TwinError:

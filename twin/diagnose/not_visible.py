@@ -53,5 +53,5 @@ def _share(state: GroupState, settings: Sequence[Setting], answers: Sequence[np.
     columns = [column for column in answers if isinstance(column, np.ndarray)]
     if len(columns) < len(answers):
         return math.inf
-    residual = [column - tuning.jacobian @ tuning.solve(column) for column in columns]
+    residual = [column - tuning.jacobian.times(tuning.solve(column)) for column in columns]
     return min(0.5 * float(state.group.credit @ np.square(rows)) for rows in residual) / evidence_needed(state, settings[0], folds)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.diagnose.columns import Columns
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_within
 from twin.diagnose.fit import Fit, Slope, fit_effects, fit_with_fixed_effects, simulated_response
 from twin.diagnose.plausible import CONTROL_BLOCKS, is_imitated, is_plausible
@@ -19,7 +20,6 @@ from twin.diagnose.screen import Gain, Screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
-from twin.diagnose.tuning import stacked_columns
 from twin.effects import Setting
 from twin.simulation.run import all_or_raise
 
@@ -93,13 +93,13 @@ def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], set
     """Each pick and its rivals fitted in closed loop next to the effects found, best first. The responses of the other picks are free."""
     fit = state.fit
     starts = [screened.starts[pick.start].settings for pick in picks]
-    responses = [stacked_columns(*(column[:, None] for column in all_or_raise(state.cached_responses(settings)))) for settings in starts]
+    responses = [Columns(all_or_raise(state.cached_responses(settings)), state.group.size) for settings in starts]
     nonlinear = tuple(s for s in fit.settings if not s.effect.is_linear)
     # responses of linear effects add up, so those are simulated together only once, at the end
     residual = state.group.residual - fit.response + (simulated_response(state.group, nonlinear) if nonlinear else 0.0)
-    first = state.tuning.further.size + fit.columns.shape[1]
-    ends = first + np.cumsum([0, *(r.shape[1] for r in responses)])
-    all_free = state.tuning.with_free(stacked_columns(fit.columns, *responses))
+    first = state.tuning.further.size + len(fit.columns)
+    ends = first + np.cumsum([0, *(len(r) for r in responses)])
+    all_free = state.tuning.with_free(fit.columns.beside(*responses))
 
     def fit_pick(i: int) -> tuple[Fitted, ...]:
         others_free = all_free.holding(range(ends[i], ends[i + 1]))

@@ -17,15 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.candidates import Start, combine, softened
+from twin.diagnose.columns import Columns
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState, Key
 from twin.diagnose.tuning import FREE, solved
 from twin.effects import Setting
 from twin.machine.machine import Machine
-
-CHUNK = 40_000
-"""Rows per partial product; limits memory."""
 
 
 class Gain(NamedTuple):
@@ -84,10 +81,12 @@ def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray) 
     simulated = [(start, [c for c in of_start if isinstance(c, np.ndarray)]) for start, of_start in both]
     simulated = [(start, of_start) for start, of_start in simulated if len(of_start) == len(start.settings)]
     columns = [c for _, of_start in simulated for c in of_start]
-    before = (state.tuning.jacobian, state.fit.columns)
-    gram = _gram(before, columns, residual, state.group.mapper)
-    first = sum(b.shape[1] for b in before)
-    prior = np.concatenate([state.tuning.prior, np.full(state.fit.columns.shape[1], FREE)])
+    before = state.tuning.jacobian.beside(state.fit.columns)
+    everything = before.beside(Columns(columns, before.rows))
+    onto = everything.onto(residual)[:, None]
+    gram = np.block([[everything.gram(state.group.mapper), onto], [onto.T, np.array([[residual @ residual]])]])
+    first = len(before)
+    prior = np.concatenate([state.tuning.prior, np.full(len(state.fit.columns), FREE)])
     own = np.diag(gram)[first:-1].copy()
     reduced = eliminated(gram, np.arange(first), prior)[first:, first:] if first else gram
     at, n = [], 0
@@ -100,15 +99,6 @@ def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray) 
 def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """Inner products (column, column) after eliminating the columns `at` with this prior."""
     return gram - gram[at].T @ solved(gram[np.ix_(at, at)] + np.diag(prior), gram[at])
-
-
-def _gram(before: Sequence[np.ndarray], columns: Sequence[np.ndarray], residual: np.ndarray, mapper: Mapper) -> np.ndarray:
-    def part(start: int) -> np.ndarray:
-        rows = slice(start, start + CHUNK)
-        x = np.column_stack([*(b[rows] for b in before), *(c[rows] for c in columns), residual[rows]]).astype(float)
-        return x.T @ x
-
-    return np.asarray(sum(mapper(part, range(0, len(residual), CHUNK))))
 
 
 def _best_size(start: Start, inner: np.ndarray, target: np.ndarray) -> Gain:

@@ -51,7 +51,7 @@ def search(group: Group, setup: Setup) -> GroupState:
     if imperfect and state.fit.settings and group.by_radius:
         tuning = tuning_of(group)
         retuned = no_effect(group, tuning)
-        rigid = GroupState(group, group, tuning, retuned, retuned, inflation(group, retuned))
+        rigid = GroupState(group, group, tuning, retuned, inflation(group, retuned))
         state = min(state, _search_rounds(rigid, setup), key=_cost)
     return replace(state, response_cache={})  # only the search asks for responses again
 
@@ -122,7 +122,7 @@ def _initial_state(group: Group) -> GroupState:
         with contextlib.suppress(TwinError):  # nearly unstable: keep the linearisation of the rigid machine
             tuning = linearised(tuning, group, (), 0.0, only=NORMAL)
     retuned = no_effect(group, tuning)
-    return GroupState(group, rigid, tuning, retuned, retuned, inflation(group, retuned))
+    return GroupState(group, rigid, tuning, retuned, inflation(group, retuned))
 
 
 def _imperfections_need_refit(state: GroupState) -> bool:
@@ -135,7 +135,6 @@ def _imperfections_need_refit(state: GroupState) -> bool:
 
 def _refit_imperfections(state: GroupState) -> GroupState:
     """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them."""
-    group = state.group
     for _ in range(T.joint_refits):
         before = state.fit.loss
         try:
@@ -153,8 +152,6 @@ def _refit_imperfections(state: GroupState) -> GroupState:
                 state = replace(state, fit=moved, group=nearer, tuning=tuning)
         if before - state.fit.loss < T.evidence:
             break
-    if state.group is not group:
-        state = replace(state, retuned=no_effect(state.group, state.tuning))
     return state.with_fit(state.fit).inflated()
 
 
@@ -183,9 +180,9 @@ def _with_accepted(state: GroupState, winners: Sequence[Fitted]) -> GroupState:
     group, tuning = on_imperfect_machine(state.rigid, tuning, residual)
     again = fit_effects(group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
     if again is not None and again.loss < state.fit.loss:
-        state = replace(state, group=group, retuned=no_effect(group, tuning), tuning=tuning, fit=again)
+        state = replace(state, group=group, tuning=tuning, fit=again)
     state = _with_relinearised_tuning(state)
-    return replace(state, accepted=(*state.accepted, state.fit)).inflated()
+    return state.with_accepted(len(state.accepted) + 1).inflated()
 
 
 def _with_relinearised_tuning(state: GroupState) -> GroupState:
@@ -253,7 +250,7 @@ def response_without(state: GroupState, i: int) -> np.ndarray | None:
         if free.setting == i and free.parameter is size:
             value = setting.parameters[size.name]
             steps = 1.0 / free.unit if free.logarithmic else (value - (size.neutral or 0.0)) / free.unit
-            return fit.response - fit.columns[:, k] * steps
+            return fit.response - fit.columns.each[k] * steps
     return None
 
 

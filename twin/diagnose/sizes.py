@@ -54,8 +54,10 @@ def without_implausible(state: GroupState) -> GroupState:
     fit = fit_effects(state.group, state.tuning, kept, T.few_steps)
     if fit is None:
         return state
-    accepted = (*state.accepted[: len(kept)][:-1], fit) if kept else ()
-    return replace(state, fit=fit, accepted=accepted).inflated()
+    state = (
+        replace(state, fit=fit).with_accepted(max(1, min(len(kept), len(state.accepted)))) if kept else replace(state, fit=fit, accepted=())
+    )
+    return state.inflated()
 
 
 def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:

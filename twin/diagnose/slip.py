@@ -13,13 +13,13 @@ import math
 
 import numpy as np
 
+from twin.diagnose.columns import Columns
 from twin.diagnose.corrected import limited_deviations
-from twin.diagnose.fit import fit_effects, no_effect
+from twin.diagnose.fit import fit_effects
 from twin.diagnose.imperfections import channels_above_noise, moved_to, shows_slip
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance, can_be_imperfect, tuned
-from twin.diagnose.tuning import stacked_columns
 from twin.errors import TwinError
 
 STRETCH = 1.8
@@ -96,9 +96,8 @@ def _moved(state: GroupState, nuisances: tuple[Nuisance, ...], i: int, deviation
     base = np.append(tuning.base, missing)
     theta = np.append(state.fit.tuning[:count], missing)
     theta[i] = (deviation - base[i]) / tuning.spread
-    columns = stacked_columns(tuning.jacobian[:, :count], np.zeros((state.group.size, len(missing))))
-    columns[:, i] = column
-    shown = replace(tuning.of(nuisances, columns), base=base)
+    columns = [column if k == i else tuning.jacobian.each[k] for k in range(len(nuisances))]
+    shown = replace(tuning.of(nuisances, Columns(columns, state.group.size)), base=base)
     try:
         group, about = moved_to(state.rigid, shown, theta)
         fit = fit_effects(group, about, state.fit.settings, T.refit_steps, known=state.fit.slopes)
@@ -106,4 +105,4 @@ def _moved(state: GroupState, nuisances: tuple[Nuisance, ...], i: int, deviation
         return state
     if fit is None or fit.loss > state.fit.loss:  # the creep improves, but the rest gets worse
         return state
-    return replace(state, group=group, tuning=about, retuned=no_effect(group, about)).with_fit(fit).inflated()
+    return replace(state, group=group, tuning=about).with_fit(fit).inflated()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +70,13 @@ class Screened(NamedTuple):
     closes: float
 
 
+class Accepted(NamedTuple):
+    """The effects after a round, and the mean square over noise that they leave on each axis."""
+
+    settings: tuple[Setting, ...]
+    squares: dict[str, float]
+
+
 @dataclass(frozen=True)
 class GroupState:
     """State of the diagnosis of one group of axes. A step takes a state and returns the next one; states are never modified.
@@ -81,9 +89,8 @@ class GroupState:
     rigid: Group  # linearised about the machine file
     tuning: Tuning
     fit: Fit
-    retuned: Fit  # re-tuning alone
     inflation: float  # loss over the loss of noise, at least 1
-    accepted: tuple[Fit, ...] = ()  # the fit after each round
+    accepted: tuple[Accepted, ...] = ()  # after each round
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round
     not_visible: Mapping[Key, float] | None = None  # invisible effects: smallest visible multiple of the usual size
@@ -94,6 +101,11 @@ class GroupState:
     def keys(self) -> set[Key]:
         """Keys of the effects of the fit."""
         return {s.key for s in self.fit.settings}
+
+    @functools.cached_property
+    def retuned(self) -> Fit:
+        """Re-tuning alone."""
+        return no_effect(self.group, self.tuning)
 
     def cached_responses(self, settings: Sequence[Setting]) -> list[np.ndarray | TwinError]:
         """Response (row,) to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once."""
@@ -118,7 +130,12 @@ class GroupState:
 
     def with_fit(self, fit: Fit) -> GroupState:
         """The state with another fit, which also replaces the last accepted one."""
-        return replace(self, fit=fit, accepted=(*self.accepted[:-1], fit) if self.accepted else ())
+        return replace(self, fit=fit).with_accepted(len(self.accepted)) if self.accepted else replace(self, fit=fit)
+
+    def with_accepted(self, rounds: int) -> GroupState:
+        """The state whose fit is that after this number of rounds."""
+        left = squares_by_axis(self.group, self.fit.residual(self.group))
+        return replace(self, accepted=(*self.accepted[: rounds - 1], Accepted(self.fit.settings, left)))
 
     def inflated(self) -> GroupState:
         """The state with the inflation computed from its fit."""
@@ -126,17 +143,25 @@ class GroupState:
 
     def doubted(self, change: np.ndarray, residual: np.ndarray | None = None) -> GroupState:
         """The state with the model error of effects whose response is `change` (row,) added to the noise, and more where the fit leaves
-        `residual` (row,); both weighted. All fits are reweighted.
+        `residual` (row,); both weighted. The fit is reweighted.
         """
         old = self.group.weights
         residual = np.zeros(self.group.size) if residual is None else residual
         rigid, group = self.rigid.doubted(change, residual), self.group.doubted(change, residual)
         scale = group.weights / old
-        shared = {id(t): t for t in (self.tuning, self.fit.about, *(f.about for f in self.accepted))}
-        tunings = {key: tuning.reweighted(scale) for key, tuning in shared.items()}
-        fit, *accepted = (f.reweighted(scale, tunings[id(f.about)], group.residual) for f in (self.fit, *self.accepted))
-        tuning = tunings[id(self.tuning)]
-        return replace(self, rigid=rigid, group=group, tuning=tuning, fit=fit, accepted=tuple(accepted), retuned=no_effect(group, tuning))
+        tuning = self.tuning.reweighted(scale)
+        about = tuning if self.fit.about is self.tuning else self.fit.about.reweighted(scale)
+        return replace(self, rigid=rigid, group=group, tuning=tuning, fit=self.fit.reweighted(scale, about, group.residual))
+
+
+def squares_by_axis(group: Group, residual: np.ndarray) -> dict[str, float]:
+    """Mean square over noise of a residual (row,), weighted, of each axis over runs and measured signals."""
+    squares: dict[str, list[float]] = {}
+    for channel in group.channels:
+        if channel.name != "controller":  # motor_minus_scale represents the motor encoder
+            normed = residual[channel.rows] / channel.weight / channel.sigma
+            squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
+    return {axis: float(np.mean(values)) for axis, values in squares.items()}
 
 
 def excess_of(group: Group, fit: Fit) -> dict[str, float]:

@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import null_space
 
+from twin.diagnose.columns import Columns
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of
 from twin.effects import Setting
-from twin.simulation.run import all_or_raise
+from twin.errors import TwinError
 from twin.units import ARCSEC
 
 FREE = 1e-6
@@ -33,36 +34,25 @@ class Tuning:
     """
 
     nuisances: tuple[Nuisance, ...]
-    jacobian: np.ndarray  # (row, column), weighted, per spread of a nuisance
+    jacobian: Columns  # weighted, per spread of a nuisance
     spread: float
     normal: np.ndarray  # J'J + w
     inverse: np.ndarray
     base: np.ndarray  # (nuisance,) deviations about which the group is linearised, as fractions
     prior_weight: float = T.prior_weight
     further: np.ndarray = field(default_factory=lambda: np.zeros(0))  # prior weight of each further column
-    narrower: Tuning | None = field(default=None, repr=False)  # the tuning that this one extends by further columns
     _products: dict[tuple[tuple[tuple[int, int], ...], ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         # tunings share columns: a change in place would change another state
-        for array in (self.jacobian, self.normal, self.inverse):
+        for array in (self.normal, self.inverse):
             array.flags.writeable = False
 
     def products(self, runs: Sequence[Sequence[slice]]) -> np.ndarray:
         """J'J over the rows of each run (run, column, column); cached. `runs` are the row slices of each run."""
         key = tuple(tuple((rows.start, rows.stop) for rows in slices) for slices in runs)
         if key not in self._products:
-            n = self.jacobian.shape[1]
-            known = self.narrower.products(runs) if self.narrower else np.zeros((len(runs), 0, 0))
-            k = known.shape[1]
-            out = np.zeros((len(runs), n, n))
-            for run, slices in enumerate(runs):
-                out[run, :k, :k] = known[run]
-                for rows in slices:
-                    new = self.jacobian[rows, k:]
-                    out[run, :, k:] += self.jacobian[rows].T @ new
-                out[run, k:, :k] = out[run, :k, k:].T
-            self._products[key] = out
+            self._products[key] = self.jacobian.grams(runs)
         return self._products[key]
 
     @property
@@ -70,22 +60,30 @@ class Tuning:
         """Prior weight of each column (column,): that of the tolerance for a nuisance, almost zero for a free column."""
         return np.concatenate([np.full(len(self.nuisances), self.prior_weight), self.further])
 
-    def of(self, nuisances: Sequence[Nuisance], columns: np.ndarray) -> Tuning:
-        """The tuning with other nuisances, whose response at their spread is `columns` (row, nuisance), and the same further columns."""
-        n = len(self.nuisances)
-        return tuning_from(nuisances, stacked_columns(columns, self.jacobian[:, n:]), self.spread, self.prior_weight, self.further)
+    @property
+    def of_nuisances(self) -> Columns:
+        """The columns of the nuisances."""
+        return self.jacobian.chosen(range(len(self.nuisances)))
 
-    def with_free(self, columns: np.ndarray, prior: float = FREE) -> Tuning:
-        """The tuning with further columns (row, n) whose coefficients are free: linear responses to effects."""
-        if not columns.size:
+    @property
+    def others(self) -> Columns:
+        """The further columns."""
+        return self.jacobian.chosen(range(len(self.nuisances), len(self.jacobian)))
+
+    def of(self, nuisances: Sequence[Nuisance], columns: Columns) -> Tuning:
+        """The tuning with other nuisances, whose response at their spread is `columns`, and the same further columns."""
+        return tuning_from(nuisances, columns.beside(self.others), self.spread, self.prior_weight, self.further)
+
+    def with_free(self, columns: Columns, prior: float = FREE) -> Tuning:
+        """The tuning with further columns whose coefficients are free: linear responses to effects."""
+        if not len(columns):
             return self
-        cross = self.jacobian.T @ columns
-        own = columns.T @ columns + prior * np.eye(columns.shape[1])
-        further = np.concatenate([self.further, np.full(columns.shape[1], prior)])
+        cross = self.jacobian.onto(columns)
+        own = columns.gram() + prior * np.eye(len(columns))
+        further = np.concatenate([self.further, np.full(len(columns), prior)])
         normal = np.block([[self.normal, cross], [cross.T, own]])
-        jacobian = stacked_columns(self.jacobian, columns)
-        narrower = replace(self, jacobian=jacobian[:, : self.jacobian.shape[1]])  # its columns are held once
-        return Tuning(self.nuisances, jacobian, self.spread, normal, _inverse(normal), self.base, self.prior_weight, further, narrower)
+        jacobian = self.jacobian.beside(columns)
+        return Tuning(self.nuisances, jacobian, self.spread, normal, _inverse(normal), self.base, self.prior_weight, further)
 
     def holding(self, columns: Sequence[int]) -> Tuning:
         """The tuning with some of its further columns, counted from the first of them, held at zero; it shares the jacobian."""
@@ -103,9 +101,9 @@ class Tuning:
         normal[n, n] += weight - self.prior_weight
         return replace(self, normal=normal, inverse=_inverse(normal), prior_weight=weight)
 
-    def project(self, columns: np.ndarray) -> np.ndarray:
+    def project(self, columns: np.ndarray | Columns) -> np.ndarray:
         """J' columns, used to eliminate the tuning."""
-        return self.jacobian.T @ columns
+        return self.jacobian.onto(columns)
 
     def solve(self, residual: np.ndarray) -> np.ndarray:
         """Coefficients (column,), in spreads for the nuisances, that fit a residual best."""
@@ -119,25 +117,23 @@ class Tuning:
         """a' P b for two vectors (row,), P the projection that eliminates the tuning."""
         return float(a @ b - self.project(a) @ self.inverse @ self.project(b))
 
-    def inner(self, a: np.ndarray, b: np.ndarray, of_a: np.ndarray, of_b: np.ndarray) -> np.ndarray:
+    def inner(self, a: Columns, b: np.ndarray | Columns, of_a: np.ndarray, of_b: np.ndarray) -> np.ndarray:
         """a' P b for columns, with the tuning eliminated; `of_a` is `project(a)`, `of_b` is `project(b)`."""
-        return np.asarray(a.T @ b - of_a.T @ self.inverse @ of_b)
+        return np.asarray(a.onto(b) - of_a.T @ self.inverse @ of_b)
 
     def loss(self, residual: np.ndarray, projected: np.ndarray | None = None) -> float:
         """Half the squared residual, plus the prior, after re-tuning. `projected` is `project(residual)` if it is known."""
         projected = self.project(residual) if projected is None else projected
-        return 0.5 * float(self.inner(residual, residual, projected, projected))
+        return 0.5 * float(residual @ residual - projected @ self.inverse @ projected)
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
         """The tuning with one more nuisance, whose response at its spread is `column` (row,)."""
-        n = len(self.nuisances)
-        columns = stacked_columns(self.jacobian[:, :n], column[:, None], self.jacobian[:, n:])
-        return tuning_from([*self.nuisances, nuisance], columns, self.spread, self.prior_weight, self.further)
+        return self.of([*self.nuisances, nuisance], self.of_nuisances.beside(Columns([column], len(column))))
 
     def reweighted(self, scale: np.ndarray) -> Tuning:
         """The same tuning with each row weight multiplied by `scale` (row,)."""
         return replace(
-            tuning_from(self.nuisances, np.asfortranarray(self.jacobian * scale[:, None]), self.spread, self.prior_weight, self.further),
+            tuning_from(self.nuisances, self.jacobian.scaled(scale), self.spread, self.prior_weight, self.further),
             base=self.base,
         )
 
@@ -148,7 +144,7 @@ def tuning_of(group: Group, settings: Sequence[Setting] = (), response: np.ndarr
     spread = group.machine.parameter_tolerance * UNIFORM
     if spread <= 0.0:
         nuisances = ()
-    columns = np.zeros((group.size, len(nuisances)))
+    columns = Columns([np.zeros(group.size)] * len(nuisances), group.size)
     nothing = tuning_from(nuisances, columns, spread).with_free(zeros_of(group), 1.0)  # encoder zeros are further columns
     return linearised(nothing, group, settings, response)
 
@@ -173,10 +169,12 @@ def linearised(
         variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + steps[i]), settings, axes))
     if not steps:
         return tuning
-    columns = np.array(tuning.jacobian[:, : len(tuning.nuisances)], order="F")
-    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations))):
-        columns[:, i] = (changed - response) * (tuning.spread / step)
-    return replace(tuning.of(tuning.nuisances, columns), base=tuning.base)
+    columns = list(tuning.of_nuisances.each)
+    for (i, step), changed in zip(steps.items(), group.responses(variations)):
+        if isinstance(changed, TwinError):
+            raise changed
+        columns[i] = ((changed - response) * (tuning.spread / step)).astype(np.float32)
+    return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 
 
 def moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
@@ -184,25 +182,26 @@ def moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
     return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
 
 
-def zeros_of(group: Group) -> np.ndarray:
-    """Response (row, constant), weighted, to a constant between motor encoder and scale in each run: encoders have no common zero.
+def zeros_of(group: Group) -> Columns:
+    """Responses, weighted, to a constant between motor encoder and scale in each run: encoders have no common zero.
 
     An effect whose law restarts at zero in each run and one that keeps its phase differ by this constant alone.
     """
-    blocks = [np.zeros((group.size, 0))]
+    columns = []
     for axis in group.axes:
         channels = [c for c in group.channels if (c.axis, c.name) == (axis, "motor_minus_scale")]
         if not channels:
             continue
         rotary = group.views[channels[0].run].machine.axis(axis).kind == "rotary"
-        each = np.zeros((group.size, len(channels)))
-        for i, channel in enumerate(channels):
-            each[channel.rows, i] = (ARCSEC if rotary else 1e-6) * channel.weight
         # a trend from run to run is thermal growth of the screw, not an encoder zero
         when = np.array([[0.0 if rotary else group.views[c.run].started_at for c in channels]])
         when -= when.mean()
-        blocks.append(each @ (null_space(when) if when.any() else np.eye(len(channels))))
-    return stacked_columns(*blocks)
+        for zeros in (null_space(when) if when.any() else np.eye(len(channels))).T:
+            column = np.zeros(group.size, np.float32)
+            for channel, zero in zip(channels, zeros):
+                column[channel.rows] = (ARCSEC if rotary else 1e-6) * zero * channel.weight
+            columns.append(column)
+    return Columns(columns, group.size)
 
 
 class Trial(NamedTuple):
@@ -219,26 +218,16 @@ def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
     return Trial(column, 0.5 * slope**2 / curvature, slope / curvature * UNIFORM)
 
 
-def stacked_columns(*blocks: np.ndarray) -> np.ndarray:
-    """Blocks of columns (row, n) side by side, in Fortran order."""
-    out = np.empty((len(blocks[0]), sum(b.shape[1] for b in blocks)), order="F")
-    at = 0
-    for block in blocks:
-        out[:, at : at + block.shape[1]] = block
-        at += block.shape[1]
-    return out
-
-
 def tuning_from(
     nuisances: Sequence[Nuisance],
-    jacobian: np.ndarray,
+    jacobian: Columns,
     spread: float,
     prior_weight: float = T.prior_weight,
     further: np.ndarray | None = None,
 ) -> Tuning:
-    """A tuning from nuisances and `jacobian` (row, column), their weighted response at their spread. Columns beyond the nuisances are free."""
+    """A tuning from nuisances and `jacobian`, their weighted response at their spread. Columns beyond the nuisances are free."""
     further = np.zeros(0) if further is None else further
-    normal = jacobian.T @ jacobian + np.diag(np.concatenate([np.full(len(nuisances), prior_weight), further]))
+    normal = jacobian.gram() + np.diag(np.concatenate([np.full(len(nuisances), prior_weight), further]))
     return Tuning(tuple(nuisances), jacobian, spread, normal, _inverse(normal), np.zeros(len(nuisances)), prior_weight, further)
 
 

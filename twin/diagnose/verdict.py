@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
-from twin.diagnose.fit import no_effect
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.sizes import with_final_sizes, without_implausible
@@ -60,8 +59,8 @@ def final_state(state: GroupState, quick: bool = False) -> GroupState:
 def with_zeros_out(state: GroupState) -> GroupState:
     """The state with fitted encoder zeros removed from the residuals: a constant between the encoders in each run is no fault."""
     group, count = state.group, len(state.tuning.nuisances)
-    columns, theta = state.tuning.jacobian[:, count:], state.fit.tuning[count:]
-    offset = columns @ theta / group.weights
+    theta = state.fit.tuning[count:]
+    offset = state.tuning.others.times(theta) / group.weights
 
     def shifted(of: Group) -> Group:
         return replace(of, channels=[replace(c, residual=c.residual - offset[c.rows]) for c in of.channels])
@@ -69,7 +68,7 @@ def with_zeros_out(state: GroupState) -> GroupState:
     group, rigid = shifted(state.group), shifted(state.rigid)
     tuning = np.concatenate([state.fit.tuning[:count], np.zeros(len(theta))])
     fit = replace(state.fit, tuning=tuning, loss=state.tuning.loss(group.residual - state.fit.response))
-    return replace(state, group=group, rigid=rigid, fit=fit, retuned=no_effect(group, state.tuning))
+    return replace(state, group=group, rigid=rigid, fit=fit)
 
 
 def is_unknown(state: GroupState) -> bool:
@@ -108,7 +107,7 @@ def differs_between_runs(state: GroupState) -> bool:
         steps, gain = [], 0.0
         for run in range(len(group.views)):
             rows = group.run_rows(run) & settled
-            slope = state.fit.columns[rows, i]
+            slope = state.fit.columns.each[i][rows].astype(float)
             information = float(slope @ slope)
             if information > 0.0:
                 step = float(slope @ residual[rows]) / information

@@ -14,12 +14,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 import math
 
-import numpy as np
-
 from twin.diagnose.cross_validation import retuned_within
-from twin.diagnose.fit import Fit
-from twin.diagnose.observe import Group
-from twin.diagnose.state import GroupState, Key
+from twin.diagnose.state import GroupState, Key, squares_by_axis
 from twin.diagnose.wording import effect_title
 from twin.simulation.gap_level import overall
 
@@ -48,14 +44,15 @@ def waterfall(
 
     step("machine file", {})
     for state in states:
-        now = _levels_after(state, retuned_within(state, tolerance), ends)
+        left = retuned_within(state, tolerance).residual(state.group)
+        now = _levels_after(state, squares_by_axis(state.group, left), ends)
         # without a later step of its own, an axis ends here
         ended = {axis: ends[axis][1] for axis in now if not effects[state.group.axes] and axis not in with_laws}
         step("re-tuned within tolerance", now | ended)
     # groups of axes are independent: the one whose effects close most comes first
     for state in sorted(states, key=lambda f: sum(ends[a][1] - ends[a][0] for a in f.group.axes if a in ends)):
-        for label, fit in effects[state.group.axes]:
-            step(label, _levels_after(state, fit, ends))
+        for label, squares in effects[state.group.axes]:
+            step(label, _levels_after(state, squares, ends))
     for axis, square in with_laws.items():
         step(f"unlisted law {axis}", {axis: square})
     return steps
@@ -67,10 +64,10 @@ def retuning_share(steps: Sequence[tuple[str, float]]) -> float:
     return min(max((levels[0] - levels[1]) / (levels[0] - 1.0), 0.0), 1.0) if len(levels) > 1 and levels[0] > 1.0 else 0.0
 
 
-def _levels_after(state: GroupState, fit: Fit, ends: Ends) -> dict[str, float]:
-    """Squared level of each axis of a group after a step, interpolated between the measured ends."""
-    first = _squares_by_axis(state.rigid, state.rigid.residual)
-    now, last = (_squares_by_axis(state.group, _left_by(state, f)) for f in (fit, state.fit))
+def _levels_after(state: GroupState, now: Mapping[str, float], ends: Ends) -> dict[str, float]:
+    """Squared level of each axis of a group after a step that leaves the mean squares `now`, interpolated between the measured ends."""
+    first = squares_by_axis(state.rigid, state.rigid.residual)
+    last = squares_by_axis(state.group, state.fit.residual(state.group))
     out = {}
     for axis, (before, after) in ends.items():
         if axis in now:
@@ -80,33 +77,15 @@ def _levels_after(state: GroupState, fit: Fit, ends: Ends) -> dict[str, float]:
     return out
 
 
-def _accepted(state: GroupState, kept: Collection[Key]) -> list[tuple[str, Fit]]:
-    """The fits of the rounds that accepted effects; the last one is the final fit."""
-    steps: list[tuple[str, Fit]] = []
+def _accepted(state: GroupState, kept: Collection[Key]) -> list[tuple[str, dict[str, float]]]:
+    """What the rounds that accepted effects leave on each axis; the last one leaves what the final fit leaves."""
+    steps: list[tuple[str, dict[str, float]]] = []
     seen: set[Key] = set()
-    for fit in state.accepted:
-        new = [s for s in fit.settings if s.key in kept and s.key in state.keys - seen]
-        seen |= {s.key for s in fit.settings}
+    for settings, squares in state.accepted:
+        new = [s for s in settings if s.key in kept and s.key in state.keys - seen]
+        seen |= {s.key for s in settings}
         if not new:
             continue
         title = effect_title({"effect": new[0].effect.name, "axis": new[0].axis, "from_axis": new[0].from_axis})
-        steps.append((title if len(new) == 1 else f"{title} and {len(new) - 1} more", fit))
-    return [*steps[:-1], (steps[-1][0], state.fit)] if steps else []
-
-
-def _left_by(state: GroupState, fit: Fit) -> np.ndarray:
-    """Residual (row,) that a fit leaves, weighted."""
-    residual: np.ndarray = state.group.residual - fit.response
-    # a later round may have other normal imperfections, so that the coefficients belong to other nuisances
-    same_nuisances = len(fit.tuning) == state.tuning.jacobian.shape[1]
-    return residual - (fit.retuning if same_nuisances else state.tuning.jacobian @ state.tuning.solve(residual))
-
-
-def _squares_by_axis(group: Group, residual: np.ndarray) -> dict[str, float]:
-    """Mean square over noise of a residual (row,), weighted, of each axis over runs and measured signals."""
-    squares: dict[str, list[float]] = {}
-    for channel in group.channels:
-        if channel.name != "controller":  # motor_minus_scale represents the motor encoder
-            normed = residual[channel.rows] / channel.weight / channel.sigma
-            squares.setdefault(channel.axis, []).append(float(np.mean(normed**2)))
-    return {axis: float(np.mean(values)) for axis, values in squares.items()}
+        steps.append((title if len(new) == 1 else f"{title} and {len(new) - 1} more", squares))
+    return [*steps[:-1], (steps[-1][0], squares_by_axis(state.group, state.fit.residual(state.group)))] if steps else []

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.diagnose.candidates import Start, starts_of
+from twin.diagnose.columns import Columns
 from twin.diagnose.fit import simulated_response
 from twin.diagnose.next_measurement import KINDS, move_of
 from twin.diagnose.observe import Group, axis_groups, observe
@@ -93,18 +94,17 @@ def answers_of(group: Group, starts: Mapping[Key, Start], mapper: Mapper) -> Ans
     tuning = tuning_of(replace(group, mapper=mapper))
     simulated = mapper(lambda s: _columns(group, s), starts.values())
     at = len(tuning.nuisances)
-    blocks = [tuning.jacobian[:, :at].astype(np.float32)]
-    own_to_the_runs = tuning.jacobian[:, at:].astype(np.float32)
+    everything = [tuning.of_nuisances]
     places: dict[Key, slice] = {}
     for (key, start), columns in zip(starts.items(), simulated):
-        columns = np.zeros((group.size, len(start.settings)), np.float32) if columns is None else columns
-        places[key] = slice(at, at + columns.shape[1])
-        at += columns.shape[1]
-        blocks.append(columns)
-    matrix = np.concatenate([*blocks, own_to_the_runs], axis=1)
+        columns = [np.zeros(group.size, np.float32)] * len(start.settings) if columns is None else columns
+        places[key] = slice(at, at + len(columns))
+        at += len(columns)
+        everything.append(Columns(columns, group.size))
+    matrix = Columns([], group.size).beside(*everything, tuning.others)
     products: dict[str, np.ndarray] = {}
     for channel in group.channels:
-        rows = matrix[channel.rows].astype(float)
+        rows = matrix.part(channel.rows)
         products[channel.name] = products.get(channel.name, 0.0) + rows.T @ rows
     return Answers(len(tuning.nuisances), places, {name: _eliminated(p, at, tuning.further) for name, p in products.items()})
 
@@ -122,9 +122,9 @@ def starts_by_key(group: Group) -> dict[Key, Start]:
     return {key: (same := [s for s in starts if s.key == key])[len(same) // 2] for key in keys}
 
 
-def _columns(group: Group, start: Start) -> np.ndarray | None:
+def _columns(group: Group, start: Start) -> list[np.ndarray] | None:
     try:
-        return np.stack([simulated_response(group, [s]).astype(np.float32) for s in start.settings], axis=1)
+        return [simulated_response(group, [s]).astype(np.float32) for s in start.settings]
     except TwinError:
         return None
 

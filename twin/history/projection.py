@@ -72,7 +72,7 @@ def variation(changes: Sequence[tuple[Direction, float]]) -> Variation:
 def projection_of(group: Group, columns: np.ndarray, residual: np.ndarray) -> Projection:
     """Inner products over all rows of a group; rows that depend on how an axis stuck hardly count."""
     weight = np.sqrt(group.credit)
-    x = np.column_stack([columns, residual, zeros_of(group)]) * weight[:, None]
+    x = np.column_stack([columns, residual, zeros_of(group).part(slice(0, group.size))]) * weight[:, None]
     k = columns.shape[1]
     products = x.T @ x
     free = products[k + 1 :, k + 1 :] + FREE * np.eye(len(products) - k - 1)

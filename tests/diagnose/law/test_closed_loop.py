@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.builders.diagnosis_state import found_of, group_of, no_tuning
+from tests.builders.diagnosis_state import columns_of, found_of, group_of, no_tuning
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.fit import fit_with_fixed_effects, free_parameters, simulated_response
 from twin.diagnose.law import laws as law_search
@@ -316,7 +316,7 @@ def test_a_single_run_is_predicted_half_by_half():
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((group.size, 40))
     free = group_of([rng.standard_normal(group.size)])
-    tuning = no_tuning(group.size).with_free(columns)
+    tuning = no_tuning(group.size).with_free(columns_of(columns))
     fit = fit_with_fixed_effects(free, tuning, (), np.zeros(group.size))
     alone = ClosedLoop(free, "X", halved(Parts(((slice(0, group.size),),)), 0, np.ones(group.size)))
     assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone._with_cost(fit).held_out
@@ -373,7 +373,7 @@ def test_a_fit_with_the_slopes_of_another_has_the_same_result(monkeypatch):
     assert beside.held_out == pytest.approx(first.held_out, rel=1e-3)
     assert beside.settings[0].parameters["height"] == pytest.approx(first.settings[0].parameters["height"], rel=1e-2)
     # slopes of the wrong sign are computed again
-    wrong, _ = fitted(-280.0, replace(first, fit=replace(first.fit, columns=-first.fit.columns)))
+    wrong, _ = fitted(-280.0, replace(first, fit=replace(first.fit, columns=first.fit.columns.scaled(-np.ones(loop.group.size)))))
     assert wrong.settings[0].parameters["height"] == pytest.approx(first.settings[0].parameters["height"], rel=1e-2)
 
 

@@ -103,7 +103,8 @@ class ClosedLoop:
     def zeros(self) -> np.ndarray:
         """Orthonormal response (row, n) to the encoder zeros. Each run has its own; no other run predicts them."""
         columns = zeros_of(self.group)
-        return np.asarray(np.linalg.qr(columns[:, np.any(columns != 0.0, axis=0)])[0])
+        seen = columns.chosen(i for i, column in enumerate(columns.each) if column.any())
+        return np.asarray(np.linalg.qr(seen.part(slice(0, seen.rows)))[0])
 
     @property
     def only_fold(self) -> int | None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import math
 
 from twin.diagnose.corrected import corrected_machine, fitted_without, limited_deviations
-from twin.diagnose.fit import fit_effects, no_effect, simulated_response
+from twin.diagnose.fit import fit_effects, simulated_response
 from twin.diagnose.law.closed_loop import FEW_STEPS, ClosedLoop, Fitted, Settings, closed_loop, laws_in
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
@@ -145,7 +145,7 @@ def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupStat
         if together is None:
             return None
         joint = together
-    return GroupState(group, group, fit.about, joint, no_effect(group, fit.about), inflation(group, joint))
+    return GroupState(group, group, fit.about, joint, inflation(group, joint))
 
 
 Proposal = tuple[Described, Samples, Setting]
