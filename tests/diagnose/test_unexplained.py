@@ -47,7 +47,10 @@ def found_with(left, slope):
             run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,
         ),
         fit=SimpleNamespace(
-            settings=(SETTING,), free=[Free(0, parameter, False, 0.05)], columns=columns_of(np.concatenate(slope)[:, None]), residual=lambda group: rows
+            settings=(SETTING,),
+            free=[Free(0, parameter, False, 0.05)],
+            columns=columns_of(np.concatenate(slope)[:, None]),
+            residual=lambda group: rows,
         ),
     )
 

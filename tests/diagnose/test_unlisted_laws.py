@@ -54,6 +54,18 @@ def test_a_law_is_sought_instead_of_several_effects_in_one_block(effects, asked,
     assert asked_of(("X",), False, {"X": 1.1}, {"X": 1.3}, mikron, monkeypatch, before={"X": 70.0}, effects=effects) == []
 
 
+@pytest.mark.parametrize(
+    ("effects", "asked"),
+    [
+        (["torque_constant", "coulomb_friction", "current_filter"], [["X"]]),
+        (["torque_constant", "coulomb_friction"], []),  # a law would be the larger claim
+        (["torque_constant", "coulomb_friction", "backlash", "lead_error"], []),  # a channel isolates the last two
+    ],
+)
+def test_a_filter_is_tried_in_place_of_three_effects_in_the_loop(effects, asked, mikron, monkeypatch):
+    assert asked_of(("X",), False, {"X": 1.0}, {"X": 1.0}, mikron, monkeypatch, before={"X": 70.0}, effects=effects) == asked
+
+
 def test_many_effects_that_leave_only_noise_are_a_result():
     group = group_of([np.full(50, 3.0)], "X")
     effects = [Setting(EFFECTS[name], "X", {}) for name in list(EFFECTS)[: MOST_EFFECTS + 1]]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 import math
 from typing import get_args
 
 import numpy as np
 
-from twin.diagnose.state import GroupState
+from twin.diagnose.state import GroupState, Key
 from twin.effects.effect import SeparatingMove
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
@@ -29,17 +29,21 @@ class Proposal:
     move: Trace | None
 
 
-def propose(machine: Machine, states: Sequence[GroupState], verdict: str) -> Proposal:
-    """The move that separates the two closest candidates; nothing for the verdict 'none'."""
-    if verdict == "none":
+def propose(machine: Machine, states: Sequence[GroupState], verdict: str, named: Collection[Key], laws_on: Sequence[str] = ()) -> Proposal:
+    """The move that separates the closest candidates for one of the effects that are `named`; without any, one that shows the unlisted laws on these
+    axes again; nothing for the verdict 'none'.
+    """
+    if verdict == "none" and not laws_on:
         return Proposal("none needed: the machine agrees with its file", None)
     pairs = []
     for f in states:
         for candidates in f.rounds:
             able = [c for c in candidates if c.plausible]
-            if able and able[0].key in f.keys:
+            if able and able[0].key in named:
                 rival = able[1] if len(able) > 1 else None
                 pairs.append((able[0].evidence - (rival.evidence if rival else 0.0), able[0], rival))
+    if not pairs and laws_on:
+        return _proposal("accelerations", machine.axis(laws_on[0]), "confirms the law on a new run")
     if not pairs:
         return _proposal("constant speeds", machine.axis(_most_left(states)), "no known effect explains the residual")
     _, best, rival = min(pairs, key=lambda p: p[0])

@@ -114,7 +114,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
         where=[],
         gaps={which: held_out.gaps(machine, campaign.runs, which) for which in held_out.predictions},
         held_out=held_out.runs,
-        proposal=propose(machine, states, verdict),
+        proposal=propose(machine, states, verdict, {s.key for s, _, _ in settings}, [law.axis for law in laws]),
         notes=_notes(setup, campaign, correction, zeros),
         predictions=held_out.predictions,
         laws=laws,
@@ -188,7 +188,8 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
     if verdict == "unknown" != diagnosis.verdict:
         # a quick look skips axes whose blocks show no more than noise, so that a gap there is not examined
         decided = not (setup.quick and diagnosis.verdict == "none")
-        proposal = propose(setup.machine, diagnosis.found, "unknown") if diagnosis.found else diagnosis.proposal
+        named_effects = {s.key for s, _, _ in diagnosis.settings}
+        proposal = propose(setup.machine, diagnosis.found, "unknown", named_effects) if diagnosis.found else diagnosis.proposal
         diagnosis = replace(diagnosis, decided=decided, proposal=proposal)
     if verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.settings):
         verdict = "unknown" if diagnosis.laws else "none"

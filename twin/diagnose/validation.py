@@ -24,7 +24,7 @@ from twin.diagnose.judgement import (
     unexplained_share,
     worse_signals,
 )
-from twin.diagnose.law.laws import MOST_EFFECTS, Laws, laws_of
+from twin.diagnose.law.laws import MOST_EFFECTS, Laws, costs_more_than_a_law, in_the_loop, laws_of
 from twin.diagnose.setup import Setup
 from twin.diagnose.state import GroupState
 from twin.errors import TwinError
@@ -137,10 +137,11 @@ def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
 
     loud = [axis for axis in few if is_loud(axis)]
     axes = [axis for f in found for axis in _recorded_axes(f) if f.unknown or axis in loud]
-    for asked, doubted in (([a for a in axes if a in few], False), (axes, True)):
+    many = [a for f in found for a in _recorded_axes(f) if a not in axes and costs_more_than_a_law(in_the_loop(f.fit.settings, a))]
+    for asked, doubted in (([a for a in axes if a in few] + many, False), (axes, True)):
         if asked:
             with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual
-                yield laws_of(found, asked, setup.folds, setup.progress, doubted)
+                yield laws_of(found, asked, setup.folds, setup.progress, doubted, many)
 
 
 def _recorded_axes(found: GroupState) -> list[str]:
@@ -159,7 +160,10 @@ def _effect_count(found: GroupState, axis: str) -> int:
 
 
 def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> tuple[float, Validated]:
-    """The share of the held-out gap that laws leave on their axes, and the correction with them; infinite if they are of no use."""
+    """The share of the held-out gap that laws leave on their axes, and the correction with them; infinite if they are of no use.
+
+    A law in place of effects that explained their axis leaves what these left.
+    """
     machine, held_out = setup.machine, validated.held_out
     if not laws.laws:
         return math.inf, validated
@@ -172,10 +176,12 @@ def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Val
     # the only run that shows a law is predicted by the machine fitted to all runs
     fitted = {runs[i].name for law in laws.laws if law.only_fold is not None for i in setup.folds[law.only_fold]}
     predicted = replace(predicted, runs=[name for name in held_out.runs if name not in fitted])
-    axes = {law.axis for law in laws.laws}
+    loud = {law.axis for law in laws.laws} - laws.instead
     alike = aligned(runs, setup.nominal, predicted.traces)
     without, with_them = signal_levels(held_out.gaps(machine, validated.runs)), signal_levels(predicted.gaps(machine, alike))
-    if worse_signals(without, with_them):
+    if worse_signals(without, with_them) or (
+        laws.instead and is_worse(laws.instead, validated.after, levels(predicted.gaps(machine, alike)))
+    ):
         return math.inf, validated
-    share = remaining_share(without, with_them, axes)
+    share = remaining_share(without, with_them, loud) if loud else 0.0
     return share, replace(validated, runs=alike, held_out=predicted, corrected=laws.corrected, laws=laws)

@@ -5,13 +5,14 @@ A law is a term like an effect: both are fitted, added, exchanged and removed by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
 from twin.diagnose.corrected import corrected_machine, fitted_without, limited_deviations
 from twin.diagnose.fit import fit_effects, simulated_response
-from twin.diagnose.law.closed_loop import FEW_STEPS, ClosedLoop, Fitted, Settings, closed_loop, laws_in
+from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted, Settings, closed_loop, laws_in
+from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
@@ -19,7 +20,7 @@ from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Variant
-from twin.diagnose.state import GroupState, Key, inflation
+from twin.diagnose.state import SHOWS_IN, GroupState, Key, inflation
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting, check_setting, settings_of
@@ -32,7 +33,7 @@ LITTLE_LEFT = 0.02
 """The search for laws ends when a smaller fraction of the gap before the first law is left: a law is measured to some percent of its size."""
 
 MOST_EFFECTS = 5
-"""Largest number of effects of an axis that a law may replace."""
+"""Largest number of effects of an axis that several laws may replace; a larger number is compared with one law."""
 
 Progress = Callable[[str], None]
 
@@ -62,7 +63,8 @@ class Law:
 class Laws:
     """The laws of a machine, the states of its groups with them, and the corrected machine.
 
-    `left` is the unexplained fraction of the gap above noise on runs left out, by axis. `beside` is the probability of each effect that stays
+    `left` is the unexplained fraction of the gap above noise on runs left out, by axis; `instead` are the axes on which a filter replaced effects
+    that explained the gap. `beside` is the probability of each effect that stays
     beside a law: what its removal costs there.
     """
 
@@ -71,6 +73,7 @@ class Laws:
     corrected: Machine
     left: Mapping[str, float]
     beside: Mapping[Key, float] = field(default_factory=dict)
+    instead: frozenset[str] = frozenset()
 
     def without(self, machine: Machine, fold: Sequence[int]) -> Machine:
         """The corrected machine fitted without the runs of a fold."""
@@ -83,8 +86,9 @@ def laws_of(
     folds: Sequence[Sequence[int]],
     progress: Progress = lambda _: None,
     doubted: bool = False,
+    explained: Collection[str] = (),
 ) -> Laws:
-    """Laws of these axes, beside or instead of the effects that the search found.
+    """Laws of these axes, beside or instead of the effects that the search found; on those of them that are `explained`, one filter instead.
 
     The search gives little weight to samples with large errors. A law may act just there, so all samples weigh the same, unless `doubted`.
     """
@@ -111,14 +115,16 @@ def laws_of(
                 response = simulated_response(loop.group, others) / loop.group.weights
                 channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
                 loop = replace(loop, group=replace(loop.group, channels=channels))
-            best = _search_axis(loop, own, progress)
-            left[axis] = best.left if best else 1.0
+            best = _filter_instead(loop, own, progress) if axis in explained else _search_axis(loop, own, progress)
+            left[axis] = best.left if best else float(axis not in explained)
             if best and best.laws:
                 laws += _laws_in(best)
                 beside |= _probabilities_beside(best)
                 state = _state_with(closed_loop(group, axis, folds, slips), best.fitted, others) or state
         states.append(state)
-    return Laws(tuple(laws), tuple(states), corrected_machine(machine, states), left, beside)
+    return Laws(
+        tuple(laws), tuple(states), corrected_machine(machine, states), left, beside, frozenset(explained) & {law.axis for law in laws}
+    )
 
 
 def _corrected_by(state: GroupState) -> Variant:
@@ -207,7 +213,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     loop = loop.halving_its_only_loud_fold(first)
     best = _search_from(loop, settings, own, progress, (STRONG, WEAK))
     bent = any(not is_normal(machine, s) for s in drive_train_of(settings, axis))
-    if len(own) > MOST_EFFECTS or best is None or (not own and (not bent or best.left < LITTLE_LEFT)):
+    if best is None or (not own and (not bent or best.left < LITTLE_LEFT)):
         return best
     progress(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
     bare = tuple(s for s in settings if s not in own)
@@ -215,7 +221,8 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     if bent:
         starts += [(*with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     for start in starts:
-        alone = _search_from(loop, start, own, progress)
+        most, beat = (MOST_LAWS, math.inf) if len(own) <= MOST_EFFECTS else (1, best.fitted.cost)
+        alone = _search_from(loop, start, own, progress, most=most, beat=beat)
         if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
             best = alone
             if best.left < LITTLE_LEFT:
@@ -224,9 +231,16 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
 
 
 def _search_from(
-    loop: ClosedLoop, settings: Settings, effects: Settings, progress: Progress, selections: Sequence[Selection] = (STRONG,)
+    loop: ClosedLoop,
+    settings: Settings,
+    effects: Settings,
+    progress: Progress,
+    selections: Sequence[Selection] = (STRONG,),
+    most: int = MOST_LAWS,
+    beat: float = math.inf,
 ) -> _AxisLaws | None:
-    """Laws of one axis from a start, added one by one while they lower the cost; then terms are exchanged, `effects` among them.
+    """Laws of one axis from a start, at most `most`, added one by one while they lower the cost; then, if they cost less than `beat`, terms are
+    exchanged, `effects` among them.
 
     Candidates of each of the `selections` are tried if none of the one before lowers the cost.
     """
@@ -236,7 +250,7 @@ def _search_from(
     fitted, at_first = first, loop.above_noise(first)
     laws: dict[Key, tuple[Proposal, float]] = {}
     waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
-    while len(laws) < MOST_LAWS and loop.above_noise(fitted) >= LITTLE_LEFT * at_first:
+    while len(laws) < most and loop.above_noise(fitted) >= LITTLE_LEFT * at_first:
         cheaper = _cheaper(loop, fitted, waiting, selections, progress)
         if not cheaper:
             break
@@ -244,10 +258,50 @@ def _search_from(
         waiting = [proposal for _, proposal in others]
         laws[new.settings[-1].key] = best, (fitted.held_out - new.held_out) / max(at_first, 1e-300)
         fitted = with_normal_elasticity(loop, new)
+    return _exchanged(loop, fitted, effects, laws if fitted.cost < beat else {}, at_first)
+
+
+def _exchanged(
+    loop: ClosedLoop, fitted: Fitted, effects: Settings, laws: Mapping[Key, tuple[Proposal, float]], at_first: float
+) -> _AxisLaws:
+    """The fit after terms were exchanged, `effects` among them, if it holds laws; `at_first` is the loss above noise without laws."""
     fitted, without = settled(loop, fitted, effects) if laws else (fitted, {})
     kept = {s.key for s in fitted.settings}
     left = loop.above_noise(fitted) / max(at_first, 1e-300)
     return _AxisLaws(loop, {key: law for key, law in laws.items() if key in kept}, fitted, min(left, 1.0), without)
+
+
+def costs_more_than_a_law(effects: Sequence[Setting]) -> bool:
+    """Is one unlisted law the smaller claim than these effects?"""
+    return T.evidence * len(effects) > T.evidence + OUTSIDE
+
+
+def in_the_loop(settings: Sequence[Setting], axis: str) -> Settings:
+    """The effects of an axis, other than normal ones, in blocks that no channel isolates: each changes how the closed loop swings."""
+    return tuple(s for s in settings if s.axis == axis and not s.effect.normal and s.effect.block not in SHOWS_IN)
+
+
+def _filter_instead(loop: ClosedLoop, settings: Settings, progress: Progress) -> _AxisLaws | None:
+    """One filter of a control block in place of all effects of an axis that act in its closed loop, if it costs less.
+
+    A filter changes how the loop swings. Several numbers of a drive, each a little off, may imitate that down to noise.
+    """
+    effects = in_the_loop(settings, loop.axis)
+    full, bare = loop.start(settings), loop.start(tuple(s for s in settings if s not in effects))
+    if full is None or bare is None:
+        return None
+    progress(f"{loop.axis}: trying a filter instead of {', '.join(s.effect.name for s in effects)}")
+    machine, blocks = loop.group.machine, _blocks(loop, bare)
+    found = settings_of_proposals([(d, s) for s in blocks for d in filters_of(s, machine)], loop.axis, machine)
+    at_first = loop.above_noise(bare)
+    for description, samples, law in found:
+        new = loop.refit(bare, (*bare.settings, law))
+        if new is not None and new.cost < full.cost:
+            closed = 1.0 - new.held_out / max(bare.held_out, 1e-300)
+            best = _exchanged(loop, new, effects, {law.key: ((description, samples, law), closed)}, at_first)
+            if best.laws:
+                return best
+    return None
 
 
 def _cheaper(
@@ -255,10 +309,7 @@ def _cheaper(
 ) -> list[tuple[Fitted, Proposal]]:
     """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
     axis, machine, known = loop.axis, loop.group.machine, set[str]()
-    about: Tuning = fitted.fit.about
-    of_tuning = tuned(about.nuisances, fitted.fit.tuning[: len(about.nuisances)] * about.spread)
-    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.group.mapper)
-    measured = measured_in(blocks, machine, axis)
+    measured = measured_in(_blocks(loop, fitted), machine, axis)
     for selection in selections:
         proposed = settings_of_proposals(propose_laws(measured, machine, axis, selection), axis, machine)
         proposed = [p for p in proposed if label(p[0]) not in known]
@@ -273,6 +324,13 @@ def _cheaper(
         if tried:
             return sorted(tried, key=lambda t: t[0].cost)
     return []
+
+
+def _blocks(loop: ClosedLoop, fitted: Fitted) -> Sequence[Samples]:
+    """What the machine of a fit leaves in each block of the axis."""
+    about: Tuning = fitted.fit.about
+    of_tuning = tuned(about.nuisances, fitted.fit.tuning[: len(about.nuisances)] * about.spread)
+    return residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (loop.axis,), loop.group.mapper)
 
 
 def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted, dict[Key, Fitted]]:
