@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.builders.one_axis import steady, swing
-from twin.control.friction_pulse import pulses
+from twin.control.friction_pulse import FRICTION_PULSE, next_pulse
 from twin.control.library import BLOCKS
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
@@ -49,11 +49,21 @@ def stated_pulses(
     return out
 
 
-def test_a_pulse_follows_its_law_and_decays_with_its_time() -> None:
+def pulses(machine: Machine, values: dict[str, float], setpoint: np.ndarray, output: np.ndarray) -> np.ndarray:
+    """The pulses of the block from the set point and the speed set point without them, one sample a position cycle."""
+    p, out, pulse, direction = np.array(FRICTION_PULSE.constants(values, machine, 1.0)), np.zeros(len(setpoint)), 0.0, 0.0
+    steps = np.diff(setpoint, prepend=setpoint[0])
+    for k in range(1, len(setpoint)):
+        pulse, direction = next_pulse(p, pulse, direction, steps[k], steps[k - 1], output[k])
+        out[k] = pulse
+    return out
+
+
+def test_a_pulse_follows_its_law_and_decays_with_its_time(machine: Machine) -> None:
     random = np.random.default_rng(4)
     setpoint = np.cumsum(np.round(1e-6 * random.standard_normal(400).cumsum(), 7))
     output = np.gradient(setpoint, 2e-3) + 1e-4 * random.standard_normal(400)
-    found = pulses({"amplitude": 2e-3, "decay_time": 0.015}, setpoint, output, 2e-3)
+    found = pulses(machine, {"amplitude": 2e-3, "decay_time": 0.015}, setpoint, output)
     assert found == pytest.approx(stated_pulses(setpoint, output, 2e-3, math.exp(-2.0 / 15.0)), abs=1e-15)
     assert np.count_nonzero(np.abs(found) == 2e-3) > 3
     # the same numbers from the pulses alone, also with rounding
@@ -62,7 +72,7 @@ def test_a_pulse_follows_its_law_and_decays_with_its_time() -> None:
     assert pulse_in(np.zeros(10), 2e-3) is None
     assert pulse_in(random.standard_normal(400), 2e-3) is None
     knees = {f"acceleration_{i}": a for i, a in ((1, 0.1), (2, 0.3), (3, 0.9))}
-    found = pulses({"amplitude": 2e-3, "decay_time": 0.015, "amplitude_low": 5e-4, **knees}, setpoint, output, 2e-3)
+    found = pulses(machine, {"amplitude": 2e-3, "decay_time": 0.015, "amplitude_low": 5e-4, **knees}, setpoint, output)
     stated = stated_pulses(setpoint, output, 2e-3, math.exp(-2.0 / 15.0), 5e-4, tuple(4e-6 * a for a in knees.values()))
     assert found == pytest.approx(stated, abs=1e-15)
     assert len(np.unique(np.round(np.abs(found), 9))) > 20

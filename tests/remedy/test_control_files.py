@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 import tomllib
 
@@ -15,6 +16,7 @@ from twin.remedy.advice import BACKLASH, PULSE, TABLE
 from twin.remedy.change import Change
 from twin.remedy.control_data import files_for
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
+from twin.remedy.files.entry import Entry
 from twin.remedy.files.existing import Existing, existing, lines_of
 from twin.remedy.files.table import ErrorTable
 
@@ -24,24 +26,19 @@ TYPE_1 = "-1.000 0.005 -0.005\n0.000 0.002 -0.003\n1.000 0.003 -0.004\n"
 OF_SOURCE = "0.000000 0.000000 -0.001279\n0.100000 0.098742 0.051632\n0.200000 0.171529 0.194216\n"
 
 
+def trims(text: str, kind: int, at: tuple[float, ...], way: int) -> list[float]:
+    """What LinuxCNC adds to the motor command [mm]: minus the error that the table corrects."""
+    return list(-1e3 * linuxcnc.table_of(text, "X", "linear", kind).error(1e-3 * np.array(at), way))
+
+
 def test_the_trims_that_linuxcnc_applies() -> None:
-    trims = linuxcnc.load(TYPE_0)
     at = (-2.0, -0.5, 0.0, 0.25, 0.5, 1.0, 3.0)
-    assert [trims.at(p, 1.0) for p in at] == pytest.approx([0.005, 0.0015, -0.002, -0.00225, -0.0025, -0.003, -0.003], abs=1e-9)
-    assert [trims.at(p, -1.0) for p in at] == pytest.approx([-0.005, -0.001, 0.003, 0.00275, 0.0025, 0.002, 0.002], abs=1e-9)
-    one = linuxcnc.load(TYPE_1, 1)
-    assert [(one.at(p, 1.0), one.at(p, -1.0)) for p in (-0.5, 0.5, 3.0)] == [
-        pytest.approx(pair, abs=1e-9) for pair in ((0.0035, -0.004), (0.0025, -0.0035), (0.003, -0.004))
-    ]
-    source = linuxcnc.load(OF_SOURCE)
-    assert (source.at(0.05, 1.0), source.at(0.05, -1.0)) == pytest.approx((0.000629, 0.0248235), abs=1e-7)
-    assert (source.at(0.15, 1.0), source.at(0.15, -1.0)) == pytest.approx((0.014865, 0.027076), abs=1e-6)
-
-
-def test_the_ramp_of_a_trim() -> None:
-    expected = [-0.0070, -0.0055, -0.0030, -0.0005, 0.0020, 0.0045, 0.0060, 0.0075, 0.0075]
-    assert linuxcnc.ramp(-0.0075, 0.0075, 250.0, 2000.0, 1e-3, 9) == pytest.approx(expected, abs=1e-9)
-    assert linuxcnc.ramp(0.0075, -0.0075, 250.0, 2000.0, 1e-3, 9) == pytest.approx([-x for x in expected], abs=1e-9)
+    assert trims(TYPE_0, 0, at, 1) == pytest.approx([0.005, 0.0015, -0.002, -0.00225, -0.0025, -0.003, -0.003], abs=1e-9)
+    assert trims(TYPE_0, 0, at, -1) == pytest.approx([-0.005, -0.001, 0.003, 0.00275, 0.0025, 0.002, 0.002], abs=1e-9)
+    assert trims(TYPE_1, 1, (-0.5, 0.5, 3.0), 1) == pytest.approx([0.0035, 0.0025, 0.003], abs=1e-9)
+    assert trims(TYPE_1, 1, (-0.5, 0.5, 3.0), -1) == pytest.approx([-0.004, -0.0035, -0.004], abs=1e-9)
+    assert trims(OF_SOURCE, 0, (0.05, 0.15), 1) == pytest.approx([0.000629, 0.014865], abs=1e-6)
+    assert trims(OF_SOURCE, 0, (0.05, 0.15), -1) == pytest.approx([0.0248235, 0.027076], abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -81,11 +78,6 @@ def test_what_is_written_is_read_back() -> None:
         # ISG counts in 0.1 um
         assert read.forward == pytest.approx(written.forward, abs=0.51e-7)
         assert read.backward == pytest.approx(written.backward, abs=0.51e-7)
-    (positive, forward), (negative, backward) = sinumerik.cec_tables(sinumerik.cec_file(both, "linear", {"X1": "AX1"}), "linear")
-    assert (positive, negative) == (1, -1)
-    assert forward.forward == pytest.approx(both.forward, abs=1e-9)
-    assert backward.backward == pytest.approx(both.backward, abs=1e-9)
-    assert not forward.backward.any()
 
 
 def test_the_sign_of_each_format() -> None:
@@ -120,10 +112,21 @@ def test_the_example_of_sinumerik() -> None:
     assert len(lines) == 801 + 7
 
 
+CEC = (
+    "".join(f"$AN_CEC[0,{n}]={v}\n" for n, v in enumerate(("0", "0.01", "0.012")))
+    + """$AN_CEC_INPUT_AXIS[0]=(AX2)
+$AN_CEC_OUTPUT_AXIS[0]=(AX1)
+$AN_CEC_STEP[0]=6.73
+$AN_CEC_MIN[0]=-400.0
+$AN_CEC_MAX[0]=400.0
+$AN_CEC_DIRECTION[0]=0
+$AN_CEC_IS_MODULO[0]=0
+"""
+)
+
+
 def test_the_example_of_a_cross_compensation() -> None:
-    head = "INPUT_AXIS[0]=(AX2) OUTPUT_AXIS[0]=(AX1) STEP[0]=6.73 MIN[0]=-400.0 MAX[0]=400.0 DIRECTION[0]=0 IS_MODULO[0]=0"
-    text = "".join(f"$AN_CEC[0,{n}]={v}\n" for n, v in enumerate(("0", "0.01", "0.012"))) + "".join(f"$AN_CEC_{w}\n" for w in head.split())
-    [(direction, table)] = sinumerik.cec_tables(text, "linear")
+    [(direction, table)] = sinumerik.cec_tables(CEC, "linear")
     assert (direction, table.axis, table.input_axis) == (0, "AX1", "AX2")
     at = np.array([-0.4, -0.395, -0.39327, -0.390, -0.38654])
     assert table.error(at) == pytest.approx([0.0, 7.43e-6, 10e-6, 10.97e-6, 12e-6], abs=1e-8)
@@ -174,12 +177,11 @@ def test_a_file_that_the_control_saved_is_filled() -> None:
 
 
 def test_lists_of_parameters_keep_the_old_values() -> None:
-    datum = sinumerik.MachineDatum(32520, "FRICT_COMP_CONST_MAX", "AX1", 101.0, 0.0, "mm/min", grade="C")
-    text = sinumerik.archive([datum])
+    text = sinumerik.archive([("AX1", Entry("MD32520 FRICT_COMP_CONST_MAX", 101.0, 0.0, "mm/min", "C"))])
     assert "N32520 $MA_FRICT_COMP_CONST_MAX[0,AX1]=101 ; mm/min, was 0, effective: NewConfig; grade C: check before use" in text
     assert "; N32520 $MA_FRICT_COMP_CONST_MAX[0,AX1]=0 ; mm/min" in text
     assert sinumerik.machine_data(text) == {(32520, "AX1"): 101.0}
-    listed = heidenhain.parameter_list([heidenhain.MachineParameter("MP750", "X", 0.03, 0.0, "mm", "C")])
+    listed = heidenhain.parameter_list([("X", Entry("MP750", 0.03, 0.0, "mm", "C"))])
     assert listed == "MP750 [X] : 0.03 mm ; was 0; grade C: check before use\n"
     assert heidenhain.parameters_of(listed) == {("MP750", "X"): 0.03}
     assert linuxcnc.ini_values(linuxcnc.ini_lines(0, {"BACKLASH": 0.015, "COMP_FILE": "x.comp"})) == {
@@ -190,7 +192,7 @@ def test_lists_of_parameters_keep_the_old_values() -> None:
 def test_what_a_format_cannot_hold_is_refused() -> None:
     uneven = ErrorTable("X", np.array([0.0, 0.1, 0.3]), np.zeros(3), np.zeros(3))
     for make, words in (
-        (lambda: sinumerik.eec_file(error_table(True), "linear"), "two CEC tables"),
+        (lambda: sinumerik.eec_file(error_table(True), "linear"), "serves both directions"),
         (lambda: sinumerik.eec_file(uneven, "linear"), "equidistant"),
         (
             lambda: linuxcnc.compensation_file(ErrorTable("X", np.arange(300.0), np.zeros(300), np.zeros(300)), "linear"),
@@ -249,9 +251,7 @@ def test_existing_files_name_their_axis_or_are_refused(mikron: Machine, tmp_path
     [direction] = found(compensation := "0 0 0\n100 -0.002 0.003\n", "X=")
     assert direction.table is not None
     assert any("differ by" in line for line in lines_of(direction))
-    [cross] = found(
-        sinumerik.cec_file(ErrorTable("X", np.array([0.0, 0.1]), np.zeros(2), np.zeros(2), "Z"), "linear", {"X": "AX1", "Z": "AX3"})
-    )
+    [cross] = found(CEC)
     assert "no block of the machine file corrects that" in lines_of(cross)[-1]
     [old] = found("0 Z-990      Y+0\n1 Z-973.616  Y-0.06\n", "Y=")
     assert old.axis.name == "Y"
@@ -270,4 +270,7 @@ def test_a_saved_table_is_filled_by_a_remedy(mikron: Machine) -> None:
     files, notes = files_for([change], mikron, "heidenhain", [saved.replace(" Y\n", " X\n"), saved])
     assert files["Y.COM"].splitlines()[2].split() == ["0", "-100.0", "-0.0088", "-0.0088"]
     assert not notes
+    # twelve points a period or more: lines 100 mm apart cannot hold a wave of 10 mm
+    _, [note] = files_for([replace(change, values=WAVE)], mikron, "heidenhain", [saved])
+    assert "100 apart, the wave needs 0.83" in note
     assert "--saved" in files_for([change], mikron, "heidenhain")[1][0]

@@ -11,7 +11,9 @@ Source: SINUMERIK Extended Functions K3 (MD32450, MD36500).
 
 from __future__ import annotations
 
-from twin.control.block import Block, Cycles, Number, Values, register
+import math
+
+from twin.control.block import Block, Cycles, Number, OnControl, Values, lengths, register
 from twin.control.friction_pulse import STILL
 from twin.control.number import Key, positive
 from twin.simulation.loop_terms import SETPOINT, X_SETPOINT, arrays, term
@@ -46,9 +48,10 @@ BACKLASH_VALUE = register(
             Number(
                 "width", "width_m", "width_deg", Key(-10.0, 10.0),
                 {
-                    "sinumerik": ("MD32450 BACKLASH", "mm, deg", 1e-3),
-                    "heidenhain": ("MP710", "mm, deg", 1e-3),
-                    "linuxcnc": ("BACKLASH", "mm, deg", 1e-3),
+                    "sinumerik": OnControl("MD32450 BACKLASH", *lengths()),
+                    "heidenhain": OnControl("MP710", *lengths()),
+                    "linuxcnc": OnControl("BACKLASH", *lengths()),
+                    "isg": OnControl("getriebe[0].lose", ("0.1 um", "0.0001 deg"), (1e-7, math.radians(1e-4))),
                 },
             ),
             Number("cycles", "cycles", "cycles", positive()),

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+import math
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -30,6 +31,33 @@ class Cycles(Protocol):
     def current_cycle(self) -> float: ...
 
 
+class OnControl(NamedTuple):
+    """A number in the files of a control: name there, unit and its size in SI on a linear and on a rotary axis, grade of the source."""
+
+    name: str
+    units: tuple[str, str]
+    si: tuple[float, float]
+    grade: str = "A"
+
+    @property
+    def code(self) -> str:
+        """The first word of the name, which stands in a file: MD32450."""
+        return self.name.split(" ")[0]
+
+
+Units = tuple[tuple[str, str], tuple[float, float]]
+
+
+def alike(unit: str) -> Units:
+    """Units of a number that the control holds in SI, on any axis."""
+    return (unit, unit), (1.0, 1.0)
+
+
+def lengths(after: str = "") -> Units:
+    """Millimetres and degrees, with what follows the unit: '/s'."""
+    return (f"mm{after}", f"deg{after}"), (1e-3, math.pi / 180.0)
+
+
 @dataclass(frozen=True)
 class Number:
     """One number of a block.
@@ -37,15 +65,14 @@ class Number:
     name            name for the laws, which get it in SI at the axis
     linear, rotary  key in the machine file on a linear and on a rotary axis, with its unit at the end
     bounds          bounds in the unit of the key
-    data            control -> (name, unit, factor from this unit to that of the key on a linear axis; on a rotary one they agree), for its files:
-                    {"sinumerik": ("MD32540", "s", 1.0)}
+    data            control -> how its files hold the number; the one place where this is stated
     """
 
     name: str
     linear: str
     rotary: str
     bounds: Key
-    data: Mapping[str, tuple[str, str, float]] = field(default_factory=dict)
+    data: Mapping[str, OnControl] = field(default_factory=dict)
 
     def key(self, kind: str) -> str:
         """Key on an axis of this kind."""
@@ -67,7 +94,6 @@ class Block:
     law        compiled term with its own state; None for a set point filter
     constants  parameters of the term from the numbers, the cycles and the position gain [1/s]
     kernel     weights of a set point filter at the last position cycles, newest first, with the sum 1
-    recorded   what the block adds to its output, evaluated over recorded signals: (values, set point, output, cycle [s]) -> (sample,)
     linear     what the block adds to the output of the position controller for the error, a transfer function: polynomials in 1/z of the position
                cycle, of equal length, for the margins
     replaces   recorded signals whose unexplained part this block makes itself, so that a simulation must not add it again
@@ -80,7 +106,6 @@ class Block:
     law: Any = None
     constants: Callable[[Values, Cycles, float], list[float]] = lambda _values, _cycles, _gain: []
     kernel: Callable[[Values, Cycles], np.ndarray] | None = None
-    recorded: Callable[[Values, np.ndarray, np.ndarray, float], np.ndarray] | None = None
     linear: Callable[[Values, Cycles], tuple[np.ndarray, np.ndarray]] | None = None
     replaces: tuple[str, ...] = ()
 

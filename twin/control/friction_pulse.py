@@ -15,10 +15,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from twin.compiled_functions import compiled
-from twin.control.block import Block, Cycles, Number, Values, register
+from twin.control.block import Block, Cycles, Number, OnControl, Values, alike, register
 from twin.control.number import not_negative, positive
 from twin.simulation.loop_terms import SPEED, X_SETPOINT, X_SPEED_SETPOINT, arrays, term
 
@@ -60,31 +58,20 @@ def pulse_at_reversal(parameters, state, signals, axis):  # type: ignore[no-unty
     x[axis, X_SPEED_SETPOINT] += s[1]
 
 
-@compiled(allocates=True)
-def _pulses(p, setpoint, output):  # type: ignore[no-untyped-def]
-    out = np.zeros(len(setpoint))
-    pulse, direction, before = 0.0, 0.0, 0.0
-    for k in range(1, len(setpoint)):
-        step = setpoint[k] - setpoint[k - 1]
-        pulse, direction = next_pulse(p, pulse, direction, step, before, output[k])
-        before = step
-        out[k] = pulse
-    return out
-
-
-def pulses(values: Values, setpoint: np.ndarray, output: np.ndarray, cycle: float) -> np.ndarray:
-    """The pulses (sample,) [m/s, rad/s] from the recorded set point and the speed set point without them, one sample a position cycle."""
-    return _pulses(np.array(_over_cycle(values, cycle)), setpoint, output)
-
-
-def _over_cycle(values: Values, cycle: float) -> list[float]:
+def _constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
     """A, decay in a cycle, A_low, a1, a2, a3 as changes of a step."""
+    cycle = cycles.position_cycle
     characteristic = [values.get(name, 0.0) * cycle**2 for name in ("acceleration_1", "acceleration_2", "acceleration_3")]
     return [values["amplitude"], math.exp(-cycle / values["decay_time"]), values.get("amplitude_low", 0.0), *characteristic]
 
 
-def _constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
-    return _over_cycle(values, cycles.position_cycle)
+_SPEED = ("mm/min", "rev/min"), (1e-3 / 60.0, 2.0 * math.pi / 60.0)
+_ACCELERATION = ("m/s2", "rev/s2"), (1.0, 2.0 * math.pi)
+_OPTIONAL = not_negative(required=False)
+
+
+def _on_sinumerik(name: str, units: tuple[str, str], si: tuple[float, float], grade: str = "A") -> dict[str, OnControl]:
+    return {"sinumerik": OnControl(name, units, si, grade)}
 
 
 FRICTION_PULSE = register(
@@ -92,19 +79,13 @@ FRICTION_PULSE = register(
         "friction_pulse",
         "a pulse on the speed set point at each reversal",
         (
-            Number(
-                "amplitude", "amplitude_m_per_min", "amplitude_rev_per_min", positive(),
-                {"sinumerik": ("MD32520 FRICT_COMP_CONST_MAX", "mm/min, rev/min", 1e-3)},
-            ),
-            Number("decay_time", "decay_time_s", "decay_time_s", positive(), {"sinumerik": ("MD32540 FRICT_COMP_TIME", "s", 1.0)}),
-            Number(
-                "amplitude_low", "amplitude_low_m_per_min", "amplitude_low_rev_per_min", not_negative(required=False),
-                {"sinumerik": ("MD32530 FRICT_COMP_CONST_MIN", "mm/min, rev/min", 1e-3)},
-            ),
+            Number("amplitude", "amplitude_m_per_min", "amplitude_rev_per_min", positive(), _on_sinumerik("MD32520 FRICT_COMP_CONST_MAX", *_SPEED)),
+            Number("decay_time", "decay_time_s", "decay_time_s", positive(), _on_sinumerik("MD32540 FRICT_COMP_TIME", *alike("s"), "C")),
+            Number("amplitude_low", "amplitude_low_m_per_min", "amplitude_low_rev_per_min", _OPTIONAL, _on_sinumerik("MD32530 FRICT_COMP_CONST_MIN", *_SPEED)),
             *(
                 Number(
-                    f"acceleration_{i}", f"acceleration_{i}_m_per_s2", f"acceleration_{i}_rev_per_s2", not_negative(required=False),
-                    {"sinumerik": (f"MD325{40 + 10 * i} FRICT_COMP_ACCEL{i}", "m/s2, rev/s2", 1.0)},
+                    f"acceleration_{i}", f"acceleration_{i}_m_per_s2", f"acceleration_{i}_rev_per_s2", _OPTIONAL,
+                    _on_sinumerik(f"MD325{40 + 10 * i} FRICT_COMP_ACCEL{i}", *_ACCELERATION),
                 )
                 for i in (1, 2, 3)
             ),
@@ -112,7 +93,6 @@ FRICTION_PULSE = register(
         SPEED,
         pulse_at_reversal,
         _constants,
-        recorded=pulses,
         replaces=("velocity_feedforward",),
     )
 )  # fmt: skip

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from twin.control.block import Block, Cycles, Number, Values, register
+from twin.control.block import Block, Cycles, Number, OnControl, Units, Values, alike, lengths, register
 from twin.control.number import Key, not_negative
 from twin.simulation.loop_terms import SPEED, X_FOLLOWING_ERROR, X_SETPOINT, X_SPEED_SETPOINT, arrays, term
 
@@ -62,21 +62,21 @@ def _linear(values: Values, cycles: Cycles) -> tuple[np.ndarray, np.ndarray]:
     return np.array([i * cycle + d / cycle, -2.0 * d / cycle, d / cycle]), np.array([1.0, -1.0, 0.0])
 
 
-def _number(name: str, key: str, rotary: str, datum: tuple[str, str, float], bounds: Key | None = None) -> Number:
-    return Number(name, key, rotary, bounds or not_negative(required=False), {"linuxcnc": datum})
+def _number(name: str, key: str, rotary: str, datum: str, units: Units, bounds: Key | None = None) -> Number:
+    return Number(name, key, rotary, bounds or not_negative(required=False), {"linuxcnc": OnControl(datum, *units)})
 
 
 _ANY = Key(-1e6, 1e6, required=False)
 NUMBERS = (
-    _number("integral", "integral_gain_per_s2", "integral_gain_per_s2", ("I", "1/s2", 1.0)),
-    _number("derivative", "derivative_gain", "derivative_gain", ("D", "1", 1.0)),
-    _number("feedforward_0", "position_feedforward_per_s", "position_feedforward_per_s", ("FF0", "1/s", 1.0), _ANY),
-    _number("feedforward_2", "acceleration_feedforward_s", "acceleration_feedforward_s", ("FF2", "s", 1.0), _ANY),
-    _number("feedforward_3", "jerk_feedforward_s2", "jerk_feedforward_s2", ("FF3", "s2", 1.0), _ANY),
-    _number("dead_band", "dead_band_m", "dead_band_deg", ("DEADBAND", "mm, deg", 1e-3)),
-    _number("largest_error", "largest_error_m", "largest_error_deg", ("MAX_ERROR", "mm, deg", 1e-3)),
-    _number("largest_integral", "largest_integral_m_s", "largest_integral_deg_s", ("MAX_ERROR_I", "mm s, deg s", 1e-3)),
-    _number("largest_output", "largest_output_m_per_s", "largest_output_deg_per_s", ("MAX_OUTPUT", "mm/s, deg/s", 1e-3)),
+    _number("integral", "integral_gain_per_s2", "integral_gain_per_s2", "I", alike("1/s2")),
+    _number("derivative", "derivative_gain", "derivative_gain", "D", alike("1")),
+    _number("feedforward_0", "position_feedforward_per_s", "position_feedforward_per_s", "FF0", alike("1/s"), _ANY),
+    _number("feedforward_2", "acceleration_feedforward_s", "acceleration_feedforward_s", "FF2", alike("s"), _ANY),
+    _number("feedforward_3", "jerk_feedforward_s2", "jerk_feedforward_s2", "FF3", alike("s2"), _ANY),
+    _number("dead_band", "dead_band_m", "dead_band_deg", "DEADBAND", lengths()),
+    _number("largest_error", "largest_error_m", "largest_error_deg", "MAX_ERROR", lengths()),
+    _number("largest_integral", "largest_integral_m_s", "largest_integral_deg_s", "MAX_ERROR_I", lengths(" s")),
+    _number("largest_output", "largest_output_m_per_s", "largest_output_deg_per_s", "MAX_OUTPUT", lengths("/s")),
 )
 
 PID = register(

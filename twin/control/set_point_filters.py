@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from twin.control.block import Block, Cycles, Number, Values, register
+from twin.control.block import Block, Cycles, Number, OnControl, Values, alike, register
 from twin.control.number import Key
 
 LONGEST_S = 0.2
@@ -20,6 +20,7 @@ LEFT_OUT = 1e-12
 """Weight of the oldest set points that a lag leaves out."""
 
 _TIME = Key(0.0, LONGEST_S, above=True)
+_JERK_TIME = {"sinumerik": OnControl("MD32410 AX_JERK_TIME", *alike("s"))}
 
 
 def lag_kernel(values: Values, cycles: Cycles) -> np.ndarray:
@@ -42,7 +43,7 @@ SET_POINT_LAG = register(
     Block(
         "set_point_lag",
         "a first-order lag of the set points",
-        (Number("time_constant", "time_constant_s", "time_constant_s", _TIME, {"sinumerik": ("MD32410 AX_JERK_TIME", "s", 1.0)}),),
+        (Number("time_constant", "time_constant_s", "time_constant_s", _TIME, _JERK_TIME),),
         kernel=lag_kernel,
     )
 )
@@ -51,7 +52,7 @@ SET_POINT_AVERAGE = register(
     Block(
         "set_point_average",
         "the mean of the last set points",
-        (Number("length", "length_s", "length_s", _TIME, {"sinumerik": ("MD32410 AX_JERK_TIME", "s", 1.0)}),),
+        (Number("length", "length_s", "length_s", _TIME, _JERK_TIME),),
         kernel=average_kernel,
     )
 )

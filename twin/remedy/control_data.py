@@ -6,11 +6,9 @@ of `twin.remedy.files` and of the manuals named there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-import contextlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,28 +16,24 @@ from twin.control.library import BLOCKS
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of, parameter
-from twin.remedy.advice import BACKLASH, PULSE, SET_BACK, TABLE
+from twin.remedy.advice import PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
+from twin.remedy.files.entry import Entry
 from twin.remedy.files.table import PER_SI, ErrorTable
 
 CONTROLS = ("sinumerik", "heidenhain", "linuxcnc", "isg")
-POINTS_A_WAVE, POINTS_A_TURN = 16, 72
-"""Points of a correction table in one wave: linear interpolation between them leaves 2 % of the wave; and in the one wave of a turning table."""
-
-
+POINTS_A_WAVE, FEWEST_A_WAVE, POINTS_A_TURN = 16, 12, 72
+"""Points of a correction table in one wave: linear interpolation between them leaves 2 % of the wave, with the fewest 3 %; and in the one wave of a
+turning table."""
+MOST_POINTS = {"linuxcnc": linuxcnc.MOST_POINTS, "isg": 1500}
+"""Points that a table of a control takes (ISG: before V3.1.3079.06). MD38000 sets the memory of SINUMERIK; the lines of a .COM file stand in it."""
+REFUSED = {(PULSE, "isg"): "the friction compensation of this kernel is a current over speed; its units stand in no text in reach"}
+"""Functions that cannot be entered on a control, and why."""
+WITH_CHARACTERISTIC = ("sinumerik",)
+"""Controls whose texts say how a pulse depends on the acceleration."""
 FAR = 10.0
 """Knees of a characteristic that never act, in units of the largest acceleration."""
-
-
-class Entry(NamedTuple):
-    """One datum to enter: name on the control, new value, old value (None: unknown), unit, grade of the source."""
-
-    name: str
-    value: float
-    old: float | None
-    unit: str
-    grade: str
 
 
 @dataclass(frozen=True)
@@ -56,38 +50,43 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
     """The change on a control. Raises InputError for an unknown control."""
     if control not in CONTROLS:
         raise InputError(f"--control {control}: use one of {', '.join(CONTROLS)}")
+    if refused := REFUSED.get((change.function, control)):
+        return ForControl(refused=refused)
     axis = machine.axis(change.axis)
     if change.function == SET_BACK:
         return _set_back(change, machine, control)
     if change.function == TABLE:
-        return ForControl(table=correction_table(change, axis))
-    of: Callable[[dict[str, float], dict[str, float], Axis, str], ForControl] = {PULSE: _pulse, BACKLASH: _backlash}[change.function]
-    old = next((dict(b.values) for b in axis.blocks if b.block.name == change.function), {})
-    return of(dict(change.values), old, axis, control)
+        return _table(change, axis, control)
+    return _pulse(change, axis, control) if change.function == PULSE else ForControl(_numbers(change, axis, control))
 
 
-def _length(axis: Axis) -> tuple[str, float]:
-    """Unit and factor from SI of a length on the control: mm or degrees."""
-    return ("mm" if axis.kind == "linear" else "deg"), PER_SI[axis.kind]
+def _numbers(change: Change, axis: Axis, control: str) -> tuple[Entry, ...]:
+    """The numbers of a block as its declaration says that the control holds them."""
+    rotary, entries = axis.kind == "rotary", []
+    old = next((b.values for b in axis.blocks if b.block.name == change.function), None)
+    for number in BLOCKS[change.function].numbers:
+        if control in number.data and number.name in change.values:
+            datum = number.data[control]
+            value, was = (v / datum.si[rotary] for v in (change.values[number.name], (old or {}).get(number.name, 0.0)))
+            if control == "isg":  # its lists hold whole numbers
+                value, was = round(value), round(was)
+            known = old is not None or number is BLOCKS[change.function].numbers[0]  # without the block its size is 0, the rest as found
+            entries.append(Entry(datum.name, value, was if known else None, datum.units[rotary], datum.grade))
+    return tuple(entries)
 
 
-def _pulse(values: dict[str, float], old: dict[str, float], axis: Axis, control: str) -> ForControl:
-    amplitude, decay, knee = values["amplitude"], values["decay_time"], values.get("acceleration_1", 0.0)
-    unit, factor = _length(axis)
+def _pulse(change: Change, axis: Axis, control: str) -> ForControl:
+    amplitude, decay, knee = change.values["amplitude"], change.values["decay_time"], change.values.get("acceleration_1", 0.0)
     if control == "sinumerik":
-        per_min = ("mm/min", 60e3) if axis.kind == "linear" else ("rev/min", 60.0 / (2.0 * math.pi))
-        return ForControl(
-            (
-                Entry("MD32490 FRICT_COMP_MODE", 1.0, None, "", "A"),
-                Entry("MD32500 FRICT_COMP_ENABLE", 1.0, None, "", "A"),
-                Entry("MD32510 FRICT_COMP_ADAPT_ENABLE", float(knee > 0.0), None, "", "A"),
-                Entry("MD32520 FRICT_COMP_CONST_MAX", amplitude * per_min[1], old.get("amplitude", 0.0) * per_min[1], per_min[0], "A"),
-                *_characteristic(amplitude * per_min[1], knee, per_min[0], axis),
-                Entry("MD32540 FRICT_COMP_TIME", decay, old.get("decay_time"), "s", "C"),
-            )
-        )
+        if knee > 0.0:  # up to its first knee; the other knees out of reach, so that the amplitude stays
+            far = FAR * axis.max_acceleration
+            rest = {"amplitude_low": amplitude, "acceleration_2": far, "acceleration_3": 2.0 * far}
+            change = replace(change, values={**change.values, **rest})
+        on = (("MD32490 FRICT_COMP_MODE", 1.0), ("MD32500 FRICT_COMP_ENABLE", 1.0), ("MD32510 FRICT_COMP_ADAPT_ENABLE", float(knee > 0.0)))
+        return ForControl((*(Entry(name, value, None, "", "A") for name, value in on), *_numbers(change, axis, control)))
     if knee > 0.0:
         return ForControl(refused="the pulse rises with the acceleration of the reversal; no text in reach says how this control does that")
+    unit, factor = ("mm" if axis.kind == "linear" else "deg"), PER_SI[axis.kind]
     if control == "heidenhain":
         # a pulse of constant speed for MP752 with the area of the decaying one
         return ForControl(
@@ -95,35 +94,10 @@ def _pulse(values: dict[str, float], old: dict[str, float], axis: Axis, control:
             by_hand="the pulse of this control is a rectangle of the same area: tune it by circles; newer controls call it posCtrlRevErr and "
             f"posCtrlRevErrTime, or compStrength = {amplitude * decay * factor:.4g} {unit} with compFFAdjust = compRefAcc = 0",
         )
-    if control == "linuxcnc":
-        return ForControl(
-            by_hand=f"no friction pulse exists: build one in HAL from the sign change of joint.N.vel-cmd to pid.N.bias, "
-            f"{amplitude * factor:.4g} {unit}/s, decay {decay:.3g} s"
-        )
-    return ForControl(refused="the friction compensation of this kernel is a current over speed; its units stand in no text in reach")
-
-
-def _characteristic(amplitude: float, knee: float, unit: str, axis: Axis) -> tuple[Entry, ...]:
-    """Amplitude over acceleration up to its first knee; the other knees out of reach, so that the amplitude stays."""
-    if knee == 0.0:
-        return ()
-    per_s2, factor = ("m/s2", 1.0) if axis.kind == "linear" else ("rev/s2", 1.0 / (2.0 * math.pi))
-    knees = (knee, FAR * axis.max_acceleration, 2.0 * FAR * axis.max_acceleration)
-    return (
-        Entry("MD32530 FRICT_COMP_CONST_MIN", amplitude, None, unit, "A"),
-        *(Entry(f"MD325{40 + 10 * i} FRICT_COMP_ACCEL{i}", a * factor, None, per_s2, "A") for i, a in enumerate(knees, 1)),
+    return ForControl(
+        by_hand=f"no friction pulse exists: build one in HAL from the sign change of joint.N.vel-cmd to pid.N.bias, "
+        f"{amplitude * factor:.4g} {unit}/s, decay {decay:.3g} s"
     )
-
-
-def _backlash(values: dict[str, float], old: dict[str, float], axis: Axis, control: str) -> ForControl:
-    unit, factor = _length(axis)
-    width, before = values["width"] * factor, old.get("width", 0.0) * factor
-    if control == "isg":
-        return ForControl(
-            (Entry("getriebe[0].lose", round(width * 1e4), round(before * 1e4), "0.1 um" if axis.kind == "linear" else "0.0001 deg", "A"),)
-        )
-    name, *_ = BLOCKS[BACKLASH].numbers[0].data[control]
-    return ForControl((Entry(name, width, before, unit, "A"),))
 
 
 def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
@@ -197,21 +171,29 @@ def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> l
     return rows
 
 
-def correction_table(change: Change, axis: Axis) -> ErrorTable:
-    """The points of a correction: two for a slope alone, else POINTS_A_WAVE a wave over the travel; one turn of a rotary axis repeats."""
-    v = change.values
-    wave = math.hypot(v["sine"], v["cosine"]) > 0.0
-    waves = 2.0 * math.pi / v["wavelength"]
-    turn = (
-        axis.kind == "rotary"
-        and wave
-        and math.isclose(waves, round(waves), rel_tol=1e-9)
-        and (round(waves) == 1 or not all(map(math.isfinite, axis.travel)))
-    )
-    low, high = (0.0, 2.0 * math.pi) if turn or not all(map(math.isfinite, axis.travel)) else axis.travel
+def _table(change: Change, axis: Axis, control: str) -> ForControl:
+    """The table of a correction, or why its wave does not fit into a table of this control."""
+    v, most = change.values, MOST_POINTS.get(control, math.inf)
+    table = correction_table(change, axis)
+    if len(table.positions) > 2 and not table.modulo and not all(map(math.isfinite, axis.travel)):
+        return ForControl(refused="its wave does not repeat after a turn of the axis, so no table of a turn holds it")
+    if len(table.positions) > most:
+        fewest = math.ceil((table.positions[-1] - table.positions[0]) / v["wavelength"] * FEWEST_A_WAVE) + 1
+        if fewest > most:
+            return ForControl(refused=f"its wave needs {fewest} points, {FEWEST_A_WAVE} a period; a table of this control takes {most}")
+        table = correction_table(change, axis, int(most))
+    points = len(table.positions)
+    return ForControl(table=table, by_hand=f"MD38000 MM_ENC_COMP_MAX_POINTS must be {points} or more" if control == "sinumerik" else "")
+
+
+def correction_table(change: Change, axis: Axis, most: int | None = None) -> ErrorTable:
+    """The points of a correction: two for a slope alone, else POINTS_A_WAVE a wave over the travel, or `most`; a wave that fits into one turn repeats."""
+    v, endless = change.values, not all(map(math.isfinite, axis.travel))
+    k, wave = 2.0 * math.pi / v["wavelength"], math.hypot(v["sine"], v["cosine"]) > 0.0  # k: waves in a turn of a rotary axis
+    turn = axis.kind == "rotary" and wave and math.isclose(k, round(k), rel_tol=1e-9) and (round(k) == 1 or endless)
+    low, high = (0.0, 2.0 * math.pi) if turn or endless else axis.travel
     count = max(math.ceil((high - low) / v["wavelength"] * POINTS_A_WAVE), POINTS_A_TURN if turn else 1) + 1 if wave else 2
-    q = np.linspace(low, high, count)
-    k = 2.0 * math.pi / v["wavelength"]
+    q = np.linspace(low, high, count if most is None else min(count, most))
     error = 1e-6 * v["slope"] * (q - v["origin"]) + v["sine"] * np.sin(k * q) + v["cosine"] * np.cos(k * q)
     return ErrorTable(axis.name, q, error, error, modulo=turn)
 
@@ -227,15 +209,8 @@ def files_for(changes: list[Change], machine: Machine, control: str, saved: Sequ
         entries += [(change.axis, entry) for entry in of.entries]
         notes += [f"{change.axis}: {text}" for text in (of.refused, of.by_hand) if text]
         if of.table is not None:
-            kind = machine.axis(change.axis).kind
-            table = of.table
-            if control == "linuxcnc" and len(table.positions) > linuxcnc.MOST_POINTS:
-                notes.append(
-                    f"axis {change.axis}: its wave needs {len(table.positions)} points, LinuxCNC takes {linuxcnc.MOST_POINTS}: the file holds the slope only"
-                )
-                table = correction_table(replace(change, values={**change.values, "sine": 0.0, "cosine": 0.0}), machine.axis(change.axis))
             try:
-                files |= _table_files(table, kind, control, names.index(change.axis), saved)
+                files |= _table_files(of.table, machine.axis(change.axis).kind, control, names.index(change.axis), saved)
             except InputError as error:
                 notes.append(str(error))
     if entries:
@@ -255,30 +230,20 @@ def _table_files(table: ErrorTable, kind: str, control: str, number: int, saved:
     if control == "isg":
         return {f"{table.axis}.lis": isg.list_of(table, kind, number + 1)}
     for text in saved:
-        with contextlib.suppress(InputError):  # of another axis
+        if heidenhain.holds(text, table.axis):
             return {f"{table.axis}.COM": heidenhain.filled(text, table, kind)}
     raise InputError(f"axis {table.axis}: HEIDENHAIN tables are filled only into a .COM file that the control saved: give it with --saved")
 
 
 def _data_file(entries: list[tuple[str, Entry]], control: str, names: list[str]) -> dict[str, str]:
     if control == "sinumerik":
-        data = [
-            sinumerik.MachineDatum(int(number[2:]), name, f"AX{names.index(axis) + 1}", e.value, e.old, e.unit, grade=e.grade)
-            for axis, e in entries
-            for number, _, name in [e.name.partition(" ")]
-        ]
-        return {"machine_data.ini": sinumerik.archive(data)}
+        return {"machine_data.ini": sinumerik.archive([(f"AX{names.index(axis) + 1}", e) for axis, e in entries])}
     if control == "heidenhain":
-        return {
-            "parameters.txt": heidenhain.parameter_list(
-                [heidenhain.MachineParameter(e.name, axis, e.value, e.old, e.unit, e.grade) for axis, e in entries]
-            )
-        }
+        return {"parameters.txt": heidenhain.parameter_list(entries)}
     if control == "linuxcnc":
         return {"joints.ini": "".join(linuxcnc.ini_lines(names.index(axis), {e.name: e.value}) for axis, e in entries)}
     return {
         "parameters.lis": "".join(
-            f"{e.name:<29}{e.value:.9g}  # axis {axis}, {e.unit}{'' if e.grade == 'A' else f', grade {e.grade}: check before use'}\n"
-            for axis, e in entries
+            f"{e.name:<29}{e.value:.9g}  # axis {axis}, {e.unit}{', ' if e.graded else ''}{e.graded}\n" for axis, e in entries
         )
     }

@@ -91,26 +91,25 @@ def _number(text: str) -> float:
 
 
 def _blocks(data: dict[tuple[str, str], float], control: str, machine: Machine, path: Path) -> list[Existing]:
-    """The blocks whose first number a control's data hold and that are switched on."""
+    """The blocks of which a control's data hold numbers that are switched on."""
+    held: dict[str, dict[str, float]] = {}
+    for (name, of), value in data.items():
+        own = _axis(of, machine, path).name
+        if math.isfinite(value) and value != 0.0:
+            held.setdefault(own, {})[name] = value
     out: dict[str, Existing] = {}
-    for (datum, axis), _ in data.items():
-        own = _axis(axis, machine, path)
+    for name, found in held.items():
+        axis = machine.axis(name)
         for block in BLOCKS.values():
-            values = {n.name: DEFAULTS[n.name] for n in block.numbers if n.name in DEFAULTS}
-            for n in block.numbers:
-                name, _, factor = n.data.get(control, ("", "", 1.0))
-                value = data.get((name.split(" ")[0], axis), 0.0)
-                if name and math.isfinite(value) and value != 0.0:
-                    values[n.name] = value * (factor if own.kind == "linear" else 1.0) * si_from_key(n.key(own.kind))
-            if any(n.name in values and n.data.get(control, ("",))[0].split(" ")[0] == datum for n in block.numbers):
-                out.setdefault(own.name, Existing(own)).blocks[block.name] = values
+            known = {n.name: n.data[control] for n in block.numbers if control in n.data}
+            values = {number: found[d.code] * d.si[axis.kind == "rotary"] for number, d in known.items() if d.code in found}
+            if values:
+                defaults = {n.name: DEFAULTS[n.name] for n in block.numbers if n.name in DEFAULTS}
+                out.setdefault(name, Existing(axis)).blocks[block.name] = defaults | values
     if not out:
-        raise InputError(f"{path}: holds no compensation that is switched on; give a file with {', '.join(_known(control))} or a table")
+        names = sorted({n.data[control].code for b in BLOCKS.values() for n in b.numbers if control in n.data})
+        raise InputError(f"{path}: holds no compensation that is switched on; give a file with {', '.join(names)} or a table")
     return list(out.values())
-
-
-def _known(control: str) -> list[str]:
-    return sorted({n.data[control][0].split(" ")[0] for b in BLOCKS.values() for n in b.numbers if control in n.data})
 
 
 def correction_of(table: ErrorTable, axis: Axis) -> tuple[dict[str, float], float]:

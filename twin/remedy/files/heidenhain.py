@@ -8,36 +8,23 @@ saved (`filled`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+import contextlib
 import math
 import re
 
 import numpy as np
 
 from twin.errors import InputError
+from twin.remedy.files.entry import Entry
 from twin.remedy.files.table import PER_SI, ErrorTable
 
-
-@dataclass(frozen=True)
-class MachineParameter:
-    """A parameter to enter: name on the control, axis, new and old value, unit, grade."""
-
-    name: str
-    axis: str
-    value: float
-    old: float | None = None
-    unit: str = ""
-    grade: str = "A"
+COARSER = 4.0 / 3.0
+"""Largest distance of the lines of a file, in units of the spacing of a table with a wave: twelve of sixteen points."""
 
 
-def parameter_list(parameters: Sequence[MachineParameter]) -> str:
-    """One line for each parameter, with its old value; a grade below A is printed."""
-    lines = []
-    for p in parameters:
-        was = "old value unknown" if p.old is None else f"was {p.old:.9g}"
-        graded = "" if p.grade == "A" else f"; grade {p.grade}: check before use"
-        lines.append(f"{p.name} [{p.axis}] : {p.value:.9g} {p.unit} ; {was}{graded}\n")
-    return "".join(lines)
+def parameter_list(parameters: Sequence[tuple[str, Entry]]) -> str:
+    """One line for each parameter of an axis, with its old value; a grade below A is printed."""
+    return "".join(f"{e.name} [{axis}] : {e.value:.9g} {e.unit} ; {e.was}{'; ' if e.graded else ''}{e.graded}\n" for axis, e in parameters)
 
 
 def parameters_of(text: str) -> dict[tuple[str, str], float]:
@@ -61,25 +48,35 @@ def old_table(text: str, corrected: str, over: str) -> ErrorTable:
     return ErrorTable(corrected, at * 1e-3, values, values, input_axis=over)
 
 
+def holds(saved: str, axis: str) -> bool:
+    """True for a .COM file with a column of this axis."""
+    return any("AXISPOS" in line and axis in line.split() for line in saved.splitlines())
+
+
 def filled(saved: str, table: ErrorTable, kind: str) -> str:
     """A .COM file that the control saved, with the errors of a table at the positions of its lines.
 
     `saved` has a heading line with AXISPOS and one column named like the axis, optionally BACKLASH. Frame and column widths stay. Raises
-    InputError if the heading lacks a column.
+    InputError if the heading lacks a column, or if the lines leave out points of the table.
     """
     lines = saved.splitlines()
-    head = next((i for i, line in enumerate(lines) if "AXISPOS" in line), None)
-    if head is None or table.axis not in lines[head].split():
+    if not holds(saved, table.axis):
         raise InputError(f"correction file: no heading with AXISPOS and {table.axis}; save one on the control and give it")
+    head = next(i for i, line in enumerate(lines) if "AXISPOS" in line)
     per_si = PER_SI[kind]
     spans = [(m[0], m.start()) for m in re.finditer(r"\S+", lines[head])]
     columns = {name: (start, end) for (name, start), end in zip(spans, [*(s for _, s in spans[1:]), None])}
     begin, end = columns["AXISPOS"]
+    at = {}
     for i in range(head + 1, len(lines)):
-        try:
-            position = float(lines[i][begin:end]) / per_si
-        except ValueError:
-            continue
+        with contextlib.suppress(ValueError):
+            at[i] = float(lines[i][begin:end]) / per_si
+    widest = float(np.diff(sorted(at.values())).max(initial=0.0))
+    if len(table.positions) > 2 and widest > COARSER * table.spacing:
+        raise InputError(
+            f"correction file of axis {table.axis}: its lines are {widest * per_si:.4g} apart, the wave needs {COARSER * table.spacing * per_si:.4g} or less"
+        )
+    for i, position in at.items():
         forward, backward = (float(table.error(position, way)[0]) * per_si for way in (1, -1))
         lines[i] = _in_column(lines[i], columns[table.axis], f"{forward:+.4f}")
         if "BACKLASH" in columns:

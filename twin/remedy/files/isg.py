@@ -21,8 +21,6 @@ WIDTH = 29
 
 def list_of(table: ErrorTable, kind: str, axis_number: int) -> str:
     """The list of an error table with its own positions (not equidistant), by direction if the directions differ."""
-    if table.input_axis not in ("", table.axis):
-        raise InputError(f"axis {table.axis}: SSFK corrects an axis over its own position; a cross compensation is another list")
     per_si, count = _PER_SI[kind], len(table.positions)
     rows: list[tuple[str, int]] = [
         ("kopf.achs_nr", axis_number),

@@ -1,7 +1,6 @@
 """LinuxCNC: compensation file of a joint and lines of its ini file. Law and loader: `usrmotintf.cc`, `control.c` (grade A).
 
     trim    type 0: nominal - measured position of a line; type 1: the numbers themselves. Forward or reverse column by the sign of the speed
-    ramp    each servo cycle the applied value follows the trim with at most half of MAX_VELOCITY and half of MAX_ACCELERATION
     motor command = position command + applied value;  position feedback = motor feedback - applied value
 
 So trim = -E: an axis that goes 5 um too far gets -0.005. A table of one point or more replaces BACKLASH. The loader stops silently at the
@@ -21,8 +20,6 @@ from twin.remedy.files.table import PER_SI, ErrorTable
 MOST_POINTS = 256
 LONGEST_LINE = 254
 """A longer line is split by the loader."""
-RAMP_SHARE = 0.5
-"""Share of the joint's limits that the ramp uses."""
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
@@ -34,10 +31,6 @@ class Trims:
     forward: np.ndarray
     reverse: np.ndarray
     dropped: tuple[str, ...]
-
-    def at(self, position: float, speed: float) -> float:
-        """Trim at a commanded position for the sign of the commanded speed; constant beyond the ends."""
-        return float(np.interp(position, self.nominal, self.forward if speed > 0.0 else self.reverse))
 
 
 def load(text: str, kind: int = 0) -> Trims:
@@ -82,8 +75,6 @@ def _leading_numbers(line: str) -> list[float]:
 
 def compensation_file(table: ErrorTable, kind: str) -> str:
     """A compensation file of type 1 for an error table; `kind` of the axis. Raises InputError for what the loader would cut off."""
-    if table.input_axis not in ("", table.axis):
-        raise InputError(f"axis {table.axis}: LinuxCNC has no compensation from axis {table.input_axis}; leave it out")
     if len(table.positions) > MOST_POINTS:
         raise InputError(f"axis {table.axis}: {len(table.positions)} points, LinuxCNC takes {MOST_POINTS}; use a wider spacing")
     per_si = PER_SI[kind]
@@ -121,29 +112,3 @@ def ini_values(text: str) -> dict[int, dict[str, str]]:
             key, _, value = plain.partition("=")
             out.setdefault(joint, {})[key.strip()] = value.strip()
     return out
-
-
-def ramp(start: float, target: float, largest_speed: float, largest_acceleration: float, cycle: float, cycles: int) -> np.ndarray:
-    """Applied value (cycle,) after each servo cycle of a step from `start` to `target`, all in machine units.
-
-    Speed and acceleration are at most RAMP_SHARE of the joint's limits. The value brakes as soon as what is left is no longer than the way to
-    stop from one more cycle of acceleration, plus the way of this cycle; its last step lands on the target.
-    """
-    top, pull = RAMP_SHARE * largest_speed, RAMP_SHARE * largest_acceleration
-    sign = 1.0 if target >= start else -1.0
-    left, speed = abs(target - start), 0.0
-    out = []
-    for _ in range(cycles):
-        change = pull * cycle
-        if left <= 0.5 * (speed + change) ** 2 / pull + speed * cycle:
-            change = -change if speed > change else -speed
-            step = (speed + 0.5 * change) * cycle if speed + change > 0.0 else left
-        else:
-            change = min(change, top - speed)
-            full = (speed + 0.5 * change) * cycle
-            if left <= 0.5 * (speed + change) ** 2 / pull + full:
-                change = 0.0
-            step = (speed + 0.5 * change) * cycle
-        speed, left = speed + change, left - step
-        out.append(target - sign * left)
-    return np.array(out)

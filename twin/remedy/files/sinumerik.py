@@ -1,63 +1,42 @@
-"""SINUMERIK: archives of machine data, encoder compensation (EEC) and cross compensation (CEC).
+"""SINUMERIK: archives of machine data and encoder compensation (EEC); cross compensation (CEC) is read only.
 
     EEC   $AA_ENC_COMP[e,N,axis]: the value is added to the actual position, so a positive value moves the axis in the negative direction:
           value = E (grade A). One table for both directions; N from 0; point N is at MIN + N STEP; the end values hold beyond the ends (C).
     CEC   $AN_CEC[t,N] over the set point of an input axis, for an output axis, for one direction of travel or both. The sign of the motion
-          stands in no text that could be read: the writer says so in the file.
+          stands in no text that could be read, and no effect acts between axes, so none is written.
 
 Both tables load only while MD32700 ENC_COMP_ENABLE or MD32710 CEC_ENABLE is 0, and act after the axis is referenced.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 import re
 
 import numpy as np
 
 from twin.errors import InputError
+from twin.remedy.files.entry import Entry
 from twin.remedy.files.table import PER_SI, ErrorTable
 
-DIRECTION = {"both": 0, "positive": 1, "negative": -1}
+DECIMALS = 6
 _EEC = re.compile(r"\$AA_ENC_COMP(?:_(STEP|MIN|MAX|IS_MODULO))?\[\s*(\d+)\s*,\s*(?:(\d+)\s*,\s*)?(\w+)\s*\]\s*=\s*([^\s;]+)")
 _CEC = re.compile(r"\$AN_CEC(?:_([A-Z_]+))?\[\s*(\d+)\s*(?:,\s*(\d+)\s*)?\]\s*=\s*\(?\s*([^\s;)]+)\s*\)?")
 
 
-@dataclass(frozen=True)
-class MachineDatum:
-    """One line of an archive: number, name without $MA_, index, axis, new and old value, unit, grade of what is known of it."""
-
-    number: int
-    name: str
-    axis: str
-    value: float
-    old: float | None = None
-    unit: str = ""
-    index: int = 0
-    grade: str = "A"
-    effective: str = "NewConfig"
-
-
-def archive(data: Sequence[MachineDatum]) -> str:
-    """Archive lines with the old value of each datum beside it, and a second block that restores them."""
+def archive(data: Sequence[tuple[str, Entry]]) -> str:
+    """Archive lines of (axis, 'MD32450 BACKLASH' and its values) with the old value beside each, and a second block that restores them."""
     lines = ["; new values; the lines below restore the old ones"]
-    lines += [_datum_line(d, d.value, f"{d.unit}, {_was(d)}, effective: {d.effective}{_graded(d)}") for d in data]
+    for axis, e in data:
+        lines.append(_line(axis, e, e.value, f"{e.unit}, {e.was}, effective: NewConfig{'; ' if e.graded else ''}{e.graded}"))
     lines += [";", "; to go back:"]
-    lines += [f"; {_datum_line(d, d.old, d.unit)}" for d in data if d.old is not None]
+    lines += [f"; {_line(axis, e, e.old, e.unit)}" for axis, e in data if e.old is not None]
     return "\n".join([*lines, "M17", ""])
 
 
-def _datum_line(d: MachineDatum, value: float, comment: str) -> str:
-    return f"N{d.number} $MA_{d.name}[{d.index},{d.axis}]={value:.9g} ; {comment}".rstrip(" ;,")
-
-
-def _was(d: MachineDatum) -> str:
-    return "old value unknown" if d.old is None else f"was {d.old:.9g}"
-
-
-def _graded(d: MachineDatum) -> str:
-    return "" if d.grade == "A" else f"; grade {d.grade}: check before use"
+def _line(axis: str, entry: Entry, value: float, comment: str) -> str:
+    number, _, name = entry.name.partition(" ")
+    return f"N{number[2:]} $MA_{name}[0,{axis}]={value:.9g} ; {comment}".rstrip(" ;,")
 
 
 def machine_data(text: str) -> dict[tuple[int, str], float]:
@@ -66,19 +45,20 @@ def machine_data(text: str) -> dict[tuple[int, str], float]:
     return {(int(number), axis): float(value) for number, axis, value in line.findall(text)}
 
 
-def eec_file(table: ErrorTable, kind: str, encoder: int = 0, decimals: int = 6) -> str:
-    """An EEC archive of one axis. Raises InputError for a table by direction or with unequal spacing."""
+def eec_file(table: ErrorTable, kind: str) -> str:
+    """An EEC archive of the first encoder of an axis. Raises InputError for a table by direction or with unequal spacing."""
     if table.by_direction:
-        raise InputError(f"axis {table.axis}: one EEC table serves both directions; use two CEC tables for errors by direction")
-    step = _equidistant(table)
-    e, axis, per_si = encoder, table.axis, PER_SI[kind]
+        raise InputError(f"axis {table.axis}: one EEC table serves both directions; enter what differs as a backlash value")
+    if not table.spacing:
+        raise InputError(f"axis {table.axis}: SINUMERIK tables are equidistant; interpolate the errors to equal steps")
+    axis, per_si = table.axis, PER_SI[kind]
     lines = [f"%_N_{axis}_EEC_INI", "CHANDATA(1)"]
-    lines += [f"$AA_ENC_COMP[{e},{n},{axis}]={_number(value * per_si, decimals)}" for n, value in enumerate(table.forward)]
+    lines += [f"$AA_ENC_COMP[0,{n},{axis}]={_number(value * per_si)}" for n, value in enumerate(table.forward)]
     lines += [
-        f"$AA_ENC_COMP_STEP[{e},{axis}]={_number(step * per_si, decimals)}",
-        f"$AA_ENC_COMP_MIN[{e},{axis}]={_number(table.positions[0] * per_si, decimals)}",
-        f"$AA_ENC_COMP_MAX[{e},{axis}]={_number(table.positions[-1] * per_si, decimals)}",
-        f"$AA_ENC_COMP_IS_MODULO[{e},{axis}]={int(table.modulo)}",
+        f"$AA_ENC_COMP_STEP[0,{axis}]={_number(table.spacing * per_si)}",
+        f"$AA_ENC_COMP_MIN[0,{axis}]={_number(table.positions[0] * per_si)}",
+        f"$AA_ENC_COMP_MAX[0,{axis}]={_number(table.positions[-1] * per_si)}",
+        f"$AA_ENC_COMP_IS_MODULO[0,{axis}]={int(table.modulo)}",
         "M17",
     ]
     return "\n".join(lines) + "\n"
@@ -102,30 +82,6 @@ def eec_table(text: str, kind: str) -> ErrorTable:
     positions = (head["MIN"] + head["STEP"] * np.arange(count)) / per_si
     errors = np.array([values.get(n, 0.0) for n in range(count)]) / per_si
     return ErrorTable(axes.pop(), positions, errors, errors, modulo=bool(head.get("IS_MODULO")))
-
-
-def cec_file(table: ErrorTable, kind: str, channel_axes: Mapping[str, str], first: int = 0, decimals: int = 6) -> str:
-    """A CEC archive: one table for both directions, or two. `channel_axes`: name of each axis in the control ('AX1').
-
-    The values are those of an EEC table (value = E); the file asks to test the sign.
-    """
-    step = _equidistant(table)
-    per_in = per_out = PER_SI[kind]
-    ways = [("positive", table.forward), ("negative", table.backward)] if table.by_direction else [("both", table.forward)]
-    lines = ["%_N_NC_CEC_INI", "CHANDATA(1)", "; sign not found in any manual: test it with one constant table before use"]
-    for t, (way, values) in enumerate(ways, first):
-        lines += [f"$AN_CEC[{t},{n}]={_number(value * per_out, decimals)}" for n, value in enumerate(values)]
-        lines += [
-            f"$AN_CEC_INPUT_AXIS[{t}]=({channel_axes[table.input_axis or table.axis]})",
-            f"$AN_CEC_OUTPUT_AXIS[{t}]=({channel_axes[table.axis]})",
-            f"$AN_CEC_STEP[{t}]={_number(step * per_in, decimals)}",
-            f"$AN_CEC_MIN[{t}]={_number(table.positions[0] * per_in, decimals)}",
-            f"$AN_CEC_MAX[{t}]={_number(table.positions[-1] * per_in, decimals)}",
-            f"$AN_CEC_DIRECTION[{t}]={DIRECTION[way]}",
-            f"$AN_CEC_MULT_BY_TABLE[{t}]=0",
-            f"$AN_CEC_IS_MODULO[{t}]={int(table.modulo)}",
-        ]
-    return "\n".join([*lines, "M17", ""])
 
 
 def cec_tables(text: str, kind: str) -> list[tuple[int, ErrorTable]]:
@@ -152,13 +108,7 @@ def cec_tables(text: str, kind: str) -> list[tuple[int, ErrorTable]]:
     return out
 
 
-def _equidistant(table: ErrorTable) -> float:
-    if not table.spacing:
-        raise InputError(f"axis {table.axis}: SINUMERIK tables are equidistant; interpolate the errors to equal steps")
-    return table.spacing
-
-
-def _number(value: float, decimals: int) -> str:
+def _number(value: float) -> str:
     """'0.01', '-200.0', '0.0': no exponent, no trailing zeros beyond the first decimal."""
-    text = f"{value:.{decimals}f}".rstrip("0")
+    text = f"{value:.{DECIMALS}f}".rstrip("0")
     return text + "0" if text.endswith(".") else text
