@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """Examines remedies: sealed machines of the second plant are diagnosed, remedied, and run there again with the changes entered.
 
-python -m devtools.score_remedies --seed N --cases N --out DIR [--quick] [--program RUN]
+python -m devtools.score_remedies --seed N --cases N --out DIR [--quick] [--program RUN] [--placed] [--truth]
 
 Each machine gets a campaign of four runs and a part program (set points only). `twin diagnose` and `twin remedy` see nothing else. Then the
 seal is opened: true contour error of the tool point on the program before and after, against the predicted one; quadrant peaks of axes with a
 pulse; what lead and cyclic errors behind a motor encoder still displace; machines where friction and play make most of the error. Continues
-an interrupted examination; one machine after the other, on one core.
+an interrupted examination; one machine after the other, on one core. `--placed` draws only lead and cyclic errors behind motor encoders.
+`--truth` asks nobody: it enters the tables of the true sizes, and examines what a table can do at the feeds of the program, in minutes.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy as np
 
 from devtools.switched_on import switch_on
 from twin.diagnose.tool_point import LOAD
+from twin.effects import EFFECTS, Setting, with_effects
 from twin.exam.answer import FAILED
 from twin.exam.draw import AXES, Case, draw_case, runs_of, sample_period_of, settings_for
 from twin.exam.other_machine import arrangement_of
@@ -36,7 +38,10 @@ from twin.exam.session import machine_of, seal, sit, truths_text, unseal, write_
 from twin.files import output_folder, write_whole
 from twin.machine.machine import Machine, default_machine_path, load_machine
 from twin.recordings.trace import Trace, write_trace
+from twin.remedy.advice import TABLE
+from twin.remedy.choose import candidates
 from twin.remedy.tool_error import ToolError, tool_error
+from twin.remedy.tune_change import tuned
 
 REVERSAL = ("coulomb_friction", "stribeck", "presliding", "position_dependent_friction", "backlash")
 SCREW = ("lead_error", "cyclic_error", "backlash")
@@ -59,6 +64,7 @@ KINDS = (
     Kind(0.10, Stratum("three", "triple", 0.0, runs="short")),
     Kind(0.15, Stratum("everyday", "everyday", 0.0, runs="short")),
 )
+PLACED_KINDS = (Kind(1.0, Stratum(ANOTHER, "single", 0.0, runs="short"), PLACED),)
 
 
 def main() -> None:
@@ -68,12 +74,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--quick", action="store_true", help="diagnose as with 'twin diagnose --quick'")
     parser.add_argument("--program", default="program_surface", help="run of the programme on which the error is judged")
+    parser.add_argument("--placed", action="store_true", help="only lead and cyclic errors behind motor encoders, in turn")
+    parser.add_argument("--truth", action="store_true", help="only tables, from the true sizes in place of a diagnosis")
     parser.add_argument("--report", action="store_true", help="only print the result of what is there")
     args = parser.parse_args()
     out = output_folder(args.out.resolve())
     machine_file = str(default_machine_path())
-    questions = questions_of(args.seed, args.cases)
+    questions = questions_of(args.seed, args.cases, PLACED_KINDS if args.placed else KINDS)
     cases = {q.name: draw(q, machine_file) for q in questions}
+    if args.truth:
+        marks = [tables_of_the_truth(q, cases[q.name], load_machine(machine_file), machine_file, args.program) for q in questions]
+        print("\n".join([*(f"{m['case']} {' '.join(map(str, m['placed']))}" for m in marks), "", *placed_lines(marks)]))
+        return
     text = truths_text(cases)
     print(f"{len(cases)} machines sealed, SHA-256 of the truths {seal(text, out)}", flush=True)
     for q in questions:
@@ -88,17 +100,17 @@ def main() -> None:
     print("\n".join([*map(line, marks), "", *summary(marks)]))
 
 
-def questions_of(seed: int, cases: int) -> list[Question]:
+def questions_of(seed: int, cases: int, of: Sequence[Kind]) -> list[Question]:
     """The machines to ask about, kinds and effects in turn."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 60]))
-    bounds = np.cumsum([kind.share for kind in KINDS])
+    bounds = np.cumsum([kind.share for kind in of])
     drawn = (np.arange(cases) + rng.random()) / cases % 1.0
     kinds = rng.permutation([int(np.searchsorted(bounds, u * bounds[-1])) for u in drawn])
     seeds = np.random.SeedSequence([seed, 61]).generate_state(cases)
-    turns = [int(rng.integers(100)) for _ in KINDS]
+    turns = [int(rng.integers(100)) for _ in of]
     questions = []
     for i, k in enumerate(kinds):
-        kind, number = KINDS[k], int(seeds[i])
+        kind, number = of[k], int(seeds[i])
         effect = kind.effects[turns[k] % len(kind.effects)] if kind.effects else None
         turns[k] += 1
         stratum = kind.stratum
@@ -170,10 +182,23 @@ def mark(question: Question, case: Case, place: Path, machine_file: str, program
         "interval": [remedy["low"], remedy["high"]],
         "friction_share": max(0.0, 1.0 - (smooth.rms / before.rms) ** 2),
         "peaks": {a: [before.peaks[a], after.peaks[a]] for a in pulsed if before.peaks[a] > 0.0},
-        "placed": [
-            [e["name"], e["axis"], *(displaced(case, tables, machine, test, e, own) for own in ([], changes))] for e in placed
-        ],
+        "placed": [[e["name"], e["axis"], *(displaced(case, tables, machine, test, e, own) for own in ([], changes))] for e in placed],
     }  # fmt: skip
+
+
+def tables_of_the_truth(question: Question, case: Case, given: Machine, machine_file: str, program: str) -> dict[str, Any]:
+    """What lead and cyclic errors displace without and with the tables of their true sizes."""
+    tables = machine_of(question, machine_file)
+    machine = Machine(tables, given.model_path)
+    test = program_of(question, machine_file, program)
+    settings = [Setting(EFFECTS[e["name"]], e["axis"], {k: v for k, v in e.items() if k not in ("name", "axis")}) for e in case.effects]
+    true = with_effects(machine, settings)
+    changes = [tuned(c, true, []) for c in candidates(true)[0] if c.function == TABLE]
+    entered = [{"axis": c.axis, "function": TABLE, "effect": None, "parameters": c.table(true)} for c in changes]
+    placed = [e for e in case.effects if e["name"] in PLACED and e["axis"] in on_motor(machine)]
+    ways: tuple[list[dict[str, Any]], ...] = ([], entered)
+    found = [(e["name"], e["axis"], *(displaced(case, tables, machine, test, e, own) for own in ways)) for e in placed]
+    return {"case": question.name, "placed": found}
 
 
 def on_motor(machine: Machine) -> set[str]:
@@ -238,6 +263,19 @@ def line(m: dict[str, Any]) -> str:
     )
 
 
+def median(values: Sequence[float]) -> str:
+    return f"{statistics.median(values):.0%} of {len(values)}" if values else "none"
+
+
+def placed_lines(marks: Sequence[dict[str, Any]]) -> list[str]:
+    """By how much lead and cyclic errors behind motor encoders displace less, together and by kind."""
+    found = [(name, 1.0 - after / before) for m in marks for name, _, before, after in m["placed"]]
+    return [
+        f"lead and cyclic errors behind a motor encoder, median reduction of what they displace: {median([r for _, r in found])}; asked 80 %",
+        *(f"  {name}: {median([r for n, r in found if n == name])}" for name in PLACED),
+    ]
+
+
 def summary(marks: Sequence[dict[str, Any]]) -> list[str]:
     """The result against what is asked."""
     done = [m for m in marks if "failed" not in m]
@@ -245,9 +283,7 @@ def summary(marks: Sequence[dict[str, Any]]) -> list[str]:
     reduction = lambda m, i: 1.0 - m["after"][i] / m["before"][i]  # noqa: E731
     off = [abs(reduction(m, 0) - reduction(m, 1)) for m in done]
     peaks = [1.0 - after / before for m in done for before, after in m["peaks"].values()]
-    placed = [1.0 - after / before for m in done for _, _, before, after in m["placed"]]
     rubbing = [reduction(m, 0) for m in changed if m["friction_share"] > 0.5]
-    median = lambda values: f"{statistics.median(values):.0%} of {len(values)}" if values else "none"  # noqa: E731
     return [
         f"{len(done)} of {len(marks)} machines answered, {len(changed)} with changes",
         f"predicted reduction within 10 points of the true one: {sum(d <= 0.1 for d in off)} of {len(off)}"
@@ -255,7 +291,7 @@ def summary(marks: Sequence[dict[str, Any]]) -> list[str]:
         f"worse than before: {sum(m['after'][0] > m['before'][0] for m in changed)} of {len(changed)}"
         f" (largest increase {max((-reduction(m, 0) for m in changed), default=0.0):.1%}); asked 0",
         f"quadrant peaks of axes with a pulse, median reduction: {median(peaks)}; asked 60 %",
-        f"lead and cyclic errors behind a motor encoder, median reduction of what they displace: {median(placed)}; asked 80 %",
+        *placed_lines(done),
         f"contour error where friction and play make most of it, median reduction: {median(rubbing)}; asked 50 %",
     ]
 

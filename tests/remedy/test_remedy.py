@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+import re
 
 import jsonschema
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from tests.builders.one_axis import steady
 import twin
 from twin.cli import main
-from twin.effects import EFFECTS
+from twin.effects import EFFECTS, settings_of
 from twin.machine.machine import Machine
 from twin.remedy.advice import ADVICE, BACKLASH, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
@@ -24,6 +25,7 @@ from twin.remedy.predict import errors_of, with_changes
 from twin.remedy.remedy import late_wave
 from twin.remedy.tool_error import tool_error
 from twin.remedy.tune_change import tuned
+from twin.report import write_page
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -92,6 +94,27 @@ def test_lead_and_wobble_of_a_screw_behind_a_motor_encoder(mikron: Machine) -> N
     k = 2.0 * np.pi / v["wavelength"]
     exact = 1e-6 * v["slope"] * q + v["sine"] * np.sin(k * q) + v["cosine"] * np.cos(k * q)
     assert np.abs(table.error(q) - exact).max() < 0.02 * np.hypot(v["sine"], v["cosine"])
+
+
+def test_a_lead_error_that_is_small_beside_quadrants_is_corrected_once_they_are_gone(mikron: Machine) -> None:
+    worn = planted(mikron.with_axes(["X", "Y"]), "coulomb_friction:Y:factor=3", "lead_error:X:fraction=8e-6", motor=True)
+    circle = standard_motions(worn)[0]
+    found = choose(worn, circle, [], Goal(1e-7), Asked())
+    assert [c.function for c in found.changes] == [PULSE, PULSE, TABLE]
+    assert found.errors[-1] < 0.7 * found.errors[-2]
+
+
+def test_a_wave_that_a_table_cannot_hold_is_refused(mikron: Machine) -> None:
+    """LinuxCNC takes 256 points: 71 turns of a screw at 12 points need 853. The line of the same table is entered."""
+    worn = planted(mikron.with_axes(["X"]), "lead_error:X:fraction=6e-5", "cyclic_error:X:amplitude=4e-6,phase_rad=1.0", motor=True)
+    change = tuned(Change("X", TABLE, settings_of(worn)[0]), worn, [])
+    assert "853 points, 12 a period; a table of this control takes 256" in entries_of(change, worn, "linuxcnc").refused
+    assert entries_of(change, worn, "isg").table is not None
+    found = choose(worn, standard_motions(worn)[1], [], Goal(1e-7), Asked(), control="linuxcnc")
+    [table] = [c for c in found.changes if c.function == TABLE]
+    assert (table.values["sine"], table.values["cosine"]) == (0.0, 0.0)
+    assert table.values["slope"] == pytest.approx(60.0, rel=1e-3)
+    assert [(r.effect, r.axis) for r in found.refused] == [("cyclic_error", "X")]
 
 
 def test_half_of_a_wave_is_left_at_the_feed_that_the_page_names(mikron: Machine) -> None:
@@ -171,8 +194,11 @@ def test_changes_add_up_on_one_axis(mikron: Machine) -> None:
 
 @pytest.mark.slow
 def test_the_command(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixture[str]) -> None:
-    twin.write_machine(planted(mikron, "coulomb_friction:X:factor=1.5", "coulomb_friction:Y:factor=1.5"), tmp_path / "worn.toml")
-    command = ["remedy", str(tmp_path / "worn.toml"), "--target-um", "0.7", "--tolerance-um", "9", "--out", str(tmp_path / "out")]
+    (found := tmp_path / "found").mkdir()
+    twin.write_machine(planted(mikron, "coulomb_friction:X:factor=1.5", "coulomb_friction:Y:factor=1.5"), found / "machine.toml")
+    (found / "diagnosis.json").write_text('{"effects": []}')
+    write_page(found / "report.html", "Diagnosis", "", [])
+    command = ["remedy", str(found), "--target-um", "0.7", "--tolerance-um", "9", "--out", str(tmp_path / "out")]
     assert main(command) == 0
     said = capsys.readouterr().out
     assert "tolerance 9 um: outside now, inside after" in said
@@ -187,8 +213,11 @@ def test_the_command(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixt
     assert "$MA_FRICT_COMP_CONST_MAX[0,AX1]=" in (tmp_path / "out" / "control" / "machine_data.ini").read_text()
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Cause: coulomb friction of X, coulomb friction of Y" in page
-    for name in ("before", "machine"):  # what the page says replays both
-        assert f"--machine {tmp_path / 'out' / name}.toml" in page
+    for here, expected in ((tmp_path / "out" / "report.html", {"replay.rrd", "report.html"}), (found / "report.html", {"report.html"})):
+        links = [(here.parent / link).resolve() for link in re.findall(r'href="([^"#]+)"', here.read_text())]
+        assert {link.name for link in links} == expected
+        assert all(link.is_file() and link != here for link in links)
+    for name in ("before", "machine"):
         again = twin.load_machine(tmp_path / "out" / f"{name}.toml")
         judged_again = tool_error(simulate(again, twin.read_trace(tmp_path / "out" / "motion.parquet")).trace, again)
         assert 1e6 * judged_again.rms == pytest.approx(document["before" if name == "before" else "after"], rel=0.02)

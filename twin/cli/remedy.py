@@ -21,7 +21,7 @@ ARGUMENTS = (
     *MARGINS,
     arg("--control", "C", "sinumerik (default), heidenhain, linuxcnc or isg: whose files to write", default="sinumerik"),
     arg("--saved", "FILE.COM", "HEIDENHAIN: a correction file that the control saved, to be filled", action="append", default=[]),
-    out_argument("folder for remedy.json, machine.toml, before.toml, motion.parquet, control/, report.html"),
+    out_argument("folder for remedy.json, machine.toml, before.toml, motion.parquet, control/, replay.rrd, report.html"),
     PLACE,
     OPEN,
 )  # fmt: skip
@@ -38,8 +38,9 @@ def carry_out(args: argparse.Namespace) -> None:
     from twin.remedy.margins import asked_of
     from twin.remedy.motions import given_motion, slowed, standard_motions
     from twin.remedy.remedy import refusals, remedy, remedy_document, sentence
-    from twin.remedy.report import entry_text, in_short, write_remedy_report
+    from twin.remedy.report import REPLAY, entry_text, in_short, write_remedy_report
     from twin.remedy.source import deviations_of, machine_file_of
+    from twin.replay import write_recording
 
     if args.control not in CONTROLS:
         raise InputError(f"--control {args.control}: use one of {', '.join(CONTROLS)}")
@@ -56,7 +57,8 @@ def carry_out(args: argparse.Namespace) -> None:
     goal = Goal(args.target_um * 1e-6, math.inf if args.tolerance_um is None else args.tolerance_um * 1e-6)
     out = output_folder(args.out)
     with Progress("looking for a remedy", total=None) as bar:
-        found = remedy(machine, on, elsewhere, goal, asked_of(args.phase_margin_deg, args.gain_margin_db), deviations_of(document), bar.say)
+        asked, deviations = asked_of(args.phase_margin_deg, args.gain_margin_db), deviations_of(document)
+        found = remedy(machine, on, elsewhere, goal, asked, deviations, bar.say, control=args.control)
     content = remedy_document(found)
     files, by_hand = files_for(list(found.chosen.changes), machine, args.control, saved)
     for change, entry in zip(found.chosen.changes, content["changes"]):
@@ -75,7 +77,8 @@ def carry_out(args: argparse.Namespace) -> None:
     )
     for name, text in files.items():
         write_whole(out / "control" / name, text)
-    write_remedy_report(found, content, document, out)
+    write_recording(out / REPLAY, machine, found.runs, summary="\n".join(in_short(found, content)))
+    write_remedy_report(found, content, document, out, file.parent / "report.html" if file and document else None)
     print("\n".join(in_short(found, content)))
     for change, entry in zip(found.chosen.changes, content["changes"]):
         print(f"  {sentence(found, change)}: {entry['before']:.2f} -> {entry['after']:.2f} um")
@@ -86,4 +89,4 @@ def carry_out(args: argparse.Namespace) -> None:
         "".join(f"  at the machine, {one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}\n" for one in content["at_the_machine"]),
         end="",
     )
-    finish(args, out, f"remedy.json, machine.toml, before.toml, motion.parquet, report.html{', control/' if files else ''}")
+    finish(args, out, f"remedy.json, machine.toml, before.toml, motion.parquet, replay.rrd, report.html{', control/' if files else ''}")

@@ -40,6 +40,7 @@ TYPES = {
     ".csv": "text/plain; charset=utf-8",
     ".toml": "text/plain; charset=utf-8",
     ".xml": "text/plain; charset=utf-8",
+    ".rrd": "application/octet-stream",
 }
 """Served file types: ending -> content type."""
 

@@ -219,7 +219,7 @@ def _next(document: Document, folder: Path) -> Section:
         words.append(f"The corrected machine is in {corrected}; simulate with it: twin run PROGRAM --machine {corrected}")
         there = shlex.quote(str(folder))
         words.append(
-            f"What to set in the control, what it brings and what it costs: twin remedy {there} --out {there}/remedy; its page is remedy/report.html"
+            f"What to set in the control, what it brings and what it costs: twin remedy {there} --out {there}/remedy; this page then links to it"
         )
     if unseen := unseen_text(document):
         words.append(

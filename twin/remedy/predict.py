@@ -8,10 +8,11 @@ Trials run on the decoupled plant; numbers that are reported run in MuJoCo.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import os
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.run import SimulationJob, simulate_each
 from twin.simulation.setpoints import Setpoints
+
+Found = TypeVar("Found")
 
 DRAWS = 8
 """Machines drawn from the intervals of the diagnosis."""
@@ -46,22 +49,28 @@ def motionful(name: str, setpoints: Setpoints, machine: Machine) -> Motionful:
     return Motionful(name, setpoints, nominal_motion(with_effects(machine, []), setpoints))
 
 
-def errors_of(machines: Sequence[Machine], on: Motionful, engine: bool = False) -> list[ToolError | None]:
-    """The error of each machine on a motion; None where the simulation diverges."""
+def simulated(
+    machines: Sequence[Machine], on: Motionful, of: Callable[[Trace, Machine], Found], engine: bool = False
+) -> list[Found | TwinError]:
+    """What `of` makes of the trace of each machine on a motion; the error where the simulation diverges."""
     plant = MujocoPlant if engine else (lambda change: DecoupledPlant(change, on.motion))
     jobs = [SimulationJob(machine, on.setpoints, plant) for machine in machines]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        outcomes = simulate_each(jobs, pool.map, lambda i, run: tool_error(run.trace, machines[i]))
-    return [None if isinstance(outcome, TwinError) else outcome for outcome in outcomes]
+        return simulate_each(jobs, pool.map, lambda i, run: of(run.trace, machines[i]))
+
+
+def errors_of(machines: Sequence[Machine], on: Motionful) -> list[ToolError | None]:
+    """The error of each machine on a motion, on the decoupled plant; None where the simulation diverges."""
+    return [None if isinstance(found, TwinError) else found for found in simulated(machines, on, tool_error)]
 
 
 def decoupled(machines: Sequence[Machine], on: Motionful) -> list[Trace]:
     """The trace of each machine on a motion, on the decoupled plant. Raises TwinError where a simulation diverges."""
-    jobs = [SimulationJob(machine, on.setpoints, lambda change: DecoupledPlant(change, on.motion)) for machine in machines]
-    traces = simulate_each(jobs, map, lambda _i, run: run.trace)
-    for found in traces:
+    traces = []
+    for found in simulated(machines, on, lambda trace, _machine: trace):
         if isinstance(found, TwinError):
             raise found
+        traces.append(found)
     return traces
 
 

@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 
 from twin.effects import settings_of
+from twin.errors import TwinError
 from twin.machine.machine import Machine
+from twin.recordings.trace import Trace
 from twin.remedy.advice import ADVICE, SET_BACK, TABLE
 from twin.remedy.change import Change
 from twin.remedy.choose import Chosen, Goal, Refused, choose, judged
+from twin.remedy.control_data import CONTROLS
 from twin.remedy.margins import Asked
 from twin.remedy.motions import slowed
-from twin.remedy.predict import NORMAL_95, Motionful, drawn, errors_of, with_changes
-from twin.remedy.tool_error import ToolError
+from twin.remedy.predict import NORMAL_95, Motionful, drawn, errors_of, simulated, with_changes
+from twin.remedy.tool_error import ToolError, tool_error
 from twin.units import AXIS_UNITS
 
 OVERRIDES = (0.9, 0.75, 0.5, 0.3)
@@ -47,6 +50,8 @@ class Remedy:
     high: float
     duration: float
     """Time of the motion [s]."""
+    runs: Mapping[str, Trace]
+    """The simulated motion before and after."""
     slower: tuple[tuple[float, ToolError], ...] = ()
     """The last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes."""
 
@@ -70,16 +75,18 @@ def remedy(
     deviations: Deviations | None = None,
     say: Callable[[str], None] = lambda _text: None,
     seed: int = 0,
+    control: str = CONTROLS[0],
 ) -> Remedy:
     """The remedy of a machine with effects on a motion. Changes are tuned there, and kept where none of the motions elsewhere gets worse."""
-    chosen = choose(machine, on, elsewhere, goal, asked, say)
+    chosen = choose(machine, on, elsewhere, goal, asked, say, control)
     remedied = with_changes(machine, chosen.changes)
     say("predicting in MuJoCo")
     variants = [machine, remedied, *(change.applied(machine) for change in chosen.changes)]
-    found = errors_of(variants, on, engine=True)
-    before, after, alone = found[0], found[1], found[2:]
-    if before is None or after is None:
+    found = simulated(variants, on, lambda trace, own: (tool_error(trace, own), trace), engine=True)
+    runs = [one for one in found[:2] if not isinstance(one, TwinError)]
+    if len(runs) < 2:
         raise ArithmeticError("a machine that ran on the decoupled plant diverges in MuJoCo")
+    (before, _), (after, _) = runs
     low, high = after.rms, after.rms
     if deviations:
         say("predicting with the intervals of the diagnosis")
@@ -101,10 +108,11 @@ def remedy(
         chosen,
         before,
         after,
-        tuple(a for a in alone if a is not None),
+        tuple(one[0] for one in found[2:] if not isinstance(one, TwinError)),
         low,
         high,
         on.setpoints.duration,
+        {"before": runs[0][1], "after": runs[1][1]},
         tuple(slower),
     )
 
@@ -170,7 +178,7 @@ def late_wave(change: Change, machine: Machine) -> str:
     axis = machine.axis(change.axis)
     unit, to = AXIS_UNITS[axis.kind].speed
     half = axis.loops.position_gain_per_s / math.sqrt(3.0) * change.values["wavelength"] / (2.0 * math.pi)
-    return f"the table acts through the position gain: above {60.0 * to * half:.3g} {unit.removesuffix('/s')}/min more than half of the wave is left"
+    return f"the table acts through the position gain: above {60.0 * to * half:.3g} {unit.removesuffix('/s')}/min more than half of the wave is left; a higher position gain leaves less (twin tune)"
 
 
 def sentence(found: Remedy, change: Change) -> str:

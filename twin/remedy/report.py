@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import contextlib
 import math
 from pathlib import Path
+import shlex
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.effects import settings_of
+from twin.errors import InputError
 from twin.remedy.remedy import Remedy, refusals, sentence
-from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
+from twin.report import Figure, Section, Table, address, figure_svg, link_from, new_figure, write_page
 from twin.report.figure import BLUE, RED, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
+
+REPLAY = "replay.rrd"
+"""The motion before and after, beside the page."""
 
 
 def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
@@ -68,8 +74,11 @@ def surety(found: Remedy, diagnosis: Mapping[str, Any]) -> str:
     return f"How sure: {interval}. Each change was also simulated at other feeds and with 20 % more and less friction, and made none of them worse."
 
 
-def write_remedy_report(found: Remedy, document: dict[str, Any], diagnosis: Mapping[str, Any], folder: Path) -> None:
-    """Write the page `report.html` in the folder of the remedy."""
+def write_remedy_report(
+    found: Remedy, document: dict[str, Any], diagnosis: Mapping[str, Any], folder: Path, diagnosed: Path | None = None
+) -> None:
+    """Write the page `report.html` in the folder of the remedy; the page of the diagnosis and it get links to each other."""
+    page = folder / "report.html"
     brings, *more = in_short(found, document)
     rows = [
         [e["axis"], e["function"].replace("_", " "), entry["name"], entry["unit"] or "-", "as found" if entry["old"] is None else f"{entry['old']:.6g}", f"{entry['value']:.6g}"]
@@ -86,14 +95,14 @@ def write_remedy_report(found: Remedy, document: dict[str, Any], diagnosis: Mapp
         if rows
         else "Cost: none; nothing is changed."
     )
-    replays = [
-        f"twin run {folder / 'motion.parquet'} --machine {folder / f'{file}.toml'} --out {folder / f'replay_{name}'} && twin replay {folder / f'replay_{name}'}"
-        for name, file in (("before", "before"), ("after", "machine"))
-    ]
+    links = [("Replay before and after", REPLAY)]
+    if diagnosed is not None and diagnosed.is_file():
+        links.append(("Diagnosis", address(diagnosed, page)))
     sections = [
         Section(
             "In short",
             items=[cause_of(found, diagnosis), *(f"{text[0].upper()}{text[1:]}." for text in more), surety(found, diagnosis), costs],
+            links=links,
             figures=[Figure(figure_svg(remedy_figure(found)), "Contour error over the path, before and after. The measured circle can refute this picture.")],
         ),
         Section(
@@ -107,9 +116,12 @@ def write_remedy_report(found: Remedy, document: dict[str, Any], diagnosis: Mapp
         Section("At the machine", items=[f"{one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}" for one in document["at_the_machine"]]),
         Section("What no setting cures", items=refusals(found.chosen.refused) or ["Nothing was refused."]),
         Section("What gets worse", items=[f"{e['axis']} {e['function'].replace('_', ' ')}: {w}" for e in document["changes"] for w in e["worse"]] or ["Nothing is known."]),
-        Section("Replay", paragraphs=["The motion before and after, in the viewer:"], items=replays),
+        Section("Replay", paragraphs=[f"{REPLAY} holds the motion before and after; if a click does not open it: twin replay {shlex.quote(str(folder))}"]),
     ]  # fmt: skip
-    write_page(folder / "report.html", f"Remedy: {found.machine.name}", f"On {brings}.", sections)
+    write_page(page, f"Remedy: {found.machine.name}", f"On {brings}.", sections)
+    if diagnosed is not None and diagnosed.is_file():
+        with contextlib.suppress(InputError):  # the folder of the diagnosis may be read-only
+            link_from(diagnosed, "Remedy", page)
 
 
 def remedy_figure(found: Remedy) -> MplFigure:

@@ -10,6 +10,6 @@ save_png    a matplotlib figure as a file
 """
 
 from twin.report.figure import figure_svg, new_figure, save_png
-from twin.report.page import Figure, Section, Table, page, write_page
+from twin.report.page import Figure, Section, Table, address, link_from, page, write_page
 
-__all__ = ["Figure", "Section", "Table", "figure_svg", "new_figure", "page", "save_png", "write_page"]
+__all__ = ["Figure", "Section", "Table", "address", "figure_svg", "link_from", "new_figure", "page", "save_png", "write_page"]

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+import os
 from pathlib import Path
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+from twin.documents import read_text
 from twin.files import write_whole
 from twin.report.stamp import made_line
 
@@ -43,7 +46,8 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page: cards side by side (the first paragraph of each is large), then paragraphs, figures and tables."""
+    """A section of a page: cards side by side (the first paragraph of each is large), then paragraphs, links (text, address relative to the page), items,
+    figures and tables."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -51,6 +55,7 @@ class Section:
     tables: Sequence[Table] = field(default_factory=tuple)
     items: Sequence[str] = ()
     cards: Sequence[Section] = ()
+    links: Sequence[tuple[str, str]] = ()
 
 
 def page(title: str, lead: str, sections: Sequence[Section], made: str = "") -> str:
@@ -65,3 +70,18 @@ def page(title: str, lead: str, sections: Sequence[Section], made: str = "") -> 
 def write_page(path: str | Path, title: str, lead: str, sections: Sequence[Section], made: str = "") -> None:
     """Write the page; creates its folder."""
     write_whole(Path(path), page(title, lead, sections, made))
+
+
+def link_from(path: Path, text: str, to: Path) -> None:
+    """Add a link to another page to the contents of a page that was written before; once."""
+    page, anchor = read_text(path, "a page"), f'<a href="{address(to, path)}">{text}</a>'
+    if anchor not in page:
+        write_whole(path, page.replace("</nav>", f"{anchor}</nav>", 1))
+
+
+def address(to: Path, page: Path) -> str:
+    """Address of a file relative to a page; its own address on another drive."""
+    try:
+        return quote(Path(os.path.relpath(to.resolve(), page.resolve().parent)).as_posix())
+    except ValueError:
+        return to.resolve().as_uri()
