@@ -1,4 +1,4 @@
-"""The gap budget: the contribution of each effect, re-tuned parameter and normal imperfection.
+"""The gap budget: the contribution of each effect, each normal imperfection, and the re-tuned values of each axis and body.
 
 The corrected machine is simulated with and without a contribution. The difference is given as
 
@@ -23,7 +23,7 @@ import numpy as np
 from twin.diagnose.corrected import limited_deviations, normal_imperfections
 from twin.diagnose.simulations import Mapper, Result, SimulationRequest, in_turn, simulate_groups
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.tolerance import NORMAL, Nuisance
 from twin.diagnose.tool_point import LOAD, ToolPoint
 from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of, with_effects
@@ -35,6 +35,9 @@ from twin.units import AXIS_UNITS, plain
 
 SIGNALS = ("position", "motor_position", "current")
 """Signals of a row; its multiple of noise is taken over them."""
+
+RETUNED = "values within tolerance"
+"""Name of the row of all re-tuned values of an axis, or of mass and inertia of a body. One by one they mostly cancel each other."""
 
 UNIT = "um at the tool point, RMS"
 
@@ -182,15 +185,15 @@ def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState])
         others = [s for s in settings if s.key != own.key]
         yield Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), None)
     for f in states:
+        retuned: dict[str, list[tuple[Nuisance, float]]] = {}  # axis or body -> factors of its values
         for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
-            if nuisance.quantity in NORMAL or abs(float(deviation)) < 1e-6:
-                continue
-            name = "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity
-            moved = rotary if nuisance.quantity == "body" else (nuisance.owner,)
-            factor = 1.0 + float(deviation)
-            yield Part(
-                "re-tuned", name, nuisance.owner, moved, nuisance.apply(corrected, 1.0 / factor), nuisance.apply(machine, factor), None
-            )
+            if nuisance.quantity not in NORMAL and deviation:
+                retuned.setdefault(nuisance.owner, []).append((nuisance, 1.0 + float(deviation)))
+        for owner, values in retuned.items():
+            without, alone = corrected, machine
+            for nuisance, factor in values:
+                without, alone = nuisance.apply(without, 1.0 / factor), nuisance.apply(alone, factor)
+            yield Part("re-tuned", RETUNED, owner, (owner,) if owner in machine.axis_names else rotary, without, alone, None)
 
 
 def simulated_each(
