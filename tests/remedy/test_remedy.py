@@ -96,6 +96,19 @@ def test_lead_and_wobble_of_a_screw_behind_a_motor_encoder(mikron: Machine) -> N
     assert np.abs(table.error(q) - exact).max() < 0.02 * np.hypot(v["sine"], v["cosine"])
 
 
+def test_a_table_is_added_to_the_one_that_the_control_has(mikron: Machine) -> None:
+    """Half of the errors is compensated already; the effects are what is left beside the table. Eccentricity is none of the motor encoder."""
+    clean = planted(mikron, motor=True).with_values({"axis.C.encoder": "motor"})
+    for axis, whole, half in (
+        ("X", ("lead_error:X:fraction=6e-5", "cyclic_error:X:amplitude=4e-6,phase_rad=1.0"), ("lead_error:X:fraction=3e-5", "cyclic_error:X:amplitude=2e-6,phase_rad=1.0")),
+        ("C", ("cyclic_error:C:amplitude=4e-5,phase_rad=1.0",), ("cyclic_error:C:amplitude=2e-5,phase_rad=1.0", "encoder_eccentricity:C:amplitude=9e-5")),
+    ):  # fmt: skip
+        left = planted(clean, *half)
+        first = tuned(Change(axis, TABLE), left, [])
+        again = tuned(Change(axis, TABLE), first.applied(left), [])
+        assert again.values == pytest.approx(tuned(Change(axis, TABLE), planted(clean, *whole), []).values, rel=1e-4, abs=1e-12)
+
+
 def test_a_lead_error_that_is_small_beside_quadrants_is_corrected_once_they_are_gone(mikron: Machine) -> None:
     worn = planted(mikron.with_axes(["X", "Y"]), "coulomb_friction:Y:factor=3", "lead_error:X:fraction=8e-6", motor=True)
     circle = standard_motions(worn)[0]

@@ -32,6 +32,10 @@ class Advice:
     worse: str = ""
     grade: str = "C"
 
+    def functions(self, encoder: str) -> tuple[str, ...]:
+        """Functions that can help where this encoder closes the position loop: 'scale' or 'motor'."""
+        return self.with_scale if encoder == "scale" else self.with_motor_encoder
+
 
 def _control(worse: str, machine: str = "", grade: str = "A") -> Advice:
     return Advice(machine, (SET_BACK,), (SET_BACK,), "", worse, grade)

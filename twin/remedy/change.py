@@ -10,8 +10,13 @@ from twin.control.library import BLOCKS
 from twin.control.number import si_from_key
 from twin.effects import Setting, settings_of, with_effects
 from twin.effects.change import total_inertia
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 from twin.remedy.advice import SET_BACK
+
+
+def held(axis: Axis, function: str) -> dict[str, float]:
+    """The numbers of a function that the control of an axis has already [SI]; empty without it."""
+    return next((dict(b.values) for b in axis.blocks if b.block.name == function), {})
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def candidates(machine: Machine, control: str = CONTROLS[0]) -> tuple[list[Chang
     refused = []
     for setting in settings_of(machine):
         advice = ADVICE[setting.effect.name]
-        functions = advice.with_scale if machine.axis(setting.axis).encoder == "scale" else advice.with_motor_encoder
+        functions = advice.functions(machine.axis(setting.axis).encoder)
         held = [function for function in functions if (function, control) not in REFUSED]
         if not held:
             reason = next((REFUSED[function, control] for function in functions), advice.refused or "no setting of the control answers it")

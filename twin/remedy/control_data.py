@@ -17,7 +17,7 @@ from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of, parameter
 from twin.remedy.advice import PULSE, SET_BACK, TABLE
-from twin.remedy.change import Change
+from twin.remedy.change import Change, held
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
 from twin.remedy.files.entry import Entry
 from twin.remedy.files.table import PER_SI, ErrorTable
@@ -63,14 +63,14 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
 def _numbers(change: Change, axis: Axis, control: str) -> tuple[Entry, ...]:
     """The numbers of a block as its declaration says that the control holds them."""
     rotary, entries = axis.kind == "rotary", []
-    old = next((b.values for b in axis.blocks if b.block.name == change.function), None)
+    old = held(axis, change.function)
     for number in BLOCKS[change.function].numbers:
         if control in number.data and number.name in change.values:
             datum = number.data[control]
-            value, was = (v / datum.si[rotary] for v in (change.values[number.name], (old or {}).get(number.name, 0.0)))
+            value, was = (v / datum.si[rotary] for v in (change.values[number.name], old.get(number.name, 0.0)))
             if control == "isg":  # its lists hold whole numbers
                 value, was = round(value), round(was)
-            known = old is not None or number is BLOCKS[change.function].numbers[0]  # without the block its size is 0, the rest as found
+            known = old or number is BLOCKS[change.function].numbers[0]  # without the block its size is 0, the rest as found
             entries.append(Entry(datum.name, value, was if known else None, datum.units[rotary], datum.grade))
     return tuple(entries)
 
@@ -182,8 +182,11 @@ def _table(change: Change, axis: Axis, control: str) -> ForControl:
         if fewest > most:
             return ForControl(refused=f"its wave needs {fewest} points, {FEWEST_A_WAVE} a period; a table of this control takes {most}")
         table = correction_table(change, axis, int(most))
-    points = len(table.positions)
-    return ForControl(table=table, by_hand=f"MD38000 MM_ENC_COMP_MAX_POINTS must be {points} or more" if control == "sinumerik" else "")
+    loading = (
+        f"MD38000 MM_ENC_COMP_MAX_POINTS must be {len(table.positions)} or more (changing it clears the memory: save first); "
+        "load the table with MD32700 ENC_COMP_ENABLE[0] = 0, then set it to 1 and reference the axis"
+    )
+    return ForControl(table=table, by_hand=loading if control == "sinumerik" else "")
 
 
 def correction_table(change: Change, axis: Axis, most: int | None = None) -> ErrorTable:

@@ -11,8 +11,8 @@ from scipy.optimize import minimize
 
 from twin.effects import settings_of
 from twin.machine.machine import Axis, Machine
-from twin.remedy.advice import BACKLASH, PULSE, TABLE
-from twin.remedy.change import Change
+from twin.remedy.advice import ADVICE, BACKLASH, PULSE, TABLE
+from twin.remedy.change import Change, held
 from twin.remedy.predict import Motionful, errors_of
 
 AMPLITUDES = (0.25, 0.5, 0.75, 1.0)
@@ -41,8 +41,11 @@ def tuned(change: Change, machine: Machine, on: Sequence[Motionful], shaped: boo
             first = [{**pulse, "acceleration_1": knee * usual} for pulse in first for knee in KNEES]
         return _best(change, machine, on, first)
     if change.function == BACKLASH:
-        width = next((s.size for s in settings_of(machine) if s.axis == axis.name and s.effect.name == "backlash"), 0.0)
-        return _best(change, machine, on, [{"width": share * width, "cycles": 1.0} for share in (0.7, 1.0, 1.3)], fixed=("cycles",))
+        found = sum(s.size for s in settings_of(machine) if s.axis == axis.name and s.effect.name == "backlash")
+        before = held(axis, BACKLASH).get("width", 0.0)
+        return _best(
+            change, machine, on, [{"width": before + share * found, "cycles": 1.0} for share in (0.7, 1.0, 1.3)], fixed=("cycles",)
+        )
     if change.function == TABLE:
         return replace(change, values=_correction(machine, axis))
     return change
@@ -60,20 +63,21 @@ def _usual_acceleration(machine: Machine, axis: Axis, on: Sequence[Motionful]) -
 
 
 def _correction(machine: Machine, axis: Axis) -> dict[str, float]:
-    """Slope and wave of the errors of an axis that a table corrects: those of its effects, E = true minus commanded position."""
-    values = {"slope": 0.0, "origin": 0.0, "sine": 0.0, "cosine": 0.0, "wavelength": 2.0 * np.pi * axis.ratio}
+    """Slope and wave of the errors of an axis that a table corrects: those of its effects, E = true minus commanded position, on top of the table that it has."""
+    values = {"slope": 0.0, "origin": 0.0, "sine": 0.0, "cosine": 0.0, "wavelength": 2.0 * np.pi * axis.ratio} | held(axis, TABLE)
     for setting in settings_of(machine):
-        if setting.axis != axis.name:
+        if setting.axis != axis.name or TABLE not in ADVICE[setting.effect.name].functions(axis.encoder):
             continue
-        p = setting.parameters
         if setting.effect.name == "lead_error":
-            values["slope"] = 1e6 * setting.size / (1.0 - setting.size)
-        elif setting.effect.name in ("cyclic_error", "encoder_eccentricity"):
-            # the load leads the motor encoder by a cyclic error; an eccentric disc reads ahead of the load
-            size = setting.size if setting.effect.name == "cyclic_error" else -setting.size
-            values |= {"sine": size * np.cos(p["phase_rad"]), "cosine": size * np.sin(p["phase_rad"])}
-            if setting.effect.name == "encoder_eccentricity":
-                values["wavelength"] = 2.0 * np.pi
+            values["slope"] += 1e6 * setting.size / (1.0 - setting.size)
+            continue
+        # the load leads the motor encoder by a cyclic error; an eccentric disc reads ahead of the load
+        cyclic, phase = setting.effect.name == "cyclic_error", setting.parameters["phase_rad"]
+        size, wavelength = (setting.size, 2.0 * np.pi * axis.ratio) if cyclic else (-setting.size, 2.0 * np.pi)
+        if not np.isclose(values["wavelength"], wavelength):  # a table holds one wave
+            values |= {"sine": 0.0, "cosine": 0.0, "wavelength": wavelength}
+        values["sine"] += size * np.cos(phase)
+        values["cosine"] += size * np.sin(phase)
     return {name: float(value) for name, value in values.items()}
 
 
