@@ -139,5 +139,6 @@ def test_a_long_message_keeps_its_start_and_its_remedy() -> None:
     assert text.startswith("/a/b/machine.toml: [axis.X]: kind = 'xxx")
     assert text.endswith("use one of linear, rotary")
     assert one_line("short:\n  and   sweet") == "short: and sweet"
+    assert len(one_line("a.tdms: column '" + "\x00\x0e\x1b[2J\u00ff " * 90 + "': give it a name")) <= 340  # counted as printed
     assert nearest(0, ["X", "Y"]) == "known are: X, Y"
     assert nearest("zzzz", [f"name{i}" for i in range(500)]).endswith("and 476 more")

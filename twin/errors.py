@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 import difflib
 from pathlib import Path
+import re
 import traceback
 
 import twin
@@ -17,6 +18,15 @@ LONGEST_WORD = 80
 LONGEST_PATH = 240
 MOST_LISTED = 24
 """Number of known words that a message lists."""
+
+
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
+"""Characters that steer a terminal or turn its writing around; tab and end of line are none."""
+
+
+def plain(text: str) -> str:
+    """The text with control characters written as escapes (\\x1b): names in files of others may contain them."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 class TwinError(Exception):
@@ -46,11 +56,11 @@ def nearest(word: object, known: Iterable[str]) -> str:
 
 
 def one_line(message: object) -> str:
-    """A message as the command line prints it: one line, with long words shortened.
+    """A message as the command line prints it: one line of `plain` text, with long words shortened.
 
     The middle of a message longer than `LONGEST` is cut out, since the start says what was given and the end what to do.
     """
-    text = " ".join(map(_short, str(message).split()))
+    text = " ".join(_short(plain(word)) for word in str(message).split())
     where, _, said = text.partition(": ")  # a path is only shortened if no system could open it
     if len(said) > LONGEST:
         said = f"{said[: LONGEST * 6 // 10].rstrip()} ... {said[-LONGEST * 3 // 10 :].lstrip()}"

@@ -37,7 +37,7 @@ def beside(path: str | Path) -> Iterator[Path]:
         InputError: the file cannot be written; the message names `path` and the reason.
     """
     path = Path(path)
-    partial = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix[:10]}")
+    partial = path.parent / f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix[:10]}"
     try:
         if pours_into(path):
             with tempfile.TemporaryDirectory(prefix="twin-") as scratch:
@@ -88,7 +88,7 @@ def all_or_none() -> Iterator[None]:
 
 def _refuse_other_kinds(folder: Folder, path: Path) -> None:
     """Raise InputError unless `path` is free or a regular file."""
-    if (found := folder.look(path.name)) is None or stat.S_ISREG(found.st_mode):
+    if (found := folder.look(path.name or ".")) is None or stat.S_ISREG(found.st_mode):
         return
     kind = "a link" if stat.S_ISLNK(found.st_mode) else "a folder" if stat.S_ISDIR(found.st_mode) else "a device or socket"
     raise InputError(f"{path}: is {kind} and is not replaced; remove it or choose another path")

@@ -63,10 +63,11 @@ def most_bytes() -> float:
 
 def refuse_bytes(estimate: float, where: str, remedy: str) -> None:
     """Raise InputError if the content of a file takes more memory than `most_bytes`; the message has both numbers."""
-    if not estimate <= most_bytes():
-        factor = estimate / most_bytes() * raised_by()
+    limit = most_bytes()
+    if not estimate <= limit:
+        factor = estimate / limit * raised_by()
         more = f"; or raise all limits with --limits {math.ceil(factor * 1.01):g}" if factor < 1e6 else ""
         raise InputError(
-            f"{where}: takes about {estimate / 1e9:.3g} GB of memory once read, the limit is {most_bytes() / 1e9:.3g} GB "
+            f"{where}: takes about {estimate / 1e9:.3g} GB of memory once read, the limit is {limit / 1e9:.3g} GB "
             f"({MEMORY_SHARE:.3g} of this computer's memory): {remedy}{more}"
         )

@@ -10,13 +10,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
-"""Characters that steer a terminal or turn its writing around; tab and end of line are none."""
-
-
-def plain(text: str) -> str:
-    """The text with control characters written as escapes (\\x1b): names in files of others may contain them."""
-    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+from twin.errors import plain
 
 
 class Plain:

@@ -49,6 +49,8 @@ def stoppable() -> None:
     signal.set_wakeup_fd(write.fileno(), warn_on_full_buffer=False)
     for number in WORDS:
         signal.signal(number, _raise)
+    unraisable = sys.unraisablehook  # an exception in a callback is printed and forgotten: this one must be one line
+    sys.unraisablehook = lambda found: None if isinstance(found.exc_value, Stopped) else unraisable(found)
     threading.Thread(target=_end, args=(read, write), daemon=True, name="twin-stopping").start()
 
 

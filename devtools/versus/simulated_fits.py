@@ -16,8 +16,9 @@ import numpy as np
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.gap import at_times, compared_signals, is_moving, sensor_noise, simulated_period
+from twin.simulation.gap import compared_signals, is_moving, sensor_noise
 from twin.simulation.nominal_motion import nominal_motion
+from twin.simulation.recorded_times import at_times, simulated_period
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import recorded_setpoints
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive, trace_file
 from twin.errors import InputError
-from twin.files import shipped_example, write_json
+from twin.files import output_file, shipped_example, write_json
 from twin.progress import Progress
 from twin.units import AXIS_UNITS
 
@@ -45,10 +45,11 @@ def carry_out(args: argparse.Namespace) -> None:
     if not Path(args.input).exists():
         raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run folder or a campaign")
     machine = machine_of(args)
-    plot = Path(args.plot) if args.plot else Path(args.json or f"out/iso_{args.standard}.json").with_suffix(".png")
+    written = output_file(args.json) if args.json else Path(f"out/iso_{args.standard}.json")
+    plot = Path(args.plot) if args.plot else written.with_suffix(".png")
     document = (_positioning if args.standard == "230-2" else _circles)(args, Path(args.input), machine, plot)
     if args.json:
-        write_json(document, Path(args.json), "iso230")
+        write_json(document, written, "iso230")
         print(f"written: {args.json}")
     print(f"written: {plot}")
 
@@ -219,7 +220,7 @@ def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
 def _predicted(machine: Machine, trace: Trace, feedforward: str | None, measured: CircleTest, ballbar: Ballbar | None) -> CircleTest:
     """The circle simulated by the twin, evaluated like the measurement."""
     from twin.iso230.circle_of_trace import circles_of_trace
-    from twin.simulation.gap import as_recorded, simulated_period
+    from twin.simulation.recorded_times import as_recorded, simulated_period
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of
 

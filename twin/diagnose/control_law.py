@@ -27,7 +27,7 @@ from twin.effects.law import law_in
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.simulation.drive_setpoints import closed_on
-from twin.simulation.gap import SAME_PERIOD
+from twin.simulation.recorded_times import SAME_PERIOD
 from twin.units import AXIS_UNITS
 
 Characteristic = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -14,7 +14,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.ballbar import Ballbar
 from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.gap import as_recorded, simulated_period
+from twin.simulation.recorded_times import as_recorded, simulated_period
 from twin.simulation.run import Run, SimulationJob, all_or_raise, simulate_each
 
 Variant = Callable[[Machine], Machine]

@@ -20,7 +20,7 @@ from twin.machine.machine import Machine
 from twin.recordings.ballbar import FINEST, GEOMETRY, OVERLAP, ballbar_of
 from twin.recordings.roughness import SECOND_DIFFERENCE, robust_deviation
 from twin.recordings.trace import Trace
-from twin.simulation.gap import simulated_period
+from twin.simulation.recorded_times import simulated_period
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 

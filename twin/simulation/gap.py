@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 import os
 from typing import NamedTuple
@@ -19,12 +19,13 @@ import numpy as np
 from twin.effects import Change
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
-from twin.recordings.ballbar import FINEST, Ballbar
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.mujoco_plant import MujocoPlant
+from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.prepared import PlantInterface
+from twin.simulation.recorded_times import as_recorded, simulated_period
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
 from twin.simulation.two_encoders import BOTH, with_equal_means
@@ -35,12 +36,6 @@ COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "tor
 
 REALISATIONS = 4
 """Number of simulations with noise in the loop for mean and scatter."""
-
-SAME_PERIOD = 1e-4
-"""Relative tolerance of the sample period, for rounded times in a record."""
-
-SAME_TIME = 0.01
-"""Tolerance, as a fraction of the period, up to which the last samples of a record and its simulation count as simultaneous."""
 
 LEAST_NOISE = {"position": 1e-9, "motor_position": 1e-9, "velocity": 1e-7, "current": 1e-4}
 """Smallest noise of a record, SI; used if the machine file gives none."""
@@ -83,13 +78,12 @@ class Prediction:
 
 
 def predict(
-    machine: Machine, run: MeasuredRun, realisations: int = REALISATIONS, motion: Motion | None = None, engine: bool = True, seed: int = 0
+    machine: Machine, run: MeasuredRun, realisations: int = REALISATIONS, motion: Motion | None = None, engine: bool = True
 ) -> Prediction:
     """Simulate a measured run's set points; scatter (sample,) is the standard deviation between noise realisations.
 
-    With a known `motion` of the axes, MuJoCo simulates one realisation. The decoupled plant along that motion gives the differences of the
-    other realisations, which agree with those of MuJoCo, in a tenth of the time.
-    Without `engine`, all realisations come from the decoupled plant.
+    MuJoCo simulates one realisation. The decoupled plant along the `motion` of the axes (default: their nominal motion) gives the differences of
+    the other realisations, which agree with those of MuJoCo, in a tenth of the time. Without `engine`, all come from the decoupled plant.
     """
     setpoints = recorded_setpoints(run.trace, machine)
     check_travel(setpoints, machine, f"run {run.name}")
@@ -97,14 +91,14 @@ def predict(
     period = simulated_period(machine, run.trace.period, run.ballbar)
 
     def realised(i: int, plant_of: Callable[[Change], PlantInterface]) -> SimulationJob:
-        return SimulationJob(actual, setpoints, plant_of, period, run.started_at, seed + i)
+        return SimulationJob(actual, setpoints, plant_of, period, run.started_at, i)
 
-    decoupled = MujocoPlant if motion is None else lambda change: DecoupledPlant(change, motion)
-    jobs = [realised(i, decoupled) for i in range(realisations)]
-    if motion is not None and engine:
-        jobs.append(realised(0, MujocoPlant))
+    jobs = [realised(0, MujocoPlant)] if engine else []
+    if realisations > 1 or not engine:
+        known = motion or nominal_motion(actual, setpoints)
+        jobs += [realised(i, lambda change: DecoupledPlant(change, known)) for i in range(realisations)]
     traces = [as_recorded(simulated.without_noise, run.trace.time, run.ballbar) for simulated in all_or_raise(simulate_each(jobs))]
-    by_engine = traces.pop() if len(traces) > realisations else None
+    by_engine = traces.pop(0) if engine and len(traces) > 1 else None
     signals, scatter = {}, {}
     for key in traces[0].signals:
         stack = np.stack([trace.signals[key] for trace in traces])
@@ -228,37 +222,6 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
 def encoders_noise(machine: Machine, axis: Axis) -> float:
     """Standard deviation of motor encoder minus scale due to the sensors [m, rad]."""
     return max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
-
-
-def simulated_period(machine: Machine, period: float, ballbar: Ballbar | None = None) -> float:
-    """Sample period [s] of the simulation of a record with this `period`: the same, or one tick if the period is not a whole number of ticks;
-    for a ballbar, FINEST, or `period` if it is shorter."""
-    if ballbar is not None:
-        return min(simulated_period(machine, FINEST), period)
-    ticks = period / machine.base_tick
-    return period if round(ticks) >= 1 and abs(ticks / round(ticks) - 1.0) < SAME_PERIOD else machine.base_tick
-
-
-def at_times(trace: Trace, times: np.ndarray) -> Trace:
-    """A simulated trace, which starts at 0, at the times (sample,) [s] of a record, which may start at any time."""
-    count = len(times)
-    if len(trace.time) >= count and abs(trace.time[count - 1] - (times[-1] - times[0])) < SAME_TIME * trace.period:
-        return replace(trace, time=times, signals={key: values[:count] for key, values in trace.signals.items()})
-    return replace(
-        trace, time=times, signals={key: np.interp(times - times[0], trace.time, values) for key, values in trace.signals.items()}
-    )
-
-
-def as_recorded(trace: Trace, times: np.ndarray, ballbar: Ballbar | None, noise_seed: int | None = None) -> Trace:
-    """A simulated trace at the times (sample,) [s] of a record, with the positions measured by a ballbar, if there is one; `noise_seed` adds
-    the noise of the ballbar."""
-    at = at_times(trace, times)
-    if ballbar is None:
-        return at
-    deviation = ballbar.deviation(trace)
-    if noise_seed is not None:
-        deviation += np.random.default_rng(noise_seed).normal(0.0, ballbar.noise, len(deviation))
-    return replace(at, signals={**at.signals, **ballbar.positions(deviation)})
 
 
 def _mean_square(values: np.ndarray) -> float:

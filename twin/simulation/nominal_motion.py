@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.gap import at_times, simulated_period
+from twin.simulation.recorded_times import at_times, simulated_period
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

@@ -7,6 +7,7 @@ compliance) gets a separate joint for the rotor, `<axis>.rotor` in axis units; t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import copy
 from dataclasses import dataclass
 import functools
 import math
@@ -93,7 +94,29 @@ def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: S
 
 
 def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: Sequence[str] = ()) -> mujoco.MjModel:
-    """MjModel of the machine: masses, inertias, friction and geometry of the machine file, base tick as time step."""
+    """MjModel of the machine: masses, inertias, friction and geometry of the machine file, base tick as time step.
+
+    A model without edits is compiled once, whatever the number of runs.
+    """
+    if edits:
+        return _compile(machine, edits, split_axes)
+    frictions = tuple((axis.coulomb_friction, axis.viscous_friction, axis.friction_side) for axis in machine.axes)
+    key = (inertial_key(machine), frictions, machine.base_tick, tuple(split_axes))
+    model = _models.get(key)
+    if model is None:
+        model = _compile(machine, (), split_axes)
+        if len(_models) >= MOST_MODELS:
+            _models.clear()
+        _models[key] = model
+    return copy.copy(model)
+
+
+MOST_MODELS = 16
+"""Largest number of compiled models that are kept."""
+_models: dict[object, mujoco.MjModel] = {}
+
+
+def _compile(machine: Machine, edits: Sequence[ModelEdit], split_axes: Sequence[str]) -> mujoco.MjModel:
     spec = load_spec(machine.model_path)
     where = str(machine.path or machine.name)
     spec.compiler.discardvisual = True  # geoms without mass only cost time here

@@ -12,6 +12,7 @@ A signal without visible white noise (noise-free, or hidden in its own steps) ke
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 import math
@@ -25,8 +26,8 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.gap import as_recorded, simulated_period
 from twin.simulation.nominal_motion import nominal_motion
+from twin.simulation.recorded_times import as_recorded, simulated_period
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import recorded_setpoints
 from twin.units import AXIS_UNITS
@@ -45,6 +46,9 @@ NOISE_KEYS = {
 MOST_SAMPLES = 60_000
 """Samples of a run that are used, from its start: a minute at 1 kHz."""
 
+ENOUGH = 30
+"""Runs of a signal that are used: the median of a thousand is that of thirty."""
+
 AGREES = 1.5
 """Ratio of recorded and given noise up to which a note says nothing."""
 
@@ -59,7 +63,7 @@ def with_recorded_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[
 
 def _found(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[dict[str, Noise], dict[str, dict[str, float]]]:
     """Noise of each axis, and the variances of its sensors that the records show: medians over the runs, since a fault is louder in some of them."""
-    by_run = [_variances(machine, run) for run in runs]
+    by_run = [_variances(machine, run) for run in _enough(machine, runs)]
     found, seen = {}, {}
     for axis in machine.axes:
         seen[axis.name] = {s: float(np.median(v)) for s in UNIT if (v := [of[axis.name, s] for of in by_run if (axis.name, s) in of])}
@@ -69,6 +73,17 @@ def _found(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[dict[str, Noi
         }
         found[axis.name] = _noise_of(machine.noise(axis), seen[axis.name], steps)
     return found, seen
+
+
+def _enough(machine: Machine, runs: Sequence[MeasuredRun]) -> list[MeasuredRun]:
+    """Runs, in an order without meaning, of which each has a signal that fewer than ENOUGH others have."""
+    kept, known = [], Counter[tuple[str, str]]()
+    for i in np.random.default_rng(0).permutation(len(runs)):
+        signals = [(axis.name, sensor) for axis in machine.axes for sensor in _signals(axis, runs[i])]
+        if any(known[signal] < ENOUGH for signal in signals):
+            kept.append(runs[i])
+            known.update(signals)
+    return kept
 
 
 def measurement_values(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[str, float]:
