@@ -60,12 +60,13 @@ class BareEngine:
 
     def __init__(self, machine: Machine, velocity: np.ndarray) -> None:
         self.plant: Plant = build_plant(machine)
+        self.coulomb = np.array([axis.coulomb_friction for axis in machine.axes])
         model, data = self.plant.model, self.plant.data
         data.qvel[self.plant.load_dof] = velocity
         mujoco.mj_forward(model, data)
         ratio = np.array([axis.ratio for axis in machine.axes])
         # the motors balance gravity and friction, so that the speed stays constant
-        friction = np.sign(velocity) * self.plant.coulomb - data.qfrc_passive[self.plant.load_dof]
+        friction = np.sign(velocity) * self.coulomb - data.qfrc_passive[self.plant.load_dof]
         data.ctrl[self.plant.actuator] = (data.qfrc_bias[self.plant.load_dof] + friction) * ratio
         self.start = mujoco.MjData(model)
         mujoco.mj_copyData(self.start, model, data)

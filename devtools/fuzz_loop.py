@@ -33,6 +33,8 @@ DRAWN = 8
 """One case in this many draws its pictures; the others write empty files."""
 BYTES = 2_000_000_000
 """Memory that a case may use beyond that of a process with all modules loaded."""
+EACH = 1000
+"""Cases of one child process: a library of the viewer keeps threads of every recording that a process wrote."""
 LONGEST_LINE = 420
 """Characters of a message: 300, and a path."""
 
@@ -141,7 +143,9 @@ def fuzz(
     context = multiprocessing.get_context("spawn" if os.name == "nt" else "fork")
     while at < seed + cases and time.monotonic() < end:
         mine, theirs = context.Pipe(duplex=False)
-        child = context.Process(target=_carry_out, args=(kinds, names, at, seed + cases, theirs, seconds, end), daemon=False)
+        child = context.Process(
+            target=_carry_out, args=(kinds, names, at, min(at + EACH, seed + cases), theirs, seconds, end), daemon=False
+        )
         child.start()
         theirs.close()
         for done, seconds_taken, fault in _messages(mine):

@@ -37,7 +37,9 @@ class EngineWithRotors(BareEngine):
         mujoco.mj_forward(model, data)
         # forces on the loads balance gravity and friction, so that the speed stays constant
         data.qfrc_applied[plant.load_dof] = (
-            data.qfrc_bias[plant.load_dof] + np.sign(velocity) * plant.coulomb - data.qfrc_passive[plant.load_dof]
+            data.qfrc_bias[plant.load_dof]
+            + np.sign(velocity) * [a.coulomb_friction for a in change.machine.axes]
+            - data.qfrc_passive[plant.load_dof]
         )
         self.start = mujoco.MjData(model)
         mujoco.mj_copyData(self.start, model, data)

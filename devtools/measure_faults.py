@@ -1,6 +1,7 @@
 """Measure what commands survive: Ctrl-C at any moment, kill -9 of an examination, a full disk.
 
-    python -m devtools.measure_faults stop CAMPAIGN [--machine FILE]   Ctrl-C of `twin diagnose`, from 0.1 s after its start
+    python -m devtools.measure_faults stop CAMPAIGN [--machine FILE]   Ctrl-C of `twin diagnose`, from 0.1 s after its start; with --first while
+                                                                       functions are compiled for the first time
     python -m devtools.measure_faults exam [--kills 20] [--cases 2]    kill -9 of `twin exam` at random moments of each stage; resume and compare
     python -m devtools.measure_faults disk FOLDER                      commands that write to FOLDER, on a nearly full file system
 
@@ -29,9 +30,10 @@ ENDS_IN_S = 3.0
 TWIN = (sys.executable, "-m", "twin")
 
 
-def stop(campaign: Path, machine: Path | None) -> bool:
-    """Send Ctrl-C to a diagnosis at each moment; print how long it takes to end, its exit code and its message."""
+def stop(campaign: Path, machine: Path | None, first: bool = False) -> bool:
+    """Send Ctrl-C to a diagnosis at each moment; print how long it takes to end, its exit code and its message. `first`: nothing is compiled yet."""
     fine = True
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has background commands ignore it, also their children
     with tempfile.TemporaryDirectory() as folder:
         for moment in MOMENTS_S:
             command = [*TWIN, "diagnose", str(campaign), "--out", f"{folder}/{moment}", *(("--machine", str(machine)) if machine else ())]
@@ -42,7 +44,7 @@ def stop(campaign: Path, machine: Path | None) -> bool:
                 stdout=subprocess.DEVNULL,
                 text=True,
                 start_new_session=True,
-                env={**os.environ, "TQDM_DISABLE": "1"},
+                env={**os.environ, "TQDM_DISABLE": "1", **({"NUMBA_CACHE_DIR": f"{folder}/cache{moment}"} if first else {})},
             ) as process:
                 sleep(moment)
                 begin = perf_counter()
@@ -171,13 +173,14 @@ def main() -> int:
     stopping = commands.add_parser("stop")
     stopping.add_argument("campaign", type=Path)
     stopping.add_argument("--machine", type=Path)
+    stopping.add_argument("--first", action="store_true")
     sitting = commands.add_parser("exam")
     sitting.add_argument("--kills", type=int, default=20)
     sitting.add_argument("--cases", type=int, default=2)
     commands.add_parser("disk").add_argument("folder", type=Path)
     args = parser.parse_args()
     if args.what == "stop":
-        return int(not stop(args.campaign, args.machine))
+        return int(not stop(args.campaign, args.machine, args.first))
     if args.what == "exam":
         return int(not exam(args.kills, args.cases))
     return int(not disk(args.folder))

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from twin import compiled_functions, compiling
+from twin import compiled_functions
 
 PACKAGE = Path(compiled_functions.__file__).parent
 ALLOWED = {PACKAGE / "compiled_functions.py", PACKAGE / "exam" / "plant" / "compiled.py"}  # the second plant imports nothing of twin
@@ -88,7 +88,7 @@ def test_a_terminal_hears_once_that_functions_are_compiled(tmp_path: Path) -> No
 
     (tmp_path / "kernels.py").write_text(MODULE)
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import kernels; kernels.cube(2.0)"
-    environment = {k: v for k, v in os.environ.items() if k not in (compiling._SAID, compiled_functions._SAID)}
+    environment = {k: v for k, v in os.environ.items() if k not in (compiled_functions._SAID_COMPILING, compiled_functions._SAID)}
     path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
 
     def heard(cache: str, on_terminal: bool) -> int:

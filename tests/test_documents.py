@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from twin.documents import named_file, outer_file, read_json, read_json_table, read_toml, reading
+from twin.documents import named_file, outer_file, read_json, read_toml, reading
 from twin.errors import InputError, nearest, one_line
 
 TOML = {
@@ -51,7 +51,7 @@ def test_unusable_json_is_refused(case: str, tmp_path: Path) -> None:
     file = tmp_path / "x.json"
     file.write_text(text)
     with pytest.raises(InputError) as error:
-        read_json_table(file)
+        read_json(file)
     assert str(file) in str(error.value)
     assert words in str(error.value)
 

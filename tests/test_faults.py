@@ -313,6 +313,30 @@ IN_THREADS = """
 """
 
 
+WRITING = """
+    import os, sys
+    from twin.__main__ import run
+    from twin.files import beside, output_folder
+    import twin.cli.effects, hashlib
+    def carry_out(args):
+        with beside(output_folder(os.environ["OUT"]) / "a.txt") as partial:
+            partial.write_text("half")
+            print("ready", flush=True)
+            hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
+    twin.cli.effects.carry_out = carry_out
+    sys.argv = ["twin", "effects"]
+    sys.exit(run())
+"""
+
+
+def test_a_command_that_ends_in_compiled_code_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As while functions are compiled for the first time: the main thread cannot clean up."""
+    monkeypatch.setenv("OUT", str(tmp_path))
+    code, error, _ = ended(WRITING, signal.SIGINT, 0.2)
+    assert (code, error) == (130, "twin: stopped by the user\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 IN_AN_IMPORT = """
     from twin.__main__ import run
     import twin.cli.effects, sys, time
@@ -365,14 +389,21 @@ def test_a_signal_that_a_callback_swallows_stops_the_command_all_the_same(number
     assert seconds < ENDS_IN_S
 
 
-def test_a_signal_in_the_first_moment_is_one_line(tmp_path: Path) -> None:
-    for after in (0.15, 0.4):
-        process = subprocess.Popen([sys.executable, "-m", "twin", "run", str(tmp_path / "none.csv")], stderr=subprocess.PIPE, text=True)
-        time.sleep(after)
-        process.send_signal(signal.SIGTERM)
-        _, error = process.communicate(timeout=30)
-        assert "Traceback" not in error
-        assert error.count("\n") <= 1
+IN_THE_FIRST_MOMENT = """
+    import os, signal, sys
+    import twin.__main__ as command
+    command.return_memory = lambda: os.kill(os.getpid(), signal.{})
+    sys.exit(command.run())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_the_first_moment_is_one_line(number: signal.Signals) -> None:
+    """Before the command itself is loaded."""
+    script = textwrap.dedent(IN_THE_FIRST_MOMENT.format(number.name))
+    done = subprocess.run([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (128 + number, 1)
+    assert done.stderr.startswith("twin: stopped by")
 
 
 def test_a_worker_ends_with_its_parent() -> None:

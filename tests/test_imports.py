@@ -9,7 +9,6 @@ TOP = {
     "__init__",
     "__main__",
     "compiled_functions",
-    "compiling",
     "documents",
     "errors",
     "files",

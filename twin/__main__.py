@@ -15,33 +15,31 @@ from twin.system import return_memory
 
 def run() -> int:
     """The command of the command line; its exit code."""
-    stoppable()
-    return_memory()
-    import logging  # after the signal handlers
-
-    if not sys.warnoptions:  # warnings of libraries are for those who write Python; worker processes inherit the variable
-        warnings.simplefilter("ignore")
-        os.environ["PYTHONWARNINGS"] = "ignore"
-    logging.getLogger().addHandler(logging.NullHandler())  # log records of libraries, such as that of matplotlib about a missing home
-    for stream in (sys.stdout, sys.stderr):  # a name of a file may hold bytes that are no text, a terminal may know ASCII alone
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
     try:
+        stoppable()
+        return_memory()
+        import logging  # after the signal handlers
+
+        if not sys.warnoptions:  # warnings of libraries are for those who write Python; worker processes inherit the variable
+            warnings.simplefilter("ignore")
+            os.environ["PYTHONWARNINGS"] = "ignore"
+        logging.getLogger().addHandler(logging.NullHandler())  # log records of libraries, such as that of matplotlib about a missing home
+        for stream in (sys.stdout, sys.stderr):  # a name of a file may hold bytes that are no text, a terminal may know ASCII alone
+            if isinstance(stream, TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")
         from twin.cli import main
 
         return ended(main())
     except KeyboardInterrupt as stop:  # before the command itself was there
         say(getattr(stop, "number", 2))
-        return int(getattr(stop, "code", 130))
+        return ended(int(getattr(stop, "code", 130)))
     except Exception as error:
         from twin.errors import TRACEBACK, defect
 
-        if (stopped := received()) is not None:
-            say(stopped.number)
-            return stopped.code
-        if os.environ.get(TRACEBACK):
-            raise
-        print(f"twin: {defect(error)}", file=sys.stderr)
+        if received() is None:
+            if os.environ.get(TRACEBACK):
+                raise
+            print(f"twin: {defect(error)}", file=sys.stderr)
         return ended(2)
 
 

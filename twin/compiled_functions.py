@@ -19,10 +19,8 @@ import sys
 from typing import Any
 
 import numba
-from numba.core import caching, sigutils
+from numba.core import caching, event, sigutils
 from numba.core.ccallback import CFunc
-
-import twin.compiling  # noqa: F401 - says on a terminal that it takes time
 
 njit: Any = numba.njit  # its type does not know _nrt
 
@@ -30,8 +28,26 @@ _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(rb"^from twin((?:\.\w+)*) import (?:\(([^)]*)\)|(.*))$", re.M)
 _KERNEL = re.compile(rb"^from twin\.(compiled_functions|simulation\.loop_terms) import", re.M)
 _included: set[Path] = set()
-_SAID = "TWIN_SAID_NO_CACHE"
-"""Environment variable: set once the note about the missing cache folder is printed, so that workers do not repeat it."""
+_SAID, _SAID_COMPILING = "TWIN_SAID_NO_CACHE", "TWIN_SAID_COMPILING"
+"""Environment variables: set once a note is printed, so that workers do not repeat it."""
+
+
+class _SayOnce(event.Listener):
+    """Prints one line on a terminal before functions are compiled: numba reports it once it has looked in its cache."""
+
+    def on_start(self, _event: Any) -> None:
+        """A compilation begins."""
+        if not os.environ.get(_SAID_COMPILING) and sys.stderr is not None and sys.stderr.isatty():
+            from tqdm import tqdm  # writes above a bar
+
+            os.environ[_SAID_COMPILING] = "1"
+            tqdm.write("twin: compiling, once after an installation or an update (up to a minute)", file=sys.stderr)
+
+    def on_end(self, _event: Any) -> None:
+        """A compilation ends."""
+
+
+event.register("numba:compile", _SayOnce())
 
 
 def include_source(file: str | Path) -> None:

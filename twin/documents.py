@@ -7,7 +7,7 @@ folder of the file that names it, also through a symbolic link. `reading` turns 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 import contextlib
 import json
 import math
@@ -39,36 +39,27 @@ def read_toml(path: Path, what: str = "a valid TOML file") -> dict[str, Any]:
 
 def toml_of(text: str, where: str, what: str = "a valid TOML file") -> dict[str, Any]:
     """Parse TOML text; `where` names its source in error messages."""
-    try:
-        document = tomllib.loads(text)
-    except RecursionError:
-        raise InputError(f"{where}: not {what}: nested too deeply; use fewer levels") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: not {what}: {error}; correct it there") from None
-    except ValueError:
-        raise InputError(f"{where}: not {what}: {DIGITS}") from None
+    document = _parsed(lambda: tomllib.loads(text), where, what, "correct it there")
     _check(document, where, LARGEST_NUMBER)
     return document
 
 
-def read_json(path: Path, what: str = "a valid JSON file", largest: int = LARGEST_JSON_BYTES) -> Any:
-    """Read a JSON file. Every fault raises an InputError of one line that names the file."""
-    text = read_text(path, what, largest)
+def _parsed(content: Callable[[], Any], where: str, what: str, remedy: str) -> Any:
     try:
-        document = json.loads(text)
+        return content()
     except RecursionError:
-        raise InputError(f"{path}: not {what}: nested too deeply; use fewer levels") from None
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}: not {what} ({error}); the file is truncated or damaged: write it again") from None
+        raise InputError(f"{where}: not {what}: nested too deeply; use fewer levels") from None
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"{where}: not {what}: {error}; {remedy}") from None
     except ValueError:
-        raise InputError(f"{path}: not {what}: {DIGITS}") from None
+        raise InputError(f"{where}: not {what}: {DIGITS}") from None
+
+
+def read_json(path: Path, what: str = "a valid JSON file", largest: int = LARGEST_JSON_BYTES) -> dict[str, Any]:
+    """Read a JSON file whose content is an object. Every fault raises an InputError of one line that names the file."""
+    text = read_text(path, what, largest)
+    document = _parsed(lambda: json.loads(text), str(path), what, "the file is truncated or damaged: write it again")
     _check(document, str(path))
-    return document
-
-
-def read_json_table(path: Path, what: str = "a valid JSON file", largest: int = LARGEST_JSON_BYTES) -> dict[str, Any]:
-    """Read a JSON file whose content must be an object."""
-    document = read_json(path, what, largest)
     if not isinstance(document, dict):
         raise InputError(f"{path}: not {what}: the content is not an object {{..}}; write it again")
     return document
@@ -106,13 +97,8 @@ def reading(path: Path, kind: str, remedy: str = "export it again") -> Iterator[
         raise InputError(f"{path}: not a readable {kind}; it is damaged, cut off or of another kind: {remedy}") from None
 
 
-def reason_of(error: Exception) -> str:
-    """The message of a library's error, shortened to one line."""
-    return " ".join(str(error).split())[:120] or type(error).__name__
-
-
-def named_file(name: object, folder: Path, where: str) -> Path:
-    """Path of the file `name`, which another file names relative to `folder`. It must exist inside that folder.
+def named_file(name: object, folder: Path, where: str, outer: bool = False) -> Path:
+    """Path of the file `name`, which another file names relative to `folder`. It must exist, and inside that folder unless `outer`.
 
     Symbolic links are resolved first. `where` is the prefix of error messages: the naming file and the key.
 
@@ -123,7 +109,7 @@ def named_file(name: object, folder: Path, where: str) -> Path:
         raise InputError(f"{where}: {name!r} is not a file name; write it in quotes, relative to {folder.name or folder}")
     file = folder / name
     try:
-        inside = not Path(name).is_absolute() and file.resolve().is_relative_to(folder.resolve())
+        inside = outer or (not Path(name).is_absolute() and file.resolve().is_relative_to(folder.resolve()))
         there = inside and file.is_file()
     except (OSError, RuntimeError):  # a loop of links, a name that is too long
         inside, there = True, False
@@ -136,15 +122,7 @@ def named_file(name: object, folder: Path, where: str) -> Path:
 
 def outer_file(name: object, folder: Path, where: str) -> Path:
     """Path of the file `name`, which a file of the user's own (a study, a suite) names. It may lie in any folder, but must exist."""
-    if not isinstance(name, str) or not name or "\0" in name:
-        raise InputError(f"{where}: {name!r} is not a file name; write it in quotes")
-    try:
-        there = (folder / name).is_file()
-    except OSError:
-        there = False
-    if not there:
-        raise InputError(f"{where}: '{name}': no such file beside {folder.name or folder}; correct it")
-    return folder / name
+    return named_file(name, folder, where, outer=True)
 
 
 def read_text(path: Path, what: str, largest: int = LARGEST_TOML_BYTES) -> str:

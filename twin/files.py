@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 import contextlib
 from dataclasses import dataclass
 import errno
+import functools
 import json
 import math
 import os
@@ -19,6 +20,7 @@ from filelock import lock_descriptor
 
 import twin
 from twin.errors import InputError
+from twin.stopping import removals
 from twin.system import BY_DESCRIPTOR, Folder, pour, pours_into
 
 FORMATS = 1
@@ -46,6 +48,8 @@ def beside(path: str | Path) -> Iterator[Path]:
             return
         with _folder_of(path) as folder:
             _refuse_other_kinds(folder, path)
+            remove = functools.partial(folder.remove, partial.name)
+            removals.append(remove)
             try:
                 yield partial
                 descriptor = folder.open(partial.name)
@@ -58,7 +62,8 @@ def beside(path: str | Path) -> Iterator[Path]:
                     _made.append(path)
                 folder.replace(path.name, partial.name)
             finally:
-                folder.remove(partial.name)
+                remove()
+                removals.remove(remove)
                 with contextlib.suppress(OSError):
                     partial.unlink()  # at another place, if the folder was replaced meanwhile
     except OSError as error:
@@ -215,6 +220,8 @@ def hold_folders() -> None:
     """Start locking: from now on `output_folder` locks its folder for this command."""
     global _held
     _held = {} if _held is None else _held
+    if release_folders not in removals:
+        removals.insert(0, release_folders)
 
 
 def release_folders() -> None:

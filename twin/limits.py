@@ -51,9 +51,13 @@ def refuse_above(estimate: float, limit: float, what: str, where: str, remedy: s
     """
     limit *= raised_by()
     if not estimate <= limit:
-        factor = estimate / limit * raised_by()
-        more = f"; or raise all limits with --limits {math.ceil(factor * 1.01):g}" if math.isfinite(factor) and factor < 1e6 else ""
-        raise InputError(f"{where}: about {estimate:.3g} {what}, the limit is {limit:.3g}: {remedy}{more}")
+        raise InputError(f"{where}: about {estimate:.3g} {what}, the limit is {limit:.3g}: {remedy}{_or_raise(estimate / limit)}")
+
+
+def _or_raise(times: float) -> str:
+    """End of a message: the factor on all limits that would allow a size of so many times its limit."""
+    factor = times * raised_by()
+    return f"; or raise all limits with --limits {math.ceil(factor * 1.01):g}" if factor < 1e6 else ""
 
 
 def most_bytes() -> float:
@@ -65,9 +69,7 @@ def refuse_bytes(estimate: float, where: str, remedy: str) -> None:
     """Raise InputError if the content of a file takes more memory than `most_bytes`; the message has both numbers."""
     limit = most_bytes()
     if not estimate <= limit:
-        factor = estimate / limit * raised_by()
-        more = f"; or raise all limits with --limits {math.ceil(factor * 1.01):g}" if factor < 1e6 else ""
         raise InputError(
             f"{where}: takes about {estimate / 1e9:.3g} GB of memory once read, the limit is {limit / 1e9:.3g} GB "
-            f"({MEMORY_SHARE:.3g} of this computer's memory): {remedy}{more}"
+            f"({MEMORY_SHARE:.3g} of this computer's memory): {remedy}{_or_raise(estimate / limit)}"
         )

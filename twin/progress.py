@@ -50,11 +50,13 @@ def hushed() -> Iterator[None]:
         _hushed = before
 
 
-class _Bar:
-    """A bar that draws itself until it is closed."""
+class Progress:
+    """A progress bar, which draws itself until it is closed. Call it with the fraction done, or with None to count one of `total` steps."""
 
-    def __init__(self, text: str, total: float, layout: str) -> None:
-        self.bar: tqdm[Any] = tqdm(total=total, desc=text, delay=FIRST_S, disable=True if _hushed else None, bar_format=layout, leave=False)
+    def __init__(self, text: str, total: int | None = None) -> None:
+        layout = SHARE if total is None else COUNT
+        hidden = True if _hushed else None
+        self.bar: tqdm[Any] = tqdm(total=total or 1.0, desc=text, delay=FIRST_S, disable=hidden, bar_format=layout, leave=False)
         self._closed = threading.Event()
         if not self.bar.disable:
             threading.Thread(target=self._draw, daemon=True).start()
@@ -65,19 +67,15 @@ class _Bar:
             self.bar.refresh()
             wait = EACH_S
 
-    def __exit__(self, *_: object) -> None:
-        self._closed.set()
-        self.bar.close()
-
-
-class Progress(_Bar):
-    """A progress bar. Call it with the fraction done, or with None to count one of `total` steps."""
-
-    def __init__(self, text: str, total: int | None = None) -> None:
-        super().__init__(text, 1.0 if total is None else total, SHARE if total is None else COUNT)
-
     def __call__(self, fraction: float | None) -> None:
         self.bar.update(1 if fraction is None else fraction - self.bar.n)
+
+    def step(self, name: str) -> None:
+        """Advance one step and show its name."""
+        self.bar.bar_format = NAMED
+        self.bar.set_description_str(plain(name))
+        if self.bar.n < self.bar.total - 1:  # type: ignore[operator]
+            self.bar.update(1)
 
     def say(self, text: str) -> None:
         """Show a text instead of the bar, for work of unknown length."""
@@ -87,17 +85,6 @@ class Progress(_Bar):
     def __enter__(self) -> Progress:
         return self
 
-
-class Steps(_Bar):
-    """A progress bar that advances one step per call and shows the name of the step."""
-
-    def __init__(self, text: str, total: int) -> None:
-        super().__init__(text, total, NAMED)
-
-    def __call__(self, name: str) -> None:
-        self.bar.set_description_str(plain(name))
-        if self.bar.n < self.bar.total - 1:  # type: ignore[operator]
-            self.bar.update(1)
-
-    def __enter__(self) -> Steps:
-        return self
+    def __exit__(self, *_: object) -> None:
+        self._closed.set()
+        self.bar.close()

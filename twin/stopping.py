@@ -7,7 +7,7 @@ after `GRACE_S` if the main thread is still in compiled code or waiting for work
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import contextlib
 import os
 import signal
@@ -23,6 +23,8 @@ _LOOK_S = 0.5
 WORDS = {signal.SIGINT: "stopped by the user", signal.SIGTERM: "stopped by another process (SIGTERM)"}
 PARENT = "TWIN_PARENT"
 """Environment variable with the process number of the parent, for a worker that is a program of its own."""
+removals: list[Callable[[], object]] = []
+"""What removes partial files and locks of this process, newest last: it also happens if the process ends without its main thread."""
 _said = threading.Lock()
 
 
@@ -78,8 +80,9 @@ def _end(read: socket.socket, _: socket.socket) -> None:
             break
     time.sleep(GRACE_S)
     say(number)
-    with contextlib.suppress(Exception):
-        sys.stdout.flush()
+    for act in (*reversed(removals), sys.stdout.flush):
+        with contextlib.suppress(Exception):
+            act()
     os._exit(128 + number)
 
 
@@ -106,14 +109,14 @@ def leave_behind() -> None:
 
 
 def ended(code: int) -> int:
-    """Return the exit code of a finished command, or end the process here if `leave_behind` was called.
+    """Return the exit code of a finished command, or end the process here if it was stopped or `leave_behind` was called.
 
     A library may have swallowed the exception of a signal, for example in a callback: the command was stopped all the same.
     """
     if _received is not None and code != _received.code:
         say(_received.number)
         code = _received.code
-    if _left_behind:
+    if _left_behind or _received is not None:  # the interpreter takes a second to unload what was being compiled
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()

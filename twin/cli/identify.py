@@ -9,7 +9,7 @@ import sys
 from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, arg, flag, machine_of, number, open_report
 from twin.errors import InputError
 from twin.files import output_file, write_json
-from twin.progress import Steps
+from twin.progress import Progress
 
 STEPS = 14
 """Approximate number of steps of an identification, for the progress bar."""
@@ -45,9 +45,9 @@ def carry_out(args: argparse.Namespace) -> None:
     machine = machine_of(args)
     campaign = read_campaign(args.campaign, machine)
     output_file(out)  # fails before the long computation
-    with Steps("identifying", STEPS) as step:
+    with Progress("identifying", STEPS) as bar:
         result = identify(
-            campaign, machine, refine=not args.no_refine, torque_constant_tolerance=args.torque_constant_within, progress=step
+            campaign, machine, refine=not args.no_refine, torque_constant_tolerance=args.torque_constant_within, progress=bar.step
         )
     try:
         if not result.refused:

@@ -201,7 +201,7 @@ def _numbers(test: CircleTest) -> dict[str, Any]:
 
 def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
     """Contribution of each effect to a circle [um], from a diagnosis folder; adds the corrected circle to the test."""
-    from twin.documents import read_json_table
+    from twin.documents import read_json
     from twin.iso230.circle_budget import circle_budget
     from twin.machine import load_machine
 
@@ -209,7 +209,7 @@ def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
     if not (file.is_file() and document.is_file()):
         raise InputError(f"{folder}: no machine.toml and diagnosis.json; give the --out folder of 'twin diagnose'")
     assert test.again is not None
-    found = circle_budget(load_machine(file), read_json_table(document, "a diagnosis"), test.circles["measured"], test.again)
+    found = circle_budget(load_machine(file), read_json(document, "a diagnosis"), test.circles["measured"], test.again)
     test.circles["corrected"], rows = found
     return [
         {"effect": row.effect, "axis": row.axis, "probability": row.probability, "rms_um": row.share * 1e6, "adds_um": {k: v * 1e6 for k, v in row.adds.items()}}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from twin.cli.arguments import MACHINE, arg, machine_of, number, out_argument
 from twin.errors import InputError
 from twin.files import output_folder
-from twin.progress import Steps
+from twin.progress import Progress
 
 if TYPE_CHECKING:
     from twin.identify.plan import Predicted
@@ -36,8 +36,8 @@ def carry_out(args: argparse.Namespace) -> None:
 
     machine = machine_of(args)
     output_folder(args.out)  # fails before the long computation
-    with Steps("planning", 3 * len(machine.axes)) as step:
-        plan = plan_campaign(machine, args.precision, args.minutes * 60.0, step)
+    with Progress("planning", 3 * len(machine.axes)) as bar:
+        plan = plan_campaign(machine, args.precision, args.minutes * 60.0, bar.step)
     try:
         files = write_plan(plan, machine, Path(args.out))
     except OSError as error:

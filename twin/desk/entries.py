@@ -12,7 +12,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from twin.documents import read_json_table
+from twin.documents import read_json
 from twin.errors import InputError
 
 DEEPEST = 5
@@ -109,7 +109,7 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
     document: Mapping[str, Any] = {}
     if name.endswith(".json"):
         try:
-            document = read_json_table(place / name, largest=LARGEST_BYTES)
+            document = read_json(place / name, largest=LARGEST_BYTES)
         except InputError as error:
             document = {"verdict": f"cannot be read: {error}"}
     report = place / REPORT if REPORT in names else None

@@ -14,7 +14,6 @@ from twin.diagnose.report_figures import budget_figure, image, map_figure, stret
 from twin.diagnose.wording import (
     calibration_text,
     effect_title,
-    listed,
     parameters_of,
     percent,
     sentence_case,
@@ -25,6 +24,7 @@ from twin.diagnose.wording import (
 from twin.effects import EFFECTS
 from twin.report import Section, Table, write_page
 from twin.report.stamp import made_line
+from twin.simulation.summary import listed
 from twin.units import ARCSEC, plain
 
 Document = dict[str, Any]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from twin.effects import EFFECTS, Parameter
 from twin.effects.readable import interval_text, parameter_label
+from twin.simulation.summary import listed
 
 MANY = 10
 """More effects of one axis are not listed one by one."""
@@ -104,11 +104,6 @@ def times(level: float) -> str:
 def sentence_case(text: str) -> str:
     """The text with an upper-case first letter."""
     return text[:1].upper() + text[1:]
-
-
-def listed(words: Sequence[str]) -> str:
-    """'a', 'a and b', 'a, b and c'."""
-    return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + (words[-1] if words else "")
 
 
 def unseen_text(document: dict[str, Any]) -> str:

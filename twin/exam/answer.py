@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from twin.documents import read_json_table
+from twin.documents import read_json
 from twin.errors import InputError
 from twin.files import stamped, write_whole
 from twin.machine.machine import Machine, write_machine
@@ -36,7 +36,7 @@ def read_answer(folder: Path) -> dict[str, Any]:
         same = False
     if not same:
         raise InputError(f"{folder}: this answer is not what was sealed; remove the folder to have the case diagnosed again")
-    return read_json_table(folder / DIAGNOSIS)
+    return read_json(folder / DIAGNOSIS)
 
 
 def _digest(folder: Path, diagnosis: bytes) -> str:

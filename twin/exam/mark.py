@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.documents import read_json_table, read_toml
+from twin.documents import read_json, read_toml
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
 from twin.errors import InputError, TwinError
@@ -78,7 +78,7 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
 def kept_mark(file: Path) -> dict[str, Any] | None:
     """The mark of an earlier call; None if it is missing or was changed since, so that it is made again."""
     try:
-        result = read_json_table(file)
+        result = read_json(file)
     except InputError:
         return None
     return result if result.pop("sha256", None) == digest_of(result) else None

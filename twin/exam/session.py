@@ -22,7 +22,7 @@ import time
 import tomllib
 from typing import Any
 
-from twin.documents import read_json_table
+from twin.documents import read_json
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.machine.machine import Machine, load_machine, write_machine
@@ -86,7 +86,7 @@ def same_examination(out: Path, asked: dict[str, Any]) -> None:
     file = out / ASKED
     text = json.dumps(asked, indent=1) + "\n"
     if file.exists():
-        before = read_json_table(file)
+        before = read_json(file)
         other = sorted(key for key in asked if before.get(key) != asked[key])
         if other:
             raise InputError(

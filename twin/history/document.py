@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.wording import effect_title, listed
+from twin.diagnose.wording import effect_title
 from twin.effects import EFFECTS
 from twin.effects.readable import interval_text
 from twin.history.change import Forecast
@@ -18,6 +18,7 @@ from twin.history.columns import Direction, is_watched
 from twin.history.judge import ALARM, FALSE_ALARM_WEEKS, Cause, Change, Judgement, causes_of, sizes_over_time
 from twin.history.series import LOAD, SCATTER
 from twin.machine.machine import Machine
+from twin.simulation.summary import listed
 
 
 def history_document(history: Judgement, machine: Machine, notes: list[str], folder: Path) -> dict[str, Any]:

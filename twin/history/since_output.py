@@ -18,7 +18,6 @@ from twin.diagnose.check import check_campaign
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, on_threads
-from twin.diagnose.wording import listed
 from twin.effects import Setting, settings_of
 from twin.files import output_folder, write_json
 from twin.history.columns import changed
@@ -29,6 +28,7 @@ from twin.machine.machine import Machine, write_machine
 from twin.recordings.campaign import Campaign
 from twin.report import Section, Table, write_page
 from twin.simulation.gap import sensor_noise
+from twin.simulation.summary import listed
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

@@ -7,7 +7,8 @@ batches that are read has a limit of its own.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Sequence
 import contextlib
 from pathlib import Path
 import re
@@ -37,9 +38,7 @@ def read_parquet(path: Path, kind: str = "Parquet file", remedy: str = "write it
         refuse_bytes(decoded_bytes(file.metadata), str(path), REMEDY)
         schema = file.schema_arrow
         chosen = [i for i, field in enumerate(schema) if (names is None or field.name in names) and not pa.types.is_nested(field.type)]
-        if len(set(schema.names)) < len(schema.names):  # a batch is chosen by names
-            twice = next(name for name in schema.names if schema.names.count(name) > 1)
-            raise InputError(f"{path}: column '{twice}' occurs twice; remove one")
+        _refuse_twice(schema.names, path)  # a batch is chosen by names
         batches, taken = [], 0.0
         for batch in file.iter_batches(BATCH, columns=[schema.names[i] for i in chosen]):
             taken += batch.nbytes
@@ -72,6 +71,11 @@ def decoded_bytes(about: Any) -> float:
     return total
 
 
+def _refuse_twice(names: Sequence[str], path: Path) -> None:
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise InputError(f"{path}: column '{twice[0]}' occurs twice; remove one")
+
+
 def _is_text(kind: Any) -> bool:
     import pyarrow as pa
 
@@ -92,9 +96,7 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
     names = table.column_names
     if table.num_rows == 0:
         raise InputError(f"{path}: the trace is empty; record at least two samples")
-    if len(set(names)) != len(names):
-        twice = next(n for n in names if names.count(n) > 1)
-        raise InputError(f"{path}: column '{twice}' occurs twice; remove one")
+    _refuse_twice(names, path)
     columns = {}
     for name in names:
         column = table.column(name)

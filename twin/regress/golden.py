@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from twin.documents import read_json_table
+from twin.documents import read_json
 from twin.errors import InputError
 from twin.files import beside, write_whole
 from twin.recordings.trace import Trace, read_trace
@@ -69,7 +69,7 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
     if not file.is_file():
         raise InputError(f"{case.where}: no golden result {file}; {update}")
     try:
-        document = read_json_table(file, "a golden result")
+        document = read_json(file, "a golden result")
         if document["format"] != FORMAT:
             raise InputError(
                 f"{file}: golden result of format {document['format']} (twin {document['versions']['twin']}), this twin "
@@ -141,6 +141,6 @@ def write_small(trace: Trace, path: Path) -> None:
 def history_of(case: Case) -> list[Mapping[str, Any]]:
     """History of a golden result; empty if there is none that can be read."""
     try:
-        return list(read_json_table(golden_paths(case)[0])["history"])
+        return list(read_json(golden_paths(case)[0])["history"])
     except (InputError, ValueError, KeyError, TypeError):
         return []

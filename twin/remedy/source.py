@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from twin.documents import read_json_table
+from twin.documents import read_json
 from twin.errors import InputError
 from twin.remedy.predict import NORMAL_95
 from twin.remedy.remedy import Deviations
@@ -22,7 +22,7 @@ def machine_file_of(source: Path) -> tuple[Path, Mapping[str, Any]]:
     machine = document.parent / "machine.toml"
     if not machine.is_file():
         raise InputError(f"{document.parent}: the corrected machine.toml is missing; diagnose again")
-    return machine, read_json_table(document)
+    return machine, read_json(document)
 
 
 def deviations_of(document: Mapping[str, Any]) -> Deviations:

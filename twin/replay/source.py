@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from twin.documents import read_json_table, read_toml
+from twin.documents import read_json, read_toml
 from twin.errors import InputError, nearest
 
 TRACE_ENDINGS = (".parquet", ".csv")
@@ -55,7 +55,7 @@ def machine_file_in(path: Path) -> Path | None:
 def effects_beside(trace: Path) -> str:
     """Effects of the simulated machine, 'backlash X', from the summary beside a trace; '' without any."""
     try:
-        found = read_json_table(trace.parent / "summary.json").get("effects", [])
+        found = read_json(trace.parent / "summary.json").get("effects", [])
     except InputError:
         return ""
     tables = [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []

@@ -6,7 +6,7 @@ For every run, axis and signal the gap is the RMS of measured minus simulated, c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 import html
 from pathlib import Path
@@ -19,7 +19,7 @@ from twin.simulation.encoder_zeros import aligned, clear_zeros, notes_of_zeros, 
 from twin.simulation.gap import COMPARED, SignalGap, compared_signals, gap_of, predict_campaign
 from twin.simulation.gap_level import Gaps
 from twin.simulation.recorded_noise import with_recorded_noise
-from twin.simulation.summary import table
+from twin.simulation.summary import listed, table
 from twin.units import plain
 
 if TYPE_CHECKING:
@@ -38,11 +38,6 @@ class Outlier(NamedTuple):
     signal: str
     gap: SignalGap
     times_noise: float
-
-
-def listed(words: Sequence[str]) -> str:
-    """'X', 'X and Y', 'X, Y and Z'."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 @dataclass(frozen=True)
@@ -130,13 +125,10 @@ class CampaignGap:
         return {"machine": self.machine, "campaign": self.campaign, "verdict": self.verdict, "runs": plain, **notes}
 
     def to_table(self) -> pa.Table:
-        """One row for each run, axis and signal as a pyarrow table."""
+        """One row for each run, axis and signal as a pyarrow table, the largest gap over noise first."""
         import pyarrow as pa
 
-        rows = [
-            {"run": r.run, "axis": r.axis, "signal": r.signal, **_entry(r.gap), "times_noise": r.times_noise}
-            for r in sorted(self.rows(), key=lambda r: (list(self.runs).index(r.run), r.axis, r.signal))
-        ]
+        rows = [{"run": r.run, "axis": r.axis, "signal": r.signal, **_entry(r.gap), "times_noise": r.times_noise} for r in self.rows()]
         return pa.Table.from_pylist(rows)
 
     def to_pandas(self) -> Any:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 import math
-import os
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +28,7 @@ from twin.simulation.recorded_times import as_recorded, simulated_period
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
 from twin.simulation.two_encoders import BOTH, with_equal_means
+from twin.system import cores
 from twin.units import AXIS_UNITS
 
 COMPARED = ("position", "motor_position", "velocity", "current", "voltage", "torque")
@@ -133,7 +133,7 @@ def predict_each(jobs: Sequence[Job], *, threads: int | None = None, progress: C
     """`predict` for all jobs, in order. The longest jobs start first, to balance the load."""
     order = sorted(range(len(jobs)), key=lambda i: -len(jobs[i].run.trace.time) * jobs[i].realisations)
     results: dict[int, Prediction] = {}
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads or cores()) as pool:
         for i, prediction in zip(order, pool.map(lambda i: predict(*jobs[i]), order)):
             results[i] = prediction
             if progress:

@@ -48,7 +48,6 @@ class Plant:
     rotor_dof: np.ndarray
     friction_dof: np.ndarray  # of the load, or of the rotor
     actuator: np.ndarray
-    coulomb: np.ndarray  # nominal Coulomb friction at the axis, N or Nm
 
 
 def load_spec(path: Path) -> mujoco.MjSpec:
@@ -89,7 +88,6 @@ def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: S
         rotor_dof=index([j.dofadr[0] for j in rotors]),
         friction_dof=index([j.dofadr[0] for j in rubbing]),
         actuator=index([model.actuator(axis.name).id for axis in machine.axes]),
-        coulomb=np.array([axis.coulomb_friction for axis in machine.axes]),
     )
 
 
@@ -101,19 +99,7 @@ def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes:
     if edits:
         return _compile(machine, edits, split_axes)
     frictions = tuple((axis.coulomb_friction, axis.viscous_friction, axis.friction_side) for axis in machine.axes)
-    key = (inertial_key(machine), frictions, machine.base_tick, tuple(split_axes))
-    model = _models.get(key)
-    if model is None:
-        model = _compile(machine, (), split_axes)
-        if len(_models) >= MOST_MODELS:
-            _models.clear()
-        _models[key] = model
-    return copy.copy(model)
-
-
-MOST_MODELS = 16
-"""Largest number of compiled models that are kept."""
-_models: dict[object, mujoco.MjModel] = {}
+    return copy.copy(_unedited(machine, (frictions, machine.base_tick), tuple(split_axes)))
 
 
 def _compile(machine: Machine, edits: Sequence[ModelEdit], split_axes: Sequence[str]) -> mujoco.MjModel:
@@ -208,26 +194,31 @@ def inertial_key(machine: Machine) -> tuple[object, ...]:
     return (str(machine.model_path), state_of_model(machine.model_path), axes, machine.bodies, geometry, machine.gravity)
 
 
-MOST_REMEMBERED = 256
+MOST_REMEMBERED = 64
 """Largest number of cached results of a function."""
 
 
-def remembered(of_machine: Callable[[Machine], Result]) -> Callable[[Machine], Result]:
-    """Decorator: cache a function that depends on the `inertial_key` of a machine only."""
+def remembered(of_machine: Callable[..., Result]) -> Callable[..., Result]:
+    """Decorator: cache a function that depends on the `inertial_key` of a machine and on its other arguments, which are keys themselves."""
     known: dict[object, Result] = {}
 
     @functools.wraps(of_machine)
-    def answer(machine: Machine) -> Result:
-        key = inertial_key(machine)
+    def answer(machine: Machine, *keys: object) -> Result:
+        key = (inertial_key(machine), *keys)
         found = known.get(key)
         if found is None:
-            found = of_machine(machine)
+            found = of_machine(machine, *keys)
             if len(known) > MOST_REMEMBERED:
                 known.clear()
             known[key] = found
         return found
 
     return answer
+
+
+@remembered
+def _unedited(machine: Machine, _friction_and_tick: object, split_axes: tuple[str, ...]) -> mujoco.MjModel:
+    return _compile(machine, (), split_axes)
 
 
 def home_inertia_at_motor(machine: Machine) -> np.ndarray:

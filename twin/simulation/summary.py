@@ -109,6 +109,11 @@ def _feedforward(loops: Loops) -> str:
     return "+".join(name + ("" if weight == 1.0 else f" x {weight:.3g}") for name, weight in weights.items() if weight) or "off"
 
 
+def listed(words: Sequence[str]) -> str:
+    """'X', 'X and Y', 'X, Y and Z'."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
     """Plain text table; the first `left` columns are left-aligned, the others right-aligned."""
     widths = [max(len(str(row[i])) for row in [heading, *rows]) for i in range(len(heading))]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from twin.documents import reading
 from twin.errors import InputError
 from twin.limits import most_bytes, refuse_bytes
 from twin.recordings.signals import ReadOptions, Recording, head_of
@@ -60,9 +59,7 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
     problem = "does not end" if trial is None else {0: "", 1: "", 3: "fills the memory"}.get(trial.returncode, "crashes")
     if problem:
         raise InputError(f"{path}: a damaged MATLAB file (reading it {problem}); save it again")
-    with reading(path, "MATLAB file", "save it again"):
-        content = loadmat(path, squeeze_me=False, struct_as_record=True)
-    for name, value in content.items():
+    for name, value in loadmat(path, squeeze_me=False, struct_as_record=True).items():
         if not name.startswith("__"):
             _collect(name, value, columns)
 
@@ -104,5 +101,5 @@ def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
                 return
             columns[name.replace("/", ".")] = np.asarray(item).T
 
-    with reading(path, "MATLAB file", "save it again"), h5py.File(path, "r") as file:
+    with h5py.File(path, "r") as file:
         file.visititems(visit)

@@ -10,7 +10,6 @@ import sys
 
 import numpy as np
 
-from twin.documents import reason_of
 from twin.errors import InputError
 from twin.limits import refuse_bytes
 from twin.recordings.signals import ReadOptions, Recording, Signal, known_unit
@@ -21,19 +20,19 @@ def read(path: Path, options: ReadOptions) -> Recording:
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)
     signals: dict[str, Signal] = {}
     said, sys.unraisablehook = sys.unraisablehook, lambda _: None  # a partly opened MDF prints errors when it is deleted
-    problem, started = "", None
+    damaged, started = False, None
     try:
         try:
             started = _channels(path, signals)
         except InputError:
             raise
-        except Exception as error:  # the package raises many classes for damaged files
-            problem = reason_of(error)
+        except Exception:  # the package raises many classes for damaged files
+            damaged = True
         gc.collect()
     finally:
         sys.unraisablehook = said
-    if problem:
-        raise InputError(f"{path}: not a readable MDF file ({problem}); export it again")
+    if damaged:
+        raise InputError(f"{path}: not a readable MDF file; it is damaged or cut off: export it again")
     return Recording(path, "MDF", signals, started, (f"MDF: {len(signals)} channels",))
 
 

@@ -33,7 +33,7 @@ LONGEST_TEXT = 400
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the signals of the interpolation cycle and the events of the program."""
     document = read_json(path, "a whole JSON file")
-    header, payload = (document.get("Header"), document.get("Payload")) if isinstance(document, Mapping) else (None, None)
+    header, payload = document.get("Header"), document.get("Payload")
     if not isinstance(header, Mapping) or not isinstance(payload, list):
         raise InputError(f"{path}: no Header and Payload: not a recording of a SINUMERIK Edge; export it as JSON again")
     payload = [entry for entry in payload if isinstance(entry, Mapping)]
