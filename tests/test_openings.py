@@ -36,7 +36,6 @@ ALLOWED = {
     "exam/session.py": {"read_bytes": 3, "read_text": 2, "tomllib.loads": 1},  # the package's own source, and what the examination wrote
     "geometry/mesh_file.py": {"read_bytes": 1, "trimesh.load": 1},  # the one reader of meshes
     "history/dated.py": {"open": 1},  # a recording that the command names, or a campaign names by named_file: its digest
-    "history/store.py": {"json.loads": 1},  # cells of its own data base
     "identify/from_recording.py": {"read_text": 1},  # the machine file that it wrote and loaded a line before
     "iso230/readings.py": {"open": 2},  # a table that the command names
     "machine/commented.py": {"read_text": 1},  # a machine file that is loaded already: its comments

@@ -6,7 +6,7 @@ from devtools.histories import machine_tables, program
 from twin.diagnose.simulations import in_turn
 from twin.exam.plant.parameters import AXES
 from twin.history.columns import changed, directions_of
-from twin.history.projection import projected, reference_view
+from twin.history.projection import Reference
 from twin.history.series import filters, scatter_of
 from twin.history.sized import sizes_on
 from twin.machine.machine import Machine
@@ -22,12 +22,11 @@ def test_the_size_is_the_one_that_was_put_in(mikron: Machine, effect: str, theta
     direction = next(d for d in directions_of(machine, ("X",)) if d.cause[0] == effect)
     trace = simulate(changed(machine, [(direction, theta)]), Setpoints(points, 1e-3)).trace
     run = MeasuredRun("production", trace, "velocity+torque", 0.0)
-    p = projected(machine, run, ("X",), in_turn, reference_view(machine, run))
-    assert p is not None
+    [(_, own)] = Reference(machine, in_turn).linearised([run], ("X",))
     directions = directions_of(machine, ("X",))
     k = [d.name for d in directions].index(direction.name)
-    w = filters(p.gram, scatter_of(directions))[:, k]
-    slope = float(w @ p.right / (w @ p.gram[:, k]))
-    found = sizes_on(lambda: [run], machine, in_turn)(direction, ("X",), slope)
+    w = filters(own.gram, scatter_of(directions))[:, k]
+    slope = float(w @ own.right(trace) / (w @ own.gram[:, k]))
+    found = sizes_on(lambda _: [own])(direction, ("X",), slope)
     assert found == pytest.approx(theta, rel=0.04)
     assert (abs(slope / theta - 1.0) > 0.1) is (effect != "coulomb_friction")  # friction is linear, the others are not

@@ -95,31 +95,30 @@ class Level:
         return float(stats.t.ppf(0.5 + 0.5 * confidence, max(self.free, 1)) * self.error)
 
 
-def level(y: np.ndarray, nuisance: np.ndarray, onset: int, last: int = 3) -> Level:
-    """Size of a change of y (recording,): its last recordings against what those before the onset predict from the nuisances.
+def level(y: np.ndarray, nuisance: np.ndarray, onset: int) -> Level:
+    """Size of a change of y (recording,) at the last recording, next to what the nuisances (recording, column) predict.
 
-    The scatter is that before the onset, where nothing grows; with too few recordings there it is that of both parts.
+    The change grows for g recordings from its onset on, then stays: y = C c + d min((t - onset + 1) / g, 1) + e. Its size is the mean of d over all g that are
+    possible, each by its likelihood. The scatter is that before the onset, where nothing grows; with too few recordings there it is that of both parts.
     """
-    first = max(onset, len(y) - last)
-    used = np.r_[0:onset, first : len(y)]
-    x = np.column_stack([nuisance[used], used >= onset])
-    coefficients, covariance, free = _regression(x, y[used])
-    rest = y[used] - x @ coefficients
-    scatter = float(np.sqrt((rest**2).sum() / free))
-    free_before = onset - int(np.linalg.matrix_rank(nuisance[:onset]))
-    if free_before >= 3:
-        before, _, _ = _regression(nuisance[:onset], y[:onset])
-        own = float(np.sqrt(((y[:onset] - nuisance[:onset] @ before) ** 2).sum() / free_before))
-        covariance, scatter, free = covariance * (own / max(scatter, 1e-300)) ** 2, own, free_before
-    return Level(float(coefficients[-1]), float(np.sqrt(covariance[-1, -1])), free, scatter)
-
-
-def _regression(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Coefficients, their covariance, and degrees of freedom of a linear regression."""
-    inverse = np.linalg.pinv(x.T @ x)
-    coefficients = inverse @ x.T @ y
-    free = max(len(y) - int(np.linalg.matrix_rank(x)), 1)
-    return coefficients, inverse * float(((y - x @ coefficients) ** 2).sum()) / free, free
+    count = len(y)
+    since = np.maximum(np.arange(count) - onset + 1, 0)[:, None]
+    x = np.minimum(since / np.arange(1, count - onset + 1), 1.0)  # (recording, g)
+    basis = without(nuisance)
+    x, rest = x - basis @ (basis.T @ x), y - basis @ (basis.T @ y)
+    q = np.maximum((x**2).sum(axis=0), 1e-12)
+    sizes = x.T @ rest / q
+    left = np.maximum(rest @ rest - q * sizes**2, 1e-300)
+    free = max(count - basis.shape[1] - 1, 1)
+    weight = (left / left.min()) ** (-0.5 * free)
+    weight /= weight.sum()
+    square = float(weight @ left) / free
+    before = without(nuisance[:onset])
+    if (free_before := onset - before.shape[1]) >= 3:
+        own = y[:onset] - before @ (before.T @ y[:onset])
+        square, free = float(own @ own) / free_before, free_before
+    size = float(weight @ sizes)
+    return Level(size, float(np.sqrt(weight @ (square / q + (sizes - size) ** 2))), free, float(np.sqrt(square)))
 
 
 @dataclass(frozen=True)
@@ -135,15 +134,14 @@ def forecast(day: np.ndarray, size: np.ndarray, limit: float, now: float) -> For
     """When a straight line through the sizes since the onset reaches +-`limit`; None without a certain growth towards it."""
     if len(day) < 4:
         return None
-    x = np.column_stack([np.ones(len(day)), day - now])
-    (at, slope), covariance, free = _regression(x, size)
-    wide = float(stats.t.ppf(0.975, free))
+    (slope, at), covariance = np.polyfit(day - now, size, 1, cov=True)
+    wide = float(stats.t.ppf(0.975, len(day) - 2))
     goal = np.copysign(limit, at)
-    if abs(slope) < wide * np.sqrt(covariance[1, 1]) or (slope > 0.0) != (goal > 0.0):
+    if abs(slope) < wide * np.sqrt(covariance[0, 0]) or (slope > 0.0) != (goal > 0.0):
         return None
     ahead = np.concatenate([[0.0], np.geomspace(1.0, 3650.0, 400)])
     line = at + slope * ahead
-    half = wide * np.sqrt(covariance[0, 0] + 2.0 * ahead * covariance[0, 1] + ahead**2 * covariance[1, 1])
+    half = wide * np.sqrt(covariance[1, 1] + 2.0 * ahead * covariance[0, 1] + ahead**2 * covariance[0, 0])
     toward = np.sign(goal)
 
     def reached(values: np.ndarray) -> float:

@@ -14,7 +14,7 @@ from pathlib import Path
 import re
 
 from twin.documents import named_file, read_toml
-from twin.errors import InputError
+from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import read_trace
@@ -44,8 +44,8 @@ class Dated:
         return (MeasuredRun(self.path.stem, read_trace(self.path, axes=machine.kinds, need=("setpoint",)), None, 0.0),)
 
 
-def dated_campaigns(folder: Path) -> tuple[list[Dated], list[str]]:
-    """Everything dated in a folder by day, and notes. Raises InputError if nothing is there or only some have a day."""
+def dated_campaigns(folder: Path) -> tuple[list[Dated], dict[str, str], list[str]]:
+    """Everything dated in a folder by day, what is wrong with the others by name, and notes. Raises InputError if nothing is there."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give a folder of dated campaigns, one subfolder or trace each")
     found = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".") and _is_one(p)]
@@ -53,27 +53,36 @@ def dated_campaigns(folder: Path) -> tuple[list[Dated], list[str]]:
         raise InputError(
             f"{folder}: holds no campaign (a subfolder with campaign.toml) and no trace ({', '.join(TRACES)}); import recordings first"
         )
-    days = [day_of(p) for p in found]
-    undated = [p for p, day in zip(found, days) if day is None]
+    days: dict[Path, datetime | None] = {}
+    wrong: dict[str, str] = {}
+    for path in found:
+        try:
+            days[path] = day_of(path)
+        except (TwinError, OSError) as error:
+            wrong[path.name] = str(error)
     notes = []
-    if len(undated) == len(found):
-        found.sort(key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)])
-        days = [FIRST + timedelta(weeks=i) for i in range(len(found))]
+    if not any(days.values()):
+        order = sorted(found, key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)])
+        days = {path: FIRST + timedelta(weeks=i) for i, path in enumerate(order) if path in days}
         notes.append(
             "no campaign has a day: they count as one week apart, in the order of their names; write recorded = 2026-05-03 in campaign.toml"
         )
-    elif undated:
-        raise InputError(
-            f"{undated[0]}: has no day, others have; put it in the name (2026-05-03) or in campaign.toml as recorded = 2026-05-03"
-        )
-    dated = [Dated(p, day, digest_of(p)) for p, day in zip(found, days) if day is not None]
     unique: dict[str, Dated] = {}
-    for one in sorted(dated, key=lambda d: (d.day, d.name)):
+    for path, day in sorted(days.items(), key=lambda one: (one[1] or FIRST, one[0].name)):
+        if day is None:
+            wrong[path.name] = (
+                f"{path}: has no day, others have; put it in the name (2026-05-03) or in campaign.toml as recorded = 2026-05-03"
+            )
+            continue
+        try:
+            one = Dated(path, day, digest_of(path))
+        except (TwinError, OSError) as error:
+            wrong[path.name] = str(error)
+            continue
         if one.digest in unique:
             notes.append(f"{one.name}: the same recording as {unique[one.digest].name}; it counts once")
-        else:
-            unique[one.digest] = one
-    return list(unique.values()), notes
+        unique.setdefault(one.digest, one)
+    return list(unique.values()), wrong, notes
 
 
 def _is_one(path: Path) -> bool:

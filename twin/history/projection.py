@@ -5,26 +5,46 @@ Residual r (recording minus the reference twin) and responses J (row, direction)
     G = J' P J,   b = J' P r                 P removes the zeros of the encoders
 
 which is all that later questions need. A change theta of the machine moves b by G theta, whatever the twin lacks: its own fault moves b by the same
-amount in each recording of the same program and cancels in a difference. The noise of b has the covariance G.
+amount in each recording of the same program and cancels in a difference. J, P and the twin follow from the set points alone, and the noise is that of
+the first recording of the program: a fault that makes a recording rough weighs nothing down. The noise of b has the covariance G.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
-from typing import Any
 
 import numpy as np
 
-from twin.diagnose.observe import Group, Variation, axis_groups, observe
-from twin.diagnose.simulations import Mapper
+from twin.diagnose.channel import Channel
+from twin.diagnose.observe import Group, Variation, axis_groups, channels_of, observe
+from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.tuning import FREE, zeros_of
 from twin.diagnose.view import RunView, view_of
 from twin.effects import with_effects
 from twin.history.columns import Direction, changed, directions_of
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+from twin.simulation.gap import COMPARED
+
+ANSWERS = (
+    *COMPARED,
+    "velocity_setpoint",
+    "drive_velocity_setpoint",
+    "current_setpoint",
+    "torque_setpoint",
+    "acceleration",
+    "load_position",
+)
+"""Signals by which the machine answers; all others are its inputs."""
+
+TOGETHER = 32
+"""Directions that are simulated together: more need more memory and are no faster."""
+
+Noise = Mapping[str, float]
+"""RMS noise of each channel of a run, by 'axis channel' [SI]."""
 
 
 @dataclass(frozen=True)
@@ -44,37 +64,131 @@ def reference_view(machine: Machine, run: MeasuredRun) -> RunView:
     return replace(view_of(machine, run), machine=machine.with_feedforward(run.feedforward))
 
 
-def groups_of(machine: Machine, runs: Sequence[MeasuredRun]) -> list[tuple[str, ...]]:
-    """Coupled axes of which something moves in these runs."""
-    moving = sorted({axis for run in runs for axis in run.trace.axes if run.trace.moves(axis)})
-    return axis_groups(with_effects(machine, []), moving)
+@dataclass(frozen=True)
+class Linearised:
+    """The twin of a group of axes about the set points of a run, its responses, and the noise of its channels."""
+
+    group: Group
+    directions: Sequence[Direction]
+    gram: np.ndarray  # G (direction, direction)
+    onto: np.ndarray  # (row, direction): b of rows that are not weighted
+    noise: Noise
+
+    @property
+    def view(self) -> RunView:
+        return self.group.views[0]
+
+    def fits(self, run: MeasuredRun) -> bool:
+        """Does a run have the same inputs and channels, so that all but its answers is known?"""
+        trace, own, view = run.trace, self.view.trace, replace(self.view, trace=run.trace)
+        return (
+            (run.feedforward, run.started_at, run.own_zeros) == (view.feedforward, view.started_at, view.own_zeros)
+            and run.ballbar is view.ballbar is None
+            and trace.signals.keys() == own.signals.keys()
+            and len(trace.time) == len(own.time)
+            and np.allclose(np.diff(trace.time), np.diff(own.time), rtol=0.0, atol=1e-9)
+            and all(np.array_equal(v, own.signals[key]) for key, v in trace.signals.items() if key[1] not in ANSWERS)
+            and view.pushed == self.view.pushed
+        )
+
+    def right(self, trace: Trace) -> np.ndarray:
+        """b of a recording with these inputs (direction,)."""
+        view = replace(self.view, trace=trace)
+        values = channels_of(trace, view, [a for a in self.group.axes if view.moves(a)])
+        nominal = self.group.nominal[0]
+        rows = [values[c.axis, c.name] - nominal[c.axis, c.name] for c in self.group.channels]
+        return _times(np.concatenate(rows), self.onto)
+
+    def right_of(self, changes: Sequence[tuple[Direction, float]]) -> np.ndarray | None:
+        """b of simulated changes of size (direction,); None if they cannot be simulated."""
+        [answer] = self.group.responses([_variation(changes)])
+        return _times(answer / self.group.weights, self.onto) if isinstance(answer, np.ndarray) else None
 
 
-def projected(machine: Machine, run: MeasuredRun, axes: tuple[str, ...], mapper: Mapper, view: RunView | None = None) -> Projection | None:
-    """The projection of one run for a group of axes; None if nothing of them was recorded."""
-    group = observe([view or reference_view(machine, run)], axes)
-    if not group.size:
-        return None
-    return projection_of(group, responses(group, directions_of(machine, axes), mapper), group.residual)
+class Reference:
+    """Projects the runs of a machine; a run with the inputs of the one before it needs no simulation."""
+
+    def __init__(self, machine: Machine, mapper: Mapper) -> None:
+        self.machine, self.mapper = machine, mapper
+        self.directions = functools.cache(lambda axes: directions_of(machine, axes))
+        self._known: dict[tuple[int, tuple[str, ...]], Linearised] = {}
+
+    def groups_of(self, runs: Sequence[MeasuredRun]) -> list[tuple[str, ...]]:
+        """Coupled axes of which something moves in these runs."""
+        moving = sorted({axis for run in runs for axis in run.trace.axes if run.trace.moves(axis)})
+        return axis_groups(with_effects(self.machine, []), moving)
+
+    def linearised(
+        self, runs: Sequence[MeasuredRun], axes: tuple[str, ...], noise: Sequence[Noise] = ()
+    ) -> Iterator[tuple[MeasuredRun, Linearised]]:
+        """Each run in which some of these axes were recorded, with `noise` of its channels instead of its own."""
+        for i, run in enumerate(runs):
+            known = self._known.get((i, axes))
+            if known is None or not known.fits(run):
+                known = self._about(run, axes, noise[i] if i < len(noise) else {})
+            if known is not None:
+                self._known[i, axes] = known
+                yield run, known
+
+    def _about(self, run: MeasuredRun, axes: tuple[str, ...], noise: Noise) -> Linearised | None:
+        """A run linearised; None if it shows nothing of these axes."""
+        inputs = {key: values for key, values in run.trace.signals.items() if key[1] not in ANSWERS}
+        view = replace(reference_view(self.machine, replace(run, trace=replace(run.trace, signals=inputs))), trace=run.trace)
+        moving = [a for a in axes if view.moves(a)]
+        if not moving:
+            return None
+        answers = simulate_group(view, moving).trace.signals
+        signals = {key: v if key in inputs or key[0] in view.pushed else answers.get(key, v) for key, v in run.trace.signals.items()}
+        group = observe([replace(view, trace=replace(run.trace, signals=signals))], axes)  # the same for all recordings with these inputs
+        if not group.size:
+            return None
+        noise = noise or {_key(c): _rms(c.sigma) for c in observe([view], axes).channels}
+        channels = [replace(c, sigma=c.sigma * (noise.get(_key(c), own) / own)) for c in group.channels for own in [_rms(c.sigma)]]
+        group = replace(group, channels=channels, mapper=self.mapper)
+        directions = self.directions(axes)
+        onto = np.zeros((group.size, len(directions)), np.float32)
+        for first in range(0, len(directions), TOGETHER):
+            several = [_variation([(d, 1.0)]) for d in directions[first : first + TOGETHER]]
+            for k, answer in enumerate(group.responses(several), first):
+                if isinstance(answer, np.ndarray):  # zero where it cannot be simulated
+                    onto[:, k] = answer
+        return Linearised(group, directions, _projected(onto, group), onto, noise)
 
 
-def responses(group: Group, directions: Sequence[Direction], mapper: Mapper) -> np.ndarray:
-    """Weighted response (row, direction) to each unit effect; zero where it cannot be simulated."""
-    found: list[Any] = replace(group, mapper=mapper).responses([variation([(d, 1.0)]) for d in directions])
-    return np.column_stack([c if isinstance(c, np.ndarray) else np.zeros(group.size) for c in found])
+def _projected(columns: np.ndarray, group: Group) -> np.ndarray:
+    """G of weighted columns (row, direction), which become the projector of rows that are not weighted. Rows that depend on how an axis stuck hardly
+    count.
+    """
+    weight = np.sqrt(group.credit)[:, None]
+    columns *= weight
+    zeros = zeros_of(group).part(slice(0, group.size)) * weight
+    parts = list(zip(_parts(columns), _parts(zeros), _parts(weight * group.weights[:, None])))
+    gram, cross = sum(c.T.astype(float) @ c for c, _, _ in parts), sum(z.T @ c for c, z, _ in parts)
+    left = np.linalg.solve(zeros.T @ zeros + FREE * np.eye(zeros.shape[1]), cross)
+    for c, z, w in parts:
+        c -= z @ left
+        c *= w
+    stored = np.asarray(gram - cross.T @ left, np.float32)  # so a history is judged the same when it is read again
+    return stored.astype(float)
 
 
-def variation(changes: Sequence[tuple[Direction, float]]) -> Variation:
+def _times(rows: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    return np.asarray(sum(r @ o for r, o in zip(_parts(rows), _parts(onto))))
+
+
+def _parts(rows: np.ndarray) -> list[np.ndarray]:
+    """Views of rows, in parts that are small in double precision."""
+    return np.array_split(rows, 64)
+
+
+def _key(channel: Channel) -> str:
+    return f"{channel.axis} {channel.name}"
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _variation(changes: Sequence[tuple[Direction, float]]) -> Variation:
     """The machine of a view with changes of size."""
     return Variation(functools.partial(changed, changes=changes))
-
-
-def projection_of(group: Group, columns: np.ndarray, residual: np.ndarray) -> Projection:
-    """Inner products over all rows of a group; rows that depend on how an axis stuck hardly count."""
-    weight = np.sqrt(group.credit)
-    x = np.column_stack([columns, residual, zeros_of(group).part(slice(0, group.size))]) * weight[:, None]
-    k = columns.shape[1]
-    products = x.T @ x
-    free = products[k + 1 :, k + 1 :] + FREE * np.eye(len(products) - k - 1)
-    products = products[: k + 1, : k + 1] - products[: k + 1, k + 1 :] @ np.linalg.solve(free, products[k + 1 :, : k + 1])
-    return Projection(group.axes, products[:k, :k], products[:k, k])

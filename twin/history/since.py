@@ -15,15 +15,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 import functools
+from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
-from twin.errors import TwinError
-from twin.history.columns import Direction, amplitude, changed, directions_of, waves_of
-from twin.history.projection import Projection, groups_of, projection_of, reference_view, responses, variation
+from twin.history.columns import Direction, amplitude, changed, waves_of
+from twin.history.projection import Linearised, Noise, Reference
 from twin.history.series import RIVAL, filters, information, same_program, seen
 from twin.history.watch import program_of
 from twin.machine.machine import Machine
@@ -82,13 +81,13 @@ class Differences:
 
 @dataclass(frozen=True)
 class Contrast:
-    """The difference of a group from the baseline, run by run: the groups with their responses, G, and the change of b.
+    """The difference of a group from the baseline, run by run: the twin about each run, G, and the change of b.
 
     The noise of a change of b has the covariance V = `noise` (G + G S G), S the squares of the scatter between repetitions; `noise` is 1 + 1 / repetitions.
     """
 
     directions: Sequence[Direction]
-    groups: Sequence[tuple[str, Group, np.ndarray]]  # run, group, responses (row, direction)
+    runs: Sequence[tuple[str, Linearised]]
     grams: Sequence[np.ndarray]
     changes: Sequence[np.ndarray]
     scatter: np.ndarray
@@ -133,16 +132,11 @@ class Contrast:
         theta = vectors[:, kept] @ (vectors[:, kept].T @ change / values[kept])  # V^-1 = G^+ A G^+
         return float(np.sqrt(max(theta @ self.information @ theta, 0.0) / max(kept.sum(), 1) / self.noise))
 
-    def simulated(self, theta: np.ndarray, mapper: Mapper) -> np.ndarray | None:
+    def simulated(self, theta: np.ndarray) -> np.ndarray | None:
         """b of the changes theta in each run (run, direction), simulated, by the slopes about the reference; None if they cannot be simulated."""
         changes = [(self.directions[k], float(theta[k])) for k in np.flatnonzero(theta).tolist()]
-        out = []
-        for _, group, columns in self.groups:
-            answer = replace(group, mapper=mapper).responses([variation(changes)])[0]
-            if isinstance(answer, TwinError):
-                return None
-            out.append(projection_of(group, columns, answer).right)
-        return np.array(out)
+        out = [run.right_of(changes) for _, run in self.runs]
+        return None if any(right is None for right in out) else np.array(out)
 
     def one_run(self, i: int) -> Contrast:
         """The contrast of one run."""
@@ -153,66 +147,77 @@ class Contrast:
         return replace(self, grams=[*self.grams[:i], *self.grams[i + 1 :]], changes=[*self.changes[:i], *self.changes[i + 1 :]])
 
 
+class _Shown(NamedTuple):
+    """What a run showed: feedforward and program, noise of its channels, G and b."""
+
+    feedforward: str | None
+    program: tuple[float, ...]
+    noise: Noise
+    gram: np.ndarray
+    right: np.ndarray
+
+    def repeats(self, other: _Shown) -> bool:
+        return self.feedforward == other.feedforward and same_program(self.program, other.program)
+
+
 def differences(
     present: Campaign, baselines: Sequence[Campaign], reference: Machine, mapper: Mapper, progress: Callable[[str], None]
 ) -> tuple[list[Differences], Machine]:
     """The changes of each group of axes, and the machine of today: the reference with them."""
     out, machine = [], reference
-    for axes in groups_of(reference, present.runs):
+    for axes in Reference(reference, mapper).groups_of(present.runs):
         progress(f"{'+'.join(axes)}: comparing with the baseline")
-        contrast = contrast_of(present, baselines, reference, axes, mapper)
+        contrast = contrast_of(present, baselines, Reference(reference, mapper), axes)
         if contrast is not None:
             progress(f"{'+'.join(axes)}: looking for what changed")
-            out.append(_searched(contrast, axes, mapper))
+            out.append(_searched(contrast, axes))
             machine = changed(machine, [c for d in out[-1].found for c in d.changes])
     return out, machine
 
 
-def contrast_of(
-    present: Campaign, baselines: Sequence[Campaign], machine: Machine, axes: tuple[str, ...], mapper: Mapper
-) -> Contrast | None:
+def contrast_of(present: Campaign, baselines: Sequence[Campaign], about: Reference, axes: tuple[str, ...]) -> Contrast | None:
     """The runs that have a counterpart against it, or all runs against what the baseline has in common; None if the baseline does not move the axes."""
-    directions, default = directions_of(machine, axes), np.full(len(directions_of(machine, axes)), REPEATS)
-
-    def projected(runs: Sequence[MeasuredRun]) -> Iterator[tuple[MeasuredRun, Group, np.ndarray, Projection]]:
-        for run in runs:
-            group = observe([reference_view(machine, run)], axes)
-            if group.size:
-                columns = responses(group, directions, mapper).astype(np.float32)
-                yield run, group, columns, projection_of(group, columns, group.residual)
-
-    then = [[(program_of([run]), run.feedforward, p) for run, _, _, p in projected(b.runs)] for b in baselines]
-    if not any(then):
+    directions = about.directions(axes)
+    default = np.full(len(directions), REPEATS)
+    then: list[_Shown] = []
+    for baseline in baselines:
+        then += [shown for *_, shown in _shown(about, baseline.runs, axes, then)]
+    if not then:
         return None
-    now = list(projected(present.runs))
-    twins = [
-        [p for of in then for program, feedforward, p in of if feedforward == run.feedforward and same_program(program, program_of([run]))]
-        for run, *_ in now
-    ]
+    now = list(_shown(about, present.runs, axes, then))
+    twins = [[p for p in then if p.repeats(shown)] for *_, shown in now]
     notes, name = [], ", ".join(axes)
     if any(twins):
         used = [i for i, found in enumerate(twins) if found]
-        if alone := [run.name for i, (run, *_) in enumerate(now) if i not in used]:
+        if alone := [run for i, (run, *_) in enumerate(now) if i not in used]:
             notes.append(f"axes {name}: {', '.join(alone)} not compared: the baseline has no run of this program")
-        changes = [now[i][3].right - np.mean([p.right for p in twins[i]], axis=0) for i in used]
+        changes = [now[i][2].right - np.mean([p.right for p in twins[i]], axis=0) for i in used]
         repeats = min(len(twins[i]) for i in used)
-        gram = np.sum([now[i][3].gram for i in used], axis=0)
+        gram = np.sum([now[i][2].gram for i in used], axis=0)
         repeated = [_sizes(gram, np.sum([twins[i][r].right - twins[i][0].right for i in used], axis=0), default) for r in range(repeats)]
         noise = 1.0 + 1.0 / repeats
     else:
-        everything = [p for of in then for _, _, p in of]
-        used, total = list(range(len(now))), np.sum([p.gram for p in everything], axis=0)
-        offset = np.linalg.solve(total + np.eye(len(total)) / OFFSET**2, np.sum([p.right for p in everything], axis=0))
+        used, total = list(range(len(now))), np.sum([p.gram for p in then], axis=0)
+        offset = np.linalg.solve(total + np.eye(len(total)) / OFFSET**2, np.sum([p.right for p in then], axis=0))
         changes = [p.right - p.gram @ offset for *_, p in now]
-        repeated = [_sizes(p.gram, p.right - p.gram @ offset, default) for p in everything]
+        repeated = [_sizes(p.gram, p.right - p.gram @ offset, default) for p in then]
         noise = 1.0
         notes.append(
             f"axes {name}: other programs than in the baseline; a change shows only beyond what differs between the runs of the baseline"
         )
     spread = np.sum((np.array(repeated) - np.mean(repeated, axis=0)) ** 2, axis=0)
     scatter = np.sqrt((KNOWN * REPEATS**2 + spread) / (KNOWN + len(repeated) - 1))
-    groups = [(now[i][0].name, now[i][1], now[i][2]) for i in used]
-    return Contrast(directions, groups, [now[i][3].gram for i in used], changes, scatter, noise, notes)
+    return Contrast(directions, [now[i][:2] for i in used], [now[i][2].gram for i in used], changes, scatter, noise, notes)
+
+
+def _shown(
+    about: Reference, runs: Sequence[MeasuredRun], axes: tuple[str, ...], then: Sequence[_Shown]
+) -> Iterator[tuple[str, Linearised, _Shown]]:
+    """Each run that shows these axes, with the noise of the first run of its program."""
+    programs = [program_of([run]) for run in runs]
+    noise = [next((p.noise for p in then if same_program(p.program, program)), {}) for program in programs]
+    for run, own in about.linearised(runs, axes, noise):
+        yield run.name, own, _Shown(run.feedforward, program_of([run]), own.noise, own.gram, own.right(run.trace))
 
 
 def _sizes(gram: np.ndarray, right: np.ndarray, scatter: np.ndarray) -> np.ndarray:
@@ -220,7 +225,7 @@ def _sizes(gram: np.ndarray, right: np.ndarray, scatter: np.ndarray) -> np.ndarr
     return np.asarray(filters(gram, scatter).T @ right / np.where(own > 0.0, own, np.inf))
 
 
-def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Differences:
+def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
     """The causes that enter one by one, with the present simulated anew after each."""
     d, blocks, first = contrast.directions, contrast.blocks, contrast.change
     theta, explained = np.zeros(len(d)), np.zeros((len(contrast.grams), len(d)))  # sizes, and the b of these changes in each run
@@ -245,7 +250,7 @@ def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Diff
         entered.append(
             (block, gain / inflation, [(d[b[0]].cause, g / inflation) for g, b in gains[1:] if g > RIVAL * gain and d[b[0]].cause != cause])
         )
-        theta, explained = _resimulated(contrast, theta, explained, free, mapper)
+        theta, explained = _resimulated(contrast, theta, explained, free)
         entered = [one for one in entered if abs(amplitude(theta[one[0]])) >= LEAST]
     after = contrast.level(first - explained.sum(axis=0))
     free = [k for b, _, _ in entered for k in b]
@@ -263,26 +268,22 @@ def _searched(contrast: Contrast, axes: tuple[str, ...], mapper: Mapper) -> Diff
                 evidence,
                 float(min(T.confidence, 1.0 / (1.0 + odds))),
                 tuple(dict.fromkeys(c for c, _ in rivals[:3])),
-                tuple(contrast.groups[i][0] for i in np.argsort(shows)[::-1][:3]),
+                tuple(contrast.runs[i][0] for i in np.argsort(shows)[::-1][:3]),
             )
         )
     levels = _held_out(contrast, theta, explained)
     unseen = tuple(sorted({one.cause for one in d} - {d[b[0]].cause for b in blocks}))
-    return Differences(
-        axes, tuple(found), *levels, tuple(name for name, _, _ in contrast.groups), candidates, unseen, tuple(contrast.notes)
-    )
+    return Differences(axes, tuple(found), *levels, tuple(name for name, _ in contrast.runs), candidates, unseen, tuple(contrast.notes))
 
 
-def _resimulated(
-    contrast: Contrast, theta: np.ndarray, explained: np.ndarray, free: list[int], mapper: Mapper
-) -> tuple[np.ndarray, np.ndarray]:
+def _resimulated(contrast: Contrast, theta: np.ndarray, explained: np.ndarray, free: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Sizes of the free directions after simulating the present with the changes, and the b of these changes in each run."""
     theta = theta.copy()
     for _ in range(STEPS):
         step = np.zeros(len(theta))
         step[free] = contrast.sizes(contrast.change - explained.sum(axis=0), free)
         theta += step
-        simulated = contrast.simulated(theta, mapper)
+        simulated = contrast.simulated(theta)
         if simulated is None:
             return theta, explained + np.array([g @ step for g in contrast.grams])
         explained = simulated

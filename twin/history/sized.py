@@ -7,32 +7,37 @@ theta <- theta y / y(theta)                           until y(theta) = y
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 import functools
 
 import numpy as np
 
-from twin.diagnose.observe import observe
-from twin.diagnose.simulations import Mapper
-from twin.history.columns import Direction, directions_of
+from twin.history.columns import Direction
 from twin.history.judge import SizeOf
-from twin.history.projection import projection_of, reference_view, responses, variation
+from twin.history.projection import Linearised
 from twin.history.series import filters, scatter_of
-from twin.machine.machine import Machine
-from twin.recordings.campaign import MeasuredRun
 
 STEPS, CLOSE, FACTOR = 8, 0.002, 4.0
 """Most simulations of a change, the relative difference at which its size is found, and the largest factor on the slope's size."""
 
 
-def sizes_on(runs: Callable[[], Sequence[MeasuredRun]], machine: Machine, mapper: Mapper) -> SizeOf:
-    """Sizes by simulation on the set points of these runs; the slope's size where it cannot be simulated."""
-    shown_by = functools.cache(lambda axes: _Shown(machine, axes, runs(), mapper))
+def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> SizeOf:
+    """Sizes by simulation on the runs of a group of axes; the slope's size where it cannot be simulated."""
+    runs_of = functools.cache(runs_of)
+
+    def shown(direction: Direction, axes: tuple[str, ...], theta: float) -> float | None:
+        """The change theta of a direction, by its slope [usual sizes]; None if it cannot be simulated."""
+        directions, gram = runs_of(axes)[0].directions, np.sum([run.gram for run in runs_of(axes)], axis=0)
+        k = [d.name for d in directions].index(direction.name)
+        w = filters(gram, scatter_of(directions))[:, k]
+        rights = [right for run in runs_of(axes) if (right := run.right_of([(direction, theta)])) is not None]
+        if len(rights) < len(runs_of(axes)) or (own := float(w @ gram[:, k])) <= 0.0:
+            return None
+        return float(w @ np.sum(rights, axis=0)) / own
 
     def size_of(direction: Direction, axes: tuple[str, ...], y: float) -> float:
-        shown, theta = shown_by(axes), y
-        for _ in range(STEPS):
-            found = shown(direction, theta)
+        theta = y
+        for _ in range(STEPS if runs_of(axes) else 0):
+            found = shown(direction, axes, theta)
             if found is None or found * y <= 0.0 or not 1.0 / FACTOR < theta / y < FACTOR:
                 return y
             theta *= y / found
@@ -41,27 +46,3 @@ def sizes_on(runs: Callable[[], Sequence[MeasuredRun]], machine: Machine, mapper
         return theta
 
     return size_of
-
-
-class _Shown:
-    """What recordings of changes of a group of axes show of them; the slopes of the group are simulated once."""
-
-    def __init__(self, machine: Machine, axes: tuple[str, ...], runs: Sequence[MeasuredRun], mapper: Mapper) -> None:
-        self.directions = directions_of(machine, axes)
-        observed = [replace(g, mapper=mapper) for g in (observe([reference_view(machine, run)], axes) for run in runs) if g.size]
-        self.groups = [(g, responses(g, self.directions, mapper)) for g in observed]
-        count = len(self.directions)
-        self.gram = np.sum([np.zeros((count, count)), *(projection_of(g, c, g.residual).gram for g, c in self.groups)], axis=0)
-
-    def __call__(self, direction: Direction, theta: float) -> float | None:
-        """The change theta of a direction, by its slope [usual sizes]; None if it cannot be simulated."""
-        k = [d.name for d in self.directions].index(direction.name)
-        w = filters(self.gram, scatter_of(self.directions))[:, k]
-        total = 0.0
-        for group, columns in self.groups:
-            [response] = group.responses([variation([(direction, theta)])])
-            if not isinstance(response, np.ndarray):
-                return None
-            total += float(w @ projection_of(group, columns, response).right)
-        own = float(w @ self.gram[:, k])
-        return total / own if own > 0.0 else None

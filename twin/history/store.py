@@ -1,8 +1,7 @@
 """A history in SQLite: one transaction a campaign, so that a command that is killed at any time loses no judged campaign and counts none twice.
 
-    history    (key, value)                                         format, machine, directions: a history belongs to one reference
-    campaign   (digest, name, day, program)                         key: the digest of the recording's files
-    projection (digest, axes, gram, right)                          `twin.history.projection`, in the order of the directions
+    history  (key, value)             machine and directions: a history belongs to one reference
+    campaign (name, digest, content)  digest: of the recording's files; content: day, program, noise, and `twin.history.projection` of each group
 
 Everything else (sizes, changes, alarms) follows from these rows and is computed anew each time.
 """
@@ -13,34 +12,37 @@ from collections.abc import Iterator
 import contextlib
 from dataclasses import dataclass
 from datetime import datetime
-import json
 from pathlib import Path
 import sqlite3
 import zlib
 
+import msgspec
 import numpy as np
 
 from twin.errors import InputError
 from twin.files import output_file, output_folder
-from twin.history.projection import Projection
+from twin.history.projection import Noise, Projection
 
 FILE = "history.sqlite"
 
 _TABLES = (
     "CREATE TABLE IF NOT EXISTS history (key TEXT PRIMARY KEY, value TEXT)",
-    "CREATE TABLE IF NOT EXISTS campaign (digest TEXT PRIMARY KEY, name TEXT, day TEXT, program TEXT)",
-    "CREATE TABLE IF NOT EXISTS projection (digest TEXT, axes TEXT, gram BLOB, right BLOB, PRIMARY KEY (digest, axes))",
+    "CREATE TABLE IF NOT EXISTS campaign (name TEXT PRIMARY KEY, digest TEXT UNIQUE, content BLOB)",
+)
+_CONTENT = msgspec.msgpack.Decoder(
+    tuple[datetime, tuple[float, ...], tuple[dict[str, float], ...], list[tuple[tuple[str, ...], bytes, bytes]]]
 )
 
 
 @dataclass(frozen=True)
 class Row:
-    """A judged campaign: name, day, what identifies its program, and its projections by group of axes."""
+    """A judged campaign: name, day, what identifies its program, the noise of its runs, and its projections by group of axes."""
 
     digest: str
     name: str
     day: datetime
     program: tuple[float, ...]
+    noise: tuple[Noise, ...]
     projections: dict[tuple[str, ...], Projection]
 
 
@@ -67,7 +69,7 @@ class Store:
     def _said(self) -> Iterator[None]:
         try:
             yield
-        except (sqlite3.DatabaseError, zlib.error, ValueError, TypeError) as error:
+        except (sqlite3.DatabaseError, zlib.error, msgspec.DecodeError, ValueError, TypeError) as error:
             what = (
                 "another twin command is writing here; wait for it"
                 if "locked" in str(error)
@@ -86,46 +88,26 @@ class Store:
                 raise
             self.connection.execute("COMMIT")
 
-    def digests(self) -> set[str]:
-        """Digests of the campaigns that were judged."""
-        with self._said():
-            return {row[0] for row in self.connection.execute("SELECT digest FROM campaign")}
-
     def put(self, row: Row) -> None:
         """Commit one campaign, in place of an earlier one of this name."""
+        groups = [(axes, p.gram.astype("<f4").tobytes(), p.right.astype("<f8").tobytes()) for axes, p in row.projections.items()]
+        content = zlib.compress(msgspec.msgpack.encode((row.day, row.program, row.noise, groups)), 3)
         with self._transaction():
-            for (old,) in self.connection.execute("SELECT digest FROM campaign WHERE name = ?", (row.name,)).fetchall():
-                for table in ("campaign", "projection"):
-                    self.connection.execute(f"DELETE FROM {table} WHERE digest = ?", (old,))
-            self.connection.execute(
-                "INSERT INTO campaign VALUES (?, ?, ?, ?)", (row.digest, row.name, row.day.isoformat(), json.dumps(row.program))
-            )
-            for axes, p in row.projections.items():
-                values = (row.digest, " ".join(axes), _packed(p.gram, "<f4"), _packed(p.right, "<f8"))
-                self.connection.execute("INSERT INTO projection VALUES (?, ?, ?, ?)", values)
+            self.connection.execute("INSERT OR REPLACE INTO campaign VALUES (?, ?, ?)", (row.name, row.digest, content))
 
     def rows(self) -> list[Row]:
-        """All campaigns by day."""
+        """All campaigns in the order in which they were judged."""
         with self._said():
-            campaigns = self.connection.execute("SELECT digest, name, day, program FROM campaign ORDER BY day, name").fetchall()
-            found: dict[str, dict[tuple[str, ...], Projection]] = {}
-            for digest, axes, gram, right in self.connection.execute("SELECT * FROM projection"):
-                b = _unpacked(right, "<f8")
-                group = tuple(axes.split())
-                found.setdefault(digest, {})[group] = Projection(group, _unpacked(gram, "<f4").reshape(len(b), len(b)), b)
-        return [
-            Row(digest, name, datetime.fromisoformat(day), tuple(json.loads(program)), found.get(digest, {}))
-            for digest, name, day, program in campaigns
-        ]
+            found = []
+            for name, digest, content in self.connection.execute("SELECT * FROM campaign ORDER BY rowid"):
+                day, program, noise, groups = _CONTENT.decode(zlib.decompress(content))
+                projections = {}
+                for axes, gram, right in groups:
+                    b = np.frombuffer(right, "<f8")
+                    projections[axes] = Projection(axes, np.frombuffer(gram, "<f4").astype(float).reshape(len(b), -1), b)
+                found.append(Row(digest, name, day, program, noise, projections))
+        return found
 
     def close(self) -> None:
         """Close the data base and release its lock."""
         self.connection.close()
-
-
-def _packed(values: np.ndarray, kind: str) -> bytes:
-    return zlib.compress(values.astype(kind).tobytes(), 3)
-
-
-def _unpacked(content: bytes, kind: str) -> np.ndarray:
-    return np.frombuffer(zlib.decompress(content), kind).astype(float)

@@ -5,7 +5,7 @@ dated campaigns -> one projection each (stored, one transaction a campaign) -> s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import functools
 import hashlib
@@ -24,13 +24,14 @@ from twin.history.columns import directions_of
 from twin.history.dated import Dated, dated_campaigns
 from twin.history.judge import Judgement, judged
 from twin.history.limits import limits_of
-from twin.history.projection import Projection, groups_of, projected, reference_view
+from twin.history.projection import Linearised, Noise, Projection, Reference
+from twin.history.series import same_program
 from twin.history.sized import sizes_on
 from twin.history.store import Row, Store
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 
-VERSION = 2
+VERSION = 3
 """Raised when projections are computed in another way, so that old and new ones are not mixed."""
 
 
@@ -52,50 +53,58 @@ def watch(
     Raises InputError if nothing is dated or can be judged, or the history belongs to another machine. A campaign that cannot be read is named in a note and tried again
     the next time.
     """
-    dated, notes = dated_campaigns(folder)
+    dated, wrong, notes = dated_campaigns(folder)
     store = Store(out, reference_of(machine))
-    try:
-        known = store.digests()
-        new = [one for one in dated if one.digest not in known]
-        with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        reference = Reference(machine, on_threads(pool))
+        try:
+            rows = {row.digest: row for row in store.rows()}
+            new = [one for one in dated if one.digest not in rows]
+            notes += [f"left out: {error}" for name, error in wrong.items() if name not in {row.name for row in rows.values()}]
             for number, one in enumerate(new):
                 progress(f"{one.name} ({number + 1} of {len(new)})")
                 try:
-                    store.put(row_of(one, machine, pool))
+                    row = row_of(one, reference, rows.values())
                 except TwinError as error:
                     notes.append(f"left out: {error}")
-        rows = store.rows()
-    finally:
-        store.close()
-    if not rows:
-        raise InputError(f"{folder}: no campaign could be judged; {notes[-1]}")
-    progress("judging")
-    groups = sorted({axes for row in rows for axes in row.projections}, key=lambda axes: machine.axis_names.index(axes[0]))
-    judged_here = {row.digest for row in rows}
+                    continue
+                store.put(row)
+                rows = {digest: known for digest, known in rows.items() if known.name != row.name} | {row.digest: row}
+        finally:
+            store.close()
+        if not rows:
+            raise InputError(f"{folder}: no campaign could be judged; {notes[-1]}")
+        progress("judging")
 
-    @functools.cache
-    def last() -> Sequence[MeasuredRun]:
-        """Runs of the last recording that was judged and is still there; read when a change asks for them."""
-        one = next((one for one in reversed(dated) if one.digest in judged_here), None)
-        return one.runs(machine) if one else ()
+        @functools.cache
+        def last() -> tuple[Sequence[MeasuredRun], Sequence[Noise]]:
+            """Runs and noise of the last recording that was judged and is still there; read when a change asks for them."""
+            one = next((one for one in reversed(dated) if one.digest in rows), None)
+            return (one.runs(machine), rows[one.digest].noise) if one else ((), ())
 
-    limit_of = limits_of(machine, limits, tolerance, last)
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        size_of = sizes_on(last, machine, on_threads(pool))
-        return judged(rows, {axes: directions_of(machine, axes) for axes in groups}, limit_of, size_of), notes
+        def linearised(axes: tuple[str, ...]) -> Sequence[Linearised]:
+            return [own for _, own in reference.linearised(last()[0], axes, last()[1])]
+
+        groups = sorted({axes for row in rows.values() for axes in row.projections}, key=lambda axes: machine.axis_names.index(axes[0]))
+        limit_of = limits_of(machine, limits, tolerance, lambda: last()[0])
+        by_day = sorted(rows.values(), key=lambda row: (row.day, row.name))
+        return judged(by_day, {axes: reference.directions(axes) for axes in groups}, limit_of, sizes_on(linearised)), notes
 
 
-def row_of(one: Dated, machine: Machine, pool: ThreadPoolExecutor) -> Row:
-    """A campaign projected onto the directions of the machine."""
-    runs = one.runs(machine)
-    check_campaign(Campaign(one.path, "", runs), machine)
+def row_of(one: Dated, reference: Reference, known: Iterable[Row] = ()) -> Row:
+    """A campaign projected onto the directions of the machine, with the noise of a known one of its program."""
+    runs = one.runs(reference.machine)
+    check_campaign(Campaign(one.path, "", runs), reference.machine)
+    program = program_of(runs)
+    noise = next((row.noise for row in known if same_program(row.program, program)), ())
     found: dict[tuple[str, ...], Projection] = {}
-    for run in runs:
-        view = reference_view(machine, run)
-        for axes in groups_of(machine, [run]):
-            if (p := projected(machine, run, axes, on_threads(pool), view)) is not None:
-                found[axes] = found[axes] + p if axes in found else p
-    return Row(one.digest, one.name, one.day, program_of(runs), found)
+    seen: dict[str, dict[str, float]] = {run.name: {} for run in runs}
+    for axes in reference.groups_of(runs):
+        for run, own in reference.linearised(runs, axes, noise):
+            p = Projection(axes, own.gram, own.right(run.trace))
+            found[axes] = found[axes] + p if axes in found else p
+            seen[run.name].update(own.noise)
+    return Row(one.digest, one.name, one.day, program, tuple(seen.values()), found)
 
 
 def program_of(runs: Sequence[MeasuredRun]) -> tuple[float, ...]:
