@@ -14,7 +14,8 @@ from twin.diagnose.fit import fit_effects, simulated_response
 from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted, Settings, closed_loop, laws_in
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.jitter import jitter_of
-from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
+from twin.diagnose.law.measure import excess
+from twin.diagnose.law.proposals import NOISY, STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
@@ -105,6 +106,9 @@ def laws_of(
                 state = replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting)))
                 left[axis] = 1.0 - jitter.explained
                 continue
+            filters = _filters_in_place_of_effects(state, axis) if axis in explained else []
+            if axis in explained and not filters:
+                continue
             settings = settings_of(corrected_machine(machine, [state]))
             group = state.rigid if doubted else state.rigid.without_doubt()
             slips = any(s.axis == axis and s.effect.normal == "slip" for s in settings)
@@ -115,7 +119,7 @@ def laws_of(
                 response = simulated_response(loop.group, others) / loop.group.weights
                 channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
                 loop = replace(loop, group=replace(loop.group, channels=channels))
-            best = _filter_instead(loop, own, progress) if axis in explained else _search_axis(loop, own, progress)
+            best = _filter_instead(loop, own, filters, progress) if axis in explained else _search_axis(loop, own, progress)
             left[axis] = best.left if best else float(axis not in explained)
             if best and best.laws:
                 laws += _laws_in(best)
@@ -281,8 +285,18 @@ def in_the_loop(settings: Sequence[Setting], axis: str) -> Settings:
     return tuple(s for s in settings if s.axis == axis and not s.effect.normal and s.effect.block not in SHOWS_IN)
 
 
-def _filter_instead(loop: ClosedLoop, settings: Settings, progress: Progress) -> _AxisLaws | None:
-    """One filter of a control block in place of all effects of an axis that act in its closed loop, if it costs less.
+def _filters_in_place_of_effects(state: GroupState, axis: str) -> list[tuple[Described, Samples]]:
+    """Strong filters in what a block of the axis leaves when its effects in the closed loop are taken away."""
+    group, effects = state.group, in_the_loop(state.fit.settings, axis)
+    corrected = _corrected_by(replace(state, fit=replace(state.fit, settings=tuple(s for s in state.fit.settings if s not in effects))))
+    blocks = residuals_of(group.views, corrected, (axis,), group.mapper)
+    return [(d, s) for s in blocks if excess(s) > NOISY for d in filters_of(s, group.machine) if d.predicts > STRONG.predicts]
+
+
+def _filter_instead(
+    loop: ClosedLoop, settings: Settings, filters: Sequence[tuple[Described, Samples]], progress: Progress
+) -> _AxisLaws | None:
+    """One of these filters in place of all effects of an axis that act in its closed loop, if it costs less.
 
     A filter changes how the loop swings. Several numbers of a drive, each a little off, may imitate that down to noise.
     """
@@ -291,10 +305,8 @@ def _filter_instead(loop: ClosedLoop, settings: Settings, progress: Progress) ->
     if full is None or bare is None:
         return None
     progress(f"{loop.axis}: trying a filter instead of {', '.join(s.effect.name for s in effects)}")
-    machine, blocks = loop.group.machine, _blocks(loop, bare)
-    found = settings_of_proposals([(d, s) for s in blocks for d in filters_of(s, machine)], loop.axis, machine)
     at_first = loop.above_noise(bare)
-    for description, samples, law in found:
+    for description, samples, law in settings_of_proposals(filters, loop.axis, loop.group.machine):
         new = loop.refit(bare, (*bare.settings, law))
         if new is not None and new.cost < full.cost:
             closed = 1.0 - new.held_out / max(bare.held_out, 1e-300)
@@ -309,7 +321,10 @@ def _cheaper(
 ) -> list[tuple[Fitted, Proposal]]:
     """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
     axis, machine, known = loop.axis, loop.group.machine, set[str]()
-    measured = measured_in(_blocks(loop, fitted), machine, axis)
+    about: Tuning = fitted.fit.about
+    of_tuning = tuned(about.nuisances, fitted.fit.tuning[: len(about.nuisances)] * about.spread)
+    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.group.mapper)
+    measured = measured_in(blocks, machine, axis)
     for selection in selections:
         proposed = settings_of_proposals(propose_laws(measured, machine, axis, selection), axis, machine)
         proposed = [p for p in proposed if label(p[0]) not in known]
@@ -324,13 +339,6 @@ def _cheaper(
         if tried:
             return sorted(tried, key=lambda t: t[0].cost)
     return []
-
-
-def _blocks(loop: ClosedLoop, fitted: Fitted) -> Sequence[Samples]:
-    """What the machine of a fit leaves in each block of the axis."""
-    about: Tuning = fitted.fit.about
-    of_tuning = tuned(about.nuisances, fitted.fit.tuning[: len(about.nuisances)] * about.spread)
-    return residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (loop.axis,), loop.group.mapper)
 
 
 def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted, dict[Key, Fitted]]:
