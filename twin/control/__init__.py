@@ -1,4 +1,4 @@
-"""Blocks of an axis' control, one file each: numbers and keys, law, compiled update, linear model, law over recorded signals.
+"""Blocks of an axis' control, one file each: numbers and keys, law, compiled update, linear model.
 
 The structure of an axis (`structure = "P/PI/PI"`) is a list of the first blocks; its machine file lists further ones in `[axis.N.block.NAME]`.
 
@@ -24,6 +24,5 @@ machine file takes `[axis.N.block.NAME]`, checks its keys and bounds and writes 
             and X_MOTOR_POSITION are there at every stage. `constants` gives its parameters, up to PARAMETER_COUNT numbers.
     kernel  weights over the last position cycles of all set points, before position controller and feedforward.
 
-`recorded` evaluates the same law over recorded signals, for diagnosis and identification. A user's Python file after `--effects` may register
-its own blocks in the same way.
+A user's Python file after `--effects` may register its own blocks in the same way.
 """

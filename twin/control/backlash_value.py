@@ -43,7 +43,6 @@ def _constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
 BACKLASH_VALUE = register(
     Block(
         "backlash_value",
-        "a shift of the actual position by the play after each change of direction",
         (
             Number(
                 "width", "width_m", "width_deg", Key(-10.0, 10.0),

@@ -88,7 +88,6 @@ class Block:
     """A block, declared once in its own file.
 
     name       table below `[axis.N.block]`
-    summary    one line: what it does
     numbers    its numbers
     stage      stage of the loop at which `law` is called (`loop_terms`: SETPOINT, SPEED, DRIVE, CURRENT, VOLTAGE)
     law        compiled term with its own state; None for a set point filter
@@ -100,7 +99,6 @@ class Block:
     """
 
     name: str
-    summary: str
     numbers: tuple[Number, ...]
     stage: int = -1
     law: Any = None

@@ -77,7 +77,6 @@ def _on_sinumerik(name: str, units: tuple[str, str], si: tuple[float, float], gr
 FRICTION_PULSE = register(
     Block(
         "friction_pulse",
-        "a pulse on the speed set point at each reversal",
         (
             Number("amplitude", "amplitude_m_per_min", "amplitude_rev_per_min", positive(), _on_sinumerik("MD32520 FRICT_COMP_CONST_MAX", *_SPEED)),
             Number("decay_time", "decay_time_s", "decay_time_s", positive(), _on_sinumerik("MD32540 FRICT_COMP_TIME", *alike("s"), "C")),

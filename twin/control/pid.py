@@ -79,8 +79,4 @@ NUMBERS = (
     _number("largest_output", "largest_output_m_per_s", "largest_output_deg_per_s", "MAX_OUTPUT", lengths("/s")),
 )
 
-PID = register(
-    Block(
-        "pid", "integral, derivative, further feedforward, dead band and limits of LinuxCNC's pid", NUMBERS, SPEED, pid_beside_p, _constants, linear=_linear
-    )
-)  # fmt: skip
+PID = register(Block("pid", NUMBERS, SPEED, pid_beside_p, _constants, linear=_linear))

@@ -36,7 +36,6 @@ def _constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
 POSITION_CORRECTION = register(
     Block(
         "position_correction",
-        "an error table over position: a slope and a wave",
         (
             Number("slope", "slope_ppm", "slope_ppm", Key(-1e4, 1e4)),
             Number("origin", "origin_m", "origin_deg", Key()),

@@ -42,7 +42,6 @@ def average_kernel(values: Values, cycles: Cycles) -> np.ndarray:
 SET_POINT_LAG = register(
     Block(
         "set_point_lag",
-        "a first-order lag of the set points",
         (Number("time_constant", "time_constant_s", "time_constant_s", _TIME, _JERK_TIME),),
         kernel=lag_kernel,
     )
@@ -51,7 +50,6 @@ SET_POINT_LAG = register(
 SET_POINT_AVERAGE = register(
     Block(
         "set_point_average",
-        "the mean of the last set points",
         (Number("length", "length_s", "length_s", _TIME, _JERK_TIME),),
         kernel=average_kernel,
     )

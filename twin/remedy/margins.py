@@ -24,9 +24,9 @@ class Asked:
     peak: float = MOST_PEAK
     """Largest gain of the closed position loop."""
 
-    def missed(self, loop: Loop, count: int = GRID) -> str:
+    def missed(self, loop: Loop) -> str:
         """What a loop falls short of, in words; '' for nothing."""
-        m = margins_of(loop, count)
+        m = margins_of(loop, GRID)
         if not m.stable:
             return f"the {loop.name} loop is unstable"
         if m.phase < self.phase[loop.name]:

@@ -34,7 +34,7 @@ Deviations = Mapping[tuple[str, str, str | None], Mapping[str, float]]
 class Remedy:
     """A chosen remedy, judged in MuJoCo on the motion that was asked for.
 
-    alone         error with only this change, by change
+    alone         error with only this change, by change; None if the machine diverges with it
     low, high     2.5 % and 97.5 % of the error after all changes, over machines drawn from the intervals of the diagnosis
     """
 
@@ -45,7 +45,7 @@ class Remedy:
     chosen: Chosen
     before: ToolError
     after: ToolError
-    alone: tuple[ToolError, ...]
+    alone: tuple[ToolError | None, ...]
     low: float
     high: float
     duration: float
@@ -54,11 +54,6 @@ class Remedy:
     """The simulated motion before and after."""
     slower: tuple[tuple[float, ToolError], ...] = ()
     """The last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes."""
-
-    @property
-    def reached(self) -> bool:
-        """True if the error after all changes is within the goal."""
-        return self.goal.met(self.after)
 
     @property
     def override(self) -> tuple[float, ToolError] | None:
@@ -108,7 +103,7 @@ def remedy(
         chosen,
         before,
         after,
-        tuple(one[0] for one in found[2:] if not isinstance(one, TwinError)),
+        tuple(None if isinstance(one, TwinError) else one[0] for one in found[2:]),
         low,
         high,
         on.setpoints.duration,
@@ -165,7 +160,7 @@ def _change(found: Remedy, i: int) -> dict[str, Any]:
         "parameters": change.table(found.machine),
         "before": 1e6 * found.chosen.errors[i],
         "after": 1e6 * found.chosen.errors[i + 1],
-        "alone": 1e6 * found.alone[i].rms if i < len(found.alone) else None,
+        "alone": None if (alone := found.alone[i]) is None else 1e6 * alone.rms,
         "worse": [text for text in (advice.worse, late_wave(change, found.machine)) if text],
         "grade": advice.grade,
     }

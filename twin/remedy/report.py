@@ -86,7 +86,7 @@ def write_remedy_report(
         for entry in e["enter"]
     ]  # fmt: skip
     steps = [
-        [sentence(found, c), f"{e['before']:.2f}", f"{e['after']:.2f}", f"{e['alone']:.2f}"]
+        [sentence(found, c), f"{e['before']:.2f}", f"{e['after']:.2f}", "unstable" if e["alone"] is None else f"{e['alone']:.2f}"]
         for c, e in zip(found.chosen.changes, document["changes"])
     ]
     peaks = [[a, f"{p['before']:.2f}", f"{p['after']:.2f}", p["unit"]] for a, p in document["quadrant_peaks"].items()]
