@@ -100,6 +100,10 @@ RECIPES = (
         versus="out/versus/versus.png",
     ),
     Recipe(("watch.png",), ("python examples/watch/run.py --out out/watch", "python -m devtools.pictures watch")),
+    Recipe(
+        ("histories.png",),
+        (f"python -m devtools.histories --count 100 --seed 2019228167 --out out/histories --picture {PICTURES}/histories.png",),
+    ),
     Recipe(("exam_*.svg",), ("python -m devtools.pictures exam DIR",), needs="the folder of an examination"),
 )
 """Every picture of the pages is made by the first recipe that names it."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.history.change import LONGEST, Forecast, Level, evidence, forecast, level
 from twin.history.columns import Direction, amplitude, waves_of
-from twin.history.limits import USUAL, Limit, LimitOf, usual
+from twin.history.limits import USUAL, Limit, LimitOf
 from twin.history.series import LOAD, RIVAL, SCATTER, Series, constants_of, programs_of, series_of, thermometers
 from twin.history.store import Row
 
@@ -46,11 +46,6 @@ Cause = tuple[str, str, str]
 
 SizeOf = Callable[[Direction, tuple[str, ...], float], float]
 """(direction, axes of its group, size by its slope) -> its size."""
-
-
-def as_shown(_direction: Direction, _axes: tuple[str, ...], size: float) -> float:
-    """The size by the slope."""
-    return size
 
 
 @dataclass(frozen=True)
@@ -111,7 +106,10 @@ def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
 
 
 def judged(
-    rows: Sequence[Row], directions: dict[tuple[str, ...], list[Direction]], limit_of: LimitOf = usual, size_of: SizeOf = as_shown
+    rows: Sequence[Row],
+    directions: dict[tuple[str, ...], list[Direction]],
+    limit_of: LimitOf = lambda *_: USUAL,
+    size_of: SizeOf = lambda _direction, _axes, size: size,
 ) -> Judgement:
     """The judgement of all recordings by day; `size_of` simulates the changes, which are carried forward to their limits."""
     series = [s for axes, own in directions.items() if (s := series_of(rows, axes, own)) is not None]

@@ -37,11 +37,6 @@ LimitOf = Callable[[Direction, float], Limit]
 """The limit of a change of a direction, whose size now is known [usual sizes]."""
 
 
-def usual(_direction: Direction, _size: float) -> Limit:
-    """The usual size of the effect."""
-    return USUAL
-
-
 def limits_of(machine: Machine, given: Sequence[Setting], tolerance: float | None, runs: Callable[[], Sequence[MeasuredRun]]) -> LimitOf:
     """Sizes that are given count first, then the tolerance [m] on the runs of the last recording, then the usual size."""
     sizes = {(s.effect.name, s.axis, s.from_axis or ""): s for s in given}

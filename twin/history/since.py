@@ -74,9 +74,9 @@ class Differences:
     before: float
     after: float
     held_out: tuple[str, ...]
-    candidates: tuple[tuple[Cause, float, float, Direction], ...]  # cause, evidence [nat], size, direction
+    candidates: dict[Cause, tuple[float, float, Direction]]  # evidence [nat], size, direction
     not_seen: tuple[Cause, ...]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -138,13 +138,9 @@ class Contrast:
         out = [run.right_of(changes) for _, run in self.runs]
         return None if any(right is None for right in out) else np.array(out)
 
-    def one_run(self, i: int) -> Contrast:
-        """The contrast of one run."""
-        return replace(self, grams=[self.grams[i]], changes=[self.changes[i]])
-
-    def other_runs(self, i: int) -> Contrast:
-        """The contrast without one run."""
-        return replace(self, grams=[*self.grams[:i], *self.grams[i + 1 :]], changes=[*self.changes[:i], *self.changes[i + 1 :]])
+    def of_runs(self, runs: list[int]) -> Contrast:
+        """The contrast of some runs."""
+        return replace(self, grams=[self.grams[i] for i in runs], changes=[self.changes[i] for i in runs])
 
 
 class _Shown(NamedTuple):
@@ -229,8 +225,8 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
     """The causes that enter one by one, with the present simulated anew after each."""
     d, blocks, first = contrast.directions, contrast.blocks, contrast.change
     theta, explained = np.zeros(len(d)), np.zeros((len(contrast.grams), len(d)))  # sizes, and the b of these changes in each run
-    alone = sorted(((contrast.evidence(first, b), b) for b in blocks), key=lambda one: -one[0])
-    candidates = tuple((d[b[0]].cause, e, amplitude(contrast.sizes(first, b)), d[b[0]]) for e, b in alone)
+    alone = sorted(((contrast.evidence(first, b), b) for b in blocks), key=lambda one: one[0])
+    candidates = {d[b[0]].cause: (e, amplitude(contrast.sizes(first, b)), d[b[0]]) for e, b in alone}  # the clearest wave of each
     entered: list[tuple[list[int], float, list[tuple[Cause, float]]]] = []  # block, evidence, rivals with theirs
     while len(entered) < MOST:
         taken, left = [k for b, _, _ in entered for k in b], first - explained.sum(axis=0)
@@ -296,9 +292,9 @@ def _held_out(contrast: Contrast, theta: np.ndarray, explained: np.ndarray) -> t
     """Level of the difference in each run before, and after with the sizes fitted to the other runs; RMS over runs."""
     free, levels = np.flatnonzero(theta).tolist(), []
     for i, change in enumerate(contrast.changes):
-        own, left, step = contrast.one_run(i), change - explained[i], np.zeros(len(theta))
+        own, left, step = contrast.of_runs([i]), change - explained[i], np.zeros(len(theta))
         if free and len(contrast.grams) > 1:
-            rest = contrast.other_runs(i)
+            rest = contrast.of_runs([k for k in range(len(contrast.grams)) if k != i])
             step[free] = rest.sizes(rest.change - np.delete(explained, i, axis=0).sum(axis=0), free)
         levels.append((own.level(change), own.level(left - own.gram @ step)))
     before, after = np.sqrt(np.mean(np.square(levels), axis=0))

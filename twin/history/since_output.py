@@ -67,17 +67,18 @@ def since_document(
     """The document. `baselines` are names and days."""
     several = [one for d in found for one in d.found]
     before, after = (float(np.sqrt(np.mean([getattr(d, which) ** 2 for d in found]))) if found else 1.0 for which in ("before", "after"))
-    explained = {d.axes: _explained(d) for d in found}
+    was = {s.key: s.parameters for s in settings_of(reference)}
     budget = _budget(several, present, reference, machine, mapper)
     tool = {(row["effect"], row["axis"], row.get("from_axis")): row["tool_point"] for row in budget["rows"]}
     effects = []
     for d in found:
+        explained = float(np.clip(1.0 - max(d.after**2 - 1.0, 0.0) / max(d.before**2 - 1.0, 1e-9), 0.0, 1.0))
         for one in d.found:
             entry = entry_of(one.direction, reference, one.size, 1.96 * one.error)
             entry |= {
                 "probability": one.probability,
-                "explained": explained[d.axes],
-                "was": _before(reference, one),
+                "explained": explained,
+                "was": dict(was.get(one.direction.setting.key, {})),
                 "sentence": difference_text(entry, one.size),
             }
             effects.append(entry)
@@ -110,16 +111,6 @@ def since_document(
     }
 
 
-def _explained(d: Differences) -> float:
-    return float(np.clip(1.0 - max(d.after**2 - 1.0, 0.0) / max(d.before**2 - 1.0, 1e-9), 0.0, 1.0))
-
-
-def _before(reference: Machine, one: Difference) -> dict[str, float]:
-    """Parameters of the effect in the baseline; empty if it had none."""
-    own = {s.key: s for s in settings_of(reference)}.get(one.direction.setting.key)
-    return dict(own.parameters) if own else {}
-
-
 def _sentence(effects: Sequence[dict[str, Any]], when: str, unknown: bool) -> str:
     changes = "; ".join(e["sentence"] for e in effects)
     if unknown:
@@ -129,16 +120,11 @@ def _sentence(effects: Sequence[dict[str, Any]], when: str, unknown: bool) -> st
 
 def _candidates(found: Sequence[Differences], effects: Sequence[dict[str, Any]], machine: Machine) -> list[dict[str, Any]]:
     """All causes, those found first, then by evidence."""
-    rows: dict[tuple[str, str, str], tuple[float, dict[str, Any]]] = {}
-    for d in found:
-        for cause, evidence, size, direction in d.candidates:
-            if cause not in rows:
-                rows[cause] = (
-                    evidence,
-                    {**entry_of(direction, machine, size, 0.0), "probability": 0.0, "explained": 0.0, "evidence": evidence},
-                )
     named = {(e["effect"], e["axis"], e.get("from_axis", "")) for e in effects}
-    return [*effects, *(row for cause, (_, row) in sorted(rows.items(), key=lambda one: -one[1][0]) if cause not in named)]
+    others = [one for d in found for cause, one in d.candidates.items() if cause not in named]
+    unsaid = {"probability": 0.0, "explained": 0.0}
+    rows = [{**entry_of(direction, machine, size, 0.0), **unsaid, "evidence": evidence} for evidence, size, direction in others]
+    return [*effects, *sorted(rows, key=lambda row: -row["evidence"])]
 
 
 def _where(found: Sequence[Differences], several: Sequence[Difference]) -> list[dict[str, Any]]:

@@ -43,7 +43,6 @@ def watch(
     *,
     limits: Sequence[Setting] = (),
     tolerance: float | None = None,
-    threads: int | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Judgement, list[str]]:
     """Bring the history in `out` up to date with a folder of dated campaigns; its judgement, and notes on what was left out.
@@ -55,7 +54,7 @@ def watch(
     """
     dated, wrong, notes = dated_campaigns(folder)
     store = Store(out, reference_of(machine))
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         reference = Reference(machine, on_threads(pool))
         try:
             rows = {row.digest: row for row in store.rows()}
