@@ -104,14 +104,17 @@ class _Law:
 class _Laws:
     laws: tuple[_Law, ...]
     corrected: str
+    instead: frozenset[str] = frozenset()
 
     @property
     def states(self):
         return self.corrected
 
 
-def with_proposed_laws(monkeypatch, levels, laws):
-    """`with_laws` for axis X: levels of its signals over noise without a law ("nominal") and with each of `laws`; and the laws it asked for."""
+def with_proposed_laws(monkeypatch, levels, laws, instead=frozenset()):
+    """`with_laws` for axis X: levels of its signals over noise without a law ("nominal") and with each of `laws`, which are there `instead` of effects
+    on these axes; and the laws it asked for.
+    """
 
     def gaps(machine, run, predicted):
         return {"X": {signal: SignalGap(level, level, 1.0, "um", level) for signal, level in levels[predicted].items()}}
@@ -121,7 +124,7 @@ def with_proposed_laws(monkeypatch, levels, laws):
     def proposed(*_):
         for law in laws:
             asked.append(law)
-            yield _Laws((_Law(),), law)
+            yield _Laws((_Law(),), law, instead)
 
     predictions = {which: {"before": {}, "after": {run.name: which for run in RUNS}} for which in levels}
     monkeypatch.setattr(corrected, "gap_of", gaps)
@@ -145,6 +148,13 @@ def with_proposed_laws(monkeypatch, levels, laws):
 def test_a_law_that_makes_one_signal_worse_is_refused(monkeypatch, law, signals, kept):
     levels = {"nominal": {"position": 30.0, "current": 1.0}, law: signals}
     assert with_proposed_laws(monkeypatch, levels, [law]) == (kept, [law])
+
+
+@pytest.mark.parametrize(("left", "kept"), [(1.1, "filter"), (1.9, "nominal")])
+def test_a_filter_in_place_of_effects_leaves_what_they_left(monkeypatch, left, kept):
+    """The effects explained the axis, so the filter closes no gap; it must not open one beyond chance."""
+    levels = {"nominal": {"position": 1.0, "current": 1.0}, "filter": {"position": left, "current": 1.0}}
+    assert with_proposed_laws(monkeypatch, levels, ["filter"], frozenset({"X"})) == (kept, ["filter"])
 
 
 @pytest.mark.parametrize(("left", "asked"), [(1.9, ["law"]), (4.0, ["law", "other weights"])])
