@@ -188,6 +188,7 @@ for kill in range(kills + 1):
                 store.put(dataclasses.replace(rows[i % len(rows)], digest=digest, name=digest))
                 os.write(told, b".")
         os._exit(0)
+    os.close(told)  # a child that fails ends the reading below
     if kill < kills:
         for _ in range(random.randrange(1, 14)):  # it has stored so many, and is somewhere in the next one
             os.read(seen, 1)
@@ -207,7 +208,7 @@ for kill in range(kills + 1):
 def test_killed_at_any_time_it_loses_nothing(watched: tuple[Path, int], tmp_path: Path) -> None:
     source = shutil.copytree(watched[0], tmp_path / "source")
     command = [sys.executable, "-c", KILLER, str(source), str(tmp_path / "out"), "20"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300)
     said = [line.split() for line in done.stdout.splitlines()]
     counts = [int(rows) for rows, _, _ in said]
     assert len(said) == 21
