@@ -23,7 +23,7 @@ import numpy as np
 from twin.diagnose.corrected import limited_deviations, normal_imperfections
 from twin.diagnose.simulations import Mapper, Result, SimulationRequest, in_turn, simulate_groups
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import NORMAL, Nuisance
+from twin.diagnose.tolerance import NORMAL, tuned
 from twin.diagnose.tool_point import LOAD, ToolPoint
 from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of, with_effects
@@ -185,15 +185,13 @@ def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState])
         others = [s for s in settings if s.key != own.key]
         yield Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), None)
     for f in states:
-        retuned: dict[str, list[tuple[Nuisance, float]]] = {}  # axis or body -> factors of its values
-        for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
-            if nuisance.quantity not in NORMAL and deviation:
-                retuned.setdefault(nuisance.owner, []).append((nuisance, 1.0 + float(deviation)))
-        for owner, values in retuned.items():
-            without, alone = corrected, machine
-            for nuisance, factor in values:
-                without, alone = nuisance.apply(without, 1.0 / factor), nuisance.apply(alone, factor)
-            yield Part("re-tuned", RETUNED, owner, (owner,) if owner in machine.axis_names else rotary, without, alone, None)
+        nuisances, deviations = f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)
+        retuned = [i for i, n in enumerate(nuisances) if n.quantity not in NORMAL and deviations[i]]
+        for owner in dict.fromkeys(nuisances[i].owner for i in retuned):
+            mine = [i for i in retuned if nuisances[i].owner == owner]
+            values, by = [nuisances[i] for i in mine], deviations[mine]
+            moved = (owner,) if owner in machine.axis_names else rotary
+            yield Part("re-tuned", RETUNED, owner, moved, tuned(values, -by / (1.0 + by))(corrected), tuned(values, by)(machine), None)
 
 
 def simulated_each(

@@ -52,6 +52,11 @@ class Columns:
             out[:, i] = column[rows]
         return out
 
+    @property
+    def dense(self) -> np.ndarray:
+        """All rows (row, n) in double precision: for few columns."""
+        return self.part(slice(0, self.rows))
+
     def times(self, coefficients: np.ndarray) -> np.ndarray:
         """Sum (row,) of the columns with these coefficients (n,)."""
         out = np.zeros(self.rows)
@@ -61,27 +66,23 @@ class Columns:
 
     def onto(self, other: np.ndarray | Columns) -> np.ndarray:
         """Inner products with a vector (row,), as (n,), or with other columns (row, m), as (n, m)."""
-        if isinstance(other, Columns):
-            return _sum(self.part(rows).T @ other.part(rows) for rows in self._blocks())
-        return _sum(self.part(rows).T @ other[rows] for rows in self._blocks())
+        return _sum(self.part(rows).T @ (other.part(rows) if isinstance(other, Columns) else other[rows]) for rows in self._blocks())
 
     def gram(self, mapper: Callable[..., Iterable[Any]] = map) -> np.ndarray:
         """Inner products (n, n) of the columns; `mapper` maps over blocks of rows."""
-
-        def of(rows: slice) -> np.ndarray:
-            part = self.part(rows)
-            return part.T @ part
-
-        return _sum(mapper(of, self._blocks()))
+        return _sum(mapper(self._products, self._blocks()))
 
     def grams(self, parts: Sequence[Sequence[slice]]) -> np.ndarray:
         """Inner products (part, n, n) over the rows of each part of the record."""
         out = np.zeros((len(parts), len(self), len(self)))
         for i, slices in enumerate(parts):
             for rows in slices:
-                part = self.part(rows)
-                out[i] += part.T @ part
+                out[i] += self._products(rows)
         return out
+
+    def _products(self, rows: slice) -> np.ndarray:
+        part = self.part(rows)
+        return part.T @ part
 
     def _blocks(self) -> Iterator[slice]:
         return (slice(first, min(first + BLOCK, self.rows)) for first in range(0, max(self.rows, 1), BLOCK))

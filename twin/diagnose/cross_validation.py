@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import lsq_linear
 
+from twin.diagnose.columns import Columns
 from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
@@ -108,7 +109,7 @@ def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -
     linear = linear_in(group, fit)
     known = [len(folds) > 1 and linear.knows_alone(fold, T.information_in_fold) for fold in folds]
     moved = [fold for fold, alone in zip(folds, known) if len(folds) > 1 and not alone]
-    left = linear.held_out(fit, moved, T.information_in_fold)
+    left = linear.held_out(moved, T.information_in_fold)
     robust = np.minimum(left**2, T.outlier * np.maximum(1.0, left**2) ** 0.5)
     return 0.5 * float(group.credit @ robust) + sum(known) * (T.evidence_in_sample - T.evidence)
 
@@ -130,19 +131,20 @@ class Linear:
     """
 
     rows: Sequence[Sequence[slice]]  # of each part
+    columns: Columns  # X
     own: int  # number of leading columns that belong to the fit
     products: np.ndarray  # X'X of each part (part, column, column)
     slopes: np.ndarray  # X'r (part, column)
     normal: np.ndarray  # N
     left: np.ndarray  # r (row,)
 
-    def held_out(self, fit: Fit, folds: Sequence[Sequence[int]], share: float) -> np.ndarray:
+    def held_out(self, folds: Sequence[Sequence[int]], share: float) -> np.ndarray:
         """Residual (row,) with the rows of each fold of parts predicted by the fit without them."""
         left = self.left.copy()
         for fold in folds:
             shift = self.shift(fold, share)
             for rows in (rows for part in self.of(fold) for rows in self.rows[part]):
-                left[rows] -= fit.columns.beside(fit.about.jacobian).part(rows) @ shift
+                left[rows] -= self.columns.part(rows) @ shift
         return left
 
     def of(self, fold: Sequence[int]) -> list[int]:
@@ -170,18 +172,18 @@ def linear_in(group: Group, fit: Fit, rows: Sequence[Sequence[slice]] | None = N
     """The linearised fit by parts with these rows; by runs without them."""
     if rows is None:
         rows = [[c.rows for c in group.channels if c.run == run] for run in range(1 + max((c.run for c in group.channels), default=-1))]
-    everything, own = fit.columns.beside(fit.about.jacobian), len(fit.columns)
-    n = len(everything)
+    columns, own = fit.columns.beside(fit.about.jacobian), len(fit.columns)
+    n = len(columns)
     products, slopes, residual = np.zeros((len(rows), n, n)), np.zeros((len(rows), n)), fit.residual(group)
     products[:, own:, own:] = fit.about.products(rows)
     for i, slices in enumerate(rows):
         for part in slices:
-            columns = everything.part(part)
-            products[i, :, :own] += columns.T @ columns[:, :own]
-            slopes[i] += columns.T @ residual[part]
+            x = columns.part(part)
+            products[i, :, :own] += x.T @ x[:, :own]
+            slopes[i] += x.T @ residual[part]
         products[i, :own, own:] = products[i, own:, :own].T
     normal = products.sum(axis=0) + np.diag(np.concatenate([np.full(own, FREE), fit.about.prior]))
-    return Linear(rows, own, products, slopes, normal, residual)
+    return Linear(rows, columns, own, products, slopes, normal, residual)
 
 
 def _information(normal: np.ndarray, p: int) -> np.ndarray:

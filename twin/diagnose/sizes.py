@@ -54,10 +54,7 @@ def without_implausible(state: GroupState) -> GroupState:
     fit = fit_effects(state.group, state.tuning, kept, T.few_steps)
     if fit is None:
         return state
-    state = (
-        replace(state, fit=fit).with_accepted(max(1, min(len(kept), len(state.accepted)))) if kept else replace(state, fit=fit, accepted=())
-    )
-    return state.inflated()
+    return replace(state, accepted=state.accepted[: len(kept)]).with_fit(fit).inflated()
 
 
 def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:

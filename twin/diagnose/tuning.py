@@ -15,7 +15,7 @@ from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of
 from twin.effects import Setting
-from twin.errors import TwinError
+from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
 
 FREE = 1e-6
@@ -170,9 +170,7 @@ def linearised(
     if not steps:
         return tuning
     columns = list(tuning.of_nuisances.each)
-    for (i, step), changed in zip(steps.items(), group.responses(variations)):
-        if isinstance(changed, TwinError):
-            raise changed
+    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations))):
         columns[i] = ((changed - response) * (tuning.spread / step)).astype(np.float32)
     return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 

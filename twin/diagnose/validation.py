@@ -178,10 +178,9 @@ def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Val
     predicted = replace(predicted, runs=[name for name in held_out.runs if name not in fitted])
     loud = {law.axis for law in laws.laws} - laws.instead
     alike = aligned(runs, setup.nominal, predicted.traces)
-    without, with_them = signal_levels(held_out.gaps(machine, validated.runs)), signal_levels(predicted.gaps(machine, alike))
-    if worse_signals(without, with_them) or (
-        laws.instead and is_worse(laws.instead, validated.after, levels(predicted.gaps(machine, alike)))
-    ):
+    gaps = predicted.gaps(machine, alike)
+    without, with_them = signal_levels(held_out.gaps(machine, validated.runs)), signal_levels(gaps)
+    if worse_signals(without, with_them) or (laws.instead and is_worse(laws.instead, validated.after, levels(gaps))):
         return math.inf, validated
     share = remaining_share(without, with_them, loud) if loud else 0.0
     return share, replace(validated, runs=alike, held_out=predicted, corrected=laws.corrected, laws=laws)

@@ -104,7 +104,7 @@ class ClosedLoop:
         """Orthonormal response (row, n) to the encoder zeros. Each run has its own; no other run predicts them."""
         columns = zeros_of(self.group)
         seen = columns.chosen(i for i, column in enumerate(columns.each) if column.any())
-        return np.asarray(np.linalg.qr(seen.part(slice(0, seen.rows)))[0])
+        return np.asarray(np.linalg.qr(seen.dense)[0])
 
     @property
     def only_fold(self) -> int | None:
@@ -142,7 +142,7 @@ class ClosedLoop:
     def _with_cost(self, fit: Fit) -> Fitted:
         """The fit with its cost. A term with an implausible size, or with one that may be zero, costs `IMPOSSIBLE`."""
         group = self.group
-        left = linear_in(group, fit, self.parts.rows).held_out(fit, [[i] for i in range(len(self.parts.rows))], 1.0)
+        left = linear_in(group, fit, self.parts.rows).held_out([[i] for i in range(len(self.parts.rows))], 1.0)
         left -= self.zeros @ (self.zeros.T @ left)
         misfit, held_out = 0.0, 0.0
         for c in group.channels:

@@ -131,10 +131,11 @@ def laws_of(
     )
 
 
-def _corrected_by(state: GroupState) -> Variant:
-    """Maps the nominal machine of a run to the one that the search corrected."""
+def _corrected_by(state: GroupState, left_out: Settings = ()) -> Variant:
+    """Maps the nominal machine of a run to the one that the search corrected, without the effects `left_out`."""
     of_tuning = tuned(state.tuning.nuisances, limited_deviations(state, state.group.machine.parameter_tolerance))
-    return lambda machine: with_added(of_tuning(machine), state.fit.settings)
+    settings = [s for s in state.fit.settings if s not in left_out]
+    return lambda machine: with_added(of_tuning(machine), settings)
 
 
 def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> Law | None:
@@ -287,9 +288,8 @@ def in_the_loop(settings: Sequence[Setting], axis: str) -> Settings:
 
 def _filters_in_place_of_effects(state: GroupState, axis: str) -> list[tuple[Described, Samples]]:
     """Strong filters in what a block of the axis leaves when its effects in the closed loop are taken away."""
-    group, effects = state.group, in_the_loop(state.fit.settings, axis)
-    corrected = _corrected_by(replace(state, fit=replace(state.fit, settings=tuple(s for s in state.fit.settings if s not in effects))))
-    blocks = residuals_of(group.views, corrected, (axis,), group.mapper)
+    group = state.group
+    blocks = residuals_of(group.views, _corrected_by(state, in_the_loop(state.fit.settings, axis)), (axis,), group.mapper)
     return [(d, s) for s in blocks if excess(s) > NOISY for d in filters_of(s, group.machine) if d.predicts > STRONG.predicts]
 
 
