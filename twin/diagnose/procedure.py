@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-import os
 
 from threadpoolctl import threadpool_limits
 
@@ -33,6 +32,7 @@ from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.simulation.encoder_zeros import clear_zeros, notes_of_zeros, with_common_zeros, zeros_left
 from twin.simulation.gap_level import levels_at_rest_too
 from twin.simulation.recorded_noise import with_recorded_noise
+from twin.system import cores
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -60,7 +60,7 @@ def diagnose(
     runs, zeros = with_common_zeros(campaign.runs, nominal)
     campaign = replace(campaign, runs=runs)
     folds = folds_of(len(campaign.runs))
-    count = threads or os.cpu_count() or 1
+    count = threads or cores()
     with ThreadPoolExecutor(count) as workers:
         setup = Setup(machine, nominal, folds, on_threads(workers), progress or (lambda _: None), quick, seed, count)
         views, states = _searched(setup, campaign)

@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +40,7 @@ from twin.simulation.recorded_noise import with_recorded_noise
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
+from twin.system import cores
 
 CHANNEL_SETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "as recorded": ("scale", ("controller", "motor_minus_scale", "position", "velocity", "current")),
@@ -193,7 +193,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
     motor = all(run.trace.has(a, "motor_position") for run in campaign.runs for a in run.trace.axes)
     names = [n for n, (seen, _) in CHANNEL_SETS.items() if seen == "scale" or motor] + [f"and {kind}" for kind in KINDS]
     out: dict[str, list[Outlook]] = {name: [] for name in names}
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(max_workers=cores()) as pool:
         mapper = on_threads(pool)
 
         def answers(runs: Sequence[MeasuredRun], group_axes: tuple[str, ...], actual: Machine, starts: Mapping[Key, Start]) -> Answers:

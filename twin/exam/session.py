@@ -27,6 +27,7 @@ from twin.errors import InputError
 from twin.files import write_whole
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.stopping import PARENT, end_with_parent
+from twin.system import cores
 
 from .answer import DIAGNOSIS, FAILED
 from .budget import with_budget
@@ -179,7 +180,7 @@ def processes(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
             yield cluster.executor
     else:
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers or os.cpu_count() or 1, mp_context=spawn, initializer=end_with_parent) as pool:
+        with ProcessPoolExecutor(workers or cores(), mp_context=spawn, initializer=end_with_parent) as pool:
             try:
                 yield pool
             except BaseException:

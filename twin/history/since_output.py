@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
-import os
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from twin.recordings.campaign import Campaign
 from twin.report import Section, Table, write_page
 from twin.simulation.gap import sensor_noise
 from twin.simulation.summary import listed
+from twin.system import cores
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -49,7 +49,7 @@ def diagnosed_since(
         diagnosis = diagnose(baselines[-1], machine, quick=quick, seed=seed, progress=progress)
         write_diagnosis(diagnosis, out / "baseline")
         reference = diagnosis.corrected
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         found, today = differences(present, baselines, reference, on_threads(pool), progress)
         progress("computing the budget")
         named = [(b.path.name, day) for b, day in zip(baselines, days)]

@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 import functools
 import hashlib
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from twin.history.sized import sizes_on
 from twin.history.store import Row, Store
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.system import cores
 
 VERSION = 3
 """Raised when projections are computed in another way, so that old and new ones are not mixed."""
@@ -54,7 +54,7 @@ def watch(
     """
     dated, wrong, notes = dated_campaigns(folder)
     store = Store(out, reference_of(machine))
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         reference = Reference(machine, on_threads(pool))
         try:
             rows = {row.digest: row for row in store.rows()}

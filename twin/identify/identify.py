@@ -6,7 +6,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import math
-import os
 from pathlib import Path
 import time
 
@@ -38,6 +37,7 @@ from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.recorded_noise import measurement_values
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import recorded_setpoints
+from twin.system import cores
 from twin.units import AXIS_UNITS
 
 
@@ -149,7 +149,7 @@ def _simulated(machine: Machine, division: Division) -> Runs | None:
         return replace(run, trace=trace)
 
     try:
-        with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+        with ThreadPoolExecutor(max_workers=cores()) as pool:
             twins = dict(zip(training, pool.map(one, training)))
         return {a.name: [axis_run(machine, a, twins[i]) if i in twins else None for i in range(len(division.runs))] for a in machine.axes}
     except TwinError:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-import os
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from twin.errors import TwinError
 from twin.program import axis_path, elements, timelaw
 from twin.program.newton_step import Bounds, node_values
 from twin.program.nodes import Way, along, grid, run_ups
+from twin.system import cores
 
 WINDOW = 20_000  # nodes planned at once
 FELT = 6.0  # distance over which an artificial stop affects the speed, in run-ups to feed
@@ -168,7 +168,7 @@ def _plan_long(
         return new
 
     spans = _spans(nodes, piece, run_ups(way))
-    pool = ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1))
+    pool = ThreadPoolExecutor(min(MOST_THREADS, cores()))
     try:
         for (begin, end, join_at), new in zip(spans, pool.map(planned, spans)):
             if begin == 0:

@@ -8,7 +8,6 @@ from concurrent.futures.process import BrokenProcessPool
 import contextlib
 from dataclasses import dataclass, field, replace
 import multiprocessing
-import os
 from pathlib import Path
 import signal
 import threading
@@ -22,6 +21,7 @@ from twin.regress.runners import Skip, run_case
 from twin.regress.suite import Case
 from twin.regress.where import Place, place_of
 from twin.stopping import end_with_parent
+from twin.system import cores
 
 PASSED, FAILED, SKIPPED, BROKEN = "passed", "failed", "skipped", "error"
 HEAVY = {"diagnose": 0, "study": 1, "identify": 2, "cut": 3, "campaign": 4, "run": 5}
@@ -67,7 +67,7 @@ def run_suite(
             read_golden(case)  # report errors of the suite before running it
     order = sorted(cases, key=lambda case: HEAVY[case.kind])
     found: dict[str, Verdict] = {}
-    for verdict in _verdicts(order, min(jobs or os.cpu_count() or 1, len(order)), out, update):
+    for verdict in _verdicts(order, min(jobs or cores(), len(order)), out, update):
         found[verdict.case.name] = verdict
         if done:
             done()

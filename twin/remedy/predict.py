@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-import os
 from typing import TypeVar
 
 import numpy as np
@@ -27,6 +26,7 @@ from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.run import SimulationJob, simulate_each
 from twin.simulation.setpoints import Setpoints
+from twin.system import cores
 
 Found = TypeVar("Found")
 
@@ -55,7 +55,7 @@ def simulated(
     """What `of` makes of the trace of each machine on a motion; the error where the simulation diverges."""
     plant = MujocoPlant if engine else (lambda change: DecoupledPlant(change, on.motion))
     jobs = [SimulationJob(machine, on.setpoints, plant) for machine in machines]
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         return simulate_each(jobs, pool.map, lambda i, run: of(run.trace, machines[i]))
 
 

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
-import os
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from twin.surface.steps import Steps
 from twin.surface.sweep import FRUSTUM, PARALLEL, SPHERE, TINY, swept_frustum, swept_sphere
 from twin.surface.swept_rim import swept_rim
 from twin.surface.tools import Tool
+from twin.system import cores
 
 GROUP = 32
 """Consecutive steps that are culled together."""
@@ -82,7 +82,7 @@ def cut(
 
     done = 0
     pieces = range(0, len(bounds), TILES_AT_ONCE)
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads or cores()) as pool:
         for count in pool.map(work, pieces):
             done += count
             if progress:
