@@ -19,8 +19,9 @@ import tomllib
 
 from threadpoolctl import threadpool_limits
 
+from twin.diagnose.axis_groups import axis_groups
 from twin.diagnose.cross_validation import folds_of
-from twin.diagnose.observe import axis_groups, observe
+from twin.diagnose.observe import observe
 from twin.diagnose.search import search
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads

@@ -10,17 +10,15 @@ Channels isolate single blocks of the loop where the recorded signals allow it, 
                        torque) of an axis without current loop
 
 At rest, the current of a sticking axis and the position of a rotor inside its backlash depend on history and chance.
-Axes that the mass matrix does not couple form separate groups.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
@@ -30,12 +28,12 @@ from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_group, simulate_groups
 from twin.diagnose.tolerance import normal_slip
 from twin.diagnose.view import RunView, rests
-from twin.effects import Setting, settings_of, with_effects
+from twin.effects import Setting, settings_of
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
-from twin.simulation.plant_spec import build_plant, commissioned_inertia, full_inertia
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.run import Run, all_or_raise
 from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale, with_equal_means
 
@@ -272,34 +270,6 @@ def channels_of(
         if measured.has(name, axis.effort) and moving.sum() > T.enough_samples:
             out[name, "current"] = trace.get(name, axis.effort)[moving]
     return out
-
-
-def axis_groups(machine: Machine, measured: Sequence[str], seen_together: Iterable[Sequence[str]] = ()) -> list[tuple[str, ...]]:
-    """Groups of axes that the mass matrix couples somewhere in their travel, or that one sensor measures together, in the machine's order."""
-    plant = build_plant(with_effects(machine, []))
-    rng = np.random.default_rng(0)
-    n = len(machine.axes)
-    coupled = np.eye(n, dtype=bool)
-    for _ in range(12):
-        plant.data.qpos[plant.load_position] = rng.uniform(-0.2, 0.2, n) + [
-            rng.uniform(-1, 1) if axis.kind == "rotary" else 0.0 for axis in machine.axes
-        ]
-        plant.data.qvel[:] = rng.uniform(-1, 1, plant.model.nv)
-        mujoco.mj_forward(plant.model, plant.data)
-        inertia = full_inertia(plant.model, plant.data)[np.ix_(plant.load_dof, plant.load_dof)]
-        scale = np.sqrt(np.diag(inertia))
-        coupled |= np.abs(inertia) / np.outer(scale, scale) > 1e-9
-    for first, second in seen_together:
-        coupled[machine.axis_names.index(first), machine.axis_names.index(second)] = True
-    groups: list[set[int]] = []
-    for a in range(n):
-        joined = {a, *np.flatnonzero(coupled[a]).tolist()}
-        for group in [g for g in groups if g & joined]:
-            joined |= group
-            groups.remove(group)
-        groups.append(joined)
-    names = [tuple(machine.axis_names[a] for a in sorted(g)) for g in groups]
-    return [g for g in sorted(names, key=lambda g: machine.axis_names.index(g[0])) if any(a in measured for a in g)]
 
 
 def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> Group:

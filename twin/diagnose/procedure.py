@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
+from twin.diagnose.axis_groups import axis_groups
 from twin.diagnose.budget import budget_over, noise_of, parts_of, positions_left
 from twin.diagnose.check import check_campaign, notes_of
 from twin.diagnose.cross_validation import folds_of
@@ -15,7 +16,7 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.judgement import LOUD, above_noise, final_verdict
 from twin.diagnose.law.laws import Law, Laws
 from twin.diagnose.next_measurement import propose
-from twin.diagnose.observe import axis_groups, observe
+from twin.diagnose.observe import observe
 from twin.diagnose.search import search
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import on_threads

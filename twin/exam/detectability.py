@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.diagnose.axis_groups import axis_groups
 from twin.diagnose.candidates import Start, starts_of
 from twin.diagnose.columns import Columns
 from twin.diagnose.fit import simulated_response
 from twin.diagnose.next_measurement import KINDS, move_of
-from twin.diagnose.observe import Group, axis_groups, observe
+from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, on_threads
 from twin.diagnose.tuning import tuning_of

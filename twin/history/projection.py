@@ -17,8 +17,9 @@ import functools
 
 import numpy as np
 
+from twin.diagnose.axis_groups import axis_groups
 from twin.diagnose.channel import Channel
-from twin.diagnose.observe import Group, Variation, axis_groups, channels_of, observe
+from twin.diagnose.observe import Group, Variation, channels_of, observe
 from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.tuning import FREE, zeros_of
 from twin.diagnose.view import RunView, view_of
