@@ -125,7 +125,7 @@ def return_memory() -> None:
     """Have the GNU C library use freed arrays again for those of any thread, and return them to the system where they are many.
 
     By default each thread has an arena of its own whose gaps no other thread fills: a diagnosis held twice the memory that it used. Arrays as blocks
-    of their own would be returned at once, but then the system clears every page again: a fifth of the processor time of a diagnosis.
+    of their own would be returned at once, but then the system clears every page again, which took a third of the processor time of a quick diagnosis.
     """
     import ctypes
 
