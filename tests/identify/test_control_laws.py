@@ -77,6 +77,15 @@ def test_a_single_speed_gives_the_reason_why_no_gain_is_identified(mikron: Machi
     assert fit_position_control(mikron.axis("X"), [still]) == "no speed set point is recorded"
 
 
+def test_a_speed_that_no_position_controller_gave_has_no_gain(mikron: Machine) -> None:
+    """A speed without its sign in place of the speed set point, and a feedforward that the run is said to lack."""
+    run = made(mikron)
+    no_speed = replace(run, velocity_feedforward=None, speed_setpoint=np.abs(run.speed))
+    assert "follows no position controller" in str(fit_position_control(mikron.axis("X"), [no_speed]))
+    without = replace(run, velocity_feedforward=None, feedforward="off")
+    assert "follows no position controller" in str(fit_position_control(mikron.axis("X"), [without]))
+
+
 @pytest.mark.parametrize("td", [3.0e-3, 5.25e-3, 8.0e-3])
 @pytest.mark.parametrize("noise", [0.0, 2e-7])
 def test_a_loop_closed_in_the_drive_is_recognised(mikron: Machine, td: float, noise: float) -> None:

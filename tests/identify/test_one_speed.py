@@ -74,6 +74,9 @@ def test_several_speeds_separate_them() -> None:
 def test_encoders_that_agree_are_not_late(made: Machine, late_s: float) -> None:
     # at one speed a play of the opposite sign looks like lateness; a real one shows at several speeds
     run = replace(strokes(late_s, (0.01, 0.02, 0.05, 0.1) if late_s else (SPEED,)), feedforward="off")
-    said = " ".join(str(f) for f in prepare_recording(with_commissioned_inertia(made), campaign([run])).findings)
+    recording = prepare_recording(with_commissioned_inertia(made), campaign([run, replace(run, name="again")]))
+    said = " ".join(str(f) for f in recording.findings)
+    assert len(recording.runs) == 1
+    assert "equals run strokes sample for sample" in said
     assert ("motor_position was recorded" in said) == (late_s > 0.0)
     assert "current was recorded" not in said

@@ -121,6 +121,10 @@ def test_command_and_encoder_follow_the_control_law(tmp_path: Path) -> None:
 def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     machine = load_machine(LAB / "axis.toml")
     folder = recorded(machine, [{"name": "constant_force", "axis": "X", "force": 2.5}], tmp_path / "c")
+    (run,) = folder.glob("*.parquet")
+    shutil.copy(run, folder / "again.parquet")  # a copy is no second run
+    with (folder / "campaign.toml").open("a", encoding="utf-8") as campaign:
+        campaign.write('\n[[run]]\nfile = "again.parquet"\n')
     code, _, _ = command(capsys, "diagnose", folder, "--machine", LAB / "axis.toml", "--out", tmp_path / "d", "--quick")
     assert code == 0
     found = json.loads((tmp_path / "d" / "diagnosis.json").read_text(encoding="utf-8"))
@@ -131,6 +135,7 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
         "single run: no run can be held out of the fit, and no probability exceeds 0.9",
         "quick look: the gaps come from the decoupled plant, not from MuJoCo; unlisted laws and invisible effects were not checked; "
         "the budget leaves out re-tuned parameters",
+        f"run again equals run {run.stem} sample for sample: a copy is no second measurement and is left out",
     ]
     assert found["not_visible"] is None
     corrected = load_machine(tmp_path / "d" / "machine.toml")

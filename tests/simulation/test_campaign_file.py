@@ -1,5 +1,6 @@
 """A campaign written from Python is the campaign that is read; `simulate` takes what people give it or says what it takes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from twin.errors import InputError
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine
-from twin.recordings.campaign import ChannelFact, MeasuredRun, read_campaign
+from twin.recordings.campaign import ChannelFact, MeasuredRun, read_campaign, without_copies
 from twin.recordings.trace import Trace, write_trace
 from twin.simulation.campaign_file import write_campaign
 from twin.simulation.run import simulate
@@ -47,6 +48,15 @@ def test_runs_come_back_as_they_were_written(mikron: Machine, tmp_path: Path) ->
     # written again: the same folder
     again = write_campaign({r.name: r for r in back.runs}, tmp_path / "again")
     assert (again / "campaign.toml").read_text() == (folder / "campaign.toml").read_text()
+
+
+def test_a_run_that_repeats_another_one_is_a_copy(mikron: Machine, tmp_path: Path) -> None:
+    noisy = [simulate(mikron, short_move(mikron), noise_seed=seed).trace for seed in (1, 2)]
+    part = replace(noisy[0], time=noisy[0].time[:100], signals={key: values[:100] for key, values in noisy[0].signals.items()})
+    runs = {"part": part, "first": noisy[0], "same motion": noisy[1], "again": noisy[0]}
+    once, copies = without_copies(read_campaign(write_campaign(runs, tmp_path), mikron))
+    assert [r.name for r in once.runs] == ["first", "same motion"]
+    assert copies == {"part": "first", "again": "first"}
 
 
 def test_a_campaign_without_noise_is_written_with_a_warning(mikron: Machine, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from twin.diagnose.where import places
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.recordings.campaign import COPY, Campaign, MeasuredRun, without_copies
 from twin.simulation.encoder_zeros import clear_zeros, notes_of_zeros, with_common_zeros, zeros_left
 from twin.simulation.gap_level import levels_at_rest_too
 from twin.simulation.recorded_noise import with_recorded_noise
@@ -56,6 +56,7 @@ def diagnose(
     if machine.effects:
         raise InputError(f"machine {machine.name} already has effects; diagnose against the machine without them")
     check_campaign(campaign, machine)
+    campaign, copies = without_copies(campaign)
     machine, of_noise = with_recorded_noise(machine, campaign.runs)
     nominal = with_effects(machine, [])
     runs, zeros = with_common_zeros(campaign.runs, nominal)
@@ -69,7 +70,9 @@ def diagnose(
         correction = with_laws(setup, runs, motions, validated(setup, runs, motions, states))
         zeros = clear_zeros(zeros_left(runs, nominal, correction.held_out.traces), nominal) | zeros
         diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, zeros)
-        diagnosis = replace(diagnosis, notes=[*diagnosis.notes, *of_noise])
+        diagnosis = replace(
+            diagnosis, notes=[*diagnosis.notes, *of_noise, *(f"run {c} {COPY.format(original=o)}" for c, o in copies.items())]
+        )
         diagnosis = _with_verdict(setup, diagnosis)
         by_certainty = [setting for setting, _, _ in diagnosis.settings]
         diagnosis = _with_budget(setup, diagnosis, views, program)

@@ -20,7 +20,7 @@ import tempfile
 
 import numpy as np
 
-from twin.control.command_law import LARGEST_LEFT, CommandRun, command_law
+from twin.control.command_law import CommandRun, command_law
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.drive_position_loop import drive_position_loop
@@ -189,10 +189,7 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> Law | None:
 
 
 def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> Law | None:
-    """The law of a recorded speed set point, and where the position loop is closed; None if it does not follow one.
-
-    A speed that the control computes for other uses, such as that of its profile, leaves more than LARGEST_LEFT of itself.
-    """
+    """The law of a recorded speed set point, and where the position loop is closed; None if it does not follow one."""
     seen: list[AxisRun] = []
     for run in runs:
         try:
@@ -201,8 +198,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
             continue
         seen += [one] if one is not None else []
     found = fit_position_control(axis, seen, stand_in.setpoint_interpolation)
-    given = [one.speed_setpoint * axis.ratio for one in seen if one.speed_setpoint is not None]
-    if isinstance(found, str) or found.residual_rms > LARGEST_LEFT * float(np.sqrt(np.mean(np.concatenate(given) ** 2))):
+    if isinstance(found, str):
         return None
     v = found.values
     gain = v["position_gain_per_s"]

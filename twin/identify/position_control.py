@@ -22,6 +22,7 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
+from twin.control.command_law import LARGEST_LEFT
 from twin.control.position_law import feedforward_at, position_law
 from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
@@ -86,6 +87,7 @@ class PositionControl:
 def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False) -> PositionControl | str:
     """The law with the smallest residual of the recorded speed set point, or the reason why none was found.
 
+    A speed that the control computes for other uses, such as that of its profile, leaves more than LARGEST_LEFT of itself.
     `interpolation`: the machine file's, 'cubic' or 'linear'. The other one is used only if its residual is clearly smaller (`only`: it is
     not tried).
     """
@@ -108,6 +110,10 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     fit, x = best.polished(x)
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
+    left = float(np.sqrt(np.mean(fit.residual**2)))
+    given = np.concatenate([r.speed_setpoint * axis.ratio for r in runs if r.speed_setpoint is not None])
+    if left > LARGEST_LEFT * float(np.sqrt(np.mean(given**2))):
+        return "the recorded speed set point follows no position controller: the best gain, feedforward and delays leave too much of it"
     if x[0] <= GAIN_SIGNIFICANCE * fit.deviations[0]:
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     if not any(best.on):  # no run shows the feedforward
@@ -115,9 +121,7 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     values = dict(zip(NAMES, x.tolist()))
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, fit.deviations, apart)}
-    return PositionControl(
-        values, deviations, fit.quantile, fit.condition, float(np.sqrt(np.mean(fit.residual**2))), best.way, best.recorded
-    )
+    return PositionControl(values, deviations, fit.quantile, fit.condition, left, best.way, best.recorded)
 
 
 def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:

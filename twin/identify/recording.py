@@ -21,7 +21,7 @@ from twin.identify.findings import (
     unusable_channels,
 )
 from twin.machine.machine import Machine
-from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.recordings.campaign import COPY, Campaign, MeasuredRun, without_copies
 
 SHORT_S = 0.5
 """A shorter run has no usable content below 20 Hz and is not used."""
@@ -74,7 +74,8 @@ FLAG_ROUNDS = 2
 
 def _usable(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], list[Finding]]:
     """The runs that are long enough, without unusable channels, and a finding for each excluded run or channel."""
-    runs, findings = [], []
+    campaign, copies = without_copies(campaign)
+    runs, findings = [], [Finding(COPY.format(original=original), "", copy) for copy, original in copies.items()]
     for run in campaign.runs:
         length = float(run.trace.time[-1] - run.trace.time[0])
         if length < SHORT_S:

@@ -38,6 +38,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from msgspec import field
+import numpy as np
 
 from twin.documents import named_file, read_toml, reading
 from twin.errors import InputError
@@ -53,6 +54,9 @@ from twin.tables import Number, Positive, Table, asks, typed
 EVENTS = "events.parquet"
 MOST_RUNS = 20_000
 """Runs of one campaign."""
+BEGINNING = 64
+"""Samples that tell most runs apart before they are compared as a whole."""
+COPY = "equals run {original} sample for sample: a copy is no second measurement and is left out"
 
 
 class ChannelFact(Table, frozen=True, omit_defaults=True):
@@ -172,6 +176,25 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
     events = _read_events(path)
     runs = [_read_run(one, run, f"{file}: run {i + 1}", machine, events) for i, (one, run) in enumerate(zip(files, document.run))]
     return Campaign(path, document.machine, _without_profiles(runs))
+
+
+def without_copies(campaign: Campaign) -> tuple[Campaign, dict[str, str]]:
+    """The campaign without runs that repeat another one sample for sample, and these: run -> the run that it copies.
+
+    A machine does not repeat its noise. A copy is no second measurement: a fit that is tested on a copy of its own data passes every test. A run
+    that equals only the beginning of another one is a copy, too.
+    """
+    originals: dict[tuple[bytes, ...], list[MeasuredRun]] = {}
+    copies: dict[str, str] = {}
+    for run in sorted(campaign.runs, key=lambda r: -len(r.trace.time)):  # stable: the first of equally long ones is the original
+        signals, n = run.trace.signals, len(run.trace.time)
+        similar = originals.setdefault(tuple(f"{key}".encode() + values[:BEGINNING].tobytes() for key, values in signals.items()), [])
+        same = (other for other in similar if all(np.array_equal(other.trace.signals[key][:n], signals[key]) for key in signals))
+        if (original := next(same, None)) is not None:
+            copies[run.name] = original.name
+        else:
+            similar.append(run)
+    return replace(campaign, runs=tuple(run for run in campaign.runs if run.name not in copies)), copies
 
 
 def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
