@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from dataclasses import replace
 import json
 from pathlib import Path
 import re
@@ -12,6 +14,7 @@ import pytest
 
 from tests.builders.other_structures import machine_text, slides, write_slides
 from twin.cli import main
+from twin.diagnose.check import check_campaign
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
@@ -141,6 +144,18 @@ def test_diagnosis_of_an_axis_with_one_encoder_and_a_voltage(tmp_path: Path, cap
     corrected = load_machine(tmp_path / "d" / "machine.toml")
     assert corrected.axis("X").structure == "P/P"
     assert "speed_gain_v_s_per_m" in corrected.document["axis"]["X"]["loops"]
+
+
+@pytest.mark.parametrize(("noise", "refused"), [(1e-7, False), (1e-3, True)])
+def test_set_points_with_noise_that_no_axis_could_follow_are_refused(noise: float, refused: bool, tmp_path: Path) -> None:
+    machine = load_machine(LAB / "axis.toml")
+    campaign = read_campaign(recorded(machine, [], tmp_path / "c"), machine)
+    (run,) = campaign.runs
+    noisy = run.trace.get("X", "setpoint") + noise * np.random.default_rng(1).standard_normal(len(run.trace.time))
+    trace = replace(run.trace, signals={**run.trace.signals, ("X", "setpoint"): noisy})
+    campaign = replace(campaign, runs=(replace(run, trace=trace),))
+    with pytest.raises(InputError, match=r"its set point scatters by (0\.9|1)\d* mm") if refused else contextlib.nullcontext():
+        check_campaign(campaign, machine)
 
 
 def test_a_speed_gain_means_the_same_per_metre_and_per_radian(tmp_path: Path) -> None:

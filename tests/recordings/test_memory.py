@@ -7,6 +7,7 @@ import gzip
 import os
 from pathlib import Path
 import re
+import tracemalloc
 
 import numpy as np
 import pyarrow as pa
@@ -14,12 +15,16 @@ import pyarrow.parquet
 import pytest
 
 from tests.builders.refused import refused
+from twin import load_machine
 from twin.cli import main
 from twin.errors import InputError
 from twin.recordings.campaign import EVENTS, MOST_RUNS, read_campaign
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.signals import Clock, ReadOptions
 from twin.recordings.table_file import read_table
+from twin.recordings.trace import Trace
+from twin.simulation.setpoint_limits import limit_warnings
+from twin.simulation.setpoints import setpoints_of
 
 MEMORY = 800_000_000
 """Memory of the computer that these tests pretend to have: a file may take 100 MB."""
@@ -211,3 +216,14 @@ def test_an_import_removes_what_a_killed_one_left(tmp_path: Path, capsys: pytest
     assert main(["import", str(tmp_path / "a.csv"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
     capsys.readouterr()
     assert not [p.name for p in (tmp_path / "out").iterdir() if p.name.startswith(".")]
+
+
+def test_set_points_take_little_more_memory_than_themselves() -> None:
+    """No array is made for forces and commands that are not recorded, and limits are judged in blocks."""
+    machine, count = load_machine(), 4_000_000
+    trace = Trace(np.arange(count) * 1e-3, {("X", "setpoint"): np.zeros(count)}, machine.kinds)
+    own = 8 * count * len(machine.axes)
+    tracemalloc.start()
+    limit_warnings(setpoints_of(trace, machine), machine)
+    assert tracemalloc.get_traced_memory()[1] < 2.5 * own
+    tracemalloc.stop()

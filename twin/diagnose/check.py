@@ -9,9 +9,12 @@ from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign
 from twin.recordings.profile_speed import PROFILE
+from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise
+from twin.recordings.trace import Trace
 from twin.simulation.drive_setpoints import closed_on
 from twin.simulation.gap import COMPARED
 from twin.simulation.setpoints import check_travel, setpoints_of
+from twin.units import deg_from_rad
 
 
 def check_campaign(campaign: Campaign, machine: Machine) -> None:
@@ -23,6 +26,7 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
     for run in campaign.runs:
         check_travel(setpoints_of(run.trace, machine), machine, f"{campaign.path}: run {run.name}")
         for axis in run.trace.axes:
+            _check_noise(run.trace, machine.axis(axis), f"{campaign.path}: run {run.name}: axis {axis}")
             closing = closed_on(run.trace, machine.axis(axis))  # the zero of the other encoder may be anywhere
             signal = next((s for s in (closing, "motor_position") if run.trace.has(axis, s)), None)
             if signal is None:
@@ -37,6 +41,19 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
                     f"{campaign.path}: run {run.name}: axis {axis} is up to {largest * 1e3:.3g} {'mm' if machine.axis(axis).kind == 'linear' else 'mrad'} "
                     f"off its set point, more than any effect on machine {machine.name} can cause; check the machine file, and signs and units of the record"
                 )
+
+
+def _check_noise(trace: Trace, axis: Axis, where: str) -> None:
+    """Refuse set points whose white noise alone asks for more acceleration than the axis has: no control handed them to its axis card."""
+    variance, white = quiet_noise(trace.get(axis.name, "setpoint"))
+    acceleration = np.sqrt(SECOND_DIFFERENCE * variance) / trace.period**2
+    if white and acceleration > axis.max_acceleration:
+        scale, unit = (1e3, "m") if axis.kind == "linear" else (deg_from_rad(1e3), "deg")
+        raise InputError(
+            f"{where}: its set point scatters by {np.sqrt(variance) * scale:.3g} m{unit} from sample to sample, an acceleration of "
+            f"{acceleration * scale / 1e3:.3g} {unit}/s2 where the axis has {axis.max_acceleration * scale / 1e3:.3g}; record the set point that the "
+            "control gives to the axis, without noise"
+        )
 
 
 def _recorded(axis: Axis, signal: str, campaign: Campaign) -> bool:

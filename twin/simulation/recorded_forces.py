@@ -22,11 +22,13 @@ LOAD, MOTOR = 0, 1
 
 def injected(trace: Trace, machine: Machine) -> np.ndarray | None:
     """Torque at the motor (sample, axis) [Nm] of injected commands, or None. Raises InputError for a unit that the drive cannot use."""
+    if not any(trace.injections(axis.name) for axis in machine.axes):
+        return None
     out = np.zeros((len(trace.time), len(machine.axes)))
     for a, axis in enumerate(machine.axes):
         for unit, values in trace.injections(axis.name).items():
             out[:, a] += values * _torque_of(axis, unit)
-    return out if any(trace.injections(axis.name) for axis in machine.axes) else None
+    return out
 
 
 def _torque_of(axis: Axis, unit: str) -> float:
@@ -44,10 +46,9 @@ def _torque_of(axis: Axis, unit: str) -> float:
 
 def external(trace: Trace, machine: Machine) -> np.ndarray | None:
     """External forces (sample, axis, 2) at the axis [N, Nm] on load and motor, or None."""
-    out = np.zeros((len(trace.time), len(machine.axes), 2))
-    for a, axis in enumerate(machine.axes):
-        out[:, a] = external_of(trace, axis)
-    return out if any(trace.loads(axis.name) for axis in machine.axes) else None
+    if not any(trace.loads(axis.name) for axis in machine.axes):
+        return None
+    return np.stack([external_of(trace, axis) for axis in machine.axes], axis=1)
 
 
 def external_of(trace: Trace, axis: Axis) -> np.ndarray:

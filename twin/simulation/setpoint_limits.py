@@ -14,13 +14,18 @@ LIMIT_TOLERANCE = 0.01
 ROUNDING = 1e-8
 """Largest resolution of rounded set points [m or rad]."""
 
+BLOCK = 1_000_000
+"""Set points that are judged at a time, for little memory."""
+
 
 def limit_warnings(setpoints: Setpoints, machine: Machine) -> list[str]:
     """One line for each axis and limit (speed, acceleration, jerk) that the set points exceed, with time and value."""
     # differences span at least a position cycle: over shorter steps, rounding of recorded set points looks like jerk
     every = max(1, round(machine.position_cycle / setpoints.period))
     watch = LimitWatch(machine, every * setpoints.period)
-    watch.add(setpoints.position[::every])
+    positions = setpoints.position[::every]
+    for first in range(0, len(positions), BLOCK):
+        watch.add(positions[first : first + BLOCK])
     return watch.warnings()
 
 
