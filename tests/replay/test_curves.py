@@ -7,18 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin.compare.align import on_clock_of
 from twin.geometry.polyline import keep_shape
 from twin.geometry.tool_path import contour_of
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import _even_range
-from twin.replay.clock import on_clock_of
 from twin.replay.curves import SET_POINT, Curve, axis_curves, line_width, not_recorded, torque_parts
 from twin.replay.decimate import SAME_LINE, decimate, thinned
 from twin.replay.events import find_events, stretches, turning_points
 from twin.replay.recording import LEAST_CURVE_POINTS
 from twin.replay.scene import scene_of
-from twin.replay.toolpaths import PATH_TOLERANCE, error_scale, kept_points, magnifications, tool_paths_of
+from twin.replay.toolpaths import PATH_TOLERANCE, bands_of, end_of_scale, kept_points, magnifications, tool_paths_of
+from twin.report.colours import ERROR_BANDS
 
 MACHINE = load_machine()
 
@@ -86,11 +87,10 @@ def test_a_busy_path_is_held_within_its_number_of_points() -> None:
 
 def test_scale_has_round_bands_that_hold_the_errors() -> None:
     for largest in (3e-9, 1e-6, 7.9e-6, 8.1e-6, 3.3e-5, 2e-3):
-        scale = error_scale(np.full(100, largest))
-        band = scale.edges_um()[1]
-        assert f"{band:.0e}"[0] in "125"
-        assert scale.end >= largest * (1 - 1e-9)
-        assert scale.band(np.array([0.0, scale.end * 10])).tolist() == [0, 7]
+        end = end_of_scale(np.full(100, largest))
+        assert f"{end * 1e6 / len(ERROR_BANDS):.0e}"[0] in "125"
+        assert end >= largest * (1 - 1e-9)
+        assert bands_of(np.array([0.0, end * 10]), end).tolist() == [0, 7]
 
 
 @pytest.mark.parametrize("shape", ["noise", "steps", "sine", "constant", "spike"])
@@ -271,7 +271,7 @@ def test_a_machine_without_named_tool_has_a_path() -> None:
     machine = load_machine(Path(__file__).resolve().parents[2] / "examples" / "gantry" / "gantry.toml")
     time = np.arange(200) * 1e-3
     asked = {(axis, s): 0.05 * np.sin(k * time) for k, axis in ((5, "x"), (7, "y")) for s in ("setpoint", "position")}
-    paths = tool_paths_of(scene_of(machine), machine, {"run": Trace(time, asked, machine.kinds)}, None)
+    paths = tool_paths_of(scene_of(machine), machine, {"run": Trace(time, asked, machine.kinds)})
     assert paths is not None
     assert np.allclose(np.ptp(paths.followed["run"][:, :2], axis=0), [np.ptp(asked["x", "position"]), np.ptp(asked["y", "position"])])
 
@@ -306,6 +306,6 @@ def test_a_run_with_its_own_set_points_is_compared_with_them() -> None:
         asked = length * np.sin(np.linspace(0.0, np.pi, len(time)))
         return Trace(time, {("X", "setpoint"): asked, ("X", "position"): asked, ("Y", "position"): np.full(len(time), 1e-6)}, MACHINE.kinds)
 
-    paths = tool_paths_of(scene, MACHINE, {"a": run(0.01), "b": run(0.2)}, None)
+    paths = tool_paths_of(scene, MACHINE, {"a": run(0.01), "b": run(0.2)})
     assert paths is not None
     assert max(contour.error.max() for contour in paths.contours.values()) < 2e-6

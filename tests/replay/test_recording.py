@@ -254,24 +254,6 @@ def test_a_difference_of_set_points_is_reported(machine: Machine, run: Trace, tm
     assert "set points differ by up to 100 um (Y" in read_recording(tmp_path / "two.rrd")["/summary"]["TextDocument:text"].values[0][0]
 
 
-def test_contour_error_is_against_the_programmed_path(machine: Machine, run: Trace, tmp_path: Path) -> None:
-    """The set points are the programmed path shifted by 10 um sideways in a plane move of Z alone."""
-    time = np.arange(1001) * 1e-3
-    still = np.zeros_like(time)
-    move = {
-        ("X", "setpoint"): still + 1e-5,
-        ("Z", "setpoint"): 0.01 * time,
-        ("X", "position"): still + 1e-5,
-        ("Z", "position"): 0.01 * time,
-    }
-    kinds = {"X": "linear", "Z": "linear"}
-    ideal = Trace(time, {("X", "setpoint"): still, ("Z", "setpoint"): 0.01 * time}, kinds)
-    written = write_recording(tmp_path / "p.rrd", machine, {"run": Trace(time, move, kinds)}, programmed=ideal)
-    assert written.contour_error == pytest.approx(1e-5, rel=1e-9)
-    held = read_recording(tmp_path / "p.rrd")
-    assert "/machine/cradle/table/workpiece/part_frame/path_x1/commanded" in held
-
-
 def test_one_axis_measured_by_one_encoder_is_shown(machine: Machine, tmp_path: Path) -> None:
     time = np.arange(500) * 1e-3
     trace = Trace(time, {("X", "position"): 0.01 * np.sin(time), ("X", "current"): time}, {"X": "linear"})

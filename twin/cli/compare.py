@@ -43,10 +43,10 @@ def carry_out(args: argparse.Namespace) -> None:
 
 def _recorded(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
     """Two runs, or the runs of one name of two campaigns: page and recording show those that differ most."""
+    from twin.compare.align import on_clock_of
     from twin.compare.compare import compare
     from twin.compare.pages import write_comparison_page
     from twin.replay import write_recording
-    from twin.replay.clock import on_clock_of
 
     machine, names = machine_of(args), _names(first, second)
     a, b = (_traces(path, machine) for path in (first, second))

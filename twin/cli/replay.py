@@ -57,7 +57,7 @@ def carry_out(args: argparse.Namespace) -> None:
 
 def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
     """The recordings to show; a new one is written to `out`."""
-    from twin.replay.clock import on_clock_of
+    from twin.compare.align import on_clock_of
     from twin.replay.recording import write_motion, write_recording
 
     first = Path(args.paths[0])

@@ -42,12 +42,10 @@ STALLED_S = 5.0
 
 @dataclass(frozen=True)
 class Written:
-    """Result of `write_recording`: bytes, largest contour error of the first run [m] and its time [s], number of events."""
+    """Result of `write_recording`: bytes, and largest contour error of the first run [m]."""
 
     size: int
     contour_error: float
-    contour_error_at: float
-    events: int
 
 
 def write_recording(
@@ -55,7 +53,6 @@ def write_recording(
     machine: Machine,
     runs: Mapping[str, Trace],
     *,
-    programmed: Trace | None = None,
     summary: str = "",
     full: bool = False,
     also: Sequence[Event] = (),
@@ -63,15 +60,14 @@ def write_recording(
 ) -> Written:
     """Write the runs (label -> trace) of one machine as a recording for the viewer.
 
-    The first run moves the machine; later ones are overlaid, with their difference from it. `programmed` is the ideal path as
-    set points on the clock of the first run (default: its set points). `summary` is plain text for the text panel. `full` keeps
-    every sample; otherwise a minute takes at most 5 MB. `also` are further events; the viewer opens on the axis and the stretch
-    of the first of them. `steps` are curves that the user shows or hides. Raises InputError for runs that cannot be shown.
+    The first run moves the machine; later ones are overlaid, with their difference from it. `summary` is plain text for the text
+    panel. `full` keeps every sample; otherwise a minute takes at most 5 MB. `also` are further events; the viewer opens on the axis
+    and the stretch of the first of them. `steps` are curves that the user shows or hides. Raises InputError for runs that cannot be shown.
     """
     check_runs(machine, runs)
     main, trace = next(iter(runs.items()))
     scene = scene_of(machine)
-    paths = tool_paths_of(scene, machine, runs, programmed)
+    paths = tool_paths_of(scene, machine, runs)
     found = [*also, *find_events(machine, trace, paths.contours[main].error if paths else None)]
     with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
         shapes = log_machine(recording, scene, trace.time, followed_joints(trace), full)
@@ -101,9 +97,7 @@ def write_recording(
             states=marks,
         )
         recording.send_blueprint(layout(content))
-    worst = paths.contours[main] if paths else None
-    at = int(np.argmax(worst.error)) if worst else 0
-    return Written(Path(path).stat().st_size, float(worst.error[at]) if worst else 0.0, float(trace.time[at]), len(found))
+    return Written(Path(path).stat().st_size, float(paths.contours[main].error.max()) if paths else 0.0)
 
 
 def write_motion(

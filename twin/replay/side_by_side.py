@@ -77,7 +77,7 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
 
 def _paths_of(designs: Mapping[str, tuple[Machine, Trace]], scenes: Sequence[Scene]) -> tuple[ToolPaths, ToolPaths] | None:
     """The tool paths of both, with common scale and magnifications; None if a tool does not move."""
-    first, second = (tool_paths_of(scene, one, {label: trace}, None) for (label, (one, trace)), scene in zip(designs.items(), scenes))
+    first, second = (tool_paths_of(scene, one, {label: trace}) for (label, (one, trace)), scene in zip(designs.items(), scenes))
     return alike(first, second) if first is not None and second is not None else None
 
 

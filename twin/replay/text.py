@@ -45,9 +45,8 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
             counts += f" (the first {MOST_EVENTS} are marked)"
         parts.append(f"**Events** {counts or 'none'}. Click a time in the list *Events* to go there.")
     if paths:
-        reference = "the programmed path" if paths.programmed is not None else "the path of the set points"
         parts.append(
-            f"The contour error is the distance of the tool point from {reference}, in the part frame. "
+            "The contour error is the distance of the tool point from the path of the set points, in the part frame. "
             + (
                 "The view *deviation* magnifies it; the reference path stays true to scale."
                 if len(paths.magnifications) > 1

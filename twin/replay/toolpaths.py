@@ -24,7 +24,7 @@ from twin.replay.curves import Curve
 from twin.replay.legends import log_colour_bar
 from twin.replay.names import LEGEND, TIMELINE, axis_entity, entity
 from twin.replay.scene import Scene
-from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
+from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, Colour, axis_colour, lighter
 from twin.units import AXIS_UNITS, round_up
 
 SECOND_RUN_COLOUR = (190, 70, 190)
@@ -48,21 +48,6 @@ POINTS_PER_MINUTE = 6000
 LEAST_POINTS = 2000
 LEAST_SCALE = 8e-7
 """Smallest end of the scale [m]; finer bands would show rounding."""
-
-
-@dataclass(frozen=True)
-class ErrorScale:
-    """Colour bands of the contour error: equal steps from 0 to `end` [m]; larger errors have the last colour."""
-
-    end: float
-
-    def band(self, error: np.ndarray) -> np.ndarray:
-        """Index of the colour of each error (sample,) [m]."""
-        return np.minimum((error / self.end * len(ERROR_BANDS)).astype(int), len(ERROR_BANDS) - 1)
-
-    def edges_um(self) -> np.ndarray:
-        """Limits of the bands [um]."""
-        return np.linspace(0.0, self.end * 1e6, len(ERROR_BANDS) + 1)
 
 
 def tool_point(scene: Scene, joints: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Pose]:
@@ -91,9 +76,14 @@ def magnifications(largest: float, extent: float) -> tuple[int, ...]:
     return (1, *(f for f in MAGNIFICATIONS if largest >= LEAST_SHOWN and low <= f * largest <= high))
 
 
-def error_scale(error: np.ndarray) -> ErrorScale:
-    """A scale with round bands (1, 2 or 5 times a power of ten) that covers 99.9 % of the errors (sample,) [m]."""
-    return ErrorScale(len(ERROR_BANDS) * round_up(max(float(np.quantile(error, 0.999)), LEAST_SCALE) / len(ERROR_BANDS)))
+def end_of_scale(error: np.ndarray) -> float:
+    """End [m] of a scale with round bands (1, 2 or 5 times a power of ten) that covers 99.9 % of the errors (sample,) [m]."""
+    return len(ERROR_BANDS) * round_up(max(float(np.quantile(error, 0.999)), LEAST_SCALE) / len(ERROR_BANDS))
+
+
+def bands_of(error: np.ndarray, end: float) -> np.ndarray:
+    """Index of the colour of each error (sample,) [m]: equal bands from 0 to `end` [m]; larger errors have the last colour."""
+    return np.minimum((error / end * len(ERROR_BANDS)).astype(int), len(ERROR_BANDS) - 1)
 
 
 def log_whole_path(
@@ -156,22 +146,15 @@ def kept_points(points: np.ndarray, tolerance: float, fixed: np.ndarray, duratio
         tolerance *= 2.0
 
 
-def log_legend(recording: rr.RecordingStream, path: str, scale: ErrorScale, of: str) -> None:
-    """Log the colour bar of the contour error."""
-    log_colour_bar(recording, path, np.array(ERROR_BANDS), scale.edges_um().tolist(), "um", f"contour error of {of}")
-
-
 @dataclass(frozen=True)
 class ToolPaths:
-    """Tool points in the part frame (sample, 3) [m]: programmed (None if unknown), commanded, and followed by each run."""
+    """Tool points in the part frame (sample, 3) [m]: commanded, and followed by each run; `end` [m] of the scale of the contour error."""
 
-    reference_time: np.ndarray
-    programmed: np.ndarray | None
     commanded: np.ndarray
     followed: Mapping[str, np.ndarray]
     times: Mapping[str, np.ndarray]
     contours: Mapping[str, Contour]
-    scale: ErrorScale
+    end: float
     magnifications: tuple[int, ...] = (1,)
     """1 and the factors at which the deviation is visible."""
 
@@ -191,7 +174,7 @@ def commanded_joints(trace: Trace) -> dict[str, np.ndarray]:
     return {axis: trace.get(axis, "setpoint") if trace.has(axis, "setpoint") else values for axis, values in followed_joints(trace).items()}
 
 
-def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace], programmed: Trace | None) -> ToolPaths | None:
+def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace]) -> ToolPaths | None:
     """Tool paths and contour errors of the runs; None if the tool does not move.
 
     The tool is the site `tool` of the model, else the end of its longest chain of joints. Without a site `workpiece` the paths are drawn
@@ -203,26 +186,24 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace], pro
     commanded, _ = tool_point(scene, commanded_joints(main))
     if np.linalg.norm(np.ptp(commanded, axis=0)) < SHORTEST_PATH:
         return None
-    ideal = tool_point(scene, commanded_joints(programmed))[0] if programmed is not None else None
-    reference, reference_time = (commanded, main.time) if ideal is None or programmed is None else (ideal, programmed.time)
     window = search_window(machine)
     followed = {label: tool_point(scene, followed_joints(trace))[0] for label, trace in runs.items()}
     contours = {}
     for label, points in followed.items():
         # a run with other set points is compared with its own
-        own = programmed is None and not _same_setpoints(runs[label], main)
-        asked = tool_point(scene, commanded_joints(runs[label]))[0] if own else reference
-        contours[label] = contour_of(runs[label].time, points, runs[label].time if own else reference_time, asked, window)
+        own = not _same_setpoints(runs[label], main)
+        asked = tool_point(scene, commanded_joints(runs[label]))[0] if own else commanded
+        contours[label] = contour_of(runs[label].time, points, runs[label].time if own else main.time, asked, window)
     times = {label: trace.time for label, trace in runs.items()}
-    found = ToolPaths(reference_time, ideal, commanded, followed, times, contours, error_scale(next(iter(contours.values())).error))
+    found = ToolPaths(commanded, followed, times, contours, end_of_scale(next(iter(contours.values())).error))
     return replace(found, magnifications=magnifications(largest_error(found), path_extent(found)))
 
 
 def alike(first: ToolPaths, second: ToolPaths) -> tuple[ToolPaths, ToolPaths]:
     """Both with the scale of the larger error and common magnifications."""
-    worse = max((first, second), key=lambda paths: paths.scale.end)
+    end = max(first.end, second.end)
     factors = magnifications(max(map(largest_error, (first, second))), max(map(path_extent, (first, second))))
-    return replace(first, scale=worse.scale, magnifications=factors), replace(second, scale=worse.scale, magnifications=factors)
+    return replace(first, end=end, magnifications=factors), replace(second, end=end, magnifications=factors)
 
 
 def largest_error(paths: ToolPaths) -> float:
@@ -250,41 +231,30 @@ def log_tool_paths(
     recording: rr.RecordingStream, scene: Scene, paths: ToolPaths, shapes: Sequence[str], full: bool
 ) -> tuple[PathView, ...]:
     """Log all paths below the part frame, one branch per magnification, and the colour bar. Returns their views."""
-    reference = paths.commanded if paths.programmed is None else paths.programmed
     views = []
+    reference, main = paths.commanded, next(iter(paths.times.values()))
     for factor in paths.magnifications:
         root = entity(scene.part_path, f"path_x{factor}")
-        duration = float(paths.reference_time[-1] - paths.reference_time[0])
         low, high = reference.min(axis=0), reference.max(axis=0)
-        log_whole_path(recording, entity(root, "programmed"), reference, PROGRAM_COLOUR, 1.0, duration, full)
+        log_whole_path(recording, entity(root, "programmed"), reference, PROGRAM_COLOUR, 1.0, float(main[-1] - main[0]), full)
         growing = []
         for order, (label, followed) in enumerate(paths.followed.items()):
             contour = paths.contours[label]
             drawn = followed if factor == 1 else contour.magnified(followed, factor)
             low, high = np.minimum(low, drawn.min(axis=0)), np.maximum(high, drawn.max(axis=0))
-            bands = paths.scale.band(contour.error) if order == 0 else np.zeros(len(drawn), int)
+            bands = bands_of(contour.error, paths.end) if order == 0 else np.zeros(len(drawn), int)
             palette = ERROR_BANDS if order == 0 else (SECOND_RUN_COLOUR,)
             growing.append(entity(root, "followed", label))
             width = 2.5 if order == 0 else 1.5
             log_growing_path(recording, growing[-1], paths.times[label], drawn, bands, palette, width=width, full=full, dashed=order > 0)
             if order == 0:
                 log_tool_point(recording, entity(root, "tool_point"), paths.times[label], drawn)
-        if paths.programmed is not None:
-            log_commanded(recording, entity(root, "commanded"), paths, factor, full)
         also = tuple(shapes_of_tool(scene, shapes))
         title = f"Tool path, deviation x{factor}" if factor > 1 else "At the part"
         views.append(PathView(title, root, tuple(growing), np.array([low, high]), also))
-    log_legend(recording, LEGEND, paths.scale, next(iter(paths.followed)))
+    edges = np.linspace(0.0, paths.end * 1e6, len(ERROR_BANDS) + 1)
+    log_colour_bar(recording, LEGEND, np.array(ERROR_BANDS), edges.tolist(), "um", f"contour error of {next(iter(paths.followed))}")
     return tuple(views)
-
-
-def log_commanded(recording: rr.RecordingStream, path: str, paths: ToolPaths, factor: int, full: bool) -> None:
-    """Log the commanded path; its deviation from the programmed one is magnified, too."""
-    main = next(iter(paths.times.values()))
-    points = paths.commanded
-    if factor > 1 and paths.programmed is not None:
-        points = contour_of(main, points, paths.reference_time, paths.programmed).magnified(points, factor)
-    log_whole_path(recording, path, points, SETPOINT_COLOUR, 1.5, float(main[-1] - main[0]), full)
 
 
 def log_tip_path(
