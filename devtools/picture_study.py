@@ -19,7 +19,8 @@ import numpy as np
 
 from devtools.worked_studies import carried_out, payload_currents, rapid_time, table_of
 from twin.machine.machine import load_machine
-from twin.replay import screenshot, write_side_by_side
+from twin.replay.side_by_side import write_side_by_side
+from twin.replay.viewer import screenshot
 from twin.report import new_figure, save_png
 from twin.report.figure import AMBER, BLUE, GREEN, INK, RED, SOFT
 from twin.study.design import machine_of

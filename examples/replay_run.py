@@ -15,7 +15,8 @@ import numpy as np
 
 from twin.geometry.kinematics import kinematics_of
 from twin.machine.machine import Machine, load_machine
-from twin.replay import open_viewer, screenshot, write_recording
+from twin.replay.recording import write_recording
+from twin.replay.viewer import open_viewer, screenshot
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

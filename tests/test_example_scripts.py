@@ -14,7 +14,7 @@ from twin.iso230.circle_of_trace import circles_of_trace
 from twin.iso230.circles import circle_numbers
 from twin.machine.machine import Machine
 from twin.recordings import read_campaign
-from twin.replay import write_recording
+from twin.replay.recording import write_recording
 from twin.simulation.run import simulate
 
 

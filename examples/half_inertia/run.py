@@ -25,11 +25,10 @@ from twin.report import new_figure, save_png
 from twin.report.figure import AMBER, BLUE, GREEN, RED
 from twin.simulation.summary import table
 from twin.study.design import machine_of, variants_of
-from twin.study.execution import carry_out, fingerprint, threads_here
+from twin.study.execution import simulated, threads_here
 from twin.study.paths import inertia_at_motor
-from twin.study.results import rows_of
 from twin.study.spec import Study, read_study
-from twin.study.store import Row, Store
+from twin.study.store import Row
 
 HERE = Path(__file__).resolve().parent
 DESIGNS = (
@@ -65,7 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         study = read_study(HERE / "study.toml")
         if args.quick:
             study = replace(study, runs=study.runs[-1:])
-        rows = simulated(study, args.out, args.resume)
+        variants = variants_of(study)
+        with Progress("designs", total=len(variants)) as bar:
+            rows, _ = simulated(study, variants, args.out, threads_here(), args.resume, bar)
     except TwinError as error:
         print(f"twin: {error}", file=sys.stderr)
         return 2
@@ -85,18 +86,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     save_png(picture(study, rows), args.out / "half_inertia.png")
     print(f"written to {args.out}: half_inertia.png")
     return 0
-
-
-def simulated(study: Study, out: Path, resume: bool) -> list[Row]:
-    """All designs on all programs."""
-    variants = variants_of(study)
-    store = Store(out, fingerprint(study, variants), resume)
-    try:
-        with threads_here() as workers, Progress("designs", total=len(variants)) as bar:
-            carry_out(study, variants, store, workers, bar)
-        return rows_of(study, store)
-    finally:
-        store.close()
 
 
 def shares(study: Study) -> list[list[str]]:

@@ -11,9 +11,9 @@ from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
 from twin.study.design import variants_of
-from twin.study.execution import carry_out, fingerprint, threads_here
+from twin.study.execution import simulated, threads_here
 from twin.study.spec import read_study
-from twin.study.store import Row, Store
+from twin.study.store import Row
 
 FACTOR = '[[factor]]\nname = "mass"\npath = "axis.X.moving_mass_kg"\nrange = [500.0, 900.0]\n'
 GRID = '[design]\nkind = "grid"\nlevels = 3\n'
@@ -65,11 +65,4 @@ def write_meshes(folder: Path) -> None:
 def rows_of(spec: Path, out: Path, threads: int = 1, resume: bool = False) -> list[Row]:
     """Carry a study out and read its rows."""
     study = read_study(spec)
-    variants = variants_of(study)
-    store = Store(out, fingerprint(study, variants), resume)
-    try:
-        with threads_here(threads) as workers:
-            carry_out(study, variants, store, workers, lambda _: None)
-        return store.rows()
-    finally:
-        store.close()
+    return simulated(study, variants_of(study), out, threads_here(threads), resume)[0]

@@ -13,9 +13,10 @@ import pytest
 
 from twin.errors import InputError
 from twin.machine.machine import load_machine
-from twin.replay import screenshot, write_recording
 from twin.replay.blueprint import LIGHT_GROUND
 from twin.replay.curves import CONTOUR_COLOUR
+from twin.replay.recording import write_recording
+from twin.replay.viewer import screenshot
 from twin.report.colours import ERROR_BANDS, Colour, axis_colour
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints

@@ -13,8 +13,8 @@ from twin.geometry.body_poses import rotate
 from twin.geometry.kinematics import kinematics_of
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace
-from twin.replay import Written, write_recording
 from twin.replay.names import TIMELINE
+from twin.replay.recording import Written, write_recording
 from twin.replay.scene import scene_of
 from twin.report.colours import axis_colour
 from twin.simulation.run import simulate

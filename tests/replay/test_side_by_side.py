@@ -13,8 +13,7 @@ from twin.geometry.scurve import moves_in_turn
 from twin.geometry.tool_path import contour_error, tool_path_of
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace
-from twin.replay import write_side_by_side
-from twin.replay.side_by_side import ROOTS, most_different_axis
+from twin.replay.side_by_side import ROOTS, most_different_axis, write_side_by_side
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

@@ -6,10 +6,10 @@ import pytest
 
 from tests.builders.study_files import FACTOR, GRID, rows_of, write_spec
 from twin.errors import InputError
-from twin.study import execution, results
+from twin.study import execution
 from twin.study.design import variants_of
 from twin.study.evaluate import Answer
-from twin.study.execution import carry_out, fingerprint, threads_here
+from twin.study.execution import carry_out, fingerprint, simulated, threads_here
 from twin.study.names import check_names
 from twin.study.spec import read_study
 from twin.study.store import Store
@@ -54,9 +54,7 @@ def test_a_changed_bound_does_not_repeat_simulations(tmp_path: Path) -> None:
     largest = sorted(row[2]["current_max_X_a"] for row in before)
     assert [row[3] for row in before] == [None] * 3
     study = read_study(write_spec(tmp_path, bound("current_max_X_a", 0.5 * (largest[1] + largest[2])) + FACTOR + GRID))
-    store = Store(tmp_path / "out", fingerprint(study, variants_of(study)), resume=True)
-    after = results.rows_of(study, store)
-    store.close()
+    after, _ = simulated(study, variants_of(study), tmp_path / "out", threads_here(1), resume=True)
     assert [row[:3] for row in after] == [row[:3] for row in before]
     assert [row[3] is None for row in after] == [True, True, False]
     assert "largest current of X is" in str(after[2][3])

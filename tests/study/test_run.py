@@ -282,7 +282,7 @@ def test_two_studies_may_not_write_one_folder(tmp_path: Path, capsys: pytest.Cap
     )
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"held\n"
-        assert "another study is writing here" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "out"))
+        assert "another twin command is writing here" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "out"))
         other.kill()
     # the lock of a killed process is released
     assert main(["study", str(spec), "--out", str(tmp_path / "out"), "--no-replay"]) == 0
@@ -296,7 +296,7 @@ def test_folders_that_cannot_be_used(tmp_path: Path, capsys: pytest.CaptureFixtu
     spec.write_text(spec.read_text(encoding="utf-8").replace("levels = 3", "levels = 4"), encoding="utf-8")
     assert "holds another study" in refused(capsys, "study", str(spec), "--out", str(out), "--resume")
     (out / FILE).write_bytes(b"no database at all" * 100)
-    assert "not the database of a study" in refused(capsys, "study", str(spec), "--out", str(out), "--resume")
+    assert "file is not a database" in refused(capsys, "study", str(spec), "--out", str(out), "--resume")
     (tmp_path / "file").write_text("")
     assert "cannot create this folder" in refused(capsys, "study", str(spec), "--out", str(tmp_path / "file"))
     (tmp_path / "taken" / FILE).mkdir(parents=True)

@@ -32,11 +32,11 @@ def test_areal_parameters_of_a_sine() -> None:
     form = 3e-4 * (x[None] / 4e-3) ** 2 - 2e-5 * y[:, None] / 5e-5 + 1e-5 * x[None] * y[:, None] / 2e-7
     for height in (wave, wave + form):
         got = areal(height, x, y)
-        assert got.sa == pytest.approx(2e-6 / math.pi, rel=3e-3)
-        assert got.sq == pytest.approx(1e-6 / math.sqrt(2.0), rel=3e-3)
-        assert got.sz == pytest.approx(2e-6, rel=0.03)  # the form takes a little of the wave along
-        assert got.ssk == pytest.approx(0.0, abs=0.01)
-        assert got.sku == pytest.approx(1.5, rel=0.01)
+        assert got["sa"] == pytest.approx(2e-6 / math.pi, rel=3e-3)
+        assert got["sq"] == pytest.approx(1e-6 / math.sqrt(2.0), rel=3e-3)
+        assert got["sz"] == pytest.approx(2e-6, rel=0.03)  # the form takes a little of the wave along
+        assert got["ssk"] == pytest.approx(0.0, abs=0.01)
+        assert got["sku"] == pytest.approx(1.5, rel=0.01)
 
 
 def test_form_removal_removes_a_form_completely() -> None:

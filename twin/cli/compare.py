@@ -46,7 +46,7 @@ def _recorded(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     from twin.compare.align import on_clock_of
     from twin.compare.compare import compare
     from twin.compare.pages import write_comparison_page
-    from twin.replay import write_recording
+    from twin.replay.recording import write_recording
 
     machine, names = machine_of(args), _names(first, second)
     a, b = (_traces(path, machine) for path in (first, second))
@@ -71,7 +71,7 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     from twin.compare.machines import differing_numbers
     from twin.compare.pages import number_rows, write_comparison_page, write_machines_page
     from twin.machine import load_machine
-    from twin.replay import write_side_by_side
+    from twin.replay.side_by_side import write_side_by_side
     from twin.simulation.run import simulate
     from twin.simulation.summary import table
 

@@ -115,7 +115,7 @@ ARGUMENTS = (
 
 def carry_out(args: argparse.Namespace) -> None:
     """Run the test; write traces, recording and plot; print the results."""
-    from twin.replay import write_recording
+    from twin.replay.recording import write_recording
 
     machine, out = machine_of(args), args.out
     setpoints = paper_test(machine)

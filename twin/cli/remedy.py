@@ -40,7 +40,7 @@ def carry_out(args: argparse.Namespace) -> None:
     from twin.remedy.remedy import refusals, remedy, remedy_document, sentence
     from twin.remedy.report import REPLAY, entry_text, in_short, write_remedy_report
     from twin.remedy.source import deviations_of, machine_file_of
-    from twin.replay import write_recording
+    from twin.replay.recording import write_recording
 
     if args.control not in CONTROLS:
         raise InputError(f"--control {args.control}: use one of {', '.join(CONTROLS)}")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from datetime import datetime
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from twin.cli.arguments import EFFECT, MACHINE, PLACE, arg, finish, flag, machine_of, out_argument, positive, seed, setpoints_of_input
-from twin.errors import InputError, SimulationError, one_line
+from twin.errors import InputError, SimulationError, TwinError, one_line
 from twin.files import output_folder, write_json
 from twin.progress import Progress
 from twin.recordings.trace import Trace, with_program_columns, write_trace
@@ -37,7 +40,7 @@ ARGUMENTS = (
 
 def carry_out(args: argparse.Namespace) -> None:
     """Simulate; write trace, recording and summary; for a program also the error budget of interpolator and drives."""
-    from twin.compare.contour import contour_numbers
+    from twin.geometry.tool_path import contour_error_of
     from twin.report.figure import save_png
     from twin.simulation.command_columns import with_command_columns
     from twin.simulation.run import simulate
@@ -71,7 +74,10 @@ def carry_out(args: argparse.Namespace) -> None:
             raise
     followed = with_program_columns(with_command_columns(run.trace, machine, setpoints), trace)
     write_trace(followed, out / "trace.parquet")
-    contour = contour_numbers(run)
+    contour = None  # for a machine without tool or part frame
+    with contextlib.suppress(TwinError):
+        error = contour_error_of(run.trace, machine).error * 1e6
+        contour = {"max_um": float(error.max()), "rms_um": float(np.sqrt(np.mean(error**2)))}
     summary = {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "input": str(source),
@@ -98,7 +104,7 @@ def carry_out(args: argparse.Namespace) -> None:
         written.append("feed.png")
     write_json(summary, out / "summary.json", "summary")
     if not args.no_recording:
-        from twin.replay import write_recording
+        from twin.replay.recording import write_recording
 
         write_recording(out / "run.rrd", machine, {"simulated": followed}, summary=f"effects: {effects}\nfeedforward: {feedforward}")
         written.append("run.rrd")

@@ -27,41 +27,29 @@ def carry_out(args: argparse.Namespace) -> None:
     """Run the study, evaluate it, print the results."""
     from twin.simulation.summary import table
     from twin.study.design import variants_of
-    from twin.study.execution import carry_out, dask_cluster, fingerprint, threads_here
+    from twin.study.execution import dask_cluster, simulated, threads_here
     from twin.study.labels import label_of, titled, valued
     from twin.study.output import write_comparison, write_study
     from twin.study.report import SWING_HEADING, sentences, swing_rows
-    from twin.study.results import answers_of, rows_of
+    from twin.study.results import answers_of
     from twin.study.spec import read_study
-    from twin.study.store import Store
 
     if args.threads and args.scheduler:
         raise InputError("--threads applies to this computer, --scheduler uses the workers of a cluster; leave out one of them")
     study = read_study(args.spec, args.machine)
     variants = variants_of(study)
     out = Path(args.out)
-    store = Store(out, fingerprint(study, variants), args.resume)
-    try:
-        known = len(store.done())
-        if known < len(variants):
-            with (
-                dask_cluster(args.scheduler) if args.scheduler else threads_here(args.threads) as workers,
-                Progress("variants", total=len(variants)) as bar,
-            ):
-                for _ in range(known):
-                    bar(None)
-                carry_out(study, variants, store, workers, bar)
-        rows = rows_of(study, store)
-        if not any(responses for _, _, responses, _ in rows):
-            raise InputError(f"{args.spec}: no variant could be simulated; the first one: {rows[0][3]}")
-        answers = answers_of(study, rows)
-        with Progress("report") as bar:
-            bar.say("report")
-            written = write_study(study, answers, out, replay=not args.no_replay)
-            if args.compare:
-                written += write_comparison(study, answers, args.compare, out)
-    finally:
-        store.close()
+    workers = dask_cluster(args.scheduler) if args.scheduler else threads_here(args.threads)
+    with Progress("variants", total=len(variants)) as bar:
+        rows, known = simulated(study, variants, out, workers, args.resume, bar)
+    if not any(responses for _, _, responses, _ in rows):
+        raise InputError(f"{args.spec}: no variant could be simulated; the first one: {rows[0][3]}")
+    answers = answers_of(study, rows)
+    with Progress("report") as bar:
+        bar.say("report")
+        written = write_study(study, answers, out, replay=not args.no_replay)
+        if args.compare:
+            written += write_comparison(study, answers, args.compare, out)
     print(f"{study.machine.name}: {len(rows)} variants{f', {known} of them done before' if known else ''}")
     for line in sentences(answers):
         print(line)

@@ -2,7 +2,6 @@
 
 align      two traces -> the same on common rows, matched by time or by path length
 compare    two traces -> Comparison: differences by axis and signal
-contour    contour error of a run
 machines   two machine files -> the numbers and effects that differ
 pages      HTML pages of a gap and of a comparison
 """

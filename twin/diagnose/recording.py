@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
     """Write the run with the largest excess. The measured machine moves; the two simulated ones are overlaid."""
-    from twin.replay import write_recording
+    from twin.replay.recording import write_recording
 
     telling = stretches(diagnosis, document)
     name = telling[0].run if telling else diagnosis.campaign.runs[0].name

@@ -35,8 +35,7 @@ from twin.machine.machine import Machine, load_machine
 from twin.progress import Progress
 from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
 from twin.recordings.trace import Trace
-from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
-from twin.report.figure import BLUE, GREEN, SOFT
+from twin.report import Section, Table, write_page
 from twin.simulation.recorded_noise import with_recorded_noise
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
@@ -85,9 +84,8 @@ class Answers:
 
     def over(self, channels: Sequence[str]) -> np.ndarray:
         """Products summed over channels (column, column)."""
-        return np.sum(
-            [p for name, p in self.products.items() if name in channels] or [np.zeros_like(next(iter(self.products.values())))], axis=0
-        )
+        nothing = np.zeros_like(next(iter(self.products.values())))
+        return sum((p for name, p in self.products.items() if name in channels), nothing)
 
 
 def answers_of(group: Group, starts: Mapping[Key, Start], mapper: Mapper) -> Answers:
@@ -259,15 +257,9 @@ def campaigns_table(outlooks_of: Mapping[str, Sequence[Outlook]]) -> Table:
 
 def size_text(share: float) -> str:
     """A multiple of the usual size in words."""
-    return (
-        "not at all"
-        if share > 100
-        else f"{share:.2g} x usual"
-        if share >= 1.0
-        else f"{100 * share:.2g} %"
-        if share >= 0.01
-        else "below 1 %"
-    )
+    if share >= 1.0:
+        return f"{share:.2g} x usual" if share <= 100.0 else "not at all"
+    return f"{100 * share:.2g} %" if share >= 0.01 else "below 1 %"
 
 
 def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Outlook]], path: Path) -> None:
@@ -281,25 +273,7 @@ def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Out
         f"The further run that would help most: {helps[4:]}." if helps else ""
     )
     sections = [
-        Section("Down to which size", figures=[_chart(own)], tables=[effects_table(own)]),
+        Section("Down to which size", tables=[effects_table(own)]),
         Section("Other sensors, further runs", tables=[campaigns_table(outlooks_of)]),
     ]
     write_page(path, f"What {campaign.path.name} could show", lead, sections)
-
-
-def _chart(rows: Sequence[Outlook]) -> Figure:
-    shown = sorted(rows, key=lambda o: -o.apart)
-    figure, panels = new_figure(1, 1, height=0.17 * len(shown) + 1.0)
-    ax = panels[0, 0]
-    y = np.arange(len(shown))
-    found = np.clip([o.found for o in shown], 1e-4, 100)
-    apart = np.clip([o.apart for o in shown], 1e-4, 100)
-    ax.hlines(y, found, apart, color=SOFT, linewidth=1)
-    ax.plot(found, y, "o", color=GREEN, markersize=4, label="found")
-    ax.plot(apart, y, "o", color=BLUE, markersize=4, label="separated from the nearest rival")
-    ax.axvline(1.0, color="#1c2430", linewidth=1)
-    ax.set_xscale("log")
-    ax.set_yticks(y, [f"{o.effect.replace('_', ' ')} {o.axis}" for o in shown], fontsize=7)
-    ax.set_xlabel("smallest size, multiples of the usual one")
-    ax.legend(loc="lower left")
-    return Figure(figure_svg(figure), "Left of the line an effect of usual size is visible; at the right edge it is invisible at any size.")

@@ -36,7 +36,7 @@ def sections_of(document: Document) -> list[Section]:
     """All sections with content."""
     s, marks = document["score"], document["marks"]
     same = s["same_parameters"]
-    sections = [Section("Score against the targets", figures=[_targets(s["targets"])], tables=[target_table(s["targets"])])]
+    sections = [Section("Score against the targets", tables=[target_table(s["targets"])])]
     if s["confusion"]:
         sections.append(Section("Confusion matrix", figures=[_confusion(s["confusion"])]))
     if singles(marks):
@@ -87,10 +87,6 @@ def counted(document: Document) -> str:
     return f"{s['cases']} of {s['cases'] + lost} sealed cases scored" + (f" ({', '.join(rest)})" if rest else "")
 
 
-def _asked(targets: Sequence[Document]) -> list[Document]:
-    return [t for t in targets if "value" in t]
-
-
 def target_table(targets: Sequence[Document]) -> Table:
     """Each target with what was measured."""
     rows = []
@@ -101,22 +97,6 @@ def target_table(targets: Sequence[Document]) -> Table:
         rows.append([t["what"], value, share, interval, target_text(t["target"]), target_word(t)])
     missed = frozenset(i for i, t in enumerate(targets) if is_failed(t))
     return Table(["", "measured", "share", "95 % interval", "target", ""], rows, marked=missed)
-
-
-def _targets(targets: Sequence[Document]) -> Figure:
-    shares = [t for t in _asked(targets) if "right" in t]
-    figure, panels = new_figure(1, 1, height=0.36 * max(len(shares), 1) + 0.9)
-    ax = panels[0, 0]
-    for i, t in enumerate(reversed(shares)):
-        colour = GREEN if t["met"] else RED
-        ax.plot([t["low"], t["high"]], [i, i], color=colour, linewidth=5, alpha=0.35, solid_capstyle="butt")
-        ax.plot(t["value"], i, "o", color=colour, markersize=7)
-        for edge in t["target"] if isinstance(t["target"], (list, tuple)) else [t["target"]]:
-            ax.plot([edge, edge], [i - 0.35, i + 0.35], color="#1c2430", linewidth=1.6)
-    ax.set_yticks(range(len(shares)), [t["what"] for t in reversed(shares)])
-    ax.set_xlim(0, 1.02)
-    ax.set_xlabel("share of cases")
-    return Figure(figure_svg(figure), "Dot: measured. Band: 95 % interval of a share (Wilson). Black stroke: target.")
 
 
 def _confusion(table: Document) -> Figure:

@@ -30,13 +30,13 @@ VERSIONED = ("mujoco", "numba", "numpy", "scipy")
 
 @dataclass(frozen=True)
 class Golden:
-    """A stored result with its origin."""
+    """A stored result with its origin, as in its JSON file, where `trace` says whether there is one."""
 
-    features: Mapping[str, Feature]
-    trace: Trace | None
+    features: dict[str, Feature]
+    trace: Any
     events: tuple[Event, ...]
-    versions: Mapping[str, str]
-    history: Sequence[Mapping[str, Any]]
+    versions: dict[str, str]
+    history: list[dict[str, Any]]
     case: str  # digest of its case
 
 
@@ -59,7 +59,7 @@ def golden_of(outcome: Outcome, case: Case) -> Golden:
     if outcome.trace is not None and outcome.machine is not None:
         given = case.table.get("keep_every_ms")
         trace = kept_trace(outcome.trace, float(given) * 1e-3 if given else outcome.machine.position_cycle)
-    return Golden(outcome.features, trace, outcome.events, versions(), [], case.digest())
+    return Golden(dict(outcome.features), trace, outcome.events, versions(), [], case.digest())
 
 
 def read_golden(case: Case, of_this_case: bool = True) -> Golden:
@@ -77,29 +77,17 @@ def read_golden(case: Case, of_this_case: bool = True) -> Golden:
             )
         if of_this_case and document["case"] != case.digest():
             raise InputError(f"{case.where} has changed since its golden result of {document['history'][-1]['date']}; {update}")
-        kept = msgspec.convert(document, _Document)
+        found = msgspec.convert(document, Golden)
     except (OSError, ValueError, LookupError, TypeError, msgspec.ValidationError) as error:
         raise InputError(f"{file}: not a golden result ({type(error).__name__}: {error}); restore it, or {update}") from None
-    found = Golden(kept.features, None, kept.events, kept.versions, kept.history, kept.case)
-    if not kept.trace:
-        return found
+    if not found.trace:
+        return replace(found, trace=None)
     if not traced.is_file():
         raise InputError(f"{case.where}: the golden trace {traced} is missing; restore it, or {update}")
     try:
         return replace(found, trace=read_trace(traced))
     except InputError as error:
         raise InputError(f"{' '.join(str(error).split())}; restore it, or {update}") from None
-
-
-class _Document(msgspec.Struct):
-    """The JSON file of a golden result."""
-
-    case: str
-    versions: dict[str, str]
-    history: list[dict[str, Any]]
-    trace: bool
-    features: dict[str, Feature]
-    events: tuple[Event, ...]
 
 
 def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]], reason: str, changed: int) -> None:
@@ -124,21 +112,14 @@ def write_golden(case: Case, golden: Golden, history: Sequence[Mapping[str, Any]
 
 def write_small(trace: Trace, path: Path) -> None:
     """Write a trace like `write_trace`, with stronger compression."""
-    import pyarrow as pa
     import pyarrow.parquet
 
-    from twin.units import factor_to_si
-
-    columns = {"time [s]": trace.time}
-    for (axis, signal), values in trace.signals.items():
-        unit = trace.unit(axis, signal)
-        columns[f"{axis}.{signal} [{unit}]"] = values / factor_to_si(unit, str(path))
     packing = {"compression": "zstd", "compression_level": 19, "use_dictionary": False, "use_byte_stream_split": True}
     with beside(path) as partial:
-        pyarrow.parquet.write_table(pa.table(columns), partial, **packing)
+        pyarrow.parquet.write_table(trace.to_table(), partial, **packing)
 
 
-def history_of(case: Case) -> list[Mapping[str, Any]]:
+def history_of(case: Case) -> list[dict[str, Any]]:
     """History of a golden result; empty if there is none that can be read."""
     try:
         return list(read_json(golden_paths(case)[0])["history"])

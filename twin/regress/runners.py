@@ -199,21 +199,13 @@ def _diagnose(case: Case, machine: Machine) -> Outcome:
 
 def _study(case: Case, machine: Machine) -> Outcome:
     from twin.study.design import variants_of
-    from twin.study.execution import carry_out, fingerprint, threads_here
+    from twin.study.execution import simulated, threads_here
     from twin.study.labels import UNITS, is_share
     from twin.study.spec import read_study
-    from twin.study.store import Store
 
     study = read_study(case.path("spec"), str(machine.path) if "machine" in case.table else None)
-    variants = variants_of(study)
     with tempfile.TemporaryDirectory() as folder:
-        store = Store(Path(folder), fingerprint(study, variants), resume=False)
-        try:
-            with threads_here(1) as workers:
-                carry_out(study, variants, store, workers, lambda _: None)
-            rows = store.rows()
-        finally:
-            store.close()
+        rows, _ = simulated(study, variants_of(study), Path(folder), threads_here(1))
     features: dict[str, Feature] = {}
     for number, _, responses, reason in rows:
         if reason:

@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.diagnose.tool_point import LOAD
 from twin.errors import TwinError
-from twin.geometry.tool_path import contour_error, contour_of, search_window, tool_path_of
+from twin.geometry.tool_path import contour_error_of, contour_of, search_window
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.errors_of_run import REVERSAL_WINDOW, delayed_set_point, reversal_times
@@ -40,12 +40,11 @@ class ToolError:
 
 def tool_error(trace: Trace, machine: Machine) -> ToolError:
     """The error of a simulated run, whose trace holds `load_position`."""
-    window = search_window(machine)
     try:
-        contour = contour_error(tool_path_of(trace, LOAD, machine), tool_path_of(trace, "setpoint", machine), window).error
+        contour = contour_error_of(trace, machine, LOAD).error
     except TwinError:
         linear = [a.name for a in machine.axes if a.kind == "linear" and trace.has(a.name, LOAD)]
-        contour = _of_axes(trace, machine, linear or [a.name for a in machine.axes if trace.has(a.name, LOAD)], window)
+        contour = _of_axes(trace, machine, linear or [a.name for a in machine.axes if trace.has(a.name, LOAD)])
     return ToolError(
         contour,
         {a.name: _peak(trace, machine, a.name) for a in machine.axes if trace.has(a.name, LOAD)},
@@ -59,12 +58,12 @@ def _share(trace: Trace, machine: Machine, axis: Axis) -> float:
     return (float(np.abs(trace.get(axis.name, "current")).max()) + 3.0 * noise) / axis.motor.peak_current_a
 
 
-def _of_axes(trace: Trace, machine: Machine, names: list[str], window: float) -> np.ndarray:
+def _of_axes(trace: Trace, machine: Machine, names: list[str]) -> np.ndarray:
     if len(names) == 1:
         axis = machine.axis(names[0])
         return np.abs(delayed_set_point(trace, axis) - trace.get(axis.name, LOAD))
     followed, commanded = (np.column_stack([trace.get(n, s) for n in names]) for s in (LOAD, "setpoint"))
-    return contour_of(trace.time, followed, trace.time, commanded, window).error
+    return contour_of(trace.time, followed, trace.time, commanded, search_window(machine)).error
 
 
 def _peak(trace: Trace, machine: Machine, name: str) -> float:

@@ -26,7 +26,7 @@ from twin.replay.names import APPLICATION, LEGEND, SUMMARY, TIMELINE
 from twin.replay.scene import Scene, scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import summary_text
-from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tip_in_world, tool_paths_of
+from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of, tool_point
 from twin.simulation.errors_of_run import error_without_delay
 from twin.stopping import leave_behind
 
@@ -228,7 +228,7 @@ def bounds_with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) 
     """Bounding box (2, 3) [m] of the machine in its reference pose and of the tool tip in all runs."""
     low, high = scene_bounds(scene)
     for joints in runs.values():
-        tip = tip_in_world(scene, joints)
+        tip = tool_point(scene, joints, frame=-1)
         low, high = np.minimum(low, tip.min(axis=0)), np.maximum(high, tip.max(axis=0))
     return np.array([low, high])
 

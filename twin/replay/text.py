@@ -25,17 +25,10 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
     """The panel as markdown; `summary` is plain text of the caller."""
     parts = [f"# {machine.name}"]
     for order, (label, trace) in enumerate(runs.items()):
-        lines = [f"## {label}", f"{trace.time[-1] - trace.time[0]:.3f} s, sampled every {trace.period * 1e3:g} ms"]
-        if paths:
-            colours = "" if order else " (colours of the tool path)"
-            lines.append(_contour_line(paths.contours[label].error, trace.time) + colours)
-        table = _axis_table(machine, trace)
-        if table:
-            lines.append(table)
+        colours = "" if order else " (colours of the tool path)"
         missing = not_recorded(trace, machine)
-        if missing:
-            lines.append("Not recorded: " + "; ".join(missing))
-        parts.append("\n\n".join(lines))
+        lines = [f"sampled every {trace.period * 1e3:g} ms", "Not recorded: " + "; ".join(missing) if missing else ""]
+        parts.append(_run_text(machine, label, trace, paths, colours, lines))
     labels = list(runs)
     for label in labels[1:]:
         parts.append(_overlay_text(machine, runs[labels[0]], runs[label], labels[0], label))
@@ -64,17 +57,19 @@ def design_text(designs: Mapping[str, tuple[Machine, Trace]], paths: Sequence[To
     if summary:
         parts.append(f"```\n{summary.strip()}\n```")
     for i, (label, (machine, trace)) in enumerate(designs.items()):
-        lines = [f"## {label}", f"{machine.name}, {trace.time[-1] - trace.time[0]:.3f} s"]
-        if paths:
-            lines.append(_contour_line(paths[i].contours[label].error, trace.time))
-        if table := _axis_table(machine, trace):
-            lines.append(table)
-        parts.append("\n\n".join(lines))
+        parts.append(_run_text(machine, label, trace, paths and paths[i], "", [machine.name]))
     if paths:
         parts.append(
             "Each contour error is the distance of the tool point from the path of its own set points. Both panes have the same colours and magnification."
         )
     return "\n\n".join(parts) + "\n"
+
+
+def _run_text(machine: Machine, label: str, trace: Trace, paths: ToolPaths | None, colours: str, said: Sequence[str]) -> str:
+    """One run: duration and what is `said` of it, contour error, axes."""
+    lines = [f"## {label}", f"{trace.time[-1] - trace.time[0]:.3f} s, {said[0]}"]
+    lines += [_contour_line(paths.contours[label].error, trace.time) + colours] if paths else []
+    return "\n\n".join(filter(None, [*lines, _axis_table(machine, trace), *said[1:]]))
 
 
 def _contour_line(error: np.ndarray, time: np.ndarray) -> str:

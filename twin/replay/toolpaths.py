@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import rerun as rr
 
-from twin.geometry.body_poses import IDENTITY, Pose, body_poses, site_pose
+from twin.geometry.body_poses import IDENTITY, body_poses, site_pose
 from twin.geometry.polyline import keep_shape
 from twin.geometry.tool_path import Contour, contour_of, search_window
 from twin.machine.machine import Machine
@@ -50,21 +50,14 @@ LEAST_SCALE = 8e-7
 """Smallest end of the scale [m]; finer bands would show rounding."""
 
 
-def tool_point(scene: Scene, joints: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Pose]:
-    """Tool tip (sample, 3) in the part frame [m] and part_from_tool, for joint positions (sample,) by name."""
+def tool_point(scene: Scene, joints: Mapping[str, np.ndarray], frame: int | None = None) -> np.ndarray:
+    """Tool tip (sample, 3) [m] in the part frame, or that of another site (-1: the world), for joint positions (sample,) by name."""
     bodies = body_poses(scene.model, joints)
+    site = scene.part if frame is None else frame
     tip = site_pose(scene.model, bodies, scene.tool) if scene.tool >= 0 else bodies[scene.tip_body]
-    part = site_pose(scene.model, bodies, scene.part) if scene.part >= 0 else IDENTITY
-    pose = part.inverse() @ tip
+    pose = (site_pose(scene.model, bodies, site) if site >= 0 else IDENTITY).inverse() @ tip
     count = max((len(values) for values in joints.values()), default=1)
-    return np.ascontiguousarray(np.broadcast_to(pose.position, (count, 3))), pose
-
-
-def tip_in_world(scene: Scene, joints: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Tool tip (sample or 1, 3) in the world frame [m]."""
-    bodies = body_poses(scene.model, joints)
-    tip = site_pose(scene.model, bodies, scene.tool) if scene.tool >= 0 else bodies[scene.tip_body]
-    return np.atleast_2d(tip.position)
+    return np.ascontiguousarray(np.broadcast_to(pose.position, (count, 3)))
 
 
 def magnifications(largest: float, extent: float) -> tuple[int, ...]:
@@ -183,16 +176,16 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace]) -> 
     main = next(iter(runs.values()))
     if not any(main.has(axis, s) for axis in main.axes for s in POSITIONS):
         return None
-    commanded, _ = tool_point(scene, commanded_joints(main))
+    commanded = tool_point(scene, commanded_joints(main))
     if np.linalg.norm(np.ptp(commanded, axis=0)) < SHORTEST_PATH:
         return None
     window = search_window(machine)
-    followed = {label: tool_point(scene, followed_joints(trace))[0] for label, trace in runs.items()}
+    followed = {label: tool_point(scene, followed_joints(trace)) for label, trace in runs.items()}
     contours = {}
     for label, points in followed.items():
         # a run with other set points is compared with its own
         own = not _same_setpoints(runs[label], main)
-        asked = tool_point(scene, commanded_joints(runs[label]))[0] if own else commanded
+        asked = tool_point(scene, commanded_joints(runs[label])) if own else commanded
         contours[label] = contour_of(runs[label].time, points, runs[label].time if own else main.time, asked, window)
     times = {label: trace.time for label, trace in runs.items()}
     found = ToolPaths(commanded, followed, times, contours, end_of_scale(next(iter(contours.values())).error))
@@ -261,7 +254,7 @@ def log_tip_path(
     recording: rr.RecordingStream, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], shapes: Sequence[str], full: bool
 ) -> tuple[PathView, ...]:
     """Log the path of the tip of any scene in the part frame or the world. Returns its view."""
-    points, _ = tool_point(scene, joints)
+    points = tool_point(scene, joints)
     root = entity(scene.part_path, "path_x1")
     path = entity(root, "followed", "motion")
     log_growing_path(recording, path, time, points, np.zeros(len(time), int), (ERROR_BANDS[0],), width=2.5, full=full)

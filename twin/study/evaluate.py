@@ -24,7 +24,6 @@ from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
 from twin.study.constraints import broken_by
 from twin.study.design import machine_of
-from twin.study.one_blas_thread import one_blas_thread
 from twin.study.responses import axis_responses, contour_responses, drive_responses, joined, mark_depth
 from twin.study.spec import Study, StudyRun
 from twin.surface.machining import check_rays
@@ -133,7 +132,6 @@ class Answer:
     reason: str | None = None
 
 
-@one_blas_thread()
 def work_of(study: Study) -> Work:
     """Read the runs and parts of a study; a program is interpolated here if the result is the same for all variants."""
     parts = [read_part(run.part) if run.part else None for run in study.runs]
@@ -142,7 +140,6 @@ def work_of(study: Study) -> Work:
     return Work(study, tuple(_source(study, run, part) for run, part in zip(study.runs, parts, strict=True)))
 
 
-@one_blas_thread()
 def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
     """Evaluate one variant. An impossible or unstable variant gets a reason and does not end the study."""
     if work.version != twin.__version__:

@@ -9,20 +9,22 @@ from dataclasses import dataclass
 import functools
 import hashlib
 import logging
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 import twin
 from twin.effects.user_files import loaded_files
 from twin.effects.user_files import share as share_files
 from twin.errors import InputError, TwinError
+from twin.study.constraints import broken_by
 from twin.study.evaluate import Answer, Work, evaluate, files_of_study, work_of
 from twin.study.names import check_names
-from twin.study.one_blas_thread import one_blas_thread, stay_on_one_blas_thread
 from twin.study.spec import Study
-from twin.study.store import Store
+from twin.study.store import Row, Store
 from twin.system import cores
 
 AHEAD = 4
@@ -48,6 +50,29 @@ def fingerprint(study: Study, variants: np.ndarray) -> str:
     parts += [(run.name, run.feedforward, run.part is not None) for run in study.runs]
     files = [file.read_bytes() for file in (*files_of_study(study), *loaded_files())]
     return hashlib.sha256(b"\0".join([variants.tobytes(), *(repr(p).encode() for p in parts), *files])).hexdigest()
+
+
+def simulated(
+    study: Study,
+    variants: np.ndarray,
+    folder: Path,
+    workers: contextlib.AbstractContextManager[Workers],
+    resume: bool = False,
+    progress: Callable[[None], None] = lambda _done: None,
+) -> tuple[list[Row], int]:
+    """Rows of all variants in the folder, which `workers` complete, and the number of those that stood there before.
+
+    The reasons come from the present constraints, which may have changed since a variant ran.
+    """
+    with contextlib.closing(Store(folder, fingerprint(study, variants), resume)) as store:
+        known = len(store.done())
+        for _ in range(known):
+            progress(None)
+        if known < len(variants):
+            with workers as hands:
+                carry_out(study, variants, store, hands, progress)
+        rows = store.rows()
+    return [(n, row, found, "; ".join(broken_by(study.constraints, found)) or None if found else why) for n, row, found, why in rows], known
 
 
 def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers, progress: Callable[[None], None]) -> None:
@@ -90,9 +115,12 @@ def carry_out(study: Study, variants: np.ndarray, store: Store, workers: Workers
 
 @contextlib.contextmanager
 def threads_here(count: int | None = None) -> Iterator[Workers]:
-    """Threads of this process, by default one per core; the compiled loop releases the interpreter lock."""
+    """Threads of this process, by default one per core; the compiled loop releases the interpreter lock.
+
+    BLAS keeps to one thread: more change the last bits, since they split long dot products, and wait for each other.
+    """
     count = count or cores()
-    with one_blas_thread(), ThreadPoolExecutor(count) as pool:
+    with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(count) as pool:
         try:
             yield Workers(pool, lambda: count, lambda work: work)
         except BaseException:
@@ -122,7 +150,7 @@ def dask_cluster(scheduler: str) -> Iterator[Workers]:
         except TimeoutError:
             raise InputError(f"--scheduler {scheduler}: has no worker; start some with 'dask worker {scheduler}'") from None
 
-        client.register_worker_callbacks(stay_on_one_blas_thread)  # also on workers that join later
+        client.register_worker_callbacks(_one_blas_thread)  # also on workers that join later
         if effect_files := loaded_files():
             client.register_worker_callbacks(functools.partial(share_files, effect_files))
 
@@ -150,3 +178,8 @@ def _check_address(scheduler: str) -> None:
 
 def _same(work: Work) -> Work:
     return work
+
+
+def _one_blas_thread() -> None:
+    """Limit BLAS of a worker to one thread from now on."""
+    threadpool_limits(limits=1, user_api="blas")

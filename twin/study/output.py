@@ -69,7 +69,7 @@ def rated(study: Study) -> Machine:
 
 def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:
     """A recording of each run: the first design, overlaid with the others and their differences."""
-    from twin.replay import write_recording
+    from twin.replay.recording import write_recording
 
     written = []
     for run in duties[0].runs:
@@ -90,7 +90,7 @@ def comparison_text(answers: Answers, numbers: Sequence[int]) -> str:
 
 def write_comparison(study: Study, answers: Answers, numbers: Sequence[int], out: Path) -> list[str]:
     """Compare two variants: one recording of both per run, and a plot of torque against speed."""
-    from twin.replay import write_side_by_side
+    from twin.replay.side_by_side import write_side_by_side
 
     known = {row[0]: row for row in answers.rows}
     if (wrong := next((n for n in numbers if n not in known or not known[n][2]), None)) is not None:

@@ -17,7 +17,6 @@ import pyarrow.parquet
 from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.recordings.table_file import read_parquet
-from twin.study.constraints import broken_by
 from twin.study.design import problem_of
 from twin.study.factors import Factor
 from twin.study.names import check_names
@@ -34,7 +33,7 @@ from twin.study.outcomes import (
     without_effect,
 )
 from twin.study.spec import Study
-from twin.study.store import Row, Store
+from twin.study.store import Row
 
 TABLE = "table.parquet"
 SHOWN = 4
@@ -143,14 +142,6 @@ class Answers:
 def _without_numbers(reason: str) -> str:
     """A reason with its numbers replaced by '..', so that equal reasons can be counted."""
     return re.sub(r"(?<![A-Za-z_])-?\d+(\.\d+)?(e[+-]?\d+)?", "..", reason)
-
-
-def rows_of(study: Study, store: Store) -> list[Row]:
-    """All rows, with reasons from the present constraints, which may have changed since a variant ran."""
-    return [
-        (n, factors, found, "; ".join(broken_by(study.constraints, found)) or None if found else reason)
-        for n, factors, found, reason in store.rows()
-    ]
 
 
 def known_responses(rows: Sequence[Row]) -> list[str]:

@@ -6,11 +6,10 @@ from pathlib import Path
 import tempfile
 
 from twin.study.design import variants_of
-from twin.study.execution import carry_out, fingerprint, threads_here
+from twin.study.execution import simulated, threads_here
 from twin.study.output import write_study
-from twin.study.results import Answers, answers_of, rows_of
+from twin.study.results import Answers, answers_of
 from twin.study.spec import read_study
-from twin.study.store import Store
 
 
 def study(spec: str | Path, out: str | Path | None = None, *, machine: str | Path | None = None, threads: int | None = None) -> Answers:
@@ -21,15 +20,9 @@ def study(spec: str | Path, out: str | Path | None = None, *, machine: str | Pat
     unit, the Pareto front and the best variant. Raises InputError for an invalid study file.
     """
     known = read_study(spec, machine)
-    variants = variants_of(known)
     with tempfile.TemporaryDirectory(prefix="twin-study-", ignore_cleanup_errors=True) as scratch:
-        store = Store(Path(out or scratch), fingerprint(known, variants), resume=out is not None)
-        try:
-            with threads_here(threads) as workers:
-                carry_out(known, variants, store, workers, lambda _done: None)
-            answers = answers_of(known, rows_of(known, store))
-        finally:
-            store.close()
+        rows, _ = simulated(known, variants_of(known), Path(out or scratch), threads_here(threads), resume=out is not None)
+        answers = answers_of(known, rows)
         if out is not None:
             write_study(known, answers, Path(out))
     return answers

@@ -6,7 +6,7 @@ Deviations from the programmed cut contain no scallops, only the errors of inter
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 import time
@@ -128,7 +128,7 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
         "errors": dict(one.level.errors),
     }
     if rays.is_grid:
-        numbers = asdict(areal(rays.map(), rays.u, rays.v))
+        numbers = areal(rays.map(), rays.u, rays.v)
         out["areal_um"] = {k: v * (1e6 if k not in ("ssk", "sku") else 1.0) for k, v in numbers.items()}
         # a section across the passes at an eighth of the length, away from the border and from a mark in the middle
         flank = rays.map()[:, rays.shape[1] // 8]

@@ -18,19 +18,6 @@ from twin.surface.height_rays import HeightRays
 
 
 @dataclass(frozen=True)
-class Areal:
-    """Areal parameters of a patch [m; Ssk, Sku: 1]."""
-
-    sa: float
-    sq: float
-    sz: float
-    sp: float
-    sv: float
-    ssk: float
-    sku: float
-
-
-@dataclass(frozen=True)
 class Mark:
     """A mark: the lowest place of the surface relative to a reference without the mark.
 
@@ -47,20 +34,20 @@ class Mark:
     height: float
 
 
-def areal(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 2) -> Areal:
-    """Areal parameters of a height map (row, column) over v (row,) and u (column,) after removal of form up to the order."""
-    z = without_form(height, u, v, order)
+def areal(height: np.ndarray, u: np.ndarray, v: np.ndarray) -> dict[str, float]:
+    """Areal parameters [m; Ssk, Sku: 1] of a height map (row, column) over v (row,) and u (column,) after removal of a quadratic form."""
+    z = without_form(height, u, v)
     sq = float(np.sqrt(np.mean(z**2)))
     safe = sq if sq > 0.0 else 1.0
-    return Areal(
-        sa=float(np.mean(np.abs(z))),
-        sq=sq,
-        sz=float(np.ptp(z)),
-        sp=float(z.max()),
-        sv=float(-z.min()),
-        ssk=float(np.mean(z**3)) / safe**3,
-        sku=float(np.mean(z**4)) / safe**4,
-    )
+    return {
+        "sa": float(np.mean(np.abs(z))),
+        "sq": sq,
+        "sz": float(np.ptp(z)),
+        "sp": float(z.max()),
+        "sv": float(-z.min()),
+        "ssk": float(np.mean(z**3)) / safe**3,
+        "sku": float(np.mean(z**4)) / safe**4,
+    }
 
 
 def without_form(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 2) -> np.ndarray:
