@@ -121,11 +121,6 @@ def contour_of(
     return _nearest(followed, reference, *_searched(time, reference_time, window))[0]
 
 
-def contour_error_of(trace: Trace, machine: Machine, signal: str = "position") -> ContourError:
-    """Contour error of a run against the path of its set points. Raises TwinError for a machine without a tool or a part frame."""
-    return contour_error(tool_path_of(trace, signal, machine), tool_path_of(trace, "setpoint", machine), search_window(machine))
-
-
 def contour_error(path: ToolPath, reference: ToolPath, window: float | None = SHORTEST_WINDOW) -> ContourError:
     """Contour and orientation error of a path relative to a reference with its own times.
 

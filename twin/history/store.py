@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from twin.history.projection import Noise, Projection
-from twin.row_file import RowFile
+from twin.study.row_file import RowFile
 
 FILE = "history.sqlite"
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from twin.diagnose.tool_point import LOAD
 from twin.errors import TwinError
-from twin.geometry.tool_path import contour_error_of, contour_of, search_window
+from twin.geometry.tool_path import contour_of, search_window
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
-from twin.simulation.errors_of_run import REVERSAL_WINDOW, delayed_set_point, reversal_times
+from twin.simulation.errors_of_run import REVERSAL_WINDOW, contour_error_of, delayed_set_point, reversal_times
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.geometry.tool_path import ContourError, contour_error, search_window, tool_path_of
 from twin.machine.axis import Axis
+from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 
 REVERSAL_WINDOW = 0.1
@@ -68,3 +70,8 @@ def axis_errors(trace: Trace, axis: Axis) -> AxisErrors:
         float(np.abs(without[after]).max()) if after.any() else None,
         len(times),
     )
+
+
+def contour_error_of(trace: Trace, machine: Machine, signal: str = "position") -> ContourError:
+    """Contour error of a run against the path of its set points. Raises TwinError for a machine without a tool or a part frame."""
+    return contour_error(tool_path_of(trace, signal, machine), tool_path_of(trace, "setpoint", machine), search_window(machine))

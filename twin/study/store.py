@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import InputError
-from twin.row_file import RowFile
 from twin.study.evaluate import FAULT, Answer
+from twin.study.row_file import RowFile
 from twin.tables import is_number
 
 FILE = "study.sqlite"
