@@ -63,8 +63,7 @@ ALLOWED = {
     "study/evaluate.py": {"read_bytes": 2},  # files of a study that were checked, to be sent to workers
     "study/execution.py": {"read_bytes": 1},  # the same, for their digest
     "study/store.py": {"json.loads": 1},  # cells of its own data base
-    "surface/measured.py": {"ZipFile": 2, "np.load": 1, "read_csv": 1},  # a map that the command names; no pickles
-    "surface/sur_file.py": {"read_bytes": 1},  # a map that the command names
+    "surface/measured.py": {"ZipFile": 2, "np.load": 1, "read_csv": 1, "read_bytes": 1},  # a map that the command names; no pickles
 }
 """Number of calls by file and call, and why each is safe."""
 

@@ -22,8 +22,9 @@ from twin.errors import InputError
 from twin.geometry.body_poses import body_poses, rotate
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
-from twin.replay.motion import motion_from_trace, read_scene, sweep, with_mimics
+from twin.replay.motion import motion_from_trace, sweep, with_mimics
 from twin.replay.recording import write_recording
+from twin.replay.scene import read_scene
 from twin.replay.shapes import with_normals
 from twin.replay.source import source_of
 from twin.replay.viewer import check_recording, free_port

@@ -37,9 +37,8 @@ def carry_out(args: argparse.Namespace) -> None:
     from twin.remedy.control_data import CONTROLS, entries_of, files_for
     from twin.remedy.margins import asked_of
     from twin.remedy.motions import given_motion, slowed, standard_motions
-    from twin.remedy.remedy import refusals, remedy, remedy_document, sentence
+    from twin.remedy.remedy import deviations_of, machine_file_of, refusals, remedy, remedy_document, sentence
     from twin.remedy.report import REPLAY, entry_text, in_short, write_remedy_report
-    from twin.remedy.source import deviations_of, machine_file_of
     from twin.replay.recording import write_recording
 
     if args.control not in CONTROLS:

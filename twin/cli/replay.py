@@ -64,11 +64,11 @@ def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
     first = machine_file_in(first) or first
     if first.suffix.lower() in (*MODEL_ENDINGS, ".toml"):
         from twin.replay import motion
-        from twin.replay.scene import scene_of
+        from twin.replay.scene import read_scene, scene_of
 
         if args.machine:
             raise InputError(f"{first}: a model needs no machine file; leave out --machine, or give --machine with the trace alone")
-        scene = scene_of(load_machine(first)) if first.suffix == ".toml" else motion.read_scene(first)
+        scene = scene_of(load_machine(first)) if first.suffix == ".toml" else read_scene(first)
         time, joints = motion.motion_from_trace(scene, Path(args.paths[1])) if len(args.paths) > 1 else motion.sweep(scene)
         text = "" if len(args.paths) > 1 else "No trace was given: each joint sweeps through its range in turn."
         write_motion(out, scene, time, motion.with_mimics(scene, joints), summary=text, full=args.full)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twin.report import Figure, Section, Table, figure_svg, write_page
-from twin.report.stamp import made_line
+from twin.report.page import made_line
 from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap, Outlier
 from twin.units import plain
 

@@ -23,7 +23,7 @@ from twin.diagnose.wording import (
 )
 from twin.effects import EFFECTS
 from twin.report import Section, Table, write_page
-from twin.report.stamp import made_line
+from twin.report.page import made_line
 from twin.simulation.summary import listed
 from twin.units import ARCSEC, plain
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
-from twin.report.stamp import made_line
+from twin.report.page import made_line
 
 from .mark_budget import VISIBLE
 from .score import is_failed, label_of, singles, target_text, target_word, value_text

@@ -10,7 +10,7 @@ from typing import Any
 from twin.identify import figures
 from twin.identify.result import Identification, Range
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
-from twin.report.stamp import made_line
+from twin.report.page import made_line
 
 DRAWN: dict[str, tuple[str, Callable[[Identification], Any], str]] = {
     "friction": (

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from twin.documents import read_json
 from twin.effects import settings_of
-from twin.errors import TwinError
+from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.remedy.advice import ADVICE, SET_BACK, TABLE
@@ -187,3 +189,29 @@ def sentence(found: Remedy, change: Change) -> str:
 def refusals(found: Sequence[Refused]) -> list[str]:
     """The refused effects as sentences."""
     return [f"{r.axis}: {r.effect.replace('_', ' ')}: {r.reason}" for r in found]
+
+
+def machine_file_of(source: Path) -> tuple[Path, Mapping[str, Any]]:
+    """(machine file with effects, document of the diagnosis or empty). Raises InputError for anything else."""
+    if source.suffix == ".toml" and source.is_file():
+        return source, {}
+    document = source / "diagnosis.json" if source.is_dir() else source
+    if not document.is_file() or document.suffix != ".json":
+        raise InputError(f"{source}: give the folder of a diagnosis, its diagnosis.json, or a machine file (.toml)")
+    machine = document.parent / "machine.toml"
+    if not machine.is_file():
+        raise InputError(f"{document.parent}: the corrected machine.toml is missing; diagnose again")
+    return machine, read_json(document)
+
+
+def deviations_of(document: Mapping[str, Any]) -> Deviations:
+    """Standard deviations of the parameters of the effects of a diagnosis, from their 95 % intervals."""
+    out: dict[tuple[str, str, str | None], dict[str, float]] = {}
+    for effect in document.get("effects", []):
+        own = {
+            name: (p["high"] - p["low"]) / (2.0 * NORMAL_95)
+            for name, p in effect.get("parameters", {}).items()
+            if isinstance(p.get("low"), int | float) and isinstance(p.get("high"), int | float)
+        }
+        out[effect["effect"], effect["axis"], effect.get("from_axis")] = own
+    return out

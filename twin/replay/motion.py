@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.recordings.trace import read_trace
-from twin.replay.scene import Scene, scene_bounds, scene_from_mjcf, scene_from_urdf
+from twin.replay.scene import Scene, scene_bounds
 from twin.replay.toolpaths import followed_joints
 
 SWEEP_SECONDS = 4.0
@@ -17,15 +17,6 @@ SWEEP_SECONDS = 4.0
 SWEEP_RATE = 50.0
 FREE_SLIDE = 0.1
 """Sweep of a slide without limits each way, relative to the model's size."""
-
-
-def read_scene(path: Path) -> Scene:
-    """The scene of a model file: URDF if it ends in .urdf, else MJCF."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such model; give an MJCF (.xml) or URDF file")
-    if path.suffix.lower() == ".urdf":
-        return scene_from_urdf(path)
-    return scene_from_mjcf(path)
 
 
 def motion_from_trace(scene: Scene, path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:

@@ -13,6 +13,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from twin.errors import InputError
 from twin.geometry.body_poses import rotate
 from twin.machine.machine import Machine
 from twin.machine.model_limits import compiled_spec
@@ -95,13 +96,12 @@ def placed_at(scene: Scene, root: str) -> Scene:
     return replace(scene, body_paths=tuple(root + path.removeprefix(f"/{ROOT}") for path in scene.body_paths))
 
 
-def scene_from_mjcf(path: Path) -> Scene:
-    """The scene of any MJCF file."""
-    return _scene(compiled_spec(load_spec(path), str(path)), path.stem)
-
-
-def scene_from_urdf(path: Path) -> Scene:
-    """The scene of any URDF file."""
+def read_scene(path: Path) -> Scene:
+    """The scene of a model file: URDF if it ends in .urdf, else MJCF."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such model; give an MJCF (.xml) or URDF file")
+    if path.suffix.lower() != ".urdf":
+        return _scene(compiled_spec(load_spec(path), str(path)), path.stem)
     model, mimics = shown_urdf(path)
     return replace(_scene(model, path.stem), mimics=mimics)
 

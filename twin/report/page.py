@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 import os
 from pathlib import Path
 from urllib.parse import quote
@@ -11,9 +12,9 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+import twin
 from twin.documents import read_text
 from twin.files import write_whole
-from twin.report.stamp import made_line
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Section:
 
 
 def page(title: str, lead: str, sections: Sequence[Section], made: str = "") -> str:
-    """The page as HTML; `made` is the line on its origin (default: `twin.report.stamp.made_line()`)."""
+    """The page as HTML; `made` is the line on its origin (default: `made_line()`)."""
     environment = Environment(
         loader=PackageLoader("twin.report", "."), autoescape=select_autoescape(["html"], default=True), undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -85,3 +86,11 @@ def address(to: Path, page: Path) -> str:
         return quote(Path(os.path.relpath(to.resolve(), page.resolve().parent)).as_posix())
     except ValueError:
         return to.resolve().as_uri()
+
+
+def made_line(machine: str = "", inputs: str = "", seed: int | None = None) -> str:
+    """'Made by twin 0.1.0 on 2026-01-31 14:05 with Mikron UCP 710; input: circle; seed 3.'"""
+    with_machine = f" with {machine}" if machine else ""
+    given = f"; input: {inputs}" if inputs else ""
+    drawn = "" if seed is None else f"; seed {seed}"
+    return f"Made by twin {twin.__version__} on {datetime.now():%Y-%m-%d %H:%M}{with_machine}{given}{drawn}."

@@ -7,10 +7,11 @@ current or voltage limit (half a millisecond of clipped voltage at a corner is a
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 import fnmatch
+from typing import Annotated
 
 from twin.study.labels import label_of, valued
+from twin.tables import Number, Table, asks
 
 LEAST_PHASE_MARGIN_DEG = 30.0
 """Default of the least phase margin of every loop [deg]; a loop with less rings."""
@@ -19,28 +20,21 @@ MOST_TIME_AT_LIMIT = 0.001
 """Default of the largest share of a run at the current or voltage limit [1]."""
 
 
-@dataclass(frozen=True)
-class Constraint:
-    """A bound on all responses whose names match `pattern` (`*` and `?`): not below `least`, not above `most`."""
-
-    pattern: str
-    least: float | None = None
-    most: float | None = None
-    standing: bool = False
-    """Applies to every study, even if its machine has no such response."""
+MARGINS, LIMITS = "phase_margin_*_deg", "time_at_*_limit_*_share"
+"""Responses whose constraints apply to every study, even if its machine has none of them."""
 
 
-def standing(least_phase_margin_deg: float, most_time_at_limit: float) -> tuple[Constraint, ...]:
-    """The constraints that every study has."""
-    return (
-        Constraint("phase_margin_*_deg", least=least_phase_margin_deg, standing=True),
-        Constraint("time_at_*_limit_*_share", most=most_time_at_limit, standing=True),
-    )
+class Constraint(Table, frozen=True):
+    """[[constraint]]: a bound on all responses whose names match a pattern (`*` and `?`): not below `least`, not above `most`."""
+
+    response: Annotated[str, asks("name a response or a pattern, e.g. current_limit_used_*")]
+    least: Number | None = None
+    most: Number | None = None
 
 
 def in_words(constraint: Constraint) -> str:
     """A constraint as a phrase: 'phase margin of every loop at least 30 deg'."""
-    name = constraint.pattern
+    name = constraint.response
     what = label_of(name.replace("_*_", "_").rstrip("*").rstrip("_")) if "*" in name else label_of(name)
     bounds = [
         f"{words} {valued(name, value)}"
@@ -53,7 +47,7 @@ def in_words(constraint: Constraint) -> str:
 def broken_by(constraints: Sequence[Constraint], responses: Mapping[str, float]) -> Iterator[str]:
     """A sentence for each response that breaks a constraint; with several runs the joined value is checked."""
     for constraint in constraints:
-        for name in fnmatch.filter(responses, constraint.pattern):
+        for name in fnmatch.filter(responses, constraint.response):
             value = responses[name]
             if constraint.least is not None and value < constraint.least:
                 yield f"{label_of(name)} is {valued(name, value)}, below the least of {valued(name, constraint.least)}"

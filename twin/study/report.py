@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
-from twin.report.stamp import made_line
+from twin.report.page import made_line
 from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, holding_figure, torque_speed_figure, torque_table
 from twin.study.factors import Factor

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+import fnmatch
 import itertools
 from pathlib import Path
 import re
@@ -17,9 +18,9 @@ import pyarrow.parquet
 from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.recordings.table_file import read_parquet
+from twin.study.constraints import LIMITS, MARGINS
 from twin.study.design import problem_of
 from twin.study.factors import Factor
-from twin.study.names import check_names
 from twin.study.outcomes import (
     Effect,
     Surrogate,
@@ -38,6 +39,10 @@ from twin.study.store import Row
 TABLE = "table.parquet"
 SHOWN = 4
 """Number of responses in the report if the study file names none."""
+SOMETIMES = ("phase_margin_", "gain_margin_", "crossover_", "bandwidth_", "settling_time_", "first_mode_", "holding_", "electrical_energy_")
+"""Prefixes of responses that only some variants have, for example because a loop never reaches a gain of 1 or an axis never settles."""
+OF_RATINGS = "_used_"
+"""Part of the names of shares of ratings, which not every motor of a catalogue has."""
 PREFERRED = ("mark_depth_um", "contour_error_max_um", "control_deviation_max", "current_rms", "copper_loss", "cycle_time_s")
 
 
@@ -158,6 +163,31 @@ def looked_at(study: Study, rows: Sequence[Row]) -> list[str]:
         return list(study.answer)
     ranked = sorted(known, key=lambda n: next((i for i, p in enumerate(PREFERRED) if n.startswith(p)), len(PREFERRED)))
     return [name for name in ranked if depends(values_of(rows, name)[1])][:SHOWN]
+
+
+def check_names(study: Study, known: Collection[str], some_variants: bool = False) -> None:
+    """Raise InputError if `answer`, `pareto` or a constraint names an unknown response.
+
+    `known` are the responses of all variants, or of `some_variants`: then names that other variants may have are accepted.
+    """
+    known = list(known)
+    for key, name in _asked(study):
+        found = fnmatch.filter(known, name) if key == "constraint" else name in known
+        if found or (some_variants and _may_come(name)):
+            continue
+        raise InputError(f"{study.path}: {key}: no response '{name}'; {nearest(name, known)}; correct it and continue with --resume")
+
+
+def _asked(study: Study) -> Iterator[tuple[str, str]]:
+    """(key of the study file, name or pattern) of all responses that it names, without the standing constraints."""
+    yield from (("answer", name) for name in study.answer)
+    yield from (("pareto", name) for pair in study.pareto for name in pair)
+    yield from (("constraint", c.response) for c in study.constraints if c.response not in (MARGINS, LIMITS))
+
+
+def _may_come(name: str) -> bool:
+    name = name.rpartition(".")[2]
+    return name.startswith(SOMETIMES) or OF_RATINGS in name or name.startswith("*")
 
 
 def values_of(rows: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:

@@ -56,7 +56,7 @@ from msgspec.structs import replace
 from twin.documents import outer_file, read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward, Machine, load_machine
-from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, MOST_TIME_AT_LIMIT, Constraint, standing
+from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, LIMITS, MARGINS, MOST_TIME_AT_LIMIT, Constraint
 from twin.study.factors import Factor, FactorTable, Tied, TiedTable, catalogue_factor_of, check_apart, factor_of, tied_of
 from twin.study.paths import matching_paths, with_numbers
 from twin.tables import Number, Table, Text, Whole, asks, is_number, known_keys, typed
@@ -83,18 +83,12 @@ class _RunTable(Table, frozen=True):
     part: str | None = None
 
 
-class _ConstraintTable(Table, frozen=True):
-    response: Annotated[str, asks("name a response or a pattern, e.g. current_limit_used_*")]
-    least: Number | None = None
-    most: Number | None = None
-
-
 class _Document(Table, frozen=True):
     run: Annotated[tuple[_RunTable, ...], asks("no [[run]]; give at least one", min_length=1)]
     factor: Annotated[tuple[FactorTable, ...], asks("no [[factor]]; give at least one", min_length=1)]
     design: Annotated[Design, asks('write [design] and kind = "grid", or another one, below it')]
     tied: tuple[TiedTable, ...] = ()
-    constraint: tuple[_ConstraintTable, ...] = ()
+    constraint: tuple[Constraint, ...] = ()
     fixed: Annotated[dict[str, Any], asks('write "axis.X.moving_mass_kg" = 690.0 below [fixed]')] = field(default_factory=dict)
     seed: Whole = 0
     machine: Text | None = None
@@ -177,8 +171,9 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
         recommission=document.recommission,
         retune=document.retune is not None,
         constraints=(
-            *standing(document.least_phase_margin_deg, document.most_time_at_limit),
-            *(Constraint(table.response, table.least, table.most) for table in document.constraint),
+            Constraint(response=MARGINS, least=document.least_phase_margin_deg),
+            Constraint(response=LIMITS, most=document.most_time_at_limit),
+            *document.constraint,
         ),
         pareto=document.pareto,
     )
