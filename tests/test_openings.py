@@ -116,7 +116,6 @@ WRITES = {
     "diagnose/output.py": {"unlink": 1},  # an output of an earlier call
     "exam/draw.py": {"write_table": 1, "mkdir": 1},  # apart from the package; before the campaign.toml that makes them count
     "files.py": {"mkdir": 3, "unlink": 2, "TemporaryDirectory": 1, "TemporaryFile": 1},  # this is the one way
-    "history/store.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
     "identify/first_values.py": {"TemporaryDirectory": 1},  # scratch files
     "identify/from_recording.py": {"TemporaryDirectory": 1},  # scratch files
     "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 1},  # its own scratch files
@@ -125,7 +124,7 @@ WRITES = {
     "recordings/write.py": {"write_table": 1, "unlink": 1},  # a piece of a file that `beside` opened; an output of an earlier call
     "regress/golden.py": {"unlink": 1},  # an output of an earlier call
     "regress/runners.py": {"TemporaryDirectory": 4},  # scratch files
-    "study/store.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
+    "study/row_file.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
     "study/study.py": {"TemporaryDirectory": 1},  # scratch files
     "system.py": {"mkdir": 1, "unlink": 1},  # by descriptor
     "recordings/trace.py": {"write_table": 1},  # blocks of a file that `beside` opened

@@ -170,5 +170,15 @@ def _check(document: Any, where: str, largest: float = math.inf) -> None:
             )
 
 
+def flat(content: Any, path: str = "") -> dict[str, Any]:
+    """Values of nested tables and lists by path: 'axis.X.travel_m.0'."""
+    if not isinstance(content, Mapping | list | tuple):
+        return {path: content}
+    out: dict[str, Any] = {}
+    for key, inner in content.items() if isinstance(content, Mapping) else enumerate(content):
+        out |= flat(inner, f"{path}.{key}" if path else str(key))
+    return out
+
+
 def _short(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -52,7 +52,11 @@ def folder(tmp_path: Path) -> Path:
     found = {"verdict": "effect", "effects": [{"effect": "backlash", "axis": "X"}]}
     (tmp_path / "out" / "diagnosis").mkdir()
     write_json(found, tmp_path / "out" / "diagnosis" / "diagnosis.json", "diagnosis")
-    (tmp_path / "out" / "diagnosis" / "report.html").write_text("the report")
+    lead = '<title>Diagnosis</title>\n<meta name="description" content="Backlash on X &amp; more.">the report'
+    (tmp_path / "out" / "diagnosis" / "report.html").write_text(lead)
+    (tmp_path / "out" / "exam" / "cases" / "0000").mkdir(parents=True)
+    write_json({"seed": 1}, tmp_path / "out" / "exam" / "exam.json", "exam")
+    (tmp_path / "out" / "exam" / "cases" / "0000" / "campaign.toml").write_text("machine = 'x'")
     (tmp_path / "out" / "broken").mkdir()
     (tmp_path / "out" / "broken" / "study.json").write_text('{"a": ')
     (tmp_path / "out" / "gap.html").write_text("<title>Gap of a &amp; b</title>")
@@ -89,10 +93,10 @@ def ask(desk: Desk, path: str, form: list[tuple[str, str]] | None = None, host: 
 def test_results_in_a_folder_are_recognised(folder: Path) -> None:
     found = {entry.path: entry for entry in entries_in(folder)}
     assert {path: entry.kind for path, entry in found.items()} == {
-        "first": "run", "worn & old": "run", "diagnosis": "diagnosis", "broken": "study", "gap.html": "report",
+        "first": "run", "worn & old": "run", "diagnosis": "diagnosis", "broken": "study", "gap.html": "report", "exam": "examination",
     }  # fmt: skip
     assert found["first"].summary == "<b>x.csv on Mikron, no effects: error of X 2 um"
-    assert found["diagnosis"].summary == "effect: backlash on X"
+    assert found["diagnosis"].summary == "Backlash on X & more."  # the lead of its report
     assert found["gap.html"].summary == "Gap of a & b"
     assert found["broken"].summary.startswith("cannot be read:")
     assert (found["first"].picture, found["diagnosis"].report) == ("first/run.png", "diagnosis/report.html")
@@ -106,7 +110,7 @@ def test_page_and_files(folder: Path) -> None:
         assert status == 200
         assert "&lt;b&gt;x.csv" in page
         assert 'value="worn &amp; old"' in page
-        assert ask(desk, "/file/diagnosis/report.html")[:2] == (200, "the report")
+        assert ask(desk, "/file/diagnosis/report.html")[1].endswith("the report")
         assert ask(desk, "/file/first/run.png")[0] == 200
 
 

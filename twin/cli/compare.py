@@ -69,9 +69,10 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     """Two machine files: the numbers that differ and, with --input, both simulated."""
     from twin.compare.compare import compare
     from twin.compare.machines import differing_numbers
-    from twin.compare.pages import number_rows, write_comparison_page, write_machines_page
+    from twin.compare.pages import number_rows, numbers_sections, title_of, write_comparison_page
     from twin.machine import load_machine
     from twin.replay.side_by_side import write_side_by_side
+    from twin.report.page import made_line, write_page
     from twin.simulation.run import simulate
     from twin.simulation.summary import table
 
@@ -82,7 +83,7 @@ def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     print("\n".join([verdict, *([table(["number", *names], number_rows(numbers))] if numbers else [])]))
     document = {"first": names[0], "second": names[1], "verdict": verdict, "numbers": [n._asdict() for n in numbers]}
     if not args.input:
-        write_machines_page(names, numbers, verdict, out / "report.html", f"{first}, {second}")
+        write_page(out / "report.html", title_of(*names), verdict, numbers_sections(numbers, names), made_line(inputs=f"{first}, {second}"))
         return document
     program, trace = setpoints_of_input(Path(args.input), machines[0])
     runs = []

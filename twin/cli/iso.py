@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+import functools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -179,10 +180,7 @@ def _of_runs(args: argparse.Namespace, source: Path, machine: Machine) -> list[_
             problems.append(str(error))
             continue
         for measured in found:
-
-            def again(twin: Machine, of: tuple[Any, ...] = (trace, feedforward, measured, ballbar)) -> CircleTest:
-                return _predicted(twin, *of)
-
+            again = functools.partial(_predicted, trace=trace, feedforward=feedforward, measured=measured, ballbar=ballbar)
             circles = {"measured": measured} if args.no_predict else {"measured": measured, "predicted": again(machine)}
             tests.append(_Test(run, circles, again, "simulated" if trace.is_simulated else "measured"))
     if not tests:

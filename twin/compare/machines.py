@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from twin.documents import flat
 from twin.effects import settings_of
 from twin.machine.machine import Machine
 
@@ -19,7 +19,7 @@ class Number(NamedTuple):
 
 def differing_numbers(a: Machine, b: Machine) -> list[Number]:
     """Numbers that differ, in the order of the first file; paths of effects are `effect.NAME.AXIS.PARAMETER`."""
-    first, second = _flat(_plain(a)), _flat(_plain(b))
+    first, second = flat(_plain(a)), flat(_plain(b))
     return [
         Number(path, first.get(path), second.get(path)) for path in dict.fromkeys([*first, *second]) if first.get(path) != second.get(path)
     ]
@@ -35,14 +35,3 @@ def _plain(machine: Machine) -> dict[str, Any]:
         same = sum(name.partition("#")[0] == path for name in effects)  # several laws, or couplings to several axes
         effects[f"{path}#{same + 1}" if same else path] = own
     return {**document, "effect": effects}
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for key, value in table.items():
-        path = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            out.update(_flat(value, f"{path}."))
-        else:
-            out[path] = value
-    return out

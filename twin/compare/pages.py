@@ -72,14 +72,8 @@ def write_comparison_page(comparison: Comparison, path: Path, inputs: str, numbe
             Section("Errors without the delay of the control", tables=[errors]),
             Section(f"Differences: {b} minus {a}", tables=[differences]),
         ]
-    if numbers:
-        sections.append(_numbers_section(numbers, (a, b)))
-    write_page(path, _title(a, b), comparison.verdict, sections, made_line(comparison.machine.name, inputs))
-
-
-def write_machines_page(names: tuple[str, str], numbers: Sequence[Number], verdict: str, path: Path, inputs: str) -> None:
-    """Write the page of two machine files: the numbers that differ."""
-    write_page(path, _title(*names), verdict, [_numbers_section(numbers, names)] if numbers else [], made_line(inputs=inputs))
+    sections += numbers_sections(numbers, (a, b))
+    write_page(path, title_of(a, b), comparison.verdict, sections, made_line(comparison.machine.name, inputs))
 
 
 def number_rows(numbers: Sequence[Number]) -> list[list[str]]:
@@ -87,10 +81,12 @@ def number_rows(numbers: Sequence[Number]) -> list[list[str]]:
     return [[n.path, *("-" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v) for v in (n.first, n.second))] for n in numbers]
 
 
-def _numbers_section(numbers: Sequence[Number], names: tuple[str, str]) -> Section:
-    return Section("Numbers of the machine files that differ", tables=[Table(["number", *names], number_rows(numbers))])
+def numbers_sections(numbers: Sequence[Number], names: tuple[str, str]) -> list[Section]:
+    """The numbers of two machine files that differ; no section without any."""
+    table = Table(["number", *names], number_rows(numbers))
+    return [Section("Numbers of the machine files that differ", tables=[table])] if numbers else []
 
 
-def _title(a: str, b: str) -> str:
+def title_of(a: str, b: str) -> str:
     """'A and B', with a capital first letter."""
     return f"{a[:1].upper()}{a[1:]} and {b}"

@@ -37,7 +37,9 @@ _BY_DOCUMENT = {
 }
 """Document -> kind of result. If a folder has several, the first of this order counts: a run with a comparison is a run."""
 REPORT = "report.html"
-_TITLE = re.compile(r"<title>(.*?)</title>", re.S)
+_TITLE, _LEAD = re.compile(r"<title>(.*?)</title>", re.S), re.compile(r'<meta name="description" content="(.*?)">', re.S)
+HEAD_CHARACTERS = 4000
+"""Characters at the start of a page that hold its title and its lead."""
 COMPARED = (RUN, CAMPAIGN)
 """Kinds that can be compared."""
 PICTURES = ("run.png", "x_200mm.png", "plots/*.png", "pictures/*.png", "*.png")
@@ -96,7 +98,7 @@ def _folders(folder: Path) -> Iterator[tuple[Path, set[str]]]:
         here = Path(place)
         if len(here.relative_to(folder).parts) >= DEEPEST:
             below.clear()
-        below[:] = sorted(name for name in below if not name.startswith("."))
+        below[:] = sorted(name for name in below if not name.startswith(".") and "exam.json" not in files)  # its inside is no result
         yield here, {name for name in files if not name.startswith(".") and place_in(folder, str(here / name))}
 
 
@@ -122,7 +124,7 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
     return Entry(
         path=place.relative_to(folder).as_posix(),
         kind=kind,
-        summary=_summary(kind, document),
+        summary=(_said(report)[1] if report is not None and kind != RUN else "") or _summary(document),
         written=datetime.fromtimestamp((place / name).stat().st_mtime),
         report=relative(report),
         picture=relative(picture),
@@ -133,32 +135,26 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
 
 def _page(folder: Path, file: Path) -> Entry:
     """A single report, such as that of `twin gap --html`."""
-    with file.open(encoding="utf-8", errors="replace") as page:
-        title = _TITLE.search(page.read(2000))
     name = file.relative_to(folder).as_posix()
     written = datetime.fromtimestamp(file.stat().st_mtime)
-    return Entry(name, "report", html.unescape(title[1]).strip() if title else "", written, name, None, False)
+    return Entry(name, "report", _said(file)[0], written, name, None, False)
 
 
-def _summary(kind: str, document: Mapping[str, Any]) -> str:
+def _summary(document: Mapping[str, Any]) -> str:
     """One-line summary of a document; '' if it lacks the keys (it may be from another version)."""
     try:
-        if kind == RUN and "axes" in document:
-            errors = {axis: (float(a["error_without_delay_max"]), a["following_error_unit"]) for axis, a in document["axes"].items()}
-            worst = max(errors, key=lambda axis: errors[axis][0])
-            effects = ", ".join(f"{e['name'].replace('_', ' ')} {e['axis']}" for e in document["effects"]) or "no effects"
-            return f"{Path(document['input']).name} on {document['machine']}, {effects}: error of {worst} {errors[worst][0]:.3g} {errors[worst][1]}"
-        if kind == "diagnosis" and "effects" in document:
-            named = ", ".join(f"{e['effect'].replace('_', ' ')} on {e['axis']}" for e in document["effects"][:3])
-            more = len(document["effects"]) - 3
-            listed = named + (f" and {more} more" if more > 0 else "")
-            return f"{document['verdict']}{f': {listed}' if listed else ''}"
-        if kind == "history":
-            changes = "; ".join(str(c["sentence"]) for c in document["changes"]) or "no change"
-            return f"{document['machine']}, {len(document['campaigns'])} recordings: {changes}"
-        if kind == "remedy" and "changes" in document:
-            return f"{document['motion']}: {document['before']:.2f} um RMS at the tool point, {document['after']:.2f} um after {len(document['changes'])} changes"
+        errors = {axis: (float(a["error_without_delay_max"]), a["following_error_unit"]) for axis, a in document["axes"].items()}
+        worst = max(errors, key=lambda axis: errors[axis][0])
+        effects = ", ".join(f"{e['name'].replace('_', ' ')} {e['axis']}" for e in document["effects"]) or "no effects"
+        return f"{Path(document['input']).name} on {document['machine']}, {effects}: error of {worst} {errors[worst][0]:.3g} {errors[worst][1]}"
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError):
-        return ""
-    verdict = document.get("verdict", "")
-    return verdict if isinstance(verdict, str) else ""
+        verdict = document.get("verdict", "")
+        return verdict if isinstance(verdict, str) else ""
+
+
+def _said(page: Path) -> tuple[str, str]:
+    """Title and lead of a report, '' where it has none."""
+    with page.open(encoding="utf-8", errors="replace") as file:
+        head = file.read(HEAD_CHARACTERS)
+    title, lead = (html.unescape(found[1]).strip() if (found := part.search(head)) else "" for part in (_TITLE, _LEAD))
+    return title, lead

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.documents import flat
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
@@ -49,16 +50,6 @@ def kept_trace(trace: Trace, every_s: float) -> Trace:
     return replace(trace, signals=signals).decimated(every)
 
 
-def flat(prefix: str, content: Any, out: dict[str, Value]) -> dict[str, Value]:
-    """Flatten nested tables and lists to 'a.b.0' -> value."""
-    if isinstance(content, Mapping):
-        for key, value in content.items():
-            flat(f"{prefix}.{key}" if prefix else str(key), value, out)
-    elif isinstance(content, list | tuple):
-        for i, value in enumerate(content):
-            flat(f"{prefix}.{i}", value, out)
-    elif isinstance(content, bool | str) or content is None:
-        out[prefix] = str(content)
-    else:
-        out[prefix] = float(content)
-    return out
+def values_of(content: Any) -> dict[str, Value]:
+    """Numbers and words of nested tables and lists by path 'a.b.0'."""
+    return {path: str(v) if isinstance(v, bool | str) or v is None else float(v) for path, v in flat(content).items()}

@@ -14,7 +14,7 @@ from twin.errors import InputError, SimulationError
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
 from twin.recordings.trace import Trace, with_program_columns
-from twin.regress.outcome import Feature, Outcome, flat
+from twin.regress.outcome import Feature, Outcome, values_of
 from twin.regress.recorded import recorded_campaign, setpoints_of_moves
 from twin.regress.suite import Case
 
@@ -74,7 +74,7 @@ def _run(case: Case, machine: Machine) -> Outcome:
     _check_compared(case, machine, run.trace)
     features: dict[str, Feature] = {}
     for axis, table in summary_of(machine, run)["axes"].items():
-        for name, value in flat("", table, {}).items():
+        for name, value in values_of(table).items():
             if not isinstance(value, str):
                 features[f"{axis}.{name}"] = Feature(value, _unit_of(name, table), axis)
     trace = run.trace
@@ -141,7 +141,7 @@ def _cut(case: Case, machine: Machine) -> Outcome:
     for one in machining.cuts:
         report = report_of(machining, one)
         name = " ".join(filter(None, (report["surface"], report["level"], report["feedforward"])))
-        for key, value in flat("", report, {}).items():
+        for key, value in values_of(report).items():
             if key not in ("surface", "level", "feedforward", *_JUMPING):
                 features[f"{name}.{key}"] = Feature(value, "um" if "um" in key else "", "", "cut surface")
     return Outcome(features, machine=machine)

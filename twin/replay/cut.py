@@ -14,8 +14,8 @@ All levels have the same scale and magnification, so that switching between them
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -53,11 +53,11 @@ LEAN_UP = np.array([0.0, 0.0, 0.5])
 """Offset of the eye from the normal of an upright wall: upwards."""
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """One surface cut by one level: title, entities of its surface, relief and path."""
+class _Shown(NamedTuple):
+    """One surface cut by one level: the cut, entities of its surface, its relief magnified by `factor`, and its path."""
 
-    title: str
+    cut: CutSurface
+    factor: float
     surface: str
     relief: str
     path: str
@@ -85,29 +85,26 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
             "um",
             "deviation from the nominal surface",
         )
-        shown, factors = [], []
-        for one in machining.cuts:
-            factors.append(_magnification(one.finest, end))
-            shown.append(_log_cut(recording, scene.part_path, one, end, factors[-1]))
+        shown = [_log_cut(recording, scene.part_path, one, end) for one in machining.cuts]
         log_text(recording, _numbers(machining, end))
         bounds = np.array(scene_bounds(scene))
-        recording.send_blueprint(
-            _layout(scene.body_paths[0], scene.part_path, bounds, machining, shown, factors, shapes_of_tool(scene, shapes))
-        )
+        recording.send_blueprint(_layout(scene.body_paths[0], scene.part_path, bounds, shown, shapes_of_tool(scene, shapes)))
     return path
 
 
-def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, end: float, factor: float) -> _Shown:
-    """Log the surface of a cut, true to scale and magnified, and its path."""
+def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, end: float) -> _Shown:
+    """Log the surface of a cut, true to scale and with a round magnification (1, 2 or 5 times a power of ten), and its path."""
     name, label = one.surface.name, one.level.label
+    size = float(np.linalg.norm(np.ptp(one.finest.point, axis=0)))
     shown = _Shown(
-        f"{name}: {label}",
+        one,
+        round_down(max(RELIEF_SHARE * size / end, 1.0)),
         entity(part_frame, "surface", name, label),
         entity(part_frame, "relief", name, label),
         entity(part_frame, "cut_path", label),
     )
     _log_surface(recording, shown.surface, one.whole, end, 1.0)
-    _log_surface(recording, shown.relief, one.finest, end, factor)
+    _log_surface(recording, shown.relief, one.finest, end, shown.factor)
     middle, scale = _enlarged(one.finest)
     recording.log(shown.relief, rr.Transform3D(translation=(1.0 - scale) * middle, scale=scale), static=True)
     colour = {PROGRAMMED: PROGRAM_COLOUR, COMMANDED: SETPOINT_COLOUR}.get(one.level.level, axis_colour("Z"))
@@ -138,21 +135,14 @@ def _enlarged(rays: HeightRays) -> tuple[np.ndarray, float]:
     return 0.5 * (low + high), max(1.0, LEAST_SIZE / float(np.linalg.norm(high - low)))
 
 
-def _magnification(rays: HeightRays, end: float) -> float:
-    """A round magnification (1, 2 or 5 times a power of ten) for RELIEF_SHARE."""
-    return round_down(max(RELIEF_SHARE * float(np.linalg.norm(np.ptp(rays.point, axis=0))) / end, 1.0))
-
-
 def _layout(
     root: str,
     part_frame: str,
     bounds: np.ndarray,
-    machining: Machining,
     shown: Sequence[_Shown],
-    factors: Sequence[float],
     tool: Sequence[str],
 ) -> rrb.Blueprint:
-    worst = max(range(len(shown)), key=lambda i: float(np.abs(machining.cuts[i].finest.height).max()))
+    worst = max(range(len(shown)), key=lambda i: float(np.abs(shown[i].cut.finest.height).max()))
     hidden = [f"- {entity(part_frame, word)}/**" for word in ("surface", "relief", "cut_path")]
 
     def here(one: _Shown) -> list[str]:
@@ -160,7 +150,8 @@ def _layout(
         return [*hidden, f"+ {one.surface}", f"+ {one.path}"]
 
     tabs = []
-    for one, cut, factor in zip(shown, machining.cuts, factors):
+    for one in shown:
+        cut = one.cut
         whole, zone = (np.array([rays.point.min(axis=0), rays.point.max(axis=0)]) for rays in (cut.whole, cut.finest))
         centre, scale = _enlarged(cut.finest)
         middle = whole.mean(axis=0)
@@ -178,15 +169,14 @@ def _layout(
             seen_from=PATH_FROM,
         )
         relief = scene_view(
-            f"Surface, deviation x{factor:g}",
+            f"Surface, deviation x{one.factor:g}",
             part_frame,
             [f"+ {one.relief}"],
             centre + scale * (zone - centre),
             distance=1.1,
             seen_from=above,
         )
-        views = (at_part, relief)
-        tabs.append(rrb.Horizontal(*views, name=one.title))
+        tabs.append(rrb.Horizontal(at_part, relief, name=f"{cut.surface.name}: {cut.level.label}"))
     left = rrb.Vertical(
         scene_view("Machine", root, [f"+ {root}/**", *here(shown[worst])], bounds, floor=True),
         rrb.TextDocumentView(origin=SUMMARY, name="Numbers"),

@@ -16,7 +16,7 @@ Equal colours mean equal errors in both panes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,14 +37,8 @@ from twin.replay.toolpaths import ToolPaths, alike, followed_joints, log_tool_pa
 ROOTS = ("/design_1", "/design_2")
 
 
-@dataclass(frozen=True)
-class _Pane:
-    """One design for the layout: label, scene, bounding box (2, 3) [m], views of its paths."""
-
-    label: str
-    scene: Scene
-    bounds: np.ndarray
-    views: tuple[PathView, ...]
+_Pane = tuple[str, Scene, np.ndarray, tuple[PathView, ...]]
+"""One design for the layout: label, scene, bounding box (2, 3) [m], views of its paths."""
 
 
 def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Trace]], *, summary: str = "") -> int:
@@ -59,11 +53,12 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
     scenes = [placed_at(scene_of(one), root) for (one, _), root in zip(designs.values(), ROOTS)]
     paths = _paths_of(designs, scenes)
     with recording_to(path, f"{machine.name}: {' beside '.join(designs)}") as recording:
-        panes, curves = [], axis_curves(machine, runs)
+        panes: list[_Pane] = []
+        curves = axis_curves(machine, runs)
         for i, ((label, (_, trace)), scene) in enumerate(zip(designs.items(), scenes)):
             shapes = log_machine(recording, scene, trace.time, followed_joints(trace))
             views = log_tool_paths(recording, scene, paths[i], shapes, full=False) if paths else ()
-            panes.append(_Pane(label, scene, bounds_with_tip(scene, {label: followed_joints(trace)}), views))
+            panes.append((label, scene, bounds_with_tip(scene, {label: followed_joints(trace)}), views))
             if paths:
                 curves.append(contour_curve(label, trace.time, paths[i].contours[label].error, i, alone=False))
         log_curves(recording, curves, full=False)
@@ -96,26 +91,23 @@ def most_different_axis(machine: Machine, first: Trace, second: Trace) -> str:
 def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -> rrb.Blueprint:
     columns = []
     # both panes have the same eye, at the distance that suits the larger scene
-    whole_box = _around([pane.bounds for pane in panes])
-    boxes = [_around([view.bounds for view in views]) for views in zip(*(pane.views for pane in panes))]
-    for pane in panes:
-        views = [replace(view, bounds=box) for view, box in zip(pane.views, boxes)]
-        root = pane.scene.body_paths[0]
+    whole_box = _around([bounds for _, _, bounds, _ in panes])
+    boxes = [_around([view.bounds for view in views]) for views in zip(*(views for *_, views in panes))]
+    for label, scene, _, own in panes:
+        views = [replace(view, bounds=box) for view, box in zip(own, boxes)]
+        root = scene.body_paths[0]
         hidden = [f"- {view.root}/**" for view in views[1:]]
         growing = views[0].growing if views else ()
-        whole = scene_view(f"{pane.label}: machine", root, [f"+ {root}/**", *hidden], whole_box, growing=growing, floor=True)
-        near = [
-            path_view(view, views, root, pane.scene.part_path, title=f"{pane.label}: {view.title[0].lower()}{view.title[1:]}")
-            for view in views
-        ]
+        whole = scene_view(f"{label}: machine", root, [f"+ {root}/**", *hidden], whole_box, growing=growing, floor=True)
+        near = [path_view(view, views, root, scene.part_path, title=f"{label}: {view.title[0].lower()}{view.title[1:]}") for view in views]
         # open on the largest magnification, as for a single run
         column: list[rrb.View | rrb.Container] = [whole]
         if near:
-            column.append(rrb.Tabs(*near, active_tab=len(near) - 1, name=f"{pane.label}: path"))
+            column.append(rrb.Tabs(*near, active_tab=len(near) - 1, name=f"{label}: path"))
         columns.append(rrb.Vertical(*column) if len(column) > 1 else whole)
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*columns)]
     shares = [5.0]
-    if panes[0].views:
+    if boxes:
         rows.append(colour_bar_view(LEGEND, "contour error of both [um]"))
         shares.append(0.7)
     bottom = [*below, rrb.TextDocumentView(origin=SUMMARY, name="Summary")]

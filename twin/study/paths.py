@@ -18,6 +18,7 @@ import fnmatch
 from typing import Any
 
 from twin.control.number import unit_of_key
+from twin.documents import flat
 from twin.effects.change import total_inertia
 from twin.effects.effect import find_effect
 from twin.errors import InputError, nearest
@@ -25,6 +26,7 @@ from twin.machine.axis import Axis
 from twin.machine.machine import Machine
 from twin.machine.parameters import key_of
 from twin.simulation.plant_spec import load_spec
+from twin.tables import is_number
 
 ADDED_MASS = "added_mass."
 INERTIA = "inertia."
@@ -103,22 +105,9 @@ def _effect_table(machine: Machine, name: str, axis: str) -> Mapping[str, Any] |
     return next((table for table in machine.effects if table.get("name") == name and table.get("axis") == axis), None)
 
 
-def numbers_of(table: Mapping[str, Any], prefix: str = "") -> list[str]:
+def numbers_of(document: Mapping[str, Any]) -> list[str]:
     """Paths of all numbers in the tables of a machine file, without its effects."""
-    out = []
-    for key, value in table.items():
-        path = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            out += numbers_of(value, f"{path}.")
-        elif isinstance(value, list):
-            out += [f"{path}.{i}" for i, item in enumerate(value) if _is_number(item)]
-        elif _is_number(value):
-            out.append(path)
-    return out
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return [path for path, value in flat({k: v for k, v in document.items() if k != "effect"}).items() if is_number(value)]
 
 
 def unit_at(path: str) -> str:

@@ -53,7 +53,7 @@ from typing import Annotated, Any, Literal
 from msgspec import field
 from msgspec.structs import replace
 
-from twin.documents import outer_file, read_toml
+from twin.documents import flat, outer_file, read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward, Machine, load_machine
 from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, LIMITS, MARGINS, MOST_TIME_AT_LIMIT, Constraint
@@ -184,16 +184,13 @@ def _column(design: Design, i: int) -> list[Any] | None:
     return [row[i] for row in design.rows if i < len(row)] if design.kind == "list" else None
 
 
-def _fixed(table: Mapping[str, Any], machine: Machine, where: str, prefix: str = "") -> dict[str, float]:
+def _fixed(table: Mapping[str, Any], machine: Machine, where: str) -> dict[str, float]:
     """Numbers by path; TOML reads an unquoted path as nested tables."""
     out: dict[str, float] = {}
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            out |= _fixed(value, machine, where, f"{prefix}{key}.")
-        elif is_number(value):
-            out |= dict.fromkeys(matching_paths(f"{prefix}{key}", machine, where), float(value))
-        else:
-            raise InputError(f"{where}: {prefix}{key} = {value!r}; give a number")
+    for path, value in flat(table).items():
+        if not is_number(value):
+            raise InputError(f"{where}: {path} = {value!r}; give a number")
+        out |= dict.fromkeys(matching_paths(path, machine, where), float(value))
     return out
 
 
