@@ -36,6 +36,13 @@ def test_a_lag_is_found_though_the_recording_begins_later(mikron: Machine) -> No
     assert "differ on" in found.verdict
 
 
+def test_rounding_is_no_difference(mikron: Machine) -> None:
+    found = compare(stroke(), stroke(lag=3e-17), mikron)
+    assert found.differing == ()
+    assert "move alike" in found.verdict
+    assert compare(stroke(), stroke(lag=3e-9), mikron).differing == ("X",)
+
+
 def test_other_motion_is_refused(mikron: Machine) -> None:
     with pytest.raises(InputError, match="not the same motion"):
         compare(stroke(), stroke(length=0.06), mikron)

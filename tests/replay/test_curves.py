@@ -12,7 +12,7 @@ from twin.geometry.polyline import keep_shape
 from twin.geometry.tool_path import contour_of
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace
-from twin.replay.blueprint import _even_range
+from twin.replay.blueprint import GROUP_TITLES, _even_range
 from twin.replay.curves import SET_POINT, Curve, axis_curves, line_width, not_recorded, torque_parts
 from twin.replay.decimate import SAME_LINE, decimate, thinned
 from twin.replay.events import find_events, stretches, turning_points
@@ -274,6 +274,12 @@ def test_a_machine_without_named_tool_has_a_path() -> None:
     paths = tool_paths_of(scene_of(machine), machine, {"run": Trace(time, asked, machine.kinds)})
     assert paths is not None
     assert np.allclose(np.ptp(paths.followed["run"][:, :2], axis=0), [np.ptp(asked["x", "position"]), np.ptp(asked["y", "position"])])
+
+
+def test_titles_of_tabs_fit() -> None:
+    """The viewer cuts longer ones off where a column holds several plots as tabs."""
+    for group, title in GROUP_TITLES.items():
+        assert len(title) <= (12 if group in ("error_without_delay", "following_error", "position") else 14)
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.35, -0.2513])
