@@ -207,12 +207,10 @@ def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
     if not (file.is_file() and document.is_file()):
         raise InputError(f"{folder}: no machine.toml and diagnosis.json; give the --out folder of 'twin diagnose'")
     assert test.again is not None
-    found = circle_budget(load_machine(file), read_json(document, "a diagnosis"), test.circles["measured"], test.again)
-    test.circles["corrected"], rows = found
-    return [
-        {"effect": row.effect, "axis": row.axis, "probability": row.probability, "rms_um": row.share * 1e6, "adds_um": {k: v * 1e6 for k, v in row.adds.items()}}
-        for row in rows
-    ]  # fmt: skip
+    test.circles["corrected"], rows = circle_budget(
+        load_machine(file), read_json(document, "a diagnosis"), test.circles["measured"], test.again
+    )
+    return rows
 
 
 def _predicted(machine: Machine, trace: Trace, feedforward: str | None, measured: CircleTest, ballbar: Ballbar | None) -> CircleTest:

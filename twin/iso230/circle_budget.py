@@ -9,7 +9,6 @@ unknown = the same of radius(measured) - radius(corrected)
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -23,22 +22,12 @@ from twin.machine.machine import Machine
 UNKNOWN = "unknown"
 
 
-@dataclass(frozen=True)
-class EffectOnCircle:
-    """One row: effect and axis, probability (None for the unknown part), share [m], and its contribution to G_b, F_max and F_min [m]."""
-
-    effect: str
-    axis: str
-    probability: float | None
-    share: float
-    adds: Mapping[str, float]
-
-
 def circle_budget(
     corrected: Machine, diagnosis: Mapping[str, Any], measured: CircleTest, run: Callable[[Machine], CircleTest]
-) -> tuple[CircleTest, list[EffectOnCircle]]:
+) -> tuple[CircleTest, list[dict[str, Any]]]:
     """The circle of the corrected machine, and the rows of the budget: largest share first, the unknown part last.
 
+    A row has effect and axis, probability (None for the unknown part), share `rms_um`, and `adds_um`, its contribution to the numbers of the standard.
     `diagnosis` is the document of `twin diagnose`; `run` simulates the measured circle on a machine.
     """
     tables = [dict(table) for table in corrected.document.get("effect", [])]
@@ -51,10 +40,9 @@ def circle_budget(
     for i, table in enumerate(tables):
         without = run(with_effects(corrected, tables[:i] + tables[i + 1 :]))
         key = (str(table["name"]), str(table.get("axis", "")))
-        rows.append(EffectOnCircle(*key, probability.get(key), radial_rms(whole, without), _adds(whole, without)))
-    rows.sort(key=lambda row: -row.share)
-    rows.append(EffectOnCircle(UNKNOWN, "", None, radial_rms(measured, whole), _adds(measured, whole)))
-    return whole, rows
+        rows.append(_row(*key, probability.get(key), whole, without))
+    rows.sort(key=lambda row: -row["rms_um"])
+    return whole, [*rows, _row(UNKNOWN, "", None, measured, whole)]
 
 
 def radial_rms(a: CircleTest, b: CircleTest) -> float:
@@ -64,7 +52,8 @@ def radial_rms(a: CircleTest, b: CircleTest) -> float:
     return float(np.sqrt(np.mean(squares))) if squares else math.nan
 
 
-def _adds(a: CircleTest, b: CircleTest) -> dict[str, float]:
-    """Numbers of the standard for one circle minus those for another [m]."""
+def _row(effect: str, axis: str, probability: float | None, a: CircleTest, b: CircleTest) -> dict[str, Any]:
+    """The row of what makes one circle differ from another."""
     first, second = circle_numbers(a), circle_numbers(b)
-    return {k: first[k] - second[k] for k in ("G_b", "G_ccw", "G_cw", "F_max", "F_min") if k in first and k in second}
+    adds = {k: 1e6 * (first[k] - second[k]) for k in ("G_b", "G_ccw", "G_cw", "F_max", "F_min") if k in first and k in second}
+    return {"effect": effect, "axis": axis, "probability": probability, "rms_um": 1e6 * radial_rms(a, b), "adds_um": adds}

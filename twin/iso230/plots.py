@@ -11,7 +11,7 @@ import numpy as np
 from twin.iso230.circles import QUADRANTS, CircleTest
 from twin.iso230.positioning import COVERAGE, Positioning
 from twin.report.figure import BLUE, GREEN, INK, RED, SOFT, new_figure, save_png
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, round_up
 
 COLOURS = {"forward": BLUE, "backward": RED, "ccw": BLUE, "cw": RED}
 
@@ -44,13 +44,13 @@ def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str
     save_png(figure, path)
 
 
-def draw_circles(tests: Mapping[str, CircleTest], path: Path, title: str = "") -> None:
+def draw_circles(tests: Mapping[str, CircleTest], path: Path) -> None:
     """Polar plot of one circle with magnified deviations. `tests` by label ('measured', 'predicted', ...)."""
     figure, axes = new_figure(1, 2, height=5.6)
     polar, flat = axes[0]
     deviations = [p.distance - t.radius for t in tests.values() for p in t.paths.values()]
     worst = max(float(np.abs(d).max()) for d in deviations) * 1e6
-    step = _division(worst)
+    step = round_up(max(worst, 1e-3) / 4.0)  # a division: four hold the largest deviation
     # the radius of the nominal circle is eight divisions, so that the largest deviation stays well inside
     ring = 8.0
     turn = np.linspace(0.0, 2.0 * math.pi, 361)
@@ -81,17 +81,10 @@ def draw_circles(tests: Mapping[str, CircleTest], path: Path, title: str = "") -
     polar.text(0.0, ring + 4.6, f"+{first.axes[1]}", ha="center", va="bottom")
     polar.text(0.0, 0.0, f"{step:g} um\nper division", ha="center", va="center", color=SOFT)
     feed = f", {first.feed * 60:.3g} m/min" if first.feed > 0.0 else ""
-    polar.set_title(title or f"ISO 230-4, {first.name}, radius {first.radius * 1e3:.4g} mm{feed}")
+    polar.set_title(f"ISO 230-4, {first.name}, radius {first.radius * 1e3:.4g} mm{feed}")
     polar.legend(loc="lower left", bbox_to_anchor=(-0.05, -0.08), ncols=2)
     flat.set_title("the same, unrolled")
     flat.set_xlabel(f"angle from +{first.axes[0]} [deg]")
     flat.set_ylabel("radius minus nominal [um]")
     flat.set_xticks(range(0, 361, 45))
     save_png(figure, path)
-
-
-def _division(worst: float) -> float:
-    """Micrometres per division: a round number with which four divisions hold the largest deviation."""
-    size = max(worst, 1e-3) / 4.0
-    power = 10.0 ** math.floor(math.log10(size))
-    return float(min(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= size))

@@ -207,29 +207,21 @@ def _speed_controller(machine: Machine, axis: Axis, inertia: float, trace: Trace
 
 def _speed_controller_of_samples(machine: Machine, axis: Axis, trace: Trace) -> Law:
     """Regressed law for a differentiated or filtered speed: samples around each instant, feedforward and integral."""
-    rows = [*_about(_followed(machine, axis, trace)[:, 0]), *_samples(axis, trace, "velocity"), np.ones(len(trace.time))]
+    rows = [*_about(_followed(machine, axis, trace)[:, 0]), *_about(trace.get(axis.name, "velocity")), np.ones(len(trace.time))]
     rows += [trace.get(axis.name, "torque_feedforward"), _speed_integral(machine, axis, trace)]
     return np.column_stack(rows), *_command(axis, trace)
 
 
-def _samples(axis: Axis, trace: Trace, signal: str) -> list[np.ndarray]:
-    """TAPS columns: a signal from two samples before to two samples after each instant."""
-    return _about(trace.get(axis.name, signal))
-
-
 def _about(values: np.ndarray) -> list[np.ndarray]:
+    """TAPS columns: a signal from two samples before to two samples after each instant."""
     padded = np.pad(values, TAPS // 2, mode="edge")
     return list(np.lib.stride_tricks.sliding_window_view(padded, TAPS).T)
-
-
-def _rates(axis: Axis, trace: Trace, signal: str) -> np.ndarray:
-    return np.gradient(trace.get(axis.name, signal), trace.period)
 
 
 def _current_loop(machine: Machine, axis: Axis, trace: Trace) -> Law:
     columns = [np.ones(len(trace.time)), *_about(_followed(machine, axis, trace)[:, 0])]
     for signal in ("current_setpoint", "velocity"):  # i* between samples depends on w* and w
-        columns += _samples(axis, trace, signal)
+        columns += _about(trace.get(axis.name, signal))
     return np.column_stack(columns), trace.get(axis.name, "torque"), np.ones(len(trace.time), bool)
 
 
@@ -245,6 +237,6 @@ def _mechanics(axis: Axis, trace: Trace) -> Law:
 def _transmission(axis: Axis, trace: Trace) -> Law:
     x = trace.get(axis.name, "position")
     angle = x / axis.ratio
-    rows = [trace.get(axis.name, "torque"), _rates(axis, trace, "velocity"), trace.get(axis.name, "velocity")]
+    rows = [trace.get(axis.name, "torque"), np.gradient(trace.get(axis.name, "velocity"), trace.period), trace.get(axis.name, "velocity")]
     rows += [x, np.sin(angle), np.cos(angle), np.ones(len(x))]
     return np.column_stack(rows), trace.get(axis.name, "motor_position") - x, np.ones(len(x), bool)

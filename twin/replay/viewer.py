@@ -76,9 +76,7 @@ def open_viewer(paths: str | Path | Sequence[str | Path]) -> None:
 def serve(paths: str | Path | Sequence[str | Path], port: int = WEB_PORT) -> None:
     """Serve recordings to browsers on this computer until Ctrl-C. Port 0 is a free one."""
     files = _checked(paths)
-    port = port or free_port()
-    _check_port(port)
-    data = free_port()
+    port, data = free_port(port), free_port()
     arguments = ["--serve-web", "--web-viewer-port", str(port), "--port", str(data), "--bind", LOCAL, *map(str, files)]
     with _viewer(arguments) as process:
         _wait_for(port, process)
@@ -112,7 +110,8 @@ def screenshot(
             picture = _complete_picture(client, at_s)
         except (OSError, RuntimeError) as error:
             # a viewer without a driver answers for a moment before it exits
-            if _ended(process):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(2.0)
                 raise InputError(_NO_DRIVER) from None
             raise InputError(f"the viewer failed: {' '.join(str(error).split())[:200]}; try again, or --serve") from None
     image = Image.open(io.BytesIO(picture)).convert("RGB")
@@ -122,10 +121,13 @@ def screenshot(
     return out
 
 
-def free_port() -> int:
-    """A free port on this computer."""
+def free_port(port: int = 0) -> int:
+    """This port of this computer, or a free one (0)."""
     with socket.socket() as probe:
-        probe.bind((LOCAL, 0))
+        try:
+            probe.bind((LOCAL, port))
+        except (OSError, OverflowError):
+            raise InputError(f"--port {port}: cannot be used on this computer; choose another") from None
         return int(probe.getsockname()[1])
 
 
@@ -179,15 +181,6 @@ def _connected(client: Any, port: int, process: subprocess.Popen[bytes]) -> Any:
     raise InputError(_NO_DRIVER)
 
 
-def _ended(process: subprocess.Popen[bytes]) -> bool:
-    """Whether the viewer has exited or exits within 2 s."""
-    try:
-        process.wait(2.0)
-    except subprocess.TimeoutExpired:
-        return False
-    return True
-
-
 @contextmanager
 def _viewer(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     """A viewer process that ends with the block."""
@@ -208,14 +201,6 @@ def _executable() -> list[str]:
 
     binary = Path(rerun_cli.__file__).parent / ("rerun.exe" if os.name == "nt" else "rerun")
     return [str(binary)] if binary.is_file() else [sys.executable, "-m", "rerun_cli"]
-
-
-def _check_port(port: int) -> None:
-    with socket.socket() as probe:
-        try:
-            probe.bind((LOCAL, port))
-        except (OSError, OverflowError):
-            raise InputError(f"--port {port}: cannot be used on this computer; choose another") from None
 
 
 def _checked(paths: str | Path | Sequence[str | Path]) -> list[Path]:

@@ -123,7 +123,7 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
     sections = [Section("Findings", items=sentences(answers))]
     sections += [_response_section(study, answers, r, shown) for r in answers.responses]
     for i, (pair, front) in enumerate(answers.fronts.items()):
-        if front and _varies(answers, pair):
+        if front and all(depends(y) for y in (values_of(answers.rows, name)[1] for name in pair) if len(y)):
             name = "pareto" if i == 0 else f"pareto_{i + 1}"
             figure = shown(_pareto_figure(answers, pair, front), name, "All variants, and those on the Pareto front")
             sections.append(_trade_off(answers, pair, front, figure))
@@ -199,11 +199,6 @@ def _of(rows: Sequence[Any]) -> list[str]:
 
 def _with_unit(text: str, name: str) -> str:
     return text if unit_of(name) == "1" else f"{text} [{unit_of(name)}]"
-
-
-def _varies(answers: Answers, pair: Sequence[str]) -> bool:
-    """Do both responses of a pair vary over the variants?"""
-    return all(depends(y) for y in (values_of(answers.rows, name)[1] for name in pair) if len(y))
 
 
 def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], figure: Figure) -> Section:

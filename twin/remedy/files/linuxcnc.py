@@ -20,7 +20,8 @@ from twin.remedy.files.table import PER_SI, ErrorTable
 MOST_POINTS = 256
 LONGEST_LINE = 254
 """A longer line is split by the loader."""
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_THREE = re.compile(3 * r"\s*((?>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?))")
+"""Three numbers at the start of a line, as sscanf("%lf %lf %lf") reads them."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +39,14 @@ def load(text: str, kind: int = 0) -> Trims:
     rows: list[tuple[float, float, float]] = []
     dropped = []
     for number, line in enumerate(text.split("\n"), 1):
-        words = _leading_numbers(line[:LONGEST_LINE])
-        if len(words) < 3:
+        words = _THREE.match(line[:LONGEST_LINE])
+        if words is None:
             if line or number < len(text.split("\n")):
                 dropped.append(f"line {number} is not three numbers: the loader stops there")
             break
         if len(line) > LONGEST_LINE:
             dropped.append(f"line {number} has more than {LONGEST_LINE} characters: the loader splits it")
-        nominal, first, second = words[:3]
+        nominal, first, second = map(float, words.groups())
         if rows and nominal <= rows[-1][0]:
             dropped.append(f"line {number}: its position does not increase: skipped")
             continue
@@ -57,20 +58,6 @@ def load(text: str, kind: int = 0) -> Trims:
     # the loader keeps single precision
     trims = table[:, 1:].astype(np.float32).astype(float)
     return Trims(table[:, 0], trims[:, 0], trims[:, 1], tuple(dropped))
-
-
-def _leading_numbers(line: str) -> list[float]:
-    """The numbers at the start of a line, as sscanf("%lf %lf %lf") reads them."""
-    found: list[float] = []
-    at = 0
-    for _ in range(3):
-        blank = re.compile(r"\s*").match(line, at)
-        match = _NUMBER.match(line, blank.end() if blank else at)
-        if match is None:
-            break
-        found.append(float(match[0]))
-        at = match.end()
-    return found
 
 
 def compensation_file(table: ErrorTable, kind: str) -> str:
