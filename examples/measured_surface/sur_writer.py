@@ -1,4 +1,4 @@
-"""Writes height maps of Digital Surf (`.sur`), the inverse of `twin.surface.sur_file.read_sur`."""
+"""Writes height maps of Digital Surf (`.sur`), the inverse of the reader in `twin.surface.measured`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import struct
 import numpy as np
 
 from twin.files import beside
-from twin.surface.sur_file import HEAD_BYTES, PLACES, SIGNATURE, UNITS_AT
+from twin.surface.measured import HEAD_BYTES, PLACES, SIGNATURE, UNITS_AT
 
 
 def write_sur(path: Path, dx: float, dy: float, height: np.ndarray) -> None:
