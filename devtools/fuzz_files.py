@@ -158,7 +158,7 @@ def case_of(kind: str) -> Case:
 COMMANDS = (("run", "move.csv"), ("interpolate", "p.mpf"), ("check", "p.mpf"), ("check", "."), ("cut", "p.mpf"), ("replay", "move.csv"),
             ("compare", ".", "."), ("effects", "backlash"), ("machine", "check"), ("machine", "show"), ("machine", "new"), ("import", "move.csv"),
             ("plan", "--minutes", "0.1"), ("identify", "."), ("gap", "."), ("iso", "230-2", "move.csv"), ("iso", "230-4", "move.csv"), ("diagnose", "."),
-            ("study", "s.toml"), ("regress", "s.toml"), ("demo", "--setpoints", "d.csv"), ("completion", "bash"), ("desk", "none"),
+            ("study", "s.toml"), ("regress", "s.toml"), ("completion", "bash"), ("desk", "none"),
             ("exam", "--plan", "."), ("exam", "--cases", "0"))  # fmt: skip
 ARGUMENTS = ("", "nan", "inf", "-1", "0", "1e300", "x", "é", "/dev/null/x", ".", "move.csv", "a=b", "backlash:X:clearance=nan", "backlash", "XY", "99999999999",
              "x" * 300, "1e-300", "*", "$HOME", "<b>", "none.toml", "a\nb", "backlash X clearance 1e300", "X", "programmed", "off")  # fmt: skip

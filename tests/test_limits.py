@@ -13,7 +13,6 @@ import pytest
 from tests.builders.refused import refused
 from tests.builders.small_machine import MJCF, TOML
 from tests.builders.study_files import FACTOR, write_spec
-from twin.cli import main
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
@@ -133,14 +132,6 @@ def test_rays_are_estimated_before_a_run_is_simulated(
     program = str(EXAMPLES / "part3_dome.mpf")
     line = refused(capsys, "cut", program, "--part", str(tmp_path / "part.toml"), "--out", str(tmp_path / "out"), *options)
     assert "rays at 1e-06 um, the limit is 4e+06: enlarge spacing_mm or zone_um" in line
-
-
-def test_a_record_between_two_ticks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    set_points = [str(EXAMPLES.parent / "x_200mm.csv"), "--out", str(tmp_path / "out")]
-    assert "the control ticks every 0.125 ms" in refused(capsys, "run", *set_points, "--sample-period-ms", "1e-9")
-    assert not (tmp_path / "out").exists()
-    assert main(["run", *set_points, "--sample-period-ms", "0.3", "--no-recording"]) == 0
-    assert "note: --sample-period-ms 0.3: recorded every 0.25 ms" in capsys.readouterr().err
 
 
 def thousands(estimate: float) -> Callable[[], None]:

@@ -16,10 +16,14 @@ from tests.builders.recording_read import read_recording
 from tests.conftest import ROOT
 from twin import progress
 from twin.cli import main
+from twin.cli.demo import paper_test
 from twin.cli.parser import COMMANDS
+from twin.errors import InputError
 from twin.limits import raised, raised_by
+from twin.machine.machine import load_machine
 from twin.progress import Progress, hushed
 from twin.recordings.trace import read_trace
+from twin.simulation.run import simulate
 
 EXAMPLE = ROOT / "examples" / "x_200mm.csv"
 
@@ -57,12 +61,11 @@ def test_run_compares_a_machine_with_an_effect_to_the_nominal_one(tmp_path: Path
     assert "--beside needs an --effect" in capsys.readouterr().err
 
 
-def test_feedforward_and_sample_period(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--feedforward", "off", "--sample-period-ms", "10", "--no-recording", "--out", str(tmp_path)]
+def test_feedforward(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--feedforward", "off", "--no-recording", "--out", str(tmp_path)]
     assert main(["run", str(EXAMPLE), *arguments]) == 0
     capsys.readouterr()
     assert json.loads((tmp_path / "summary.json").read_text())["axes"]["X"]["following_error_max"] == pytest.approx(5500, abs=5)
-    assert read_trace(tmp_path / "trace.parquet").period == pytest.approx(10e-3)
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,9 +117,9 @@ def test_picture_of_no_known_kind(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert not (tmp_path / "s.csv").exists()
 
 
-def test_period_longer_than_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(EXAMPLE), "--sample-period-ms", "100000", "--no-recording", "--out", str(tmp_path)]) == 2
-    assert "record it more often" in capsys.readouterr().err
+def test_period_longer_than_the_run() -> None:
+    with pytest.raises(InputError, match="record it more often"):
+        simulate(load_machine(), read_trace(EXAMPLE), sample_period=100.0)
 
 
 def test_help_needs_no_engine() -> None:
@@ -135,9 +138,8 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(list(tmp_path.glob("*.parquet"))) == 3
 
 
-def test_the_example_equals_the_output_of_the_demo(tmp_path: Path) -> None:
-    assert main(["demo", "--setpoints", str(tmp_path / "x.csv")]) == 0
-    made, kept = read_trace(tmp_path / "x.csv"), read_trace(EXAMPLE)
+def test_the_example_holds_the_set_points_of_the_demo() -> None:
+    made, kept = paper_test(load_machine()), read_trace(EXAMPLE)
     np.testing.assert_allclose(made.get("X", "setpoint"), kept.get("X", "setpoint"), rtol=0, atol=1e-15)
 
 

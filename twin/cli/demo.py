@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.cli.arguments import MACHINE, arg, machine_of, out_argument
+from twin.cli.arguments import MACHINE, machine_of, out_argument
 from twin.geometry.scurve import moves_in_turn, phases_of_move
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, write_trace
@@ -109,7 +109,6 @@ def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
 ARGUMENTS = (
     out_argument("folder for traces, recording and plot", type=Path, default=Path("out/demo")),
     MACHINE,
-    arg("--setpoints", "FILE", "only write the set points of the test to this file (.csv .parquet)", type=Path),
 )
 
 
@@ -119,10 +118,6 @@ def carry_out(args: argparse.Namespace) -> None:
 
     machine, out = machine_of(args), args.out
     setpoints = paper_test(machine)
-    if args.setpoints:
-        write_trace(setpoints, args.setpoints)
-        print(f"written: {args.setpoints}")
-        return
     traces = run_test(machine, setpoints)
     written = {word: out / f"x_200mm_{word.replace('+', '_')}.parquet" for word in traces}
     for word, trace in traces.items():

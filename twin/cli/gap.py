@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, arg, flag, machine_of, open_report
+from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, arg, machine_of, open_report
 from twin.files import write_json
 from twin.progress import Progress
 
@@ -18,7 +18,6 @@ ARGUMENTS = (
     MACHINE,
     JSON,
     arg("--html", "FILE", "write a report"),
-    flag("--all", "print every run, axis and signal"),
     OPEN,
 )
 
@@ -45,9 +44,6 @@ def carry_out(args: argparse.Namespace) -> None:
             f"\n{len(outliers)} signals above {AS_EXPECTED:g} times noise" + (f", the largest {SHOWN}:" if len(outliers) > SHOWN else ":")
         )
         print(table(GAP_HEADING, gap_cells(outliers[:SHOWN]), left=3))
-    if args.all:
-        print("\nEvery signal: RMS, maximum, RMS of noise alone")
-        print(found.full_table())
     if args.json:
         write_json(found.document(), Path(args.json), "gap")
     page = args.html or ("out/gap.html" if args.open else None)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.cli.arguments import EFFECT, MACHINE, PLACE, arg, finish, flag, machine_of, out_argument, positive, seed, setpoints_of_input
+from twin.cli.arguments import EFFECT, MACHINE, PLACE, arg, finish, flag, machine_of, out_argument, seed, setpoints_of_input
 from twin.errors import InputError, SimulationError, TwinError, one_line
 from twin.files import output_folder, write_json
 from twin.progress import Progress
@@ -31,7 +31,6 @@ ARGUMENTS = (
     arg("--feedforward", "F", "off | velocity | velocity+torque (default: from the program, else the machine file)"),
     out_argument("folder for trace.parquet, run.rrd, run.png and summary.json (default: out/<name of the input>)", default=None),
     flag("--strict", "refuse set points beyond an axis' speed, acceleration or jerk instead of warning"),
-    arg("--sample-period-ms", "MS", "sample period of the trace (default: from the machine file)", type=positive),
     arg("--noise-seed", "N", "add measuring noise with this seed", type=seed),
     flag("--no-recording", "do not write run.rrd"),
     flag("--open", "open the picture of the run, or the report of --beside"),
@@ -60,13 +59,12 @@ def carry_out(args: argparse.Namespace) -> None:
         raise InputError(f"{source}: {warnings[0]}; slow the set points down or leave out --strict")
     for line in warnings:
         print(f"warning: {one_line(f'{source.name}: {line}')}", file=sys.stderr)
-    period = _sample_period(args, machine)
     out = output_folder(args.out or Path("out") / source.stem)
     machine = machine.with_feedforward(args.feedforward or (program.feedforward if program else None))
     effects, feedforward = effects_line(machine), feedforward_line(machine)
     with Progress(f"simulating {setpoints.duration:.1f} s") as bar:
         try:
-            run = simulate(machine, setpoints, sample_period=period, noise_seed=args.noise_seed, progress=bar)
+            run = simulate(machine, setpoints, noise_seed=args.noise_seed, progress=bar)
         except SimulationError as error:
             if isinstance(error.trace, Trace):
                 write_trace(error.trace, out / "trace.parquet")
@@ -111,20 +109,6 @@ def carry_out(args: argparse.Namespace) -> None:
     if args.beside:
         written += _beside(args, machine, setpoints, followed, out)
     finish(args, out, f"{', '.join(written)}", ("report.html" if args.beside else "run.png"))
-
-
-def _sample_period(args: argparse.Namespace, machine: Machine) -> float | None:
-    """`--sample-period-ms` [s], rounded to whole ticks of the control; None for that of the machine file."""
-    asked = args.sample_period_ms
-    if asked is None:
-        return None
-    tick_ms = machine.base_tick * 1e3
-    if asked < tick_ms * (1.0 - 1e-6):
-        raise InputError(f"--sample-period-ms {asked:g}: the control ticks every {tick_ms:g} ms; give that or more")
-    whole = round(asked / tick_ms) * tick_ms
-    if abs(whole - asked) > 1e-6 * asked:
-        print(f"note: --sample-period-ms {asked:g}: recorded every {whole:g} ms, in whole ticks of {tick_ms:g} ms", file=sys.stderr)
-    return float(whole * 1e-3)
 
 
 def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, followed: Trace, out: Path) -> list[str]:

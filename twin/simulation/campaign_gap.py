@@ -105,17 +105,6 @@ class CampaignGap:
             lines.append(cells)
         return table(["axis", *(text for s in shown for text in (s.replace("_", " "), "x noise", "in run"))], lines)
 
-    def full_table(self) -> str:
-        """Text table of every run, axis and signal: RMS, maximum, RMS of noise alone."""
-        shown, rows = self._signals, []
-        for run, axes in self.runs.items():
-            for axis, signals in axes.items():
-                cells = [
-                    f"{g.rms:.3f} {g.max:.2f} {g.noise:.3f} {g.unit}" if (g := signals.get(s)) and g.is_compared else "-" for s in shown
-                ]
-                rows.append([run, axis, *cells])
-        return table(["run", "axis", *(s.replace("_", " ") for s in shown)], rows)
-
     def document(self) -> dict[str, Any]:
         """The document of `twin gap --json`."""
         plain = {
