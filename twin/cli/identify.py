@@ -49,12 +49,9 @@ def carry_out(args: argparse.Namespace) -> None:
         result = identify(
             campaign, machine, refine=not args.no_refine, torque_constant_tolerance=args.torque_constant_within, progress=bar.step
         )
-    try:
-        if not result.refused:
-            write_identified(result, out)
-        files = write_report(result, args.report or out.with_suffix(".html"))
-    except OSError as error:
-        raise InputError(f"{error.filename or out}: cannot be written ({error.strerror}); choose another path") from None
+    if not result.refused:
+        write_identified(result, out)
+    files = write_report(result, args.report or out.with_suffix(".html"))
     for finding in result.findings:
         print(f"finding: {finding}", file=sys.stderr)
     for note in result.notes:

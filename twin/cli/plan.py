@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twin.cli.arguments import MACHINE, arg, machine_of, number, out_argument
-from twin.errors import InputError
 from twin.files import output_folder
 from twin.progress import Progress
 
@@ -38,10 +37,7 @@ def carry_out(args: argparse.Namespace) -> None:
     output_folder(args.out)  # fails before the long computation
     with Progress("planning", 3 * len(machine.axes)) as bar:
         plan = plan_campaign(machine, args.precision, args.minutes * 60.0, bar.step)
-    try:
-        files = write_plan(plan, machine, Path(args.out))
-    except OSError as error:
-        raise InputError(f"{args.out}: cannot be written ({error.strerror}); give another --out") from None
+    files = write_plan(plan, machine, Path(args.out))
     rows = [[p.axis, p.name, f"{p.value:.6g}", p.unit, f"+- {100 * p.half:.2g} %", _missed(p, args.precision)] for p in plan.predicted]
     print(table(["axis", "parameter", "value", "unit", "predicted 95 %", ""], rows, left=2))
     print("runs: " + ", ".join(f"{r.name} {r.duration:.1f} s ({r.feedforward}, {r.repeats} x)" for r in plan.runs))

@@ -30,24 +30,19 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
     """Write all output files to the folder; returns their names."""
     rows = table_of(study, answers.rows)
     written = [TABLE, "table.csv", "study.json", "report.html"]
-    try:
-        with beside(out / TABLE) as partial:
-            pyarrow.parquet.write_table(rows, partial)
-        with beside(out / "table.csv") as partial:
-            pyarrow.csv.write_csv(rows, partial)
-        write_json(answers.document(), out / "study.json", "study")
-        duties = duties_of(study, answers)
-        written += write_report(study, answers, duties, out)
-        if answers.best is not None:
-            best = machine_of(study, np.array(answers.row(answers.best)[1]))
-            write_machine(best, out / BEST_MACHINE)
-            written.append(BEST_MACHINE)
-            if replay and len(duties) == 2:
-                written += write_replays(duties, "best", out)
-    except OSError as error:
-        raise InputError(
-            f"{out}: cannot be written ({error.strerror}); copy this folder and give the copy as --out with --resume"
-        ) from None
+    with beside(out / TABLE) as partial:
+        pyarrow.parquet.write_table(rows, partial)
+    with beside(out / "table.csv") as partial:
+        pyarrow.csv.write_csv(rows, partial)
+    write_json(answers.document(), out / "study.json", "study")
+    duties = duties_of(study, answers)
+    written += write_report(study, answers, duties, out)
+    if answers.best is not None:
+        best = machine_of(study, np.array(answers.row(answers.best)[1]))
+        write_machine(best, out / BEST_MACHINE)
+        written.append(BEST_MACHINE)
+        if replay and len(duties) == 2:
+            written += write_replays(duties, "best", out)
     return written
 
 
