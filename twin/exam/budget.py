@@ -29,7 +29,7 @@ from .programme import TestRun
 
 SIGNALS = ("position", "motor_position", "current")
 SUBSTEPS = 2  # RK4 steps per tick: enough, because only differences between runs count
-MOVING = (0.2e-3, math.radians(0.2))  # set point speed [m/s, rad/s] above which currents are compared
+MOVING = (0.2e-3, math.radians(0.2))  # currents are compared while the set point is faster [m/s, rad/s]
 ANOTHER_SEED = 421  # noise seed of the second recording that measures the noise
 DIGITS = 4  # significant digits of a row, few enough for the seal to hold on another computer
 

@@ -25,13 +25,13 @@ because the scatter of real recordings is not quite normal and independent.
 """
 
 LEAST = 0.1
-"""Change in usual sizes below which nothing is reported: half of what an alarm should find."""
+"""Smaller changes are not reported [usual sizes]: half of what an alarm should find."""
 
 LEAST_SCATTER = 0.01
 """Smallest scatter between recordings in usual sizes: load and friction act on the rest too, in ways that are not linear."""
 
 SHOWN = 100.0
-"""Information [1 / usual size^2] from which a direction may be named: a fifth of its usual size at two standard deviations of noise."""
+"""A direction may be named if the recordings hold this much information on it [1 / usual size^2]: a fifth of its usual size at two standard deviations of noise."""
 
 PLAUSIBLE = 2.0
 """Largest size of a cause, in its largest usual ones."""
@@ -40,7 +40,7 @@ AGREES = 0.5
 """Largest difference between the two, as a share."""
 
 RECENT = 8
-"""Recordings from which a growth is carried forward, and after which another change of the same axes can be told from it."""
+"""After so many recordings a growth is carried forward, and another change of the same axes can be told from it."""
 
 Cause = tuple[str, str, str]
 

@@ -20,7 +20,7 @@ from twin.remedy.motions import given_motion
 from twin.remedy.predict import decoupled
 
 HARMLESS = 1e-9
-"""Displacement of the tool [m] below which a change does not move it."""
+"""A change that displaces the tool by less does not move it [m]."""
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,10 @@ THERMOMETERS = ("viscous_friction", "coulomb_friction", "lead_error")
 """Effects by which the other axes show temperature and season."""
 
 RIVAL = 0.8
-"""Share of what the best cause explains from which another one is named beside it."""
+"""Another cause is named beside the best one if it explains at least this share of what that one explains."""
 
 SAME_PROGRAM = 0.01
-"""Relative difference of path and travel below which two recordings are of the same program."""
+"""Two recordings are of the same program if their paths and travels differ by less than this share."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ OFFSET = 5.0
 """Standard deviation of what the twin may lack in the baseline [usual sizes]."""
 
 LEAST = 0.05
-"""Change in usual sizes below which nothing is reported."""
+"""Smaller changes are not reported [usual sizes]."""
 
 MOST, STEPS = 6, 4
 """Largest number of changes of a group of axes; simulations of the changes until their sizes are settled."""

@@ -12,7 +12,7 @@ from twin.iso230.circles import LEAST_SWEEP, CirclePath, CircleTest, least_squar
 from twin.recordings.trace import Trace
 
 ROUNDNESS, ROUNDING = 1e-4, 2e-6
-"""Tolerances within which set points belong to a circle: share of the radius, and tolerance of the interpolator [m]."""
+"""Set points that deviate by less belong to a circle: share of the radius, and tolerance of the interpolator [m]."""
 RADIAL = 0.05
 """Above this share of the speed along the radius a set point belongs to a lead-in."""
 SMALLEST_RADIUS = 1e-3

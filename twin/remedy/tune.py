@@ -109,7 +109,7 @@ def small_times(machine: Machine, axis: Axis) -> float:
 
 
 def mode_needed(machine: Machine, axis: Axis, asked: Asked) -> float | None:
-    """The lowest first mode [Hz] of an axis above which its loops keep half of the margins, to STEP; None if the file has a spring."""
+    """The lowest first mode [Hz] with which the loops of an axis keep half of the margins, to STEP; None if the file has a spring."""
     settings = settings_of(machine)
     if any(s.axis == axis.name for s in settings):
         return None

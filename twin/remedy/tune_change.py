@@ -22,7 +22,7 @@ DECAYS = (0.5, 1.0, 2.0)
 KNEES = (0.5, 1.5)
 """First accelerations of the full amplitude, in units of the median over the reversals."""
 BEYOND = 2.0
-"""Factor beyond the first numbers within which the best ones are sought: a pulse that never decays is no pulse."""
+"""The best numbers are sought within this factor of the first ones: a pulse that never decays is no pulse."""
 TRIES = 24
 """Most evaluations after the first ones."""
 CYCLES_IF_ENDLESS = 8.0

@@ -25,7 +25,7 @@ LABEL_WIDTH, LABEL_HEIGHT = 0.1, 0.12
 """Share of a panel that a peak label takes; labels of closer peaks are moved apart."""
 
 COLUMNS = 700
-"""Columns of a panel within which a line is not resolved."""
+"""A line is not resolved within one of so many columns of a panel."""
 
 LEAST_IN_COLUMN, LEAST_BAND, LEAST_BANDS = 3, 0.03, 0.1
 """A curve is drawn as a band if so many samples fall into a column, and so large a share of its columns swings by this share of its range."""
