@@ -18,6 +18,7 @@ from twin.iso230.positioning import Readings
 from twin.recordings.trace import Trace
 
 BALLBAR = ("direction", "angle_deg", "deviation_um")
+WAYS = ("forward", "backward")
 SHORTEST_REST = 0.2
 """Shortest standstill that counts as a measurement [s]."""
 SETTLED = 0.5
@@ -40,18 +41,13 @@ def is_table(path: Path, first: str = "direction") -> bool:
 def read_positions(path: Path) -> tuple[Readings, str]:
     """Readings of one axis from a table, in m or rad, and the kind of the axis ('linear', 'rotary')."""
     rows = _rows(path)
-    heading = [name for name in rows[0] if name]
-    unit = "deg" if "target_deg" in heading else "mm"
+    unit = "deg" if "target_deg" in rows[0] else "mm"
     needed = ("direction", "position", "cycle", f"target_{unit}", f"measured_{unit}")
-    for name in needed:
-        if name not in heading:
-            raise InputError(f"{path}: no column '{name}'; {nearest(name, heading)}; a table has {','.join(needed)}")
+    _check_columns(rows, needed, path)
     factor = 1e-3 if unit == "mm" else math.pi / 180.0
     found: dict[tuple[str, float], list[float]] = {}
     for line, row in enumerate(rows, start=2):
-        direction = str(row["direction"]).strip().lower()
-        if direction not in ("forward", "backward"):
-            raise InputError(f"{path}: line {line}: direction '{row['direction']}'; write forward or backward")
+        direction = _direction(row, WAYS, path, line)
         target, measured = (_number(row, name, path, line) for name in needed[3:])
         found.setdefault((direction, target), []).append((measured - target) * factor)
     return _readings(found, factor, str(path)), "linear" if unit == "mm" else "rotary"
@@ -60,14 +56,10 @@ def read_positions(path: Path) -> tuple[Readings, str]:
 def read_ballbar(path: Path, radius: float, feed: float, axes: tuple[str, str]) -> CircleTest:
     """A circle test from a ballbar table, with `radius` [m] and `feed` [m/s] of the program."""
     rows = _rows(path)
-    for name in BALLBAR:
-        if name not in rows[0]:
-            raise InputError(f"{path}: no column '{name}'; {nearest(name, [n for n in rows[0] if n])}; a table has {','.join(BALLBAR)}")
+    _check_columns(rows, BALLBAR, path)
     paths: dict[str, list[tuple[float, float]]] = {}
     for line, row in enumerate(rows, start=2):
-        direction = str(row["direction"]).strip().lower()
-        if direction not in DIRECTIONS:
-            raise InputError(f"{path}: line {line}: direction '{row['direction']}'; write cw or ccw")
+        direction = _direction(row, DIRECTIONS, path, line)
         angle, deviation = (_number(row, name, path, line) for name in BALLBAR[1:])
         paths.setdefault(direction, []).append((math.radians(angle), radius + deviation * 1e-6))
     out = {}
@@ -116,7 +108,7 @@ def positions_of_trace(trace: Trace, axis: str, where: str) -> Readings:
 def _readings(found: dict[tuple[str, float], list[float]], factor: float, where: str) -> Readings:
     targets = sorted({target for _, target in found})
     columns = {}
-    for direction in ("forward", "backward"):
+    for direction in WAYS:
         counts = {len(found.get((direction, target), [])) for target in targets}
         if 0 in counts:
             raise InputError(f"{where}: not every target has a {direction} reading; measure each from both sides")
@@ -136,6 +128,19 @@ def _rows(path: Path) -> list[dict[str, str]]:
     if not rows:
         raise InputError(f"{path}: the table is empty; give one reading a line below the heading")
     return rows
+
+
+def _check_columns(rows: list[dict[str, str]], needed: tuple[str, ...], path: Path) -> None:
+    for name in needed:
+        if name not in rows[0]:
+            raise InputError(f"{path}: no column '{name}'; {nearest(name, [n for n in rows[0] if n])}; a table has {','.join(needed)}")
+
+
+def _direction(row: dict[str, str], known: tuple[str, str], path: Path, line: int) -> str:
+    direction = str(row["direction"]).strip().lower()
+    if direction not in known:
+        raise InputError(f"{path}: line {line}: direction '{row['direction']}'; write {' or '.join(sorted(known, key=len))}")
+    return direction
 
 
 def _number(row: dict[str, str], name: str, path: Path, line: int) -> float:

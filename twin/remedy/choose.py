@@ -107,7 +107,7 @@ def choose(
         base = with_changes(machine, chosen)
         say(f"tuning {len(pool)} changes beside {len(chosen)}")
         tried = [_held(tuned(change, base, [on]), base, control, refused) for change in pool]
-        first = [error.rms for error in _all_judged([change.applied(base) for change in tried], on)]
+        first = [error.rms for error in errors_of([change.applied(base) for change in tried], on)]
         for i in np.argsort(first, kind="stable"):
             if goal.met(now):
                 break
@@ -127,12 +127,7 @@ def choose(
 
 def judged(machine: Machine, on: Motionful) -> ToolError:
     """The error of a machine on a motion; an infinite one where the simulation diverges."""
-    return _all_judged([machine], on)[0]
-
-
-def _all_judged(machines: Sequence[Machine], on: Motionful) -> list[ToolError]:
-    """The same of several machines, simulated side by side."""
-    return [ToolError(np.array([np.inf]), {}, {}) if found is None else found for found in errors_of(machines, on)]
+    return errors_of([machine], on)[0]
 
 
 def _held(change: Change, machine: Machine, control: str, refused: list[Refused]) -> Change:
@@ -164,7 +159,7 @@ def _harm(change: Change, base: Machine, on: Motionful, elsewhere: Sequence[Moti
     frictions = (1.0, *FRICTIONS)
     machines = [with_friction(base, change.axis, friction) for friction in frictions]
     for motion in (on, *elsewhere):
-        found = _all_judged([*machines, *(change.applied(machine) for machine in machines)], motion)
+        found = errors_of([*machines, *(change.applied(machine) for machine in machines)], motion)
         for friction, without, with_it in zip(frictions, found, found[len(frictions) :]):
             if with_it.rms > NO_WORSE * without.rms:
                 said = [f"{e.rms * 1e6:.2f} um" if math.isfinite(e.rms) else "unstable" for e in (without, with_it)]

@@ -20,7 +20,7 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.remedy.change import Change
-from twin.remedy.tool_error import ToolError, tool_error
+from twin.remedy.tool_error import DIVERGED, ToolError, tool_error
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
@@ -59,9 +59,9 @@ def simulated(
         return simulate_each(jobs, pool.map, lambda i, run: of(run.trace, machines[i]))
 
 
-def errors_of(machines: Sequence[Machine], on: Motionful) -> list[ToolError | None]:
-    """The error of each machine on a motion, on the decoupled plant; None where the simulation diverges."""
-    return [None if isinstance(found, TwinError) else found for found in simulated(machines, on, tool_error)]
+def errors_of(machines: Sequence[Machine], on: Motionful) -> list[ToolError]:
+    """The error of each machine on a motion, on the decoupled plant; an infinite one where the simulation diverges."""
+    return [DIVERGED if isinstance(found, TwinError) else found for found in simulated(machines, on, tool_error)]
 
 
 def decoupled(machines: Sequence[Machine], on: Motionful) -> list[Trace]:

@@ -114,8 +114,8 @@ def remedy(
     )
 
 
-def _spread(value: float, errors: Sequence[ToolError | None]) -> tuple[float, float]:
-    found = np.array([e.rms for e in errors if e is not None])
+def _spread(value: float, errors: Sequence[ToolError]) -> tuple[float, float]:
+    found = np.array([e.rms for e in errors if math.isfinite(e.rms)])
     if len(found) < 3:
         return 0.0, math.inf
     half = NORMAL_95 * float(np.std(found, ddof=1))

@@ -38,6 +38,10 @@ class ToolError:
         return float(self.contour.max())
 
 
+DIVERGED = ToolError(np.array([np.inf]), {}, {})
+"""The error of a machine whose simulation diverges."""
+
+
 def tool_error(trace: Trace, machine: Machine) -> ToolError:
     """The error of a simulated run, whose trace holds `load_position`."""
     try:

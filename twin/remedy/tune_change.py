@@ -99,7 +99,7 @@ def _best(
         machines = [replace(change, values=values).applied(machine) for values in many]
         squares = np.zeros(len(many))
         for motion in on:
-            squares += [np.inf if error is None else error.rms**2 for error in errors_of(machines, motion)]
+            squares += [error.rms**2 for error in errors_of(machines, motion)]
         return np.sqrt(squares / len(on))
 
     values = losses(first)
