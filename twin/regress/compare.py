@@ -70,7 +70,7 @@ def compare(case: Case, golden: Golden, outcome: Outcome) -> list[Check]:
     if golden.trace is not None and outcome.trace is not None and outcome.machine is not None:
         checks += _signals(case, golden.trace, outcome.trace, outcome.machine)
         checks += _events(case, golden.events, outcome.events)
-    return [*checks, *_numbers(case, golden, outcome)]
+    return [*checks, *(_gaps(case, golden, outcome) if case.kind == "campaign" else _numbers(case, golden, outcome))]
 
 
 def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
@@ -156,24 +156,31 @@ def uncompared(golden: Golden, now: Golden) -> list[str]:
 
 
 def _numbers(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
-    """|now - golden| <= absolute + relative |golden|; for parameters + of_interval times half the interval. Words must be equal, none may vanish.
-
-    The gap to a measurement may grow by a share of itself plus a share of the noise alone; it may shrink.
-    """
-    tolerance = case.tolerance[{"identify": "parameters", "diagnose": "parameters", "campaign": "gap"}.get(case.kind, "summary")]
-    relative, of_noise = (
-        tolerance.get(own, 0.0) + tolerance.get(gap, 0.0) for own, gap in (("relative", "growth"), ("of_interval", "above_noise"))
-    )
+    """|now - golden| <= absolute + relative |golden|; for parameters + of_interval times half the interval. Words must be equal, none may vanish."""
+    tolerance = case.tolerance["parameters" if case.kind in ("identify", "diagnose") else "summary"]
+    absolute, of_interval = tolerance.get("absolute", 0.0), tolerance.get("of_interval", 0.0)
     for name, before in golden.features.items():
         after = outcome.features.get(name)
         if after is None or isinstance(before.value, str) or isinstance(after.value, str):
             now = str(after.value) if after else "missing"
             yield Check(name, before.axis, before.unit, float(now != str(before.value)), 0.0, str(before.value), now, before.block)
         else:
-            allowed = tolerance.get("absolute", 0.0) + relative * abs(before.value) + of_noise * before.noise
-            change = after.value - before.value
-            found = max(change, 0.0) if case.kind == "campaign" else abs(change)
+            allowed = absolute + tolerance["relative"] * abs(before.value) + of_interval * before.noise
+            found = abs(after.value - before.value)
             yield Check(name, before.axis, before.unit, found, allowed, before.value, after.value, before.block)
+
+
+def _gaps(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
+    """The gap to the measurement may grow by a share of itself plus a share of the noise alone; it may shrink."""
+    tolerance = case.tolerance["gap"]
+    for name, before in golden.features.items():
+        after = outcome.features.get(name)
+        if after is None:
+            yield Check(name, before.axis, before.unit, 1.0, 0.0, str(before.value), "missing", before.block)
+            continue
+        old, new = float(before.value), float(after.value)
+        allowed = tolerance["growth"] * old + tolerance["above_noise"] * before.noise
+        yield Check(name, before.axis, before.unit, max(new - old, 0.0), allowed, old, new, before.block)
 
 
 def _axis_in(outcome: Outcome) -> str:
