@@ -1,8 +1,8 @@
 """Expressions of all languages: one evaluator, a grammar for each.
 
 SINUMERIK writes `R1+2*SIN(30)`, `X == 5`, `ARRAY[1,2]`, `$P_UIFR[1,X,TR]`; ISO and LinuxCNC write `[#1+2*SIN[30]]`, `#<depth> GT 5`.
-Angles are in degrees. A value is a number or a text. Every fault is a `WordError` with its column; the reader adds file,
-line and block.
+Angles are in degrees. A value is a number, a text, or a frame of a SINUMERIK (`CTRANS(X,5):CROT(Z,30)`). Every fault is a `WordError`
+with its column; the reader adds file, line and block.
 """
 
 from __future__ import annotations
@@ -14,7 +14,11 @@ import operator
 import re
 from typing import Any
 
-Value = float | str
+from twin.program.frames import Frame
+
+Value = float | str | Frame
+
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
 
 DEEPEST = 60
 """Largest number of nested brackets; Python allows hardly more."""
@@ -69,7 +73,31 @@ FUNCTIONS: dict[str, Callable] = {
 
 
 def _text(value: Value) -> str:
-    return value if isinstance(value, str) else f"{value:.10g}"
+    return value if isinstance(value, str) else "frame" if isinstance(value, Frame) else f"{value:.10g}"
+
+
+def as_number(value: Value, column: int) -> float:
+    """A value that must be a number."""
+    if isinstance(value, str):
+        raise WordError(f'a number is needed here, not the text "{value[:20]}"', column)
+    if isinstance(value, Frame):
+        raise WordError("a number is needed here, not a frame", column)
+    return value
+
+
+def closing(line: str, at: int) -> int:
+    """Position of the bracket that closes the one at `at`; quoted texts are skipped."""
+    depth, quoted = 0, False
+    for i in range(at, len(line)):
+        if line[i] == '"':
+            quoted = not quoted
+        elif not quoted and line[i] in "([":
+            depth += 1
+        elif not quoted and line[i] in ")]":
+            depth -= 1
+            if depth == 0:
+                return i
+    raise WordError("bracket is not closed", at + 1)
 
 
 @dataclass(frozen=True)
@@ -91,7 +119,7 @@ SINUMERIK = Grammar(
         "OR": (1, _LOGIC["OR"]), "XOR": (2, _LOGIC["XOR"]), "AND": (3, _LOGIC["AND"]), **{sign: (4, test) for sign, test in COMPARE.items()},
         "<<": (5, lambda a, b: _text(a) + _text(b)), "B_OR": (6, _bits(operator.or_)), "B_XOR": (7, _bits(operator.xor)), "B_AND": (8, _bits(operator.and_)),
         "+": (9, SUMS["+"]), "-": (9, SUMS["-"]), "*": (10, SUMS["*"]), "/": (10, SUMS["/"]),
-        "DIV": (10, lambda a, b: float(math.trunc(a / b))), "MOD": (10, math.fmod),
+        "DIV": (10, lambda a, b: float(math.trunc(a / b))), "MOD": (10, math.fmod), ":": (11, operator.matmul),
     },
     FUNCTIONS
     | {
@@ -127,7 +155,7 @@ FANUC = replace(
 """ISO as a Fanuc reads it: AND, OR and XOR work on the bits and bind like * and +, ahead of a comparison; two letters of a word are enough."""
 _NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:EX([+-]?\d{1,3}))?", re.A)
 _NAME = re.compile(r"[A-Z_$][A-Z0-9_$]*", re.A)
-_SIGN = re.compile(r"==|<>|<=|>=|<<|\*\*|[-+*/<>^]")
+_SIGN = re.compile(r"==|<>|<=|>=|<<|\*\*|[-+*/<>^]|:(?=\s*[A-Z$_])")
 _CODED = re.compile(r"'(?:H([0-9A-F]{1,8})|B([01]{1,32}))'")
 
 
@@ -135,11 +163,11 @@ class Expression:
     """One evaluation of a text in one grammar.
 
     `variable(expression, name, column)` gives the value of a name; it may read an index with `arguments`.
-    `hash_sign(expression, column)` reads the text after a `#`.
+    `hash_sign(expression, column)` reads the text after a `#`. Without `variable` the text is read for its end alone.
     """
 
     def __init__(
-        self, text: str, grammar: Grammar, variable: Callable, hash_sign: Callable | None = None, at: int = 0, column: int = 1
+        self, text: str, grammar: Grammar, variable: Callable | None, hash_sign: Callable | None = None, at: int = 0, column: int = 1
     ) -> None:
         self.text, self.grammar, self.variable, self.hash_sign, self.at, self.column = text, grammar, variable, hash_sign, at, column
         self.depth = 0
@@ -176,13 +204,7 @@ class Expression:
     def number(self) -> float:
         """A finite number."""
         at = self.at
-        value = self.value()
-        return self._number(value, at)
-
-    def _number(self, value: Value, at: int) -> float:
-        if isinstance(value, str):
-            raise self.fail(f'a number is needed here, not the text "{value[:20]}"', at)
-        return value
+        return as_number(self.value(), self.column + at)
 
     def _operator(self) -> tuple[str, int] | None:
         self.blank()
@@ -198,6 +220,8 @@ class Expression:
         return match[0], match.end()
 
     def _apply(self, name: str, work: Callable, arguments: tuple, at: int) -> Value:
+        if self.variable is None:
+            return 0.0
         try:
             result = work(*arguments)
         except ZeroDivisionError:
@@ -205,7 +229,7 @@ class Expression:
         except (ValueError, TypeError, OverflowError):
             shown = ", ".join(_text(a) for a in arguments)
             raise self.fail(f"{name}({shown}) has no value", at) from None
-        if isinstance(result, str):
+        if isinstance(result, str | Frame):
             return result
         if not math.isfinite(result):
             raise self.fail("expression gives no finite number", at)
@@ -232,16 +256,18 @@ class Expression:
             return number
         if char in ("+", "-"):
             self.at += 1
-            value = self._number(self.atom(), at)
-            return -value if char == "-" else value
+            signed = as_number(self.atom(), self.column + at)
+            return -signed if char == "-" else signed
         if char == self.grammar.opening:
             self.at += 1
             inner = self.value()
             self.close(at)
             return inner
-        if char == '"' and (end := self.text.find('"', at + 1)) > 0:
-            self.at = end + 1
-            return self.text[at + 1 : end]
+        if char == '"':
+            self.at = self.text.find('"', at + 1) + 1
+            if self.at == 0:
+                raise WordError("text is not closed with a quote", self.column + at)
+            return self.text[at + 1 : self.at - 1]
         if char == "'" and (match := _CODED.match(self.text, at)):
             self.at = match.end()
             return float(int(match[1], 16) if match[1] else int(match[2], 2))
@@ -255,8 +281,12 @@ class Expression:
 
     def _named(self, name: str, at: int) -> Value:
         if name in ("NOT", "B_NOT") and self.grammar is SINUMERIK:
-            value = self._number(self.atom(), at)
-            return float(not value) if name == "NOT" else float(~int(value))
+            operand = as_number(self.atom(), self.column + at)
+            return float(not operand) if name == "NOT" else float(~int(operand))
+        if self.variable is None:
+            while self.at < len(self.text) and self.text[self.at] in "([":
+                self.at = closing(self.text, self.at) + 1
+            return 0.0
         if name in self.grammar.constants:
             return self.grammar.constants[name]
         if name in self.grammar.functions and self.peek() == self.grammar.opening:
@@ -269,19 +299,19 @@ class Expression:
             return self._apply(name, self.grammar.functions[name], (self.atom(),), at)
         if name in self.grammar.functions:
             raise self.fail(f"{name} needs its argument in brackets {self.grammar.opening} {self.grammar.closing}", at)
-        return self.variable(self, name, at)
+        value: Value = self.variable(self, name, at)
+        return value
 
     def arguments(self) -> list[Value]:
         """Values between brackets of any kind, separated by commas."""
-        at, opening = self.at, self.peek()
-        closing = {"(": ")", "[": "]"}[opening]
+        at, close = self.at, {"(": ")", "[": "]"}[self.peek()]
         self.at += 1
-        values = [self.value()]
+        values = [] if self.peek() == close else [self.value()]
         while self.peek() == ",":
             self.at += 1
             values.append(self.value())
-        if self.peek() != closing:
-            raise self.fail(f"bracket is not closed, '{closing}' is missing", at)
+        if self.peek() != close:
+            raise self.fail(f"bracket is not closed, '{close}' is missing", at)
         self.at += 1
         return values
 

@@ -14,7 +14,7 @@ import re
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.program.expressions import Null, WordError
+from twin.program.expressions import NUMBER, Null, WordError, as_number
 from twin.program.flow import Frame as Call
 from twin.program.frames import AXES
 from twin.program.iso_lines import SEPARATOR, IsoLines, between_percents, message_text
@@ -23,7 +23,6 @@ from twin.program.reader import NO_GROUP, Reader
 from twin.program.source import Unit
 from twin.program.state import Block, Item
 from twin.program.structures import Statement
-from twin.program.words import NUMBER
 
 ISO_FRAMES = ("system", "shift", "local", "mirror", "scale", "turn", "plane")
 """Zero offset, G92, G52, then G51.1, G51 and G68 in the order in which a Fanuc nests them, and G68.2."""
@@ -117,11 +116,9 @@ class Iso(Reader):
             if not e.peek():
                 raise WordError(f"'{name}' needs a number", column)
             try:
-                value = e.atom()
+                value = as_number(e.atom(), column)
             except WordError as error:
                 raise WordError(f"'{name}' needs a number: {error}", error.column) from None
-            if isinstance(value, str):
-                raise WordError(f"'{name}' needs a number", column)
             if name == "N":
                 self.state.block = int(value)
             elif name == "G":

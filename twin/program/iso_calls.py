@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, as_number
 from twin.program.flow import Frame
 from twin.program.iso_blocks import Iso
 from twin.program.iso_lines import between_percents
@@ -128,7 +128,7 @@ def _call_oword(m: Iso, s: Statement) -> None:
     while e.peek():
         if e.peek() != "[" or len(arguments) == 30:
             raise e.fail("a call takes up to 30 arguments in brackets, e.g. O100 call [1] [2]")
-        arguments[len(arguments) + 1] = float(e.atom())
+        arguments[len(arguments) + 1] = as_number(e.atom(), e.column + e.at)
     calling, found, at = m.flow.frame, None, None
     for unit in dict.fromkeys((calling.unit, m.unit_read)):
         at = m.flow.labels(unit).get(f"SUB {name}", [None])[0]

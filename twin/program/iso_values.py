@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from twin.program.expressions import FANUC, ISO, Expression, Null, WordError
+from twin.program.expressions import FANUC, ISO, Expression, Null, WordError, as_number
 from twin.program.flow import Flow
 from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame, rotation, shifted
 from twin.program.reader import Values
@@ -85,8 +85,8 @@ class IsoValues(Values):
             e.at = end + 1
             return name
         at = e.at
-        number = e.atom()
-        if isinstance(number, str) or number != int(number) or number < 0:
+        number = as_number(e.atom(), e.column + at)
+        if number != int(number) or number < 0:
             raise e.fail("the number of a variable is a whole number from 0", at)
         return int(number)
 

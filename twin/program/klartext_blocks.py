@@ -13,7 +13,7 @@ import numpy as np
 from twin.machine.machine import Machine
 from twin.program.arcs import Arc
 from twin.program.control import KEPT, Vector
-from twin.program.expressions import WordError
+from twin.program.expressions import NUMBER, WordError
 from twin.program.flow import Frame as Call
 from twin.program.klartext_lines import VALUE, KlartextLines, KlartextValues, joined, without_number
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader
@@ -22,7 +22,6 @@ from twin.program.state import Block as Words
 from twin.program.state import Item
 from twin.program.structures import Statement
 from twin.program.tables import NOTE, REFUSED, UNKNOWN, Word
-from twin.program.words import NUMBER
 
 _WORD = re.compile(
     rf"\s*(?:(?P<side>R[0LR])(?![\w.])|DR\s*(?P<sense>[-+])(?![\d.Q])|F\s*(?P<feed>MAX|AUTO|{VALUE})|M\s*(?P<m>\d+)"

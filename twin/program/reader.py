@@ -14,7 +14,7 @@ from twin.program import moves as mv
 from twin.program.collect import Collector
 from twin.program.control import Control
 from twin.program.corners import Corners
-from twin.program.expressions import Expression, Grammar, Value, WordError
+from twin.program.expressions import Expression, Grammar, Value, as_number
 from twin.program.flow import Flow, Frame
 from twin.program.source import Folder, Unit
 from twin.program.state import State
@@ -61,13 +61,6 @@ class Values:
     def no_value(self, name: str, how: str = "set it before") -> str:
         """The message about a variable that has none."""
         return f"{name} has no value here; {how}, or give it in the table [variables] of the machine file"
-
-
-def as_number(value: Value, column: int) -> float:
-    """A value that must be a number."""
-    if isinstance(value, str):
-        raise WordError(f'a number is needed here, not the text "{value[:20]}"', column)
-    return float(value)
 
 
 MODES: dict[float, tuple[str, Any]] = {

@@ -10,7 +10,7 @@ import re
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.program.expressions import Value, WordError
+from twin.program.expressions import NUMBER, Value, WordError
 from twin.program.flow import Frame as Call
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
@@ -22,7 +22,7 @@ from twin.program.state import Item
 from twin.program.structures import Statement
 from twin.program.tables import REFUSED
 from twin.program.tables import Word as Meaning
-from twin.program.words import NUMBER, Word, split_words
+from twin.program.words import Word, split_words
 
 SINUMERIK_FRAMES = ("basic", "settable", "fine", "program", "plane")
 """Outermost first; `fine` is G59."""

@@ -11,11 +11,11 @@ import numpy as np
 
 from twin.errors import nearest
 from twin.program.corners import Corners
-from twin.program.expressions import SINUMERIK, Expression, Value, WordError
+from twin.program.expressions import SINUMERIK, Expression, Value, WordError, as_number
 from twin.program.flow import Flow
 from twin.program.flow import Frame as Call
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
-from twin.program.reader import Values, as_number
+from twin.program.reader import Values
 from twin.program.state import Item, State
 from twin.program.structures import Statement
 from twin.program.words import Word, split_arguments
@@ -24,9 +24,9 @@ _DEF = re.compile(
     r"\s*(?:DEF|REDEF)\s+(?:(?:NCK|CHAN|SYNR|SYNRW|SYNW|INTERN)\s+)*(REAL|INT|BOOL|CHAR|STRING\s*\[\s*\d+\s*\]|AXIS|FRAME)\s+(.+)\Z", re.A
 )
 _WRAPPED = re.compile(r"\s*(AC|IC|DC|ACP|ACN)\s*\((.*)\)\s*\Z", re.S)
-_FRAME_PART = re.compile(r"\s*(?:C(TRANS|FINE|ROT|SCALE|MIRROR)\s*\(([^()]*)\)|([A-Z_$]\w*)(?:\[([^\]]*)\])?)\s*:?")
 _FRAMES = ("$P_UIFR", "$P_PFRAME", "$P_UBFR", "$P_BFRAME", "$P_CHBFR", "$P_NCBFR", "$P_IFRAME", "$P_ACTBFRAME")
 """Frames of the control that a program may read and write."""
+_FRAME_FUNCTIONS = ("CTRANS", "CFINE", "CROT", "CSCALE", "CMIRROR")
 _ZERO = ("$P_SIM", "$P_ISTEST", "$P_SEARCH", "$P_SEARCHL", "$P_DRYRUN", "$AC_ALARM_STAT", "$P_SUBPAR", "$AC_MARKER", "$AC_PARAM")
 """Variables that are 0, or that a program finds so before it has set them."""
 AXIS_NAMES = {*INDEX, *OTHER, "X1", "Y1", "Z1", "A1", "C1", "B1", "TR", "FI", "RT", "SC", "MI", "SPI", "SP1"}
@@ -38,6 +38,9 @@ G_GROUPS = {
 }  # fmt: skip
 """G codes by group, in the order in which G[group]=number and $P_GG[group] count them."""
 
+Store = dict[tuple, Value]
+"""The elements of a variable by their index, () of a plain one; ("default",) is that of the others."""
+
 
 class SinumerikValues(Values):
     """Values of variables, words and expressions."""
@@ -48,9 +51,7 @@ class SinumerikValues(Values):
         self.settable: dict[str, Frame] = {}
         self.chosen = "G500"  # settable frame in force
         self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
-        self.parameters: dict[int, float] = {}
-        self.globals: dict[str, dict[tuple, Value]] = {}
-        self.frame_variables: dict[str, Frame] = {}  # DEF FRAME
+        self.globals: dict[str, Store] = {"R[]": {("default",): 0.0}}
 
     def settable_frame(self, name: str) -> Frame:
         """A frame from the program or the machine file."""
@@ -63,61 +64,58 @@ class SinumerikValues(Values):
         self.state.set_frames(settable=self.settable_frame(name))
 
     def define(self, s: Statement, frame: Call) -> None:
+        """DEF: variables of a program or subprogram, with the values that they start with."""
         match = _DEF.match(s.text)
         if not match:
             raise WordError("DEF needs a type and names, e.g. DEF REAL LENGTH=10", s.column)
-        start: Value = "" if match[1].startswith(("STRING", "CHAR", "AXIS")) else 0.0
+        start: Value = "" if match[1].startswith(("STRING", "CHAR", "AXIS")) else NO_FRAME if match[1] == "FRAME" else 0.0
         for part, _ in split_arguments(match[2]):
             name, _, value = part.partition("=")
             shape = re.match(r"\s*([A-Z_$][A-Z0-9_$]*)\s*(?:\[(.*)\])?\s*\Z", name, re.A)
             if not shape:
                 raise WordError(f"'{part[:30]}' is not a definition; write a name, e.g. DEF REAL LENGTH=10", s.column)
-            store: dict[tuple, Value] = {("default",): start}
+            store: Store = {("default",): start}
+            places: list[tuple] = [()]
+            items = [value]
             if shape[2]:
                 sizes = [int(self.number_of(n, s.column)) for n, _ in split_arguments(shape[2])]
                 if math.prod(sizes) > MOST_ELEMENTS:
                     raise WordError(f"an array of {math.prod(sizes)} elements is too large", s.column)
-                store[("size",)] = float(len(sizes))
                 places = list(itertools.product(*(map(float, range(n)) for n in sizes)))
-            else:
-                places = [()]
-            if value.strip() and match[1] != "FRAME":
-                values = re.match(r"\s*(SET|REP)?\s*\((.*)\)\s*\Z", value) if shape[2] else None
-                items = [item for item, _ in split_arguments(values[2])] if values else [value]
-                if values and values[1] == "REP" and items[:1]:  # one value for all elements
-                    store[("default",)] = self.value_of(items[0], s.column)
-                else:
-                    store |= {place: self.value_of(item, s.column) for place, item in zip(places, items) if item}
+                if values := re.match(r"\s*(SET|REP)?\s*\((.*)\)\s*\Z", value):
+                    items = [item for item, _ in split_arguments(values[2])]
+                    if values[1] == "REP":  # one value for all elements
+                        places = [("default",)]
+            store |= {place: self.value_of(item, s.column) for place, item in zip(places, items) if item.strip()}
             frame.variables[shape[1]] = store
-            if match[1] == "FRAME":
-                self.frame_variables[shape[1]] = self._frame_of(value, s.column)
 
     def number_of(self, text: str, column: int) -> float:
         if not text.strip():
             raise WordError("a condition or number is missing, e.g. IF R1<10", column)
         return super().number_of(text, column)
 
-    def store_of(self, name: str) -> dict[tuple, Value] | None:
+    def indices(self, text: str | None, column: int) -> tuple:
+        """The values of an index."""
+        return tuple(self.value_of(part, column) for part, _ in split_arguments(text or ""))
+
+    def store_of(self, name: str) -> Store | None:
+        """The elements of a variable that is defined."""
         return self.flow.frame.variables.get(name) or self.globals.get(name)
 
     def variable(self, e: Expression, name: str, at: int) -> Value:
         index: tuple = ()
         if e.peek() == "[":
             index = tuple(e.arguments())
+        elif name in _FRAME_FUNCTIONS and e.peek() == "(":
+            return self._frame(name, e.arguments(), e.column + at)
         elif name == "ISVAR" and e.peek() == "(":
             asked = str(e.arguments()[0]).partition("[")[0].upper()
             return float(self.store_of(asked) is not None or bool(re.fullmatch(r"R\d+", asked)))
         elif e.peek() == "(" and name not in ("AC", "IC", "DC"):
             raise e.fail(f"'{name}' is not a function that is read here; write its value instead", at)
-        if match := re.fullmatch(r"R(\d{1,4})", name):
-            return self.parameters.get(int(match[1]), 0.0)
-        if name == "R" and len(index) == 1 and not isinstance(index[0], str):
-            return self.parameters.get(int(index[0]), 0.0)
-        if (store := self.store_of(name)) is not None:
-            if index in store:
-                return store[index]
-            if ("default",) in store:
-                return store[("default",)]
+        kept, place = _element(name, index)
+        if (store := self.store_of(kept)) is not None and (value := store.get(place, store.get(("default",)))) is not None:
+            return value
         if (value := self._system(name, index)) is not None:
             return value
         key = name + (f"[{','.join(str(i) if isinstance(i, str) else f'{i:g}' for i in index)}]" if index else "")
@@ -141,6 +139,8 @@ class SinumerikValues(Values):
         }  # fmt: skip
         if name in values:
             return values[name]()
+        if name in _FRAMES and len(index) < 2:
+            return self._frame_named(name, index)
         first = s.slot_of.get(str(index[0]), str(index[0])) if index else ""
         if name in ("$P_EP", "$AA_IW", "$AA_IM", "$AA_MW", "$P_EPM") and len(index) == 1 and first in INDEX:
             i, machine = INDEX[first], name == "$AA_IM"
@@ -167,13 +167,8 @@ class SinumerikValues(Values):
         """Assign a value to a variable."""
         if "[" in name:
             name, _, inner = name.partition("[")
-            index = tuple(self.value_of(t, column) for t, _ in split_arguments(inner.rstrip("]")))
-        if match := re.fullmatch(r"R(\d{1,4})", name):
-            self.parameters[int(match[1])] = as_number(value, column)
-            return
-        if name == "R" and len(index) == 1:
-            self.parameters[int(as_number(index[0], column))] = as_number(value, column)
-            return
+            index = self.indices(inner.rstrip("]"), column)
+        name, index = _element(name, index)
         store = self.store_of(name)
         if store is None:
             if name[0] not in "_$" and self.state.given(name, name.lower()) is None:
@@ -188,7 +183,7 @@ class SinumerikValues(Values):
             store = self.globals.setdefault(name, {})
         if len(store) > MOST_ELEMENTS:
             raise WordError(f"{name} has more than {MOST_ELEMENTS} elements", column)
-        store[index] = value
+        store[index] = as_number(value, column) if name == "R[]" else value
 
     def value(self, word: Word) -> float:
         if word.assigned:
@@ -225,86 +220,74 @@ class SinumerikValues(Values):
 
     def assignment(self, word: Word) -> None:
         """A variable of any kind; frames are written whole or by component."""
-        name = word.name
-        index: tuple = ()
-        if word.index is not None:
-            index = tuple(self.value_of(t, word.column) for t, _ in split_arguments(word.index))
-        if name in _FRAMES or name in self.frame_variables:
-            self._write_frame(name, index, word)
-            return
+        name, index = word.name, self.indices(word.index, word.column)
         value = self.value_of(word.text or "", word.text_column)
-        if name == "$TC_DP6" and len(index) == 2:
+        if name in _FRAMES or isinstance((self.store_of(name) or {}).get(("default",)), Frame):
+            self._write_frame(word, index, value)
+        elif name == "$TC_DP6" and len(index) == 2:
             self.state.tools.set_value(_tool_name(index[0]), "radius", as_number(value, word.column) * self.state.unit)
-            return
-        if name.startswith("$TC_DP3"):
-            self.state.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")
-        self.assign(name, value, word.column, index)
-
-    def _write_frame(self, name: str, index: tuple, word: Word) -> None:
-        """A frame of the control or a variable of type FRAME: whole, CTRANS(..):CROT(..), or one component."""
-        text, column = word.text or "", word.text_column
-        old = self._frame_named(name, index)
-        parts = [self.state.slot_of.get(i, i) for i in index if isinstance(i, str)]
-        if len(parts) == 2 and parts[1] in ("TR", "FI") and parts[0] in INDEX:
-            offset = old.shift.copy()
-            value = self.state.si(parts[0], self.number_of(text, column))
-            if parts[1] == "TR":
-                offset[INDEX[parts[0]]] = value
-            elif value:
-                raise WordError("fine offsets of frames are not kept apart; add them to TR", word.column)
-            new = Frame(old.matrix, offset)
-        elif len(parts) == 2 and parts[1] == "RT" and not self.number_of(text, column):
-            new = old
-        elif parts:
-            raise WordError(f"{name}[..,{','.join(parts)}] is not supported; write the frame as CTRANS(..):CROT(..)", word.column)
         else:
-            new = self._frame_of(text, column)
-        if name in self.frame_variables:
-            self.frame_variables[name] = new
+            if name.startswith("$TC_DP3"):
+                self.state.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")
+            self.assign(name, value, word.column, index)
+
+    def _write_frame(self, word: Word, index: tuple, value: Value) -> None:
+        """A frame of the control or a variable of type FRAME: whole, CTRANS(..):CROT(..), or one component."""
+        name, new = word.name, value
+        if parts := [self.state.slot_of.get(i, i) for i in index if isinstance(i, str)]:
+            new = self._frame_named(name, index)
+            if len(parts) != 2 or parts[1] not in ("TR", "FI", "RT") or parts[0] not in INDEX or (parts[1] == "RT" and value):
+                raise WordError(f"{name}[..,{','.join(parts)}] is not supported; write the frame as CTRANS(..):CROT(..)", word.column)
+            if parts[1] == "FI" and value:
+                raise WordError("fine offsets of frames are not kept apart; add them to TR", word.column)
+            if parts[1] == "TR":
+                shift = new.shift.copy()
+                shift[INDEX[parts[0]]] = self.state.si(parts[0], as_number(value, word.text_column))
+                new = Frame(new.matrix, shift)
+        if not isinstance(new, Frame):
+            raise WordError(f"'{(word.text or '').strip()[:20]}' is not a frame; write CTRANS(X,10,Y,20):CROT(Z,45)", word.text_column)
+        if (store := self.store_of(name)) is not None:
+            store[()] = new
             return
         if name in ("$P_UIFR", "$P_IFRAME"):
             self.settable[self._settable_name(name, index)] = new
-            self.choose(self.chosen)
         else:
-            self.choose(self.chosen)
+            self.corners.release()
             self.state.set_frames(**{"program" if name == "$P_PFRAME" else "basic": new})
+        self.choose(self.chosen)
 
     def _settable_name(self, name: str, index: tuple) -> str:
         return self.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
 
     def _frame_named(self, name: str, index: tuple) -> Frame:
         """The frame of a variable or of the control."""
-        if name in self.frame_variables:
-            return self.frame_variables[name]
+        if (store := self.store_of(name)) is not None:
+            found = store.get((), NO_FRAME)
+            assert isinstance(found, Frame)
+            return found
         if name in ("$P_UIFR", "$P_IFRAME"):
             return self.settable_frame(self._settable_name(name, index))
         return self.state.frames["program" if name == "$P_PFRAME" else "basic"]
 
-    def _frame_of(self, text: str, column: int) -> Frame:
-        """The frames of a chain CTRANS(..):CROT(..):F1 as one; an empty text changes nothing."""
-        whole, at = NO_FRAME, 0
-        while at < len(text.rstrip()):
-            part = _FRAME_PART.match(text, at)
-            if not part or (part[3] and part[3] not in _FRAMES and part[3] not in self.frame_variables):
-                raise WordError(f"'{text[at:].strip()[:20]}' is not a frame; write CTRANS(X,10,Y,20):CROT(Z,45)", column + at)
-            at = part.end()
-            if part[3]:
-                whole = whole @ self._frame_named(part[3], tuple(self.value_of(t, column) for t, _ in split_arguments(part[4] or "")))
-                continue
-            values = [self.state.slot_of.get(t, t) for t, _ in split_arguments(part[2])]
-            if part[1] == "MIRROR":
-                whole = whole @ Frame(mirrored(values), np.zeros(5))
-                continue
-            pairs = {values[i]: self.number_of(values[i + 1], column) for i in range(0, len(values) - 1, 2)}
-            for axis in pairs:
-                if axis not in INDEX and pairs[axis]:
-                    raise WordError(f"'{axis}' is not an axis of this machine (X Y Z A C)", column)
-            if part[1] in ("TRANS", "FINE"):
-                whole = whole @ shifted({axis: self.state.si(axis, value) for axis, value in pairs.items() if axis in INDEX})
-            else:
-                matrix = rotation_xyz(pairs) if part[1] == "ROT" else np.diag([pairs.get(n, 1.0) for n in LINEAR])
-                whole = whole @ Frame(matrix, np.zeros(5))
-        return whole
+    def _frame(self, name: str, given: list[Value], column: int) -> Frame:
+        """CTRANS, CFINE, CROT, CSCALE, CMIRROR of axes and their values."""
+        values = [self.state.slot_of.get(v, v) if isinstance(v, str) else v for v in given]
+        if name == "CMIRROR":
+            return Frame(mirrored([str(v) for v in values]), np.zeros(5))
+        pairs = {str(axis): as_number(value, column) for axis, value in zip(values[::2], values[1::2])}
+        for axis in pairs:
+            if axis not in INDEX and pairs[axis]:
+                raise WordError(f"'{axis}' is not an axis of this machine (X Y Z A C)", column)
+        if name in ("CTRANS", "CFINE"):
+            return shifted({axis: self.state.si(axis, value) for axis, value in pairs.items() if axis in INDEX})
+        return Frame(rotation_xyz(pairs) if name == "CROT" else np.diag([pairs.get(n, 1.0) for n in LINEAR]), np.zeros(5))
+
+
+def _element(name: str, index: tuple) -> tuple[str, tuple]:
+    """The variable and the element of it that a name and its index mean: R5 and R[5] are the element 5 of the R parameters."""
+    if match := re.fullmatch(r"R(\d{1,4})", name):
+        return "R[]", (float(match[1]),)
+    return ("R[]", (float(int(index[0])),)) if name == "R" and len(index) == 1 and isinstance(index[0], float) else (name, index)
 
 
 def _tool_name(index: Value) -> str:

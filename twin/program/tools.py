@@ -108,10 +108,10 @@ class Tools:
     def _edge(self, word: tuple[Value, int]) -> float:
         """Number of the cutting edge that D names, 0 for none; a tool of the table has only D1."""
         number, column = word
-        if isinstance(number, str) or (number not in (0, 1) and self.table):
+        if not isinstance(number, float) or (number not in (0, 1) and self.table):
             raise WordError(f"D{_name(number)}: a tool of the table [tool] has one length, that of D1; use D1 or D0", column)
         return number
 
 
 def _name(value: Value) -> str:
-    return value if isinstance(value, str) else f"{value:.10g}"
+    return f"{value:.10g}" if isinstance(value, float) else str(value)

@@ -10,17 +10,10 @@ from dataclasses import dataclass
 import math
 import re
 
-from twin.program.expressions import WordError
+from twin.program.expressions import NUMBER, SINUMERIK, Expression, WordError, closing
 
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
-_BLANK = re.compile(r"[ \t\r\n]*")
 _ASSIGN = re.compile(r"([A-Z_$][A-Z_$][A-Z0-9_$]*|[A-Z]\d*)[ \t]*(?==(?!=)|\[)", re.A)
-_ADDRESS = re.compile(rf"([A-Z])[ \t]*({NUMBER})", re.A)
-_NAME = re.compile(r"[A-Z_$][A-Z0-9_$]*", re.A)
-_OPERAND = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:EX[+-]?\d+)?|'[HB][0-9A-F]+'|[A-Z_$][A-Z0-9_$]*", re.A)
-_WORD_OPERATOR = re.compile(r"(?:DIV|MOD|AND|OR|XOR|B_AND|B_OR|B_XOR)\b")
-_SIGNS = re.compile(r"==|<>|<=|>=|<<|[-+*/<>]")
-_PREFIX = re.compile(r"(?:NOT|B_NOT)\b")
+_OTHER = re.compile(rf"([A-Z])[ \t]*({NUMBER})|([A-Z_$][A-Z0-9_$]*)", re.A)
 
 
 @dataclass(frozen=True)
@@ -38,67 +31,43 @@ class Word:
 
 def split_words(line: str) -> list[Word]:
     """The words of a line in capitals, without comment."""
-    words: list[Word] = []
-    at = _BLANK.match(line).end()  # type: ignore[union-attr]
-    while at < len(line):
-        column = at + 1
-        word, end = _assignment(line, at) or (None, at)
-        if word:
-            words.append(word)
-        elif match := _ADDRESS.match(line, at):
-            end, text, text_column = match.end(), None, 0
-            if match[1] == "L" and line[end : end + 1] == "(":
-                close = closing(line, end)
-                text, text_column, end = line[end + 1 : close], end + 2, close + 1
-            if not math.isfinite(value := float(match[2])):
-                raise WordError("the number is too large", column)
-            words.append(Word(match[1], column, value=value, text=text, text_column=text_column))
-        elif match := _NAME.match(line, at):
-            end, text, text_column = match.end(), None, 0
-            behind = _BLANK.match(line, end).end()  # type: ignore[union-attr]
-            if behind < len(line) and line[behind] == "(":
-                close = closing(line, behind)
-                text, text_column, end = line[behind + 1 : close], behind + 2, close + 1
-            elif (
-                match[0] in ("CALL", "PCALL", "EXTCALL") and line[behind : behind + 1] == '"' and (close := line.find('"', behind + 1)) > 0
-            ):
-                text, text_column, end = line[behind : close + 1], behind + 1, close + 1
-            words.append(Word(match[0], column, text=text, text_column=text_column))
-        else:
-            raise WordError(f"'{line[at]}' starts no word", column)
-        at = _BLANK.match(line, end).end()  # type: ignore[union-attr]
+    words, e = [], Expression(line, SINUMERIK, None)
+    while e.peek():
+        words.append(_word(e))
     return words
 
 
-def _assignment(line: str, at: int) -> tuple[Word, int] | None:
-    """NAME=expression or NAME[index]=expression."""
-    match = _ASSIGN.match(line, at)
-    if not match:
-        return None
-    end, index = match.end(), None
-    if line[end] == "[":
-        close = closing(line, end)
-        index, end = line[end + 1 : close], _BLANK.match(line, close + 1).end()  # type: ignore[union-attr]
-        if line[end : end + 1] != "=" or line[end : end + 2] == "==":
-            raise WordError(f"'{match[1]}[{index}]' is not given a value; add '='", at + 1)
-    begin = end + 1
-    end = end_of_expression(line, begin)
-    return Word(match[1], at + 1, text=line[begin:end], assigned=True, text_column=begin + 1, index=index), end
+def _word(e: Expression) -> Word:
+    """The word at the place of the expression, which goes behind it."""
+    at, line, text, column, index = e.at, e.text, None, 0, None
+    if match := _ASSIGN.match(line, at):
+        e.at = match.end()
+        if line[e.at] == "[":
+            index = _inside(e)
+            if e.peek() != "=" or line.startswith("==", e.at):
+                raise WordError(f"'{match[1]}[{index}]' is not given a value; add '='", at + 1)
+        begin = e.at = e.at + 1
+        e.value()
+        return Word(match[1], at + 1, None, line[begin : e.at], True, begin + 1, index)
+    if not (match := _OTHER.match(line, at)):
+        raise WordError(f"'{line[at]}' starts no word", at + 1)
+    e.at, value = match.end(), float(match[2]) if match[2] else None
+    if value is not None and not math.isfinite(value):
+        raise WordError("the number is too large", at + 1)
+    behind = e.peek() if match[3] else line[e.at : e.at + 1] if match[1] == "L" else ""
+    if behind == "(":
+        column = e.at + 2
+        text = _inside(e)
+    elif behind == '"' and match[3] in ("CALL", "PCALL", "EXTCALL"):
+        column = e.at + 1
+        text = f'"{e.atom()}"'
+    return Word(match[1] or match[3], at + 1, value, text, False, column)
 
 
-def closing(line: str, at: int) -> int:
-    """Position of the bracket that closes the one at `at`; quoted texts are skipped."""
-    depth, quoted = 0, False
-    for i in range(at, len(line)):
-        if line[i] == '"':
-            quoted = not quoted
-        elif not quoted and line[i] in "([":
-            depth += 1
-        elif not quoted and line[i] in ")]":
-            depth -= 1
-            if depth == 0:
-                return i
-    raise WordError("bracket is not closed", at + 1)
+def _inside(e: Expression) -> str:
+    """The text between the brackets at the place of the expression, which goes behind them."""
+    begin, e.at = e.at + 1, closing(e.text, e.at) + 1
+    return e.text[begin : e.at - 1]
 
 
 def split_arguments(text: str) -> list[tuple[str, int]]:
@@ -115,36 +84,3 @@ def split_arguments(text: str) -> list[tuple[str, int]]:
                 parts.append((text[begin:i].strip(), begin))
                 begin = i + 1
     return [*parts, (text[begin:].strip(), begin)]
-
-
-def end_of_expression(line: str, at: int) -> int:
-    """End of an expression that starts at `at`: the first character that cannot continue it."""
-    operand = True  # an operand is due, not an operator
-    while True:
-        behind = _BLANK.match(line, at).end()  # type: ignore[union-attr]
-        if behind == len(line):
-            return behind
-        char = line[behind]
-        if operand and char == '"':
-            at, operand = line.find('"', behind + 1) + 1, False
-            if at == 0:
-                raise WordError("text is not closed with a quote", behind + 1)
-        elif operand and char in "+-":
-            at = behind + 1
-        elif operand and (match := _PREFIX.match(line, behind)):
-            at = match.end()
-        elif operand and char == "(":
-            at, operand = closing(line, behind) + 1, False
-        elif operand:
-            match = _OPERAND.match(line, behind)
-            if not match:
-                return at
-            at, operand = match.end(), False
-            while at < len(line) and line[at] in "([" and match[0][0] not in "0123456789.":
-                at = closing(line, at) + 1
-        elif (match := _SIGNS.match(line, behind)) or (match := _WORD_OPERATOR.match(line, behind)):
-            at, operand = match.end(), True
-        elif char == ":" and re.match(r":\s*[$A-Z_]", line[behind:]):  # frames in a chain
-            at, operand = behind + 1, True
-        else:
-            return at
