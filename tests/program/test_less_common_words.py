@@ -153,6 +153,8 @@ def test_frames_in_variables(read) -> None:
     text += "$P_PFRAME=F2:CTRANS(Y,2)\nX0 Y0\nF1[X,TR]=20\n$P_PFRAME=F1\nX0 Y0\n"
     assert places(read(text)) == [[10, 15], [8, 10], [5, 25]]
     with pytest.raises(InputError, match="is not a frame"):
+        read("DEF FRAME F1\nF1=9\nG1 X1 F100\n")
+    with pytest.raises(InputError, match="variable 'F9' has no value"):
         read("DEF FRAME F1\nF1=F9\nG1 X1 F100\n")
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
-from twin.program import apt_arcs, arcs
 from twin.program import apt_words as words
+from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import NO_RADIUS_COMPENSATION
 from twin.program.control import KEPT, Control
@@ -48,7 +48,7 @@ class AptReader:
         self.arc: tuple[np.ndarray, np.ndarray, float | None, float | None] | None = None  # centre, axis, radius [m], angle [rad]
         self.world = False  # True: points are in the part frame, independent of CSYS
         self.direction: tuple[str, np.ndarray] | None = None
-        self.cycle: words.Cycle | None = None
+        self.cycle: words.Strokes | None = None
         self.ended = False
         self.on_profile = False  # Creo marks that its points are not those of the tool centre
         self.words = {
@@ -228,7 +228,7 @@ class AptReader:
 
     def _move(self, target: np.ndarray) -> None:
         rapid = self.rapid or self.rapid_feed
-        arc = apt_arcs.arc_to(self.state.here(), target, *self.arc) if self.arc and not rapid else None
+        arc = words.arc_to(self.state.here(), target, *self.arc) if self.arc and not rapid else None
         self._add(mv.RAPID if rapid else mv.ARC if arc else mv.LINE, target, arc)
         self.rapid, self.arc = False, None
 
@@ -268,7 +268,7 @@ class AptReader:
         kind, given = self.direction
         start = self.state.here()
         direction = given if kind == "INDIRV" else given * self.state.unit - start
-        arc, end = apt_arcs.driven_arc(values, start, direction, self.axis, self.state.unit)
+        arc, end = words.driven_arc(values, start, direction, self.axis, self.state.unit)
         self._add(mv.ARC, end, arc)
         self.rapid, self.direction = False, None
 
@@ -303,7 +303,7 @@ class AptReader:
     def _drill(self, hole: np.ndarray) -> None:
         assert self.cycle
         feed = self.state.feed
-        for kind, place, at_feed in words.strokes(self.cycle, hole, self.axis / np.linalg.norm(self.axis)):
+        for kind, height, at_feed in self.cycle:
             self.state.feed = at_feed
-            self._add(kind, place)
+            self._add(kind, hole + height * self.axis / np.linalg.norm(self.axis))
         self.state.feed, self.rapid = feed, False

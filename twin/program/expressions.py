@@ -277,6 +277,8 @@ class Expression:
         if match := _NAME.match(self.text, at):
             self.at = match.end()
             return self._named(match[0], at)
+        if self.variable is None:
+            return 0.0
         raise self.fail("a number or variable is missing" + (f" before '{char}'" if char else ""))
 
     def _named(self, name: str, at: int) -> Value:

@@ -93,10 +93,10 @@ class Flow:
         self._done(frame, at, depth)
 
     def _statement(self, text: str) -> Statement | str:
-        clean = self.language.lines.clean(text)
+        clean = self.language.clean(text)
         if not clean.strip():
             return ""
-        return self.language.lines.statement(clean) or clean
+        return self.language.statement(clean) or clean
 
     def advance(self, frame: Frame) -> None:
         """Advance to the next line, or back to the start of a repeated part at its end."""
@@ -302,7 +302,7 @@ class Flow:
     def labels(self, unit: Unit) -> dict[str, list[int]]:
         """Lines of a program by their labels and block numbers."""
         if unit.labels is None:
-            unit.labels = self.language.lines.labels(unit)
+            unit.labels = self.language.labels(unit)
         return unit.labels
 
     def place(self, frame: Frame, target: str, direction: str, column: int) -> int:

@@ -6,8 +6,7 @@ from typing import Any
 
 from twin.program.expressions import WordError, as_number
 from twin.program.flow import Frame
-from twin.program.iso_blocks import Iso
-from twin.program.iso_lines import between_percents
+from twin.program.iso_blocks import Iso, between_percents
 from twin.program.iso_moves import MOST_REPEATS
 from twin.program.reader import ADD_CALL
 from twin.program.source import Unit

@@ -1,4 +1,4 @@
-"""The reader of HEIDENHAIN Klartext (.h): words of a block, what waits for the next block, and moves; `twin.program.klartext` has the words."""
+"""The reader of HEIDENHAIN Klartext (.h): lines, words of a block, Q parameters, what waits for the next block; `twin.program.klartext` has the words."""
 
 from __future__ import annotations
 
@@ -10,18 +10,31 @@ import re
 
 import numpy as np
 
+from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.arcs import Arc
 from twin.program.control import KEPT, Vector
-from twin.program.expressions import NUMBER, WordError
+from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError
+from twin.program.flow import Flow
 from twin.program.flow import Frame as Call
-from twin.program.klartext_lines import VALUE, KlartextLines, KlartextValues, joined, without_number
-from twin.program.reader import ADD_CALL, NO_GROUP, Reader
+from twin.program.reader import ADD_CALL, NO_GROUP, Reader, Values
 from twin.program.source import Unit
 from twin.program.state import Block as Words
-from twin.program.state import Item
+from twin.program.state import Item, State
 from twin.program.structures import Statement
-from twin.program.tables import NOTE, REFUSED, UNKNOWN, Word
+from twin.program.tables import NOTE, UNKNOWN, Word
+
+VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+|Q[LR]?\d+)"
+"""A number or a parameter with its sign, as it stands behind a letter."""
+JOINT = " | "
+_HEAD = re.compile(r"\A(\s*)(\d+)(?:\s+(?=[A-Z*;])|\s*\Z)")
+_PART = re.compile(r"CYCL DEF (\d+)\.(\d+)\b")
+_CONTOUR = re.compile(r"(?:L|LP|C|CP|CR|CT|CTP)\b")
+_NAME = r"(?:LBL\s*)?(\d+|\"[^\"]*\"|Q[LR]?\d+)"
+LABEL = re.compile(rf"LBL\s*{_NAME}\s*\Z")
+CALL = re.compile(rf"CALL LBL\s*{_NAME}(?:\s+REP\s*(\d+|Q[LR]?\d+)(?:/\d+)?)?\s*\Z")
+JUMP = re.compile(rf"FN\s*(?:9|10|11|12)\s*:\s*IF\s+(.+?)\s+GOTO\s+{_NAME}\s*\Z")
+FORMULA = re.compile(r"(?:FN\s*(?P<fn>\d+)\s*:\s*)?(?P<name>Q[LR]?\d+)\s*=(?P<text>.*)\Z")
 
 _WORD = re.compile(
     rf"\s*(?:(?P<side>R[0LR])(?![\w.])|DR\s*(?P<sense>[-+])(?![\d.Q])|F\s*(?P<feed>MAX|AUTO|{VALUE})|M\s*(?P<m>\d+)"
@@ -31,23 +44,107 @@ _WORD = re.compile(
 )
 _SIDES = {"R0": 0, "RL": 1, "RR": -1}
 
+KLARTEXT = Grammar(
+    "(",
+    ")",
+    {
+        **{name: (1, COMPARE[sign]) for name, sign in (("EQU", "=="), ("NE", "<>"), ("GT", ">"), ("LT", "<"))},
+        "+": (2, SUMS["+"]), "-": (2, SUMS["-"]), "*": (3, SUMS["*"]), "/": (3, SUMS["/"]), "DIV": (3, SUMS["/"]), "^": (4, lambda a, b: a**b),
+        "LEN": (3, math.hypot), "ANG": (3, lambda a, b: math.degrees(math.atan2(a, b)) % 360.0),
+    },
+    {name: work for name, work in FUNCTIONS.items() if name != "ROUND"}
+    | {
+        "SQ": lambda x: x * x, "ATAN": lambda x: math.degrees(math.atan(x)), "LOG": math.log10, "NEG": lambda x: -x, "INT": math.trunc,
+        "FRAC": lambda x: x - math.trunc(x), "SGN": lambda x: (x > 0) - (x < 0),
+    },
+    {"PI": math.pi},
+    bare=True,
+)  # fmt: skip
+
+
+def bare(line: str) -> str:
+    """A line in capitals without comment, `~` and decimal commas."""
+    text = line.split(";")[0].rstrip().rstrip("~").rstrip().upper()
+    return re.sub(r"(?<=\d),(?=\d)", ".", text)
+
+
+def joined(unit: Unit) -> Unit:
+    """The program with each block in one line: continued lines (~), the lines of a cycle (7.0, 7.1), and RND or CHF behind their move."""
+    lines = [bare(line) for line in unit.lines]
+    goes_on = [line.rstrip().endswith("~") for line in unit.lines]
+    last, cycle = -1, ""
+    for k, line in enumerate(lines):
+        body = _HEAD.sub("", line, count=1).strip()
+        part = _PART.match(body)
+        previous = lines[last] if last >= 0 else ""
+        more = k > 0 and goes_on[k - 1]
+        corner = body.startswith(("RND", "CHF")) and _CONTOUR.match(_HEAD.sub("", previous, count=1).strip()) and JOINT not in previous
+        if last >= 0 and (more or corner or (part and part[1] == cycle and part[2] != "0")):
+            lines[last], lines[k] = previous + (" " if more else JOINT) + body, ""
+        elif body:
+            last = k
+        cycle = part[1] if part else cycle if more else ""
+    unit.lines = lines
+    return unit
+
+
+def without_number(text: str) -> tuple[str, int]:
+    """The block without its number, which keeps its length; the number, -1 if there is none."""
+    match = _HEAD.match(text)
+    return (" " * match.end() + text[match.end() :], int(match[2])) if match else (text, -1)
+
+
 Element = tuple[np.ndarray, Arc | None]
 """One element of the contour: its end (3,), and its arc or none."""
 
 
 @dataclass
 class Block(Words):
-    """The words of a block, and what stands beside them."""
+    """The first word of a block, the text behind it that begins at `column`, the words of that text and what stands beside them."""
 
+    head: str = ""
+    text: str = ""
     side: int | None = None
     sense: int = 0
     rapid: bool = False
     feed: str = ""
     arg: str = ""
+    arg_feed: str = ""
 
 
-Handler = Callable[["Klartext", str, str, int], None]
-"""Carries out a block: its first word, the text behind it and the column of that text."""
+Handler = Callable[["Klartext", Block], None]
+"""Carries out a block."""
+
+
+class KlartextValues(Values):
+    """Q parameters: Q and QR are common to all programs, QL belong to one."""
+
+    def __init__(self, state: State, flow: Flow) -> None:
+        super().__init__(state, flow, KLARTEXT)
+        self.q: dict[str, float] = {}
+
+    def assign(self, name: str, value: float, column: int) -> None:
+        """Set a parameter."""
+        (self.flow.frame.variables if name.startswith("QL") else self.q)[name] = value
+
+    def parameter(self, name: str, column: int, default: float | None = None) -> float:
+        """The value of a parameter, also one that the control or the machine file gives."""
+        state = self.state
+        found = self.flow.frame.variables.get(name, self.q.get(name, state.given(name)))
+        if isinstance(found, float):
+            return found
+        if name == "Q108":
+            return state.tools.radius(state.tools.name, column) / state.unit
+        own = {"Q109": {19: 0.0, 18: 1.0, 17: 2.0}[state.plane], "Q113": float(state.unit != 1e-3)}
+        if (value := own.get(name, default)) is None:
+            raise WordError(self.no_value(name), column)
+        return value
+
+    def variable(self, e: Expression, name: str, at: int) -> float:
+        if not re.fullmatch(r"Q[LR]?\d+", name):
+            hint = nearest(name, KLARTEXT.functions)
+            raise e.fail(f"'{name}' is not a value; use Q parameters, numbers and functions" + (f"; {hint}" if "mean" in hint else ""), at)
+        return self.parameter(name, e.column + at)
 
 
 class Klartext(Reader):
@@ -58,7 +155,7 @@ class Klartext(Reader):
     def __init__(self, path: Path, machine: Machine, unit: Unit, table: Mapping[str, Word[Handler]], m_table: Mapping[int, Word]) -> None:
         super().__init__(path, machine, "klartext", joined(unit), ("preset", "shift", "plane", "inner", "mirror", "turn", "scale"))
         state, self.table, self.m_table = self.state, table, m_table
-        self.lines, self.values = KlartextLines(), KlartextValues(state, self.flow)
+        self.values = KlartextValues(state, self.flow)
         self.pole: np.ndarray | None = None  # CC (3,)
         self.tool_feed, self.extra_radius = math.nan, 0.0  # F and DR of TOOL CALL
         self.shorter_way = False  # M126
@@ -71,6 +168,37 @@ class Klartext(Reader):
         state.out.mixed_feed = "F beside X Y Z with A B C: it counts all axes, a degree as a unit of length; M128 counts the tool tip"
         letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         self.plain_block = re.compile(rf"\s*(\d*)\s+L\s+{NO_GROUP}{letters}{3 * NO_GROUP}(?:R0\s*)?(?:F\s*(MAX|{NUMBER})\s*)?$", re.A)
+
+    # ------------------------------------------------------------------ lines
+
+    def clean(self, text: str) -> str:
+        """The block, empty for a structure line (*)."""
+        return "" if without_number(text)[0].lstrip()[:1] in ("", "*") else text.replace("\t", " ")
+
+    def statement(self, text: str) -> Statement | None:
+        """Labels, calls and jumps."""
+        body, _ = without_number(text)
+        column = len(body) - len(body.lstrip()) + 1
+        body = body.strip()
+        if match := LABEL.match(body):
+            return Statement("lbl", match[1])
+        if match := CALL.match(body):
+            if match[2]:
+                return Statement("repeat_label", column=column, rest=("REPEAT", f"LBL {match[1]}", None, match[2]))
+            return Statement("call_label", f"LBL {match[1]}", column=column)
+        if match := JUMP.match(body):
+            return Statement("goto", column=column, rest=(match[1], "", f"LBL {match[2]}"))
+        if match := re.match(r"CALL PGM\s*(.+)\Z", body):
+            return Statement("call_program", match[1].strip(' "'), column=column)
+        return Statement("end") if body.startswith("END PGM") else None
+
+    def labels(self, unit: Unit) -> dict[str, list[int]]:
+        """Lines by label."""
+        found: dict[str, list[int]] = {}
+        for i, line in enumerate(unit.lines):
+            if (match := LABEL.match(without_number(line)[0].strip())) and match[1] != "0":
+                found.setdefault(f"LBL {match[1]}", []).append(i)
+        return found
 
     # ------------------------------------------------------------------ blocks
 
@@ -92,16 +220,30 @@ class Klartext(Reader):
             shown = head or (names[0] if match[1] else names[-1] if len(names[-1]) > 1 else body[:20])
             raise WordError(f"{shown} is not {'supported' if word else 'known'}: {what}", column)
         begin = match.start(2) if match[1] else 0 if head in ("M", "Q", "QL", "QR", "FN") else len(head)
-        word.handler(self, head, body[begin:], column + begin)
+        block = Block(column=column + begin, head=head, text=body[begin:])
+        if match[1]:
+            self._define_cycle(block, int(match[2]))
+        word.handler(self, block)
 
-    def scan(self, text: str, column: int, where: str = "here; docs/programs.md lists the words") -> Block:
-        """All words of a text; the feed counts once the M codes of the block are carried out."""
-        block, at, text = Block(), 0, text.rstrip()
+    def _define_cycle(self, block: Block, number: int) -> None:
+        """The text of CYCL DEF: the parts 7.1, 7.2 .. of an old cycle, or what stands behind the number of a new one."""
+        self.settle()
+        first, *parts = all_parts(block.text)
+        text = re.sub(r"\A\d+(?:\.\d+)?\s*", "", first)
+        if number < 200 and number != 13 and (not parts or re.search(r"\d", text)):
+            raise WordError(f"CYCL DEF {number} needs a part {number}.1, and no value in {number}.0; correct it", block.column)
+        if number >= 200 and (parts or not re.fullmatch(rf"(?:(?!Q\d)[^=])*(?:\s*Q\d+\s*=\s*{VALUE})*\s*", text)):
+            raise WordError(f"{block.head} takes parameters as Q201=-10; correct them", block.column)
+        block.text = text if number >= 200 else " ".join(re.sub(r"^CYCL DEF \d+\.\d+\s*", "", part) for part in parts)
+
+    def scan(self, block: Block, where: str = "here; docs/programs.md lists the words") -> None:
+        """All words of the text of a block; the feed counts once the M codes of the block are carried out."""
+        at, text = 0, block.text.rstrip()
         while at < len(text):
             match = _WORD.match(text, at)
             if not match:
-                raise WordError(f"'{text[at:].strip()[:20]}' is not read {where}", column + at)
-            at, place = match.end(), column + match.start()
+                raise WordError(f"'{text[at:].strip()[:20]}' is not read {where}", block.column + at)
+            at, place = match.end(), block.column + match.start()
             if match["side"]:
                 block.side = _SIDES[match["side"]]
             elif match["sense"]:
@@ -111,6 +253,7 @@ class Klartext(Reader):
             elif match["arg"]:
                 block.arg = match["arg"].replace(" ", "")
             elif match["feed"] and block.m and block.m[-1] in (128, 140):
+                block.arg_feed = match["feed"]
                 self.state.note("F behind M128 or M140 is that of its own motion") if block.m[-1] == 128 else None
             elif match["feed"] and block.feed:
                 raise WordError("F occurs twice in the block; keep one", place)
@@ -121,12 +264,11 @@ class Klartext(Reader):
             else:
                 name = self.state.slot_of.get(str(match["name"]), str(match["name"]))
                 block.w[name] = Item(self.values.number_of(match["value"], place), "IC" if match["inc"] else "", place)
-        return block
 
-    def only_words(self, head: str, text: str, column: int, names: str, hint: str = "", added: bool = False) -> dict[str, Item]:
-        """The words of a text that takes these names alone, and in addition (I) if `added`."""
-        where = f"in {head}, which takes {names}{hint}"
-        block = self.scan(text, column, where)
+    def only_words(self, block: Block, names: str, hint: str = "", added: bool = False) -> dict[str, Item]:
+        """The words of a block that takes these names alone, and in addition (I) if `added`."""
+        where, column = f"in {block.head}, which takes {names}{hint}", block.column
+        self.scan(block, where)
         words = block.pick(*names.split())
         if block.m or block.side is not None or block.sense or block.feed or block.arg or block.w:
             what = next(iter(block.w), "a word of a path block")
@@ -139,23 +281,19 @@ class Klartext(Reader):
         """An inch program counts tenths of an inch a minute."""
         return value if self.state.unit == 1e-3 or self.out.modes.feed_mode != 94 else 0.1 * value
 
-    def set_feed(self, text: str, column: int) -> None:
+    def set_feed(self, block: Block) -> None:
         """F AUTO, F with a value; FMAX is that of its block."""
-        if text == "AUTO":
-            self.state.set_feed(self.tool_feed, column)
-        elif text not in ("", "MAX"):
-            self.state.set_feed(self.feed_word(self.values.number_of(text, column)), column)
+        if block.feed == "AUTO":
+            self.state.set_feed(self.tool_feed, block.column)
+        elif block.feed not in ("", "MAX"):
+            self.state.set_feed(self.feed_word(self.values.number_of(block.feed, block.column)), block.column)
 
-    def modes(self, block: Block, column: int) -> None:
+    def modes(self, block: Block) -> None:
         """The M codes that act before the move of their block, then its feed."""
         state = self.state
         for number in block.m:
-            word = self.m_table.get(number, Word(NOTE, UNKNOWN))
-            if word.kind == REFUSED:
-                raise WordError(f"M{number} is not supported: {word.meaning}")
-            if word.kind == NOTE:
-                state.note(f"M{number}: {word.meaning}")
-            elif number in (128, 129):
+            state.check_code("M", number, self.m_table.get(number, Word(NOTE, UNKNOWN)), 1)
+            if number in (128, 129):
                 self.settle()
                 state.transform(number == 128)
             elif number in (126, 127):
@@ -166,7 +304,7 @@ class Klartext(Reader):
                 self.cycle_everywhere = True
         if block.arg and not set(block.m) & {101, 120, 140}:
             raise WordError(f"{block.arg} belongs to an M code that is missing; remove it")
-        self.set_feed(block.feed, column)
+        self.set_feed(block)
 
     # ------------------------------------------------------------------ moves
 
@@ -230,3 +368,8 @@ class Klartext(Reader):
             self.flow.back()
         elif s.kind == "end":
             self.flow.ended = True
+
+
+def all_parts(text: str) -> list[str]:
+    """The parts of a joined block."""
+    return [part.strip() for part in text.split(JOINT.strip())]

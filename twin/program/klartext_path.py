@@ -13,18 +13,17 @@ from twin.program.arcs import Arc
 from twin.program.control import KEPT
 from twin.program.expressions import WordError
 from twin.program.frames import LINEAR, OTHER, ROTARY
-from twin.program.klartext_blocks import Block, Element, Klartext
+from twin.program.klartext_blocks import VALUE, Block, Element, Klartext, all_parts
 from twin.program.klartext_cycles import cycle_here
-from twin.program.klartext_lines import VALUE, all_parts
 from twin.program.state import Item
 
 
-def move(m: Klartext, head: str, text: str, column: int) -> None:
+def move(m: Klartext, block: Block) -> None:
     """L, C, CR and so on, and M codes alone."""
-    parts = all_parts(text)
-    block = m.scan(parts[0], column)
-    m.modes(block, column)
-    words, machine, vector = block.w, 91 in block.m, None
+    block.text, *corners = all_parts(block.text)
+    m.scan(block)
+    m.modes(block)
+    head, column, words, machine, vector = block.head, block.column, block.w, 91 in block.m, None
     if head == "M" and (block.side is not None or block.rapid or block.sense):
         raise WordError("R0, RL, RR, FMAX and DR belong to a path word, e.g. L; write it", column)
     if 118 in block.m and head == "M":
@@ -38,25 +37,23 @@ def move(m: Klartext, head: str, text: str, column: int) -> None:
             raise WordError("TX TY TZ need M128 or FUNCTION TCPM; switch it on before", column)
     if block.side is not None or (m.waiting is None and m.state.comp is None):
         m.compensate(block.side or 0, column)
-    element, angles = element_of(m, head, block, np.array(m.out.position[:3]) if machine else m.start(), machine, column)
+    element, angles = element_of(m, block, np.array(m.out.position[:3]) if machine else m.start(), machine)
     block.all_used()
     if element is not None:
         if block.rapid and element[1] is not None:
             raise WordError("FMAX on an arc is not supported; give its feed", column)
-        corner = corner_of(m, parts[1:], column)
+        corner = corner_of(m, corners, column)
         if m.waiting is not None:
             carry_out_approach(m, element)
         m.emit(mv.RAPID if block.rapid else mv.ARC if element[1] else mv.LINE, element, angles, vector, machine, corner)
         if m.cycle_everywhere and 99 not in block.m:
             cycle_here(m)
-    afterwards(m, block, column)
+    afterwards(m, block)
 
 
-def element_of(
-    m: Klartext, head: str, block: Block, start: np.ndarray, machine: bool, column: int
-) -> tuple[Element | None, tuple[float, float]]:
+def element_of(m: Klartext, block: Block, start: np.ndarray, machine: bool) -> tuple[Element | None, tuple[float, float]]:
     """The element of a block from `start` (3,), which takes its words away, and A and C."""
-    words, way = block.w, 0.0
+    head, column, words, way = block.head, block.column, block.w, 0.0
     if (head in ("C", "CP", "CR")) != bool(block.sense):
         raise WordError(f"{head} {'has no use for' if block.sense else 'needs'} its sense DR+ or DR-; correct it", column)
     if head == "CR" and "R" not in words:
@@ -103,7 +100,7 @@ def corner_of(m: Klartext, parts: list[str], column: int) -> tuple[str, float] |
     return "CHR" if match[1] else "RND", m.values.number_of(match[2], column) * m.state.unit
 
 
-def afterwards(m: Klartext, block: Block, column: int) -> None:
+def afterwards(m: Klartext, block: Block) -> None:
     """The M codes that act behind the move of their block."""
     for number in block.m:
         if number in (0, 1, 6):
@@ -116,20 +113,19 @@ def afterwards(m: Klartext, block: Block, column: int) -> None:
         elif number in (2, 30):
             m.flow.ended = True
         elif number == 140:
-            retract(m, column)
+            retract(m, block)
 
 
-def retract(m: Klartext, column: int) -> None:
+def retract(m: Klartext, block: Block) -> None:
     """M140 MB: along the tool axis by a distance, or to the end of the travel of the machine axis."""
-    match = re.search(rf"MB\s*(MAX|{VALUE})(?:\s*F\s*(MAX|AUTO|{VALUE}))?", m.flow.frame.unit.lines[m.flow.frame.at])
-    if match is None:
-        raise WordError("M140 needs MB MAX, or MB and a distance", column)
+    if not block.arg.startswith("MB"):
+        raise WordError("M140 needs MB MAX, or MB and a distance", block.column)
     m.settle()
     state, across = m.state, arcs.PLANES[m.state.plane][2]
-    kind = mv.RAPID if match[2] in (None, "MAX") else mv.LINE
-    if match[1] != "MAX":
+    kind = mv.RAPID if block.arg_feed in ("", "MAX") else mv.LINE
+    if block.arg != "MBMAX":
         point = state.here()
-        point[across] += m.values.number_of(match[1], column) * state.unit
+        point[across] += m.values.number_of(block.arg[2:], block.column) * state.unit
         m.control.go(kind, point)
         return
     traori, goal = m.out.modes.traori, np.array(m.out.kinematics.travel[:, 1])
@@ -142,12 +138,12 @@ def retract(m: Klartext, column: int) -> None:
 # ------------------------------------------------------------------ pole
 
 
-def set_pole(m: Klartext, head: str, text: str, column: int) -> None:
+def set_pole(m: Klartext, block: Block) -> None:
     """CC with its coordinates in the plane, or at the last position."""
-    words = m.only_words(head, text, column, "X Y Z", added=True)
+    words = m.only_words(block, "X Y Z", added=True)
     a, b, across = arcs.PLANES[m.state.plane]
     if LINEAR[across] in words:
-        raise WordError(f"{LINEAR[across]} does not lie in the plane of CC", column)
+        raise WordError(f"{LINEAR[across]} does not lie in the plane of CC", block.column)
     new, start = m.start().copy(), m.start()
     for name, (value, how, _column) in words.items():
         new[LINEAR.index(name)] = value * m.state.unit + (start[LINEAR.index(name)] if how == "IC" else 0.0)
@@ -177,20 +173,21 @@ def polar(m: Klartext, start: np.ndarray, words: dict[str, Item], column: int, *
 # ------------------------------------------------------------------ approach and departure
 
 
-def approach(m: Klartext, head: str, text: str, column: int) -> None:
+def approach(m: Klartext, block: Block) -> None:
     """APPR: it waits for the first element of the contour, whose direction it needs."""
     m.settle()
     rapid, feed = next((k for k in reversed(m.out.kinds) if k != mv.DWELL), mv.LINE) == mv.RAPID, m.state.feed
-    block, point = _soft(m, head, text, column)
-    if not block.side and not head.endswith(" LT"):
-        raise WordError(f"{head} needs RL or RR, which gives its side; add it", column)
-    m.waiting = head.split()[1], point, block, math.inf if rapid else feed
+    point = _soft(m, block)
+    if not block.side and not block.head.endswith(" LT"):
+        raise WordError(f"{block.head} needs RL or RR, which gives its side; add it", block.column)
+    m.waiting = block.head.split()[1], point, block, math.inf if rapid else feed
 
 
-def _soft(m: Klartext, head: str, text: str, column: int) -> tuple[Block, np.ndarray]:
-    """The words of APPR or DEP, and its point (3,)."""
-    block = m.scan(text, column)
-    m.modes(block, column)
+def _soft(m: Klartext, block: Block) -> np.ndarray:
+    """The point (3,) of APPR or DEP, whose words are read."""
+    head, column = block.head, block.column
+    m.scan(block)
+    m.modes(block)
     places = block.pick(*LINEAR)
     needed = {"LT": {"LEN"}, "LN": {"LEN"}, "CT": {"R", "CCA"}, "LCT": {"R"}}[head.split()[1]]
     along = {LINEAR[arcs.PLANES[m.state.plane][2]]}
@@ -198,7 +195,7 @@ def _soft(m: Klartext, head: str, text: str, column: int) -> tuple[Block, np.nda
         raise WordError(f"{head} needs {' and '.join(sorted(needed))}, no more; correct the block", column)
     if block.rapid or block.sense:
         raise WordError(f"{head} is read with a feed, not with FMAX or DR; correct it", column)
-    return block, m.control.target(places, start=m.corners.start())[0]
+    return m.control.target(places, start=m.corners.start())[0]
 
 
 def carry_out_approach(m: Klartext, element: Element) -> None:
@@ -226,10 +223,9 @@ def carry_out_approach(m: Klartext, element: Element) -> None:
     m.emit(mv.ARC if arc else mv.LINE, (to, arc))
 
 
-def depart(m: Klartext, head: str, text: str, column: int) -> None:
+def depart(m: Klartext, block: Block) -> None:
     """DEP: away from the last element, the mirror image of APPR, then without compensation."""
-    t = m.corners.direction()
-    block, point = _soft(m, head, text, column)
+    t, point, head, column = m.corners.direction(), _soft(m, block), block.head, block.column
     kind, comp, at, across = head.split()[1], m.state.comp, m.corners.start(), arcs.PLANES[m.state.plane][2]
     if block.side is not None and block.side:
         raise WordError(f"{head} is read without RL, RR; correct it", column)
@@ -246,7 +242,7 @@ def depart(m: Klartext, head: str, text: str, column: int) -> None:
     last = point if kind == "LCT" else np.where(np.arange(3) == across, point, m.state.here())
     if np.any(last != m.state.here()) and (kind == "LCT" or point[across] != at[across]):
         m.emit(mv.LINE, (last, None))
-    afterwards(m, block, column)
+    afterwards(m, block)
 
 
 def _way(

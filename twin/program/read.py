@@ -11,7 +11,7 @@ from twin.program.apt import AptReader
 from twin.program.collect import Collector
 from twin.program.expressions import WordError
 from twin.program.iso import iso
-from twin.program.iso_lines import LINUXCNC
+from twin.program.iso_blocks import LINUXCNC
 from twin.program.klartext import klartext
 from twin.program.moves import Program, place_of
 from twin.program.reader import Reader

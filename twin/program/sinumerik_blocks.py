@@ -1,4 +1,4 @@
-"""The reader of SINUMERIK programs: the words of a block by their use, and what the dialect keeps from block to block."""
+"""The reader of SINUMERIK programs: lines, the words of a block by their use, and what the dialect keeps from block to block."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from twin.program.expressions import NUMBER, Value, WordError
 from twin.program.flow import Frame as Call
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
-from twin.program.sinumerik_lines import SinumerikLines
 from twin.program.sinumerik_values import SinumerikValues
 from twin.program.source import Unit, plain_name
 from twin.program.state import Block as Words
@@ -26,6 +25,34 @@ from twin.program.words import Word, split_words
 
 SINUMERIK_FRAMES = ("basic", "settable", "fine", "program", "plane")
 """Outermost first; `fine` is G59."""
+_LABEL = re.compile(r"\s*(?:[N:]\d+\s*)?([A-Z_][A-Z_][A-Z0-9_]*)\s*:(?!=)", re.A)
+_NUMBERED = re.compile(r"\s*[N:](\d+)", re.A)
+_FLOW = re.compile(
+    r"\s*(IF|ELSE|ENDIF|WHILE|ENDWHILE|FOR|ENDFOR|LOOP|ENDLOOP|UNTIL|GOTO[FBCS]?|REPEATB?|CASE|ENDLABEL|PROC|DEF|REDEF|DEFINE|EXTERN)\b(?!\s*=[^=])",
+    re.A,
+)
+_SYNCHRONISED = re.compile(r"\s*(?:IDS?\s*=\s*\d+\s*)?(?:\b(?:WHEN|WHENEVER|EVERY|FROM)\b.*)?\bDO\b(.*)\Z", re.A)
+_BLOCK_CALL = re.compile(r"\s*CALL\s+BLOCK\s+([A-Z_N][A-Z0-9_]*)\s+TO\s+([A-Z_N][A-Z0-9_]*)\s*\Z", re.A)
+_COMMENT = re.compile(
+    r"((?:^|:)\s*(?:N\d+\s*)?|\s[A-KM-Z]=?[-+]?(?:\d+\.?\d*|\.\d+)\s*|\b[A-Z_]\w*\s*=\s*[-+]?(?:\d+\.?\d*|\.\d+)\s+)\(([^()\"]*(?:\([^()\"]*\)[^()\"]*)*)\)(?=\s*(?:[A-Z]|\Z))",
+    re.A,
+)
+_GOTO = re.compile(r"\s*(?:IF\b(.*?)\b)?GOTO([FBCS]?)(?:\s+([A-Z0-9_]+))?\s*\Z", re.A)
+_REPEAT = (
+    re.compile(
+        r"\s*(REPEATB?)\s+([A-Z_N][A-Z0-9_]*)(?:\s+(?!P\s*=?\s*[\dR])([A-Z_][A-Z0-9_]*))?(?:\s+P\s*=?\s*(\d+|R\d+|[A-Z_]\w*))?\s*\Z", re.A
+    ),
+    "repeat_label",
+    "REPEAT needs a label, e.g. REPEAT PART1 P=3 or REPEAT FROM1 TO1",
+)
+_FOR = (
+    re.compile(r"\s*FOR\s*([A-Z_][A-Z0-9_]*(?:\[[^\]]*\])?)\s*=\s*(.+?)\s+TO\s+(.+)\Z", re.A),
+    "for",
+    "FOR needs a variable and its ends, e.g. FOR I=1 TO 10",
+)
+_PARTS = {"REPEAT": _REPEAT, "REPEATB": _REPEAT, "FOR": _FOR}
+"""Statements of several parts: their pattern, their kind, and what to do where it does not fit."""
+_ALONE = ("ELSE", "ENDIF", "ENDWHILE", "ENDFOR", "LOOP", "ENDLOOP")
 _INDEXED_AXES = {"POS", "POSA", "AX"}
 _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
 
@@ -48,7 +75,6 @@ class Sinumerik(Reader):
     """Reads the blocks of one SINUMERIK program."""
 
     carry_out: Callable[[Block], None]
-    lines: SinumerikLines
     values: SinumerikValues
     other_statement: Callable[[Statement, Call], None]
 
@@ -56,12 +82,11 @@ class Sinumerik(Reader):
         super().__init__(path, machine, "sinumerik", units[0], SINUMERIK_FRAMES)
         self.known = names
         self.units = {plain_name(u.name): u for u in reversed(units)}
-        self.lines = SinumerikLines(self.state)
+        self.macros: dict[str, str] = {}  # DEFINE .. AS
         self.pole = np.zeros(3)
         self.angles_are_rpy: bool | None = None  # ORIRPY, ORIEULER
         self.corners_meet = False  # G451
         self.modal: Callable[[], None] | None = None  # MCALL
-        self.written_back: list[tuple[str, dict, int]] = []  # target, store and column of VAR values of the call in hand
         self.values = SinumerikValues(self.state, self.flow, self.corners, names)
         letters = "".join(rf"(?:{letter}=?({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         vector = rf"(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?"
@@ -79,8 +104,89 @@ class Sinumerik(Reader):
     def plain_now(self) -> bool:
         return self.modal is None and not self.corners.every_corner and self.state.override == 1.0
 
+    # ------------------------------------------------------------------ lines
+
+    def clean(self, text: str) -> str:
+        """The block in capitals without comment; texts in quotes keep their length."""
+        semicolon = text.find(";")
+        while semicolon >= 0 and text.count('"', 0, semicolon) % 2:
+            semicolon = text.find(";", semicolon + 1)
+        if semicolon >= 0:
+            text = text[:semicolon]
+        text = text.upper().rstrip()
+        stripped = text.lstrip()
+        if stripped.startswith("%"):
+            return ""
+        if stripped.startswith("/"):
+            text = re.sub(r"/\d?", lambda m: " " * len(m[0]), text, count=1)  # block skip is off: the block runs
+        if "(" in text and (bare := _COMMENT.sub(lambda m: m[1] + " " * (len(m[0]) - len(m[1])), text)) != text:
+            self.state.note("( ): a text in brackets that belongs to no word is a comment, as on older controls")
+            text = bare
+        if self.macros:
+            parts = text.split('"')
+            for name, meaning in self.macros.items():
+                parts[::2] = [re.sub(rf"\b{name}\b(?!\s+AS\b)", meaning.replace("\\", r"\\\\"), part) for part in parts[::2]]
+            text = '"'.join(parts)
+        return text
+
+    def body(self, text: str) -> tuple[str, int]:
+        """The block without label and number, which keep their length; the number, -1 if there is none."""
+        number = _NUMBERED.match(text)
+        start = number.end() if number else 0
+        if (label := _LABEL.match(text)) and label[1] != "ENDLABEL":
+            start = label.end()
+            if again := re.compile(r"\s*N(\d+)").match(text, start):
+                number, start = again, again.end()
+        return " " * start + text[start:], int(number[1]) if number else -1
+
+    def statement(self, text: str) -> Statement | None:
+        """The statement of the flow in a line."""
+        body, _ = self.body(text)
+        if not body.strip():
+            return Statement("label")
+        match = _FLOW.match(body)
+        if not match:
+            if call := _BLOCK_CALL.match(body):
+                return Statement("repeat_label", column=call.start(1) + 1, rest=("REPEAT", call[1], call[2], None))
+            if "DO" in body and (action := _SYNCHRONISED.match(body)):
+                return Statement("synchronised", text=action[1], column=action.start(1) + 1)
+            return None
+        word, column, rest = match[1], match.start(1) + 1, body[match.end(1) :]
+        if word.startswith("GOTO") or (word == "IF" and re.search(r"\bGOTO[FBCS]?\b", rest)):
+            jump = _GOTO.match(body)
+            if not jump or not (jump[3] or jump[2] == "S"):
+                raise WordError("GOTO needs one label or block number, e.g. GOTOF END1", column)
+            return Statement("goto", column=max(column, jump.start(1) + 1), rest=jump.groups())
+        if word in ("IF", "WHILE", "UNTIL"):
+            return Statement(word.lower(), text=rest, column=match.end(1) + 1)
+        if word in _ALONE and rest.strip():
+            raise WordError(f"{word} must be alone in its block; write the rest in the next one", column)
+        if word == "ENDLABEL":
+            return Statement("label")
+        if word in _ALONE or (word in ("REPEAT", "REPEATB") and not rest.strip()):
+            return Statement(word.lower().removesuffix("b"), column=column)
+        if word not in _PARTS:
+            return Statement(word.lower(), text=body, column=column)
+        pattern, kind, hint = _PARTS[word]
+        if not (parts := pattern.match(body)):
+            raise WordError(hint, column)
+        return Statement(kind, column=column, rest=parts.groups())
+
+    def labels(self, unit: Unit) -> dict[str, list[int]]:
+        """Lines by label and block number."""
+        found: dict[str, list[int]] = {}
+        for i, line in enumerate(unit.lines):
+            text = line.upper()
+            if match := _LABEL.match(text):
+                found.setdefault(match[1], []).append(i)
+            if match := _NUMBERED.match(text):
+                found.setdefault(f"N{match[1]}", []).append(i)
+        return found
+
+    # ------------------------------------------------------------------ words of a block
+
     def words(self, text: str) -> None:
-        body, number = self.lines.body(text)
+        body, number = self.body(text)
         if number >= 0:
             self.state.block = number
         block = Block()

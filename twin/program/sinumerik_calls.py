@@ -9,6 +9,7 @@ from twin.errors import nearest
 from twin.program.expressions import Value, WordError
 from twin.program.flow import Frame
 from twin.program.sinumerik_blocks import Sinumerik
+from twin.program.sinumerik_values import Store
 from twin.program.source import Unit
 from twin.program.structures import Statement
 from twin.program.words import Word, split_arguments
@@ -34,7 +35,7 @@ def other_statement(m: Sinumerik, s: Statement, frame: Frame) -> None:
         match = _DEFINE.match(s.text)
         if not match:
             raise WordError("DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
-        m.lines.macros[match[1]] = match[2]
+        m.macros[match[1]] = match[2]
         frame.unit.statements.clear()
         frame.unit.partners = None
     elif s.kind == "synchronised":
@@ -64,8 +65,7 @@ def _case(m: Sinumerik, s: Statement, frame: Frame) -> None:
 
 def call(m: Sinumerik, word: Word, times: int) -> None:
     """A subprogram by its name or L number."""
-    name = word.name if word.name != "L" else f"L{word.value:g}"
-    unit = m.find(name)
+    name, unit = _unit_of(m, word)
     if unit is None and name == "L":
         raise WordError("L needs a number", word.column)
     if unit is None:
@@ -78,16 +78,8 @@ def call(m: Sinumerik, word: Word, times: int) -> None:
         what = f"word '{name}' is not known and there is no subprogram {name}.SPF beside the program"
         raise WordError(f"{what}; {hint}{ADD_FILE}", word.column)
     m.corners.release()
-    variables, first = arguments(m, unit, word)
-    written, m.written_back = m.written_back, []
-    kept = _kept_modes(m) if first and re.search(r"\)?[^)]*\bSAVE\b", m.lines.clean(unit.lines[first - 1])) else None
-    if frame := m.flow.call(unit, first, times=times, name=name, column=word.column):
-        frame.variables = variables
-        frame.on_return = _at_return(m, written, kept) if written else kept
-
-
-def _at_return(m: Sinumerik, written: list[tuple[str, dict, int]], kept: Callable[[], None] | None) -> Callable[[], None]:
-    """Copy VAR values back to the R parameters or array elements that were passed."""
+    variables, first, written = arguments(m, unit, word)
+    kept = _kept_modes(m) if first and re.search(r"\)?[^)]*\bSAVE\b", m.clean(unit.lines[first - 1])) else None
 
     def restore() -> None:
         if kept:
@@ -95,20 +87,14 @@ def _at_return(m: Sinumerik, written: list[tuple[str, dict, int]], kept: Callabl
         for target, store, column in written:
             m.values.assign(target, store[()], column)
 
-    return restore
+    if frame := m.flow.call(unit, first, times=times, name=name, column=word.column):
+        frame.variables, frame.on_return = variables, restore
 
 
-def _by_reference(m: Sinumerik, given: tuple[str, int], start: Value) -> dict[tuple, Value]:
-    """The store of a VAR value: that of the caller's variable itself, or one that is written back at the end."""
-    text = given[0].strip()
-    store = m.values.store_of(text)
-    if store is not None:
-        store.setdefault(("default",), start)
-        return store
-    own: dict[tuple, Value] = {(): m.values.value_of(*given) if text else start, ("default",): start}
-    if text:
-        m.written_back.append((text, own, given[1]))
-    return own
+def _unit_of(m: Sinumerik, word: Word) -> tuple[str, Unit | None]:
+    """The name of a subprogram, and its program."""
+    name = word.name if word.name != "L" or word.value is None else f"L{word.value:g}"
+    return name, m.find(name)
 
 
 def _kept_modes(m: Sinumerik) -> Callable[[], None]:
@@ -125,47 +111,44 @@ def _kept_modes(m: Sinumerik) -> Callable[[], None]:
     return restore
 
 
-def arguments(m: Sinumerik, unit: Unit, word: Word) -> tuple[dict, int]:
-    """Values of the parameters of a PROC, and the line it begins at."""
+def arguments(m: Sinumerik, unit: Unit, word: Word) -> tuple[dict[str, Store], int, list[tuple[str, Store, int]]]:
+    """The values of a call: the variables of its PROC, the line that it begins at, and the VAR values to write back to their targets."""
     values = [(t, word.text_column + c) for t, c in split_arguments(word.text or "")]
-    for at, line in enumerate(unit.lines):
-        body = m.lines.body(m.lines.clean(line))[0]
-        if not body.strip() or body.strip().startswith("EXTERN"):
+    bodies = ((at, m.body(m.clean(line))[0].strip()) for at, line in enumerate(unit.lines))
+    at, body = next(((at, body) for at, body in bodies if body and not body.startswith("EXTERN")), (0, ""))
+    if not (match := _PROC.match(body)):
+        if any(t for t, _ in values):
+            raise WordError(f"{unit.name} takes no values (it has no PROC line); remove the brackets", word.column)
+        return {}, 0, []
+    variables: dict[str, Store] = {}
+    written: list[tuple[str, Store, int]] = []
+    for k, (part, _) in enumerate(split_arguments(match[2] or "")):
+        declared, _, default = part.partition("=")
+        words = re.sub(r"\[[^\]]*\]", " ", declared).split()
+        if not words:
             continue
-        match = _PROC.match(body)
-        if not match:
-            break
-        variables: dict[str, dict] = {}
-        for k, (part, _) in enumerate(split_arguments(match[2] or "")):
-            declared, _, default = part.partition("=")
-            words = re.sub(r"\[[^\]]*\]", " ", declared).split()
-            if not words:
-                continue
-            name = words[-1]
-            start: Value = "" if any(w in declared for w in ("STRING", "CHAR", "AXIS")) else 0.0
-            given = values[k] if k < len(values) and values[k][0] else (default, 1)
-            if words[0] == "VAR":
-                variables[name] = _by_reference(m, given, start)
-                continue
-            if "AXIS" in declared and given[0]:
-                value: Value = given[0]
-            else:
-                value = m.values.value_of(*given) if given[0].strip() else start
-            variables[name] = {(): value, ("default",): start}
-        if len(values) > len(split_arguments(match[2] or "")):
-            raise WordError(f"{unit.name} takes {len(variables)} values; the call gives {len(values)}", word.column)
-        return variables, at + 1
-    if any(t for t, _ in values):
-        raise WordError(f"{unit.name} takes no values (it has no PROC line); remove the brackets", word.column)
-    return {}, 0
+        start: Value = "" if any(w in declared for w in ("STRING", "CHAR", "AXIS")) else 0.0
+        text, column = values[k] if k < len(values) and values[k][0] else (default.strip(), 1)
+        store = m.values.store_of(text) if words[0] == "VAR" else None
+        if store is not None:  # the variable of the caller itself
+            store.setdefault(("default",), start)
+        else:
+            by_name = "AXIS" in declared and words[0] != "VAR"
+            store = {(): start if not text else text if by_name else m.values.value_of(text, column), ("default",): start}
+            if words[0] == "VAR" and text:
+                written.append((text, store, column))
+        variables[words[-1]] = store
+    if len(values) > len(split_arguments(match[2] or "")):
+        raise WordError(f"{unit.name} takes {len(variables)} values; the call gives {len(values)}", word.column)
+    return variables, at + 1, written
 
 
 def modal_call(m: Sinumerik, word: Word) -> Callable[[], None]:
     """The subprogram of MCALL, which is called behind each block with motion."""
-    unit = m.find(word.name if word.name != "L" else f"L{word.value:g}")
+    _, unit = _unit_of(m, word)
     if unit is None:
         raise WordError(f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
-    variables, first = arguments(m, unit, word)
+    variables, first, _ = arguments(m, unit, word)
 
     def repeated() -> None:
         if frame := m.flow.call(unit, first, name=unit.name, column=word.column):
