@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from twin.errors import InputError
 from twin.program.expressions import WordError
 from twin.program.source import Unit
 from twin.program.state import State
@@ -80,17 +79,17 @@ class Flow:
                 self.back()
 
     def _run_line(self, frame: Frame, at: int, text: str) -> None:
-        """Execute one line and advance `frame.at`, except at a call, which advances it at its end."""
+        """Execute one line and advance `frame.at`, except at a jump, and at a call, which advances it at its end."""
         known = frame.unit.statements.get(at)
         if known is None:
             known = frame.unit.statements[at] = self._statement(text)
-        if isinstance(known, Statement):
-            self._follow(frame, at, known)
-            return
         depth = len(self.frames)
-        if known:
-            self.language.words(known)  # type: ignore[arg-type]
-        self._done(frame, at, depth)
+        if isinstance(known, Statement) and self._follow(frame, at, known):
+            return
+        if known and not isinstance(known, Statement):
+            self.language.words(known)
+        if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
+            self.advance(frame)
 
     def _statement(self, text: str) -> Statement | str:
         clean = self.language.clean(text)
@@ -115,11 +114,8 @@ class Flow:
     def _count(self) -> None:
         self.ran += 1
         if self.ran > MOST_BLOCKS:
-            frame = self.frame
-            raise InputError(
-                f"{frame.unit.path}: line {frame.unit.offset + frame.at + 1}: more than {MOST_BLOCKS} blocks have run; "
-                "repeat less often or split the program"
-            )
+            self.state.line = self.frame.unit.offset + self.frame.at + 1
+            raise WordError(f"more than {MOST_BLOCKS} blocks have run; repeat less often or split the program", 0)
 
     # ------------------------------------------------------------------ calls
 
@@ -156,16 +152,15 @@ class Flow:
 
     # ------------------------------------------------------------------ structures
 
-    def _follow(self, frame: Frame, at: int, s: Statement) -> None:
-        """Execute a statement of the flow."""
+    def _follow(self, frame: Frame, at: int, s: Statement) -> bool:
+        """Execute a statement; True if it has set the next line."""
         kind = s.kind
         if kind in ("label", "endif"):
-            self.advance(frame)
-        elif kind == "goto":
-            if not s.rest[0] or self._value(s.rest[0], s.column):
-                self.jump_to(frame, s)
-            else:
-                self.advance(frame)
+            return False
+        if kind == "goto":
+            if s.rest[0] and not self._value(s.rest[0], s.column):
+                return False
+            self.jump_to(frame, s)
         elif kind == "repeat_label":
             self._repeat(frame, at, s)
         elif kind in ("break", "continue"):
@@ -178,14 +173,9 @@ class Flow:
         elif kind in STRUCTURES:
             self._structure(frame, at, s)
         else:
-            depth = len(self.frames)
             self.language.other(s, frame)
-            self._done(frame, at, depth)
-
-    def _done(self, frame: Frame, at: int, depth: int) -> None:
-        """Advance behind a block that was neither a jump nor a call."""
-        if not self.ended and len(self.frames) == depth and frame is self.frames[-1] and frame.at == at:
-            self.advance(frame)
+            return False
+        return True
 
     def _structure(self, frame: Frame, at: int, s: Statement) -> None:
         """The beginning of a loop or branch goes on or skips it; the end of a loop goes on or back: to its test, or behind it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from twin.machine.machine import Machine
@@ -40,8 +41,7 @@ Handler = Callable[[Iso, Block, float], None]
 def iso(path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> Iso:
     """The reader of one program."""
     m = Iso(path, machine, unit, linuxcnc)
-    m.carry_out = lambda b: execute(m, b)
-    m.other_statement = lambda s, frame: other_statement(m, s, frame)
+    m.carry_out, m.other = partial(execute, m), partial(other_statement, m)
     return m
 
 

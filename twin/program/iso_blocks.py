@@ -15,7 +15,6 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.expressions import NUMBER, Null, WordError, as_number
-from twin.program.flow import Frame as Call
 from twin.program.frames import AXES
 from twin.program.iso_values import IsoValues
 from twin.program.reader import NO_GROUP, Reader
@@ -57,7 +56,6 @@ class Iso(Reader):
 
     carry_out: Callable[[Block], None]
     values: IsoValues
-    other_statement: Callable[[Statement, Call], None]
 
     def __init__(self, path: Path, machine: Machine, unit: Unit, linuxcnc: bool) -> None:
         super().__init__(path, machine, "linuxcnc" if linuxcnc else "iso", between_percents(unit), ISO_FRAMES)
@@ -88,9 +86,6 @@ class Iso(Reader):
             if linuxcnc
             else "F beside X Y Z with A or C: it counts all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
         )
-
-    def other(self, s: Statement, frame: Call) -> None:
-        self.other_statement(s, frame)
 
     def runs_into(self, what: str, column: int) -> None:
         if self.main_seen and len(self.flow.frames) == 1 and self.linuxcnc:

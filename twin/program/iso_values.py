@@ -115,10 +115,6 @@ class IsoValues(Values):
             raise WordError(self.no_value(f"system variable #{key}"), column)
         return Null(0.0)
 
-    def assign(self, name: str, value: float, column: int) -> None:
-        """Not needed: ISO has no FOR."""
-        raise NotImplementedError
-
     def write(self, key: int | str, value: float, column: int) -> None:
         """Assign a value to a parameter."""
         own, m = self.flow.frame.variables, self.offsets

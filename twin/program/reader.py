@@ -19,20 +19,19 @@ from twin.program.flow import Flow, Frame
 from twin.program.source import Folder, Unit
 from twin.program.state import State
 from twin.program.structures import Statement
+from twin.units import rad_from_deg
 
 NO_GROUP = "((?!))?"
 ADD_CALL = "add it, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 
 
 class Values:
-    """Formulas over the variables of the running program; a language says what a name means."""
+    """Formulas over the variables of the running program; a language says what a name at a column of an expression means."""
+
+    variable: Callable[[Expression, str, int], Value]
 
     def __init__(self, state: State, flow: Flow, grammar: Grammar) -> None:
         self.state, self.flow, self.grammar = state, flow, grammar
-
-    def variable(self, e: Expression, name: str, at: int) -> Value:
-        """The value of a name at column `at` of an expression."""
-        raise NotImplementedError
 
     def hashed(self, e: Expression, at: int) -> Value:
         """The value of what follows a `#`."""
@@ -79,8 +78,11 @@ def set_mode(m: Reader, _: object, number: float) -> None:
 class Reader:
     """One program under one control; a language adds its lines, values, words and calls."""
 
-    lines: Any
     values: Values
+    other: Callable[[Statement, Frame], None]
+    """Carries out a statement that the flow does not know."""
+    plain_now: Callable[[], bool]
+    """Whether no mode of the language acts on a block of coordinates alone."""
     plain_block: re.Pattern[str]
     """A block of coordinates alone; its groups: number, G0 or G1, x y z A C, the tool axis, F. `NO_GROUP` stands for a word that a language lacks."""
 
@@ -108,20 +110,8 @@ class Reader:
         self.corners.release()
         self.control.compensate(0, 0.0)
 
-    def words(self, text: str) -> None:
-        """Carry out the words of one block."""
-        raise NotImplementedError
-
-    def other(self, s: Statement, frame: Frame) -> None:
-        """Carry out a statement that the flow does not know."""
-        raise NotImplementedError
-
     def runs_into(self, what: str, column: int) -> None:
         """The end of the file, or a subprogram, is reached without the end of the program, which it stands for."""
-
-    def plain_now(self) -> bool:
-        """Whether no mode of the language acts on a block of coordinates alone."""
-        raise NotImplementedError
 
     def feed_word(self, value: float) -> float:
         """The feed of an F word."""
@@ -152,9 +142,19 @@ class Reader:
         kind = mv.LINE if motion else mv.RAPID
         if motion and not state.feed > 0.0:
             self.control.feed_given(state.feed)
-        position = out.position
+        position, frame, unit = out.position, state.offset, state.unit
         corners.last = None
-        tilt, turn = state.plain_place(x, y, z, a, c)
+        if x is not None:
+            position[0] = float(x) * unit + frame[0]
+        if y is not None:
+            position[1] = float(y) * unit + frame[1]
+        if z is not None:
+            position[2] = float(z) * unit + frame[2]
+        tilt = turn = math.nan
+        if a is not None:
+            position[3] = tilt = rad_from_deg(float(a)) + frame[3]
+        if c is not None:
+            position[4] = turn = rad_from_deg(float(c)) + frame[4]
         tool_axis = None
         if i is not None:
             tool_axis = float(i), float(j), float(k)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,7 @@ NameHandler = Callable[[Sinumerik, Block, Written], None]
 def sinumerik(path: Path, machine: Machine, units: list[Unit]) -> Sinumerik:
     """The reader of one program."""
     m = Sinumerik(path, machine, units, SINUMERIK_NAMES)
-    m.carry_out = lambda b: carry_out(m, b)
-    m.other_statement = lambda s, frame: other_statement(m, s, frame)
+    m.carry_out, m.other = partial(carry_out, m), partial(other_statement, m)
     return m
 
 

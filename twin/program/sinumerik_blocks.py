@@ -11,7 +11,6 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.expressions import NUMBER, Value, WordError
-from twin.program.flow import Frame as Call
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
 from twin.program.sinumerik_values import SinumerikValues
@@ -76,7 +75,6 @@ class Sinumerik(Reader):
 
     carry_out: Callable[[Block], None]
     values: SinumerikValues
-    other_statement: Callable[[Statement, Call], None]
 
     def __init__(self, path: Path, machine: Machine, units: list[Unit], names: Mapping[str, Meaning]) -> None:
         super().__init__(path, machine, "sinumerik", units[0], SINUMERIK_FRAMES)
@@ -97,9 +95,6 @@ class Sinumerik(Reader):
     def find(self, name: str) -> Unit | None:
         """A subprogram in this file or beside it."""
         return self.units.get(plain_name(name)) or self.folder.find(name)
-
-    def other(self, s: Statement, frame: Call) -> None:
-        self.other_statement(s, frame)
 
     def plain_now(self) -> bool:
         return self.modal is None and not self.corners.every_corner and self.state.override == 1.0

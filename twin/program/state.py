@@ -146,22 +146,6 @@ class State:
         """Whether a coordinate counts from the position."""
         return how == "IC" or (how == "" and not self.absolute)
 
-    def plain_place(self, x: str | None, y: str | None, z: str | None, a: str | None, c: str | None) -> tuple[float, float]:
-        """Position of the tool after a plain block of coordinates; A and C [rad], NaN if not programmed."""
-        position, frame, unit = self.out.position, self.offset, self.unit
-        if x is not None:
-            position[0] = float(x) * unit + frame[0]
-        if y is not None:
-            position[1] = float(y) * unit + frame[1]
-        if z is not None:
-            position[2] = float(z) * unit + frame[2]
-        tilt = turn = math.nan
-        if a is not None:
-            position[3] = tilt = rad_from_deg(float(a)) + frame[3]
-        if c is not None:
-            position[4] = turn = rad_from_deg(float(c)) + frame[4]
-        return tilt, turn
-
     def set_frames(self, **changed: Frame) -> None:
         """Change some of the frames; all of them hold for the following blocks.
 

@@ -40,9 +40,9 @@ class Statement:
 
 def structures_of(unit: Unit, statement: Callable[[str], Statement | str]) -> Table:
     """The table of a whole program; `statement` classifies a line. A fault in a line is raised when the line runs."""
-    table: dict[int, tuple[int, ...]] = {}
+    table: Table = {}
     stacks: dict[str, list[list[int]]] = {}
-    subs: list[list[int]] = []
+    subs: list[int] = []
     for at, text in enumerate(unit.lines):
         if at not in unit.statements:
             try:
@@ -54,9 +54,12 @@ def structures_of(unit: Unit, statement: Callable[[str], Statement | str]) -> Ta
             continue
         stack = stacks.setdefault(s.key, [])
         top = unit.statements[stack[-1][0]].kind if stack else ""  # type: ignore[attr-defined]
-        if s.kind == "while" and top == "do":
-            stack[-1].append(at)
-            _close(table, stack.pop())
+        if top and s.kind == CLOSES[top]:
+            places = (*stack.pop(), at)
+            if s.kind == "endsub":
+                subs.remove(places[0])
+            if table[places[0]][0] >= 0:
+                table |= dict.fromkeys(places, places)
         elif s.kind in ("elseif", "else") and top == "if":
             stack[-1].append(at)
         elif s.kind in CLOSES:
@@ -64,26 +67,15 @@ def structures_of(unit: Unit, statement: Callable[[str], Statement | str]) -> Ta
             table[at] = (at,)
             if s.kind == "sub":
                 if subs:
-                    table[subs[-1][0]] = (-1, -1)
-                subs.append(stack[-1])
-        elif top and s.kind == CLOSES[top]:
-            places = [*stack.pop(), at]
-            if s.kind == "endsub":
-                subs = [p for p in subs if p[0] != places[0]]
-            if table.get(places[0], (0,))[0] >= 0:
-                _close(table, places)
+                    table[subs[-1]] = (-1, -1)
+                subs.append(at)
     return table
-
-
-def _close(table: Table, places: list[int]) -> None:
-    for place in places:
-        table[place] = tuple(places)
 
 
 def partners(table: Table, at: int, s: Statement) -> tuple[int, ...]:
     """Lines of the structure that the statement at this line belongs to, first to last."""
-    found = table.get(at)
-    if found is None or (len(found) == 1):
+    found = table.get(at, ())
+    if len(found) < 2:
         end = CLOSES.get(s.kind, "").upper()
         text = f"{s.kind.upper()} has no {end}; add it" if end else f"{s.kind.upper()} ends nothing that was begun; remove it"
         raise WordError(text, s.column)
