@@ -147,6 +147,16 @@ def test_values_of_the_control_from_the_machine_file(read, mikron) -> None:
         read("G0 X0\nX#1004\n", "part.nc")
 
 
+@pytest.mark.parametrize("name", ["part.mpf", "part.nc", "part.ngc"])
+def test_plunge_before_the_approach(read, name: str) -> None:
+    """A move of Z alone between G41 and the first move in the plane is made where the tool stands, not on the way to the contour."""
+    tool, d = ("$TC_DP6[1,1]=3\nT1 D1\n", "") if name == "part.mpf" else ("", "41.1 D6" if name == "part.ngc" else " D1")
+    tool = "G10 L12 P1 R3.\n" if name == "part.nc" else tool
+    program = read(f"{tool}G0 X0 Y0 Z10\nG1 F1000 G41{d.removeprefix('41')}\nZ-5\nX10 Y0\nX20\nY10\nG40 X30\nM30\n", name)
+    assert places(program, 3)[0] == [0, 0, -5]
+    assert all(place[2] == -5 for place in places(program, 3))
+
+
 def test_frames_in_variables(read) -> None:
     """DEF FRAME, chains of frames with names in them, and a component; F1 turns by 90 degrees about (10, 5)."""
     text = "DEF FRAME F1, F2=CTRANS(X,5)\nF1=CTRANS(X,10,Y,5):CROT(Z,90)\n$P_UIFR[1]=F1\nG54 G0 X0 Y0\nX10\n"

@@ -19,7 +19,7 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.collect import NO_RADIUS_COMPENSATION
 from twin.program.control import KEPT, Control
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.frames import Frame
 from twin.program.source import Source
 from twin.program.state import INCH, State
@@ -91,9 +91,7 @@ class AptReader:
     def _statement(self, text: str) -> None:
         if not text or text == "%":
             return
-        found = words.word_and_values(text)
-        if found is None:
-            raise WordError(f"'{text[:40]}' is not an APT statement; expected WORD/ values", 0)
+        found = needed(words.word_and_values(text), f"'{text[:40]}' is not an APT statement; expected WORD/ values", 0)
         word, values = found
         first = word.split()[0].split(",")[0]
         if word == "RAPID":

@@ -76,12 +76,11 @@ class Compensation:
         self.last: Element | None = None  # programmed
         self.shifted: Element | None = None  # beside it, its start is final
         self.entry = True
-        self.before: list[Any] = []
 
     def add(self, e: Element) -> None:
         """Add the next element of the contour; the first one is the approach."""
         if np.hypot(*(e.b - e.a)) < TINY and e.centre is None:
-            (self.last.behind if self.last is not None else self.before).append(e)
+            self.emit(e) if self.last is None else self.last.behind.append(e)
             return
         if self.last is None:
             if e.centre is not None:
@@ -91,8 +90,7 @@ class Compensation:
         new = moved(e, self.offset)
         assert self.shifted is not None
         if self.entry and self.along_next:
-            self.shifted.b = new.a.copy()
-            self._put(self.shifted, self.last.behind)
+            self._end(self.last, self.shifted, new.a)
         else:
             new = self._join(self.last, self.shifted, e, new)
         self.entry = False
@@ -105,13 +103,15 @@ class Compensation:
         if self.entry and self.along_next:
             raise WordError("between G41 or G42 and G40 there is no contour; add a move in the plane")
         assert self.last is not None
-        self._put(self.shifted, self.last.behind)
+        self._end(self.last, self.shifted, self.shifted.b)
         return self.shifted.b
 
-    def _put(self, e: Element, behind: list[Any]) -> None:
-        self.emit(e)
-        for other in behind:
-            self.emit(replace(other, a=e.b.copy(), b=e.b.copy()))
+    def _end(self, last: Element, shifted: Element, at: np.ndarray) -> None:
+        """Emit an element to a place (2,), where the moves behind it are made."""
+        shifted.b = at.copy()
+        self.emit(shifted)
+        for other in last.behind:
+            self.emit(replace(other, a=at.copy(), b=at.copy()))
 
     def _join(self, last: Element, shifted: Element, e: Element, new: Element) -> Element:
         """The corner between two elements; returns the second with its start."""
@@ -120,16 +120,15 @@ class Compensation:
         short = turn * self.offset < 0.0 and abs(turn * self.offset) < GOUGE  # an arc about this outside corner would have no length
         if abs(turn) < SMOOTH or short:
             new.a = shifted.b.copy()
-            self._put(shifted, last.behind)
+            self._end(last, shifted, shifted.b)
             return new
         turn, back = _reversal(last, e, turn)
         outside = turn * self.offset < 0.0 or back
         if outside and self.corners_meet and last.centre is None and e.centre is None and abs(turn) < 0.56 * math.pi:
-            shifted.b = meet(shifted, new, last.b)[0]
-            new.a = shifted.b.copy()
-            self._put(shifted, last.behind)
+            new.a = meet(shifted, new, last.b)[0]
+            self._end(last, shifted, new.a)
         elif outside:  # an arc about the corner
-            self._put(shifted, last.behind)
+            self._end(last, shifted, shifted.b)
             self.emit(Element(shifted.b, new.a, (last.across[1],) * 2, last.b.copy(), -1 if self.offset > 0 else 1, 0, new.move))
         else:
             self._inside(last, shifted, new, abs(turn))
@@ -143,14 +142,13 @@ class Compensation:
         """
         for point in meet(shifted, new, last.b):
             if holds(shifted, point) and holds(new, point):
-                shifted.b, new.a = point, point.copy()
-                self._put(shifted, last.behind)
-                return
-        if 0.5 * abs(self.offset) * turn * turn < GOUGE:
-            new.a = shifted.b.copy()
-            self._put(shifted, last.behind)
-            return
-        raise WordError("the tool cannot reach an inside corner without gouging; use a smaller tool or correct the contour")
+                break
+        else:
+            point = shifted.b
+            if 0.5 * abs(self.offset) * turn * turn >= GOUGE:
+                raise WordError("the tool cannot reach an inside corner without gouging; use a smaller tool or correct the contour")
+        new.a = point.copy()
+        self._end(last, shifted, point)
 
 
 def holds(e: Element, p: np.ndarray) -> bool:

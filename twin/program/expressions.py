@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import math
 import operator
 import re
-from typing import Any
+from typing import Any, TypeVar
 
 from twin.program.frames import Frame
 
@@ -30,6 +30,16 @@ class WordError(Exception):
     def __init__(self, message: str, column: int = 1) -> None:
         super().__init__(message)
         self.column = column
+
+
+Kind = TypeVar("Kind")
+
+
+def needed(value: Kind | None, message: str, column: int = 1) -> Kind:
+    """A value that must be there; `message` is the fault if it is not."""
+    if value is None:
+        raise WordError(message, column)
+    return value
 
 
 class Null(float):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.source import Unit
 from twin.program.state import State
 from twin.program.structures import STRUCTURES, Statement, loop_around, partners, structures_of
@@ -315,9 +315,7 @@ class Flow:
         labels = self.labels(frame.unit)
 
         def label(text: str) -> int:
-            if not (places := labels.get(text, [])):
-                raise WordError(f"there is no label '{text}'; add '{text}:' before the part to repeat", s.column)
-            return places[0]
+            return needed(labels.get(text), f"there is no label '{text}'; add '{text}:' before the part to repeat", s.column)[0]
 
         first = label(name)
         if end:

@@ -10,7 +10,7 @@ from twin.machine.machine import Machine
 from twin.program import klartext_cycles as cycles
 from twin.program import klartext_path as path
 from twin.program import moves as mv
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.klartext_blocks import FORMULA, VALUE, Block, Handler, Klartext
 from twin.program.source import Unit
 from twin.program.state import INCH
@@ -60,9 +60,7 @@ def tool_call(m: Klartext, b: Block) -> None:
 
 def tool_def(m: Klartext, b: Block) -> None:
     """TOOL DEF number, L, R: the table of tools of the program."""
-    match = re.match(rf"\s*({VALUE})", b.text)
-    if match is None:
-        raise WordError("TOOL DEF needs the number of the tool", b.column)
+    match = needed(re.match(rf"\s*({VALUE})", b.text), "TOOL DEF needs the number of the tool", b.column)
     name, b.text = f"{m.values.number_of(match[1], b.column):g}", b.text[match.end() :]
     for word, item in m.only_words(b, "L R", "; give the rest in [tool] of the machine file").items():
         m.state.tools.set_value(name, "length" if word == "L" else "radius", item.value * m.state.unit)

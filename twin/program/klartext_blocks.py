@@ -14,7 +14,7 @@ from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.arcs import Arc
 from twin.program.control import KEPT, Vector
-from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError
+from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError, needed
 from twin.program.flow import Flow
 from twin.program.flow import Frame as Call
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader, Values
@@ -136,8 +136,7 @@ class KlartextValues(Values):
         if name == "Q108":
             return state.tools.radius(state.tools.name, column) / state.unit
         own = {"Q109": {19: 0.0, 18: 1.0, 17: 2.0}[state.plane], "Q113": float(state.unit != 1e-3)}
-        if (value := own.get(name, default)) is None:
-            raise WordError(self.no_value(name), column)
+        value = needed(own.get(name, default), self.no_value(name), column)
         return value
 
     def variable(self, e: Expression, name: str, at: int) -> float:
@@ -209,9 +208,7 @@ class Klartext(Reader):
         body, self.state.block = without_number(text)
         column = len(body) - len(body.lstrip()) + 1
         body = body.strip()
-        match = re.match(r"(CYCL DEF)\s*(\d+)|([A-Z]+)(?:\s+[A-Z]+)?", body)
-        if match is None:
-            raise WordError(f"'{body[:20]}' starts no block of Klartext", column)
+        match = needed(re.match(r"(CYCL DEF)\s*(\d+)|([A-Z]+)(?:\s+[A-Z]+)?", body), f"'{body[:20]}' starts no block of Klartext", column)
         names = [f"{match[1]} {match[2]}"] if match[1] else [" ".join(match[0].split()), match[3]]
         head = next((n for n in names if n in self.table), None)
         word = self.table.get(head or "")
@@ -240,9 +237,7 @@ class Klartext(Reader):
         """All words of the text of a block; the feed counts once the M codes of the block are carried out."""
         at, text = 0, block.text.rstrip()
         while at < len(text):
-            match = _WORD.match(text, at)
-            if not match:
-                raise WordError(f"'{text[at:].strip()[:20]}' is not read {where}", block.column + at)
+            match = needed(_WORD.match(text, at), f"'{text[at:].strip()[:20]}' is not read {where}", block.column + at)
             at, place = match.end(), block.column + match.start()
             if match["side"]:
                 block.side = _SIDES[match["side"]]

@@ -17,7 +17,7 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, Peck, Steps, levels, pecks
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, ROTARY, Frame, about, mirrored, rotation, rotation_xyz, shifted
 from twin.program.klartext_blocks import VALUE, Block, Klartext
 from twin.program.orientation import OK, choose_angles, unreachable_text
@@ -78,12 +78,9 @@ def mirror(m: Klartext, b: Block) -> None:
 
 def turn(m: Klartext, b: Block) -> None:
     """Cycle 10: about the normal of the plane, absolute or in addition."""
-    words = m.only_words(b, "ROT", added=True)
-    if not words:
-        raise WordError("cycle 10 needs its angle, e.g. CYCL DEF 10.1 ROT+35", b.column)
-    angle, before = words["ROT"].value, m.state.frames["turn"].matrix
-    inner = rotation(arcs.PLANES[m.state.plane][2], angle)
-    m.state.set_frames(turn=Frame(before @ inner if words["ROT"].how else inner, np.zeros(5)))
+    rot = needed(m.only_words(b, "ROT", added=True).get("ROT"), "cycle 10 needs its angle, e.g. CYCL DEF 10.1 ROT+35", b.column)
+    before, inner = m.state.frames["turn"].matrix, rotation(arcs.PLANES[m.state.plane][2], rot.value)
+    m.state.set_frames(turn=Frame(before @ inner if rot.how else inner, np.zeros(5)))
 
 
 def scale(m: Klartext, b: Block) -> None:
@@ -98,9 +95,7 @@ def scale(m: Klartext, b: Block) -> None:
 
 def preset(m: Klartext, b: Block) -> None:
     """Cycle 247: the preset with the number Q339."""
-    found = re.search(rf"Q339\s*=\s*({VALUE})", b.text)
-    if found is None:
-        raise WordError("cycle 247 needs Q339, the number of the preset", b.column)
+    found = needed(re.search(rf"Q339\s*=\s*({VALUE})", b.text), "cycle 247 needs Q339, the number of the preset", b.column)
     m.state.set_frames(preset=shifted(m.state.frame_table(f"PRESET{m.values.number_of(found[1], b.column):g}")))
 
 
@@ -163,9 +158,7 @@ def _solution(m: Klartext, axis: np.ndarray, now: np.ndarray, sign: float, chose
 
 def dwell(m: Klartext, b: Block) -> None:
     """Cycle 9."""
-    found = re.fullmatch(rf"[A-Z. ]*({VALUE})", b.text)
-    if found is None:
-        raise WordError("cycle 9 needs its time, e.g. CYCL DEF 9.1 DWELL 0.5", b.column)
+    found = needed(re.fullmatch(rf"[A-Z. ]*({VALUE})", b.text), "cycle 9 needs its time, e.g. CYCL DEF 9.1 DWELL 0.5", b.column)
     m.control.dwell(m.values.number_of(found[1], b.column))
 
 

@@ -11,7 +11,7 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.arcs import Arc
 from twin.program.control import KEPT
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.frames import LINEAR, OTHER, ROTARY
 from twin.program.klartext_blocks import VALUE, Block, Element, Klartext, all_parts
 from twin.program.klartext_cycles import cycle_here
@@ -84,8 +84,7 @@ def element_of(m: Klartext, block: Block, start: np.ndarray, machine: bool) -> t
         centre = arcs.centre_from_radius(start, point, radius, m.state.plane, clockwise)
         arc = m.control.arc_about(start, point, centre, clockwise)
     elif head in ("CT", "CTP"):
-        if (direction := m.corners.direction()) is None:
-            raise WordError("CT needs a contour element before it, whose direction it continues")
+        direction = needed(m.corners.direction(), "CT needs a contour element before it, whose direction it continues")
         arc = arcs.tangential(start, direction, point, m.state.plane)
     return (point, arc), angles
 
@@ -155,9 +154,7 @@ def set_pole(m: Klartext, block: Block) -> None:
 
 def pole_of(m: Klartext, column: int) -> np.ndarray:
     """The pole (3,)."""
-    if m.pole is None:
-        raise WordError("no pole is defined; add CC before", column)
-    return m.pole
+    return needed(m.pole, "no pole is defined; add CC before", column)
 
 
 def polar(m: Klartext, start: np.ndarray, words: dict[str, Item], column: int, *, on_circle: bool) -> tuple[np.ndarray, float]:

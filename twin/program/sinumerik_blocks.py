@@ -10,7 +10,7 @@ import re
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.program.expressions import NUMBER, Value, WordError
+from twin.program.expressions import NUMBER, Value, WordError, needed
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
 from twin.program.sinumerik_values import SinumerikValues
@@ -163,8 +163,7 @@ class Sinumerik(Reader):
         if word not in _PARTS:
             return Statement(word.lower(), text=body, column=column)
         pattern, kind, hint = _PARTS[word]
-        if not (parts := pattern.match(body)):
-            raise WordError(hint, column)
+        parts = needed(pattern.match(body), hint, column)
         return Statement(kind, column=column, rest=parts.groups())
 
     def labels(self, unit: Unit) -> dict[str, list[int]]:

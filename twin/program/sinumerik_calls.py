@@ -6,7 +6,7 @@ from collections.abc import Callable
 import re
 
 from twin.errors import nearest
-from twin.program.expressions import Value, WordError
+from twin.program.expressions import Value, WordError, needed
 from twin.program.flow import Frame
 from twin.program.sinumerik_blocks import Sinumerik
 from twin.program.sinumerik_values import Store
@@ -32,9 +32,7 @@ def other_statement(m: Sinumerik, s: Statement, frame: Frame) -> None:
     elif s.kind in ("def", "redef"):
         m.values.define(s, frame)
     elif s.kind == "define":
-        match = _DEFINE.match(s.text)
-        if not match:
-            raise WordError("DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
+        match = needed(_DEFINE.match(s.text), "DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
         m.macros[match[1]] = match[2]
         frame.unit.statements.clear()
         frame.unit.partners = None
@@ -52,9 +50,7 @@ def other_statement(m: Sinumerik, s: Statement, frame: Frame) -> None:
 
 def _case(m: Sinumerik, s: Statement, frame: Frame) -> None:
     """CASE: the jump of the first value that fits."""
-    match = _CASE.match(s.text)
-    if not match:
-        raise WordError("CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
+    match = needed(_CASE.match(s.text), "CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
     value = m.values.value_of(match[1], s.column)
     m.flow.decided(match[1], (value,))
     for part in _CASE_PART.finditer(match[2]):

@@ -9,7 +9,7 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.control import Vector
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, mirrored, rotation, rotation_xyz, shifted
 from twin.program.sinumerik_blocks import Block, Sinumerik
 from twin.program.state import Item
@@ -84,8 +84,7 @@ def _arc(m: Sinumerik, b: Block, start: np.ndarray, point: np.ndarray, centre: d
                 middle[i] = item.value * s.unit + (start[i] if s.is_relative(item.how) else 0.0)
         return arcs.through(start, middle, point)
     if b.curve == "CT":
-        if (direction := m.corners.direction()) is None:
-            raise WordError("CT needs a move before it, whose direction it continues; use CIP or G2")
+        direction = needed(m.corners.direction(), "CT needs a move before it, whose direction it continues; use CIP or G2")
         return arcs.tangential(start, direction, point, s.plane)
     if "AR" in b.w:
         middle = _by_angle(m, b, start, point, centre, clockwise)

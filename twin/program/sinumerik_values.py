@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.errors import nearest
 from twin.program.corners import Corners
-from twin.program.expressions import SINUMERIK, Expression, Value, WordError, as_number
+from twin.program.expressions import SINUMERIK, Expression, Value, WordError, as_number, needed
 from twin.program.flow import Flow
 from twin.program.flow import Frame as Call
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
@@ -65,9 +65,7 @@ class SinumerikValues(Values):
 
     def define(self, s: Statement, frame: Call) -> None:
         """DEF: variables of a program or subprogram, with the values that they start with."""
-        match = _DEF.match(s.text)
-        if not match:
-            raise WordError("DEF needs a type and names, e.g. DEF REAL LENGTH=10", s.column)
+        match = needed(_DEF.match(s.text), "DEF needs a type and names, e.g. DEF REAL LENGTH=10", s.column)
         start: Value = "" if match[1].startswith(("STRING", "CHAR", "AXIS")) else NO_FRAME if match[1] == "FRAME" else 0.0
         for part, _ in split_arguments(match[2]):
             name, _, value = part.partition("=")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import math
 import re
 
-from twin.program.expressions import NUMBER, SINUMERIK, Expression, WordError, closing
+from twin.program.expressions import NUMBER, SINUMERIK, Expression, WordError, closing, needed
 
 _ASSIGN = re.compile(r"([A-Z_$][A-Z_$][A-Z0-9_$]*|[A-Z]\d*)[ \t]*(?==(?!=)|\[)", re.A)
 _OTHER = re.compile(rf"([A-Z])[ \t]*({NUMBER})|([A-Z_$][A-Z0-9_$]*)", re.A)
@@ -49,8 +49,7 @@ def _word(e: Expression) -> Word:
         begin = e.at = e.at + 1
         e.value()
         return Word(match[1], at + 1, None, line[begin : e.at], True, begin + 1, index)
-    if not (match := _OTHER.match(line, at)):
-        raise WordError(f"'{line[at]}' starts no word", at + 1)
+    match = needed(_OTHER.match(line, at), f"'{line[at]}' starts no word", at + 1)
     e.at, value = match.end(), float(match[2]) if match[2] else None
     if value is not None and not math.isfinite(value):
         raise WordError("the number is too large", at + 1)
