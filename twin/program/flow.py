@@ -17,8 +17,6 @@ from twin.program.structures import STRUCTURES, Statement, loop_around, partners
 
 MOST_BLOCKS = 2_000_000  # that run, with repeats
 MOST_JUMPS = 100_000
-MOST_SAME_JUMPS = 10_000
-"""Number of consecutive jumps without a change of any value in a condition, after which the loop counts as endless."""
 DEEPEST_CALL = 40
 
 
@@ -48,8 +46,7 @@ class Flow:
     def __init__(self, unit: Unit, state: State, language: Any) -> None:
         self.state, self.language = state, language
         self.frames = [Frame(unit, unit.first)]
-        self.ran = self.jumps = self.same_jumps = 0
-        self._seen: dict[tuple, tuple] = {}
+        self.ran = self.jumps = 0
         self.ended = False
 
     @property
@@ -137,7 +134,6 @@ class Flow:
         if frame.again > 0:
             frame.again -= 1
             frame.at, frame.repeats, frame.counters = frame.first, [], {}
-            self.same_jumps = 0
             self._jump(1)
             return
         self.frames.pop()
@@ -218,7 +214,6 @@ class Flow:
         """Whether a loop that began at the line `first` runs once more."""
         if s.kind == "endtimes":
             frame.counters[first] = frame.counters.get(first, 1) - 1
-            self.same_jumps = 0
             return frame.counters[first] > 0
         if s.kind == "endfor":
             name, _, last = frame.unit.statements[first].rest  # type: ignore[attr-defined]
@@ -228,19 +223,8 @@ class Flow:
 
     def _value(self, text: str, column: int) -> float:
         """The value of a condition or of the bound of a loop."""
-        reads: list[Any] = []
-        self.state.reads = reads
         value: float = self.language.values.number_of(text, column)
-        self.state.reads = None
-        self.decided(text, (value, *reads))
         return value
-
-    def decided(self, text: str, by: tuple) -> None:
-        """Record the values of a decision; values that differ from the last time show that the loop makes progress."""
-        key = (self.frame.unit.path, self.frame.unit.name, self.frame.at, text)
-        if self._seen.get(key) != by:
-            self._seen[key] = by
-            self.same_jumps = 0
 
     def _branch(self, frame: Frame, s: Statement, places: tuple[int, ...]) -> None:
         """IF: go to the first branch whose condition is true; a branch ends at the next ELSE."""
@@ -264,12 +248,6 @@ class Flow:
     def _jump(self, column: int) -> None:
         self._count()
         self.jumps += 1
-        self.same_jumps += 1
-        if self.same_jumps > MOST_SAME_JUMPS:
-            raise WordError(
-                f"the loop with this jump does not end: in {MOST_SAME_JUMPS} jumps nothing has changed that a condition reads; correct it",
-                column,
-            )
         if self.jumps > MOST_JUMPS:
             raise WordError(f"more than {MOST_JUMPS} jumps have run; the loop with this jump does not end, correct it", column)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import partial
 import math
 from pathlib import Path
 import re
@@ -38,16 +37,8 @@ class Values:
         raise e.fail("a number or variable is missing before '#'", at)
 
     def expression(self, text: str, column: int = 1) -> Expression:
-        """An expression that begins at `column`; a condition notes what it reads, so that loops without progress are seen."""
-        reads = self.state.reads
-
-        def noted(read: Callable[..., Value], *at: Any) -> Value:
-            reads.append(value := read(*at))  # type: ignore[union-attr]
-            return value
-
-        if reads is None:
-            return Expression(text, self.grammar, self.variable, self.hashed, 0, column)
-        return Expression(text, self.grammar, partial(noted, self.variable), partial(noted, self.hashed), 0, column)
+        """An expression that begins at `column`."""
+        return Expression(text, self.grammar, self.variable, self.hashed, 0, column)
 
     def value_of(self, text: str, column: int) -> Value:
         """The value of an expression: a number or a text."""

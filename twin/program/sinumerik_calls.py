@@ -52,7 +52,6 @@ def _case(m: Sinumerik, s: Statement, frame: Frame) -> None:
     """CASE: the jump of the first value that fits."""
     match = needed(_CASE.match(s.text), "CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
     value = m.values.value_of(match[1], s.column)
-    m.flow.decided(match[1], (value,))
     for part in _CASE_PART.finditer(match[2]):
         if part[1] == "DEFAULT" or m.values.value_of(part[1], s.column) == value:
             m.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))

@@ -114,7 +114,6 @@ class State:
         self.plain = True  # blocks of coordinates alone may take the fast way
         self.retract_to_start = True  # G98
         self.line, self.block = 0, -1
-        self.reads: list[Any] | None = None  # values of the variables that an expression reads are added to it
         self.tools = Tools(self.out, machine, self.iso)
         own = self.out.kinematics.letters
         self.slot_of = dict(zip([*own, *(n for n in "XYZAC" if n not in own)], [*"XYZAC", *(n for n in own if n not in "XYZAC")]))
