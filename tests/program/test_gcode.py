@@ -10,7 +10,7 @@ from twin.machine.machine import Machine, load_machine, write_machine
 from twin.program import interpolate, read_program
 from twin.program.expressions import SINUMERIK, Expression, WordError
 from twin.program.moves import ARC, DWELL, LINE, RAPID
-from twin.program.words import split_words
+from twin.program.sinumerik_values import split_words
 
 
 @pytest.fixture

@@ -24,14 +24,17 @@ ARGUMENTS = (
 
 def carry_out(args: argparse.Namespace) -> None:
     """Check every program; print a line for each, then the most frequent reasons."""
-    from twin.program.check import check_programs, document, opening_words, programs_in, reasons
+    from twin.program.check import check_program, document, opening_words, programs_in, reasons
     from twin.simulation.summary import table
 
     machine = machine_of(args)
     folder = Path(args.programs)
     paths = programs_in(folder)
     with Progress("checking", total=len(paths)) as bar:
-        found = check_programs(paths, machine, place=args.place == "auto", plan=not args.read_only, progress=bar)
+        found = []
+        for path in paths:
+            found.append(check_program(path, machine, place=args.place == "auto", plan=not args.read_only))
+            bar(None)
     rows = []
     for one in found:
         name = str(one.path.relative_to(folder)) if folder.is_dir() else one.path.name

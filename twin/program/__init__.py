@@ -1,9 +1,8 @@
 """Part programs: reading (Sinumerik and ISO G-code, APT/CL), interpolation to set points, error budget of one program."""
 
-from twin.program.budget import ErrorBudget, error_budget
+from twin.program.budget import ErrorBudget, error_budget, plot_feed
 from twin.program.interpolator import interpolate, set_point_blocks
 from twin.program.moves import Moves, Program
-from twin.program.plot import plot_feed
 from twin.program.read import PROGRAM_ENDINGS, is_program, read_program
 
 __all__ = [

@@ -36,7 +36,7 @@ class AptReader:
     """Tool, frames and feeds while statements are read."""
 
     def __init__(self, source: Source, machine: Machine) -> None:
-        self.source, self.reading, self.files = source, source.path, ()
+        self.source, self.reading = source, source.path
         self.state = State(source.path, machine, "apt", ("system",))
         self.state.feed_word = "FEDRAT/ before this GOTO"
         self.control, self.out = Control(self.state), self.state.out

@@ -66,10 +66,7 @@ def word_and_values(text: str) -> tuple[str, str] | None:
 
 def moves_nothing(word: str, values: str) -> bool:
     """Whether a shift of the part (ORIGIN/, TRANS/) is zero."""
-    try:
-        return word in ("ORIGIN", "TRANS") and len(listed(values)) == 3 and not any(map(float, listed(values)))
-    except ValueError:
-        return False
+    return word in ("ORIGIN", "TRANS") and [is_number(v) and float(v) == 0.0 for v in listed(values)] == [True] * 3
 
 
 def listed(values: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Error budget of a program along its path: errors of the interpolator (level 1) and of the drives (level 2).
+"""What a program becomes: its feed as a picture, and its error budget along the path, errors of the interpolator (level 1) and of the drives (level 2).
 
 All errors are distances of the tool tip in the part frame [m]:
 
@@ -14,6 +14,7 @@ All errors are distances of the tool tip in the part frame [m]:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,10 @@ from twin.machine.machine import Machine
 from twin.program.curve import nearest_along, programmed_curve
 from twin.program.moves import Program, tips_at
 from twin.recordings.trace import PROGRAM, Trace
+from twin.report.figure import BLUE, SOFT, new_figure, save_png
+from twin.simulation.summary import table
 
+MM_PER_MIN = 60e3
 SEARCH_BACK, SEARCH_AHEAD = 15e-3, 3e-3
 """Search range for the actual position along the path, before and after its set point [m]; larger than any following error."""
 
@@ -71,16 +75,13 @@ class ErrorBudget:
 
     def table(self, lines: int = 10) -> str:
         """Both as text for the terminal."""
-        out = ["error      level   rms [um]   max [um]   at [mm]  line  meaning"]
-        for row in self.summary():
-            level = row["level"] or "1+2"
-            out.append(
-                f"{row['error']:<10} {level!s:>5} {row['rms_um']:>10.3f} {row['max_um']:>10.3f} {row['at_path_length_mm']:>9.3f} "
-                f"{row['at_line']:>5}  {row['meaning']}"
-            )
-        out += ["", "line    " + "".join(f"{name + ' [um]':>16}" for name in QUANTITIES)]
-        out += [f"{row['line']:<8}" + "".join(f"{row[name]:>16.3f}" for name in QUANTITIES) for row in self.worst_lines(lines)]
-        return "\n".join(out)
+        sizes = ("rms_um", "max_um", "at_path_length_mm")
+        rows = [
+            [r["error"], r["meaning"], str(r["level"] or "1+2"), *(f"{r[n]:.3f}" for n in sizes), str(r["at_line"])] for r in self.summary()
+        ]
+        worst = [[str(row["line"]), *(f"{row[name]:.3f}" for name in QUANTITIES)] for row in self.worst_lines(lines)]
+        whole = table(["error", "meaning", "level", "rms [um]", "max [um]", "at [mm]", "line"], rows, left=2)
+        return f"{whole}\n\n{table(['line', *(f'{name} [um]' for name in QUANTITIES)], worst, left=0)}"
 
 
 def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: Machine) -> ErrorBudget:
@@ -123,3 +124,19 @@ def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: M
         chord[every:-every] = np.sqrt(np.maximum(np.sum(bend**2, axis=1) - along**2, 0.0)) / 8.0
     following = np.linalg.norm(tip_actual - tip_wanted, axis=1)
     return ErrorBudget(time, foot, line, rounding, chord, following, drives, contour)
+
+
+def plot_feed(setpoints: Trace, path: str | Path, title: str = "") -> None:
+    """Programmed and reached feed [mm/min] over path length [mm] into a picture file; rapid moves have no programmed feed."""
+    length = setpoints.get(PROGRAM, "path_length") * 1e3
+    feed, reached = setpoints.get(PROGRAM, "feed") * MM_PER_MIN, setpoints.get(PROGRAM, "path_speed") * MM_PER_MIN
+    figure, grid = new_figure(1, 1, height=3.6)
+    axes = grid[0, 0]
+    axes.plot(length, np.where(feed > 0.0, feed, np.nan), color=SOFT, linewidth=2.4, label="programmed")
+    axes.plot(length, reached, color=BLUE, linewidth=1.2, label="reached")
+    axes.set(xlabel="path length in mm", ylabel="feed in mm/min")
+    axes.set_title(f"{title}: programmed and reached feed" if title else "", loc="left", weight="bold")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8.5)  # beside the panel, never on the curves
+    save_png(figure, path)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
@@ -16,7 +16,7 @@ from twin.machine.machine import Machine
 from twin.program.collect import MovesNothing
 from twin.program.interpolator import set_point_blocks
 from twin.program.place import OutsideTravel, placed
-from twin.program.read import PROGRAM_ENDINGS, is_program, read_program, understand_source
+from twin.program.read import PROGRAM_ENDINGS, is_program, read_program, understand
 from twin.program.source import Source
 from twin.simulation.setpoint_limits import LimitWatch
 from twin.simulation.setpoints import setpoints_of
@@ -118,7 +118,7 @@ def unread_words(path: Path, machine: Machine, reason: str) -> tuple[str, ...]:
             return ()
         source.lines[int(line[1]) - 1] = ""
         try:
-            understand_source(source.copy(), machine)
+            understand(source, machine)
             return tuple(words)
         except InputError as error:
             reason = str(error)
@@ -130,18 +130,6 @@ def opening_words(checked: Sequence[Checked]) -> list[tuple[str, int, int]]:
     opens = Counter(one.unread[0] for one in checked if len(one.unread) == 1)
     stops = Counter(word for one in checked for word in one.unread)
     return sorted(((word, opens[word], n) for word, n in stops.items()), key=lambda w: (-w[1], -w[2], w[0]))
-
-
-def check_programs(
-    paths: Sequence[Path], machine: Machine, *, place: bool = False, plan: bool = True, progress: Callable[[None], None] | None = None
-) -> list[Checked]:
-    """Check all programs, in order."""
-    found = []
-    for path in paths:
-        found.append(check_program(path, machine, place=place, plan=plan))
-        if progress:
-            progress(None)
-    return found
 
 
 def reasons(checked: Sequence[Checked]) -> list[tuple[str, int, str]]:

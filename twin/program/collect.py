@@ -70,7 +70,7 @@ class Collector:
         self.machine = machine
         self.kinematics = kinematics_of(machine, sites_needed=False)
         home = np.clip(0.0, self.kinematics.travel[:, 0], self.kinematics.travel[:, 1])
-        self.home, self.position = home[:3], [float(v) for v in home]
+        self.home, self.position = home, [float(v) for v in home]
         self.modes = Modes(tool_length=self.kinematics.tool_length, spindle_tool_length=self.kinematics.tool_length)
         self.all_modes = [self.modes]
         self.kinds: list[int] = []
@@ -85,7 +85,7 @@ class Collector:
         self.pauses: dict[int, float] = {}
         self.notes: dict[str, None] = {}
         self.messages: list[str] = []
-        self.files: tuple[Path, ...] = ()
+        self.files: list[Path] = []  # subprograms in other files
         self.missing: tuple[int, int, str] | None = None  # an axis that this machine lacks: where it first moved
         self.feedforward: str | None = None
         self.mixed_feed = ""  # note where F meets X Y Z and A C in one block
@@ -98,9 +98,9 @@ class Collector:
         """The axes of the machine for messages."""
         return " ".join(letter for letter, name in zip(self.kinematics.letters, self.kinematics.names) if name)
 
-    def fail(self, line: int, block: int, text: str, column: int | None = None) -> InputError:
+    def fail(self, line: int, block: int, text: str) -> InputError:
         """An error at a place of the program."""
-        return InputError(f"{mv.place_of(self.path, line, block, column)}: {text}")
+        return InputError(f"{mv.place_of(self.path, line, block)}: {text}")
 
     def set_modes(self, modes: Modes) -> None:
         """Set the modes of the following moves."""
@@ -210,14 +210,13 @@ class Collector:
 
     def _with_start(self, moves: mv.Moves) -> mv.Program:
         """A first rapid move is the start itself; otherwise the axes start at home."""
-        home = np.clip(0.0, self.kinematics.travel[:, 0], self.kinematics.travel[:, 1])
-        start = home
+        start = self.home
         if moves.kind[0] == mv.RAPID:
             start = moves.target[0].copy()
             if moves.traori[0]:
                 start = mv.axes_at(self.kinematics, start[None], moves.tool_length[:1])[0]
             moves = moves.take(np.arange(1, len(moves)))
-        said = tuple(self.notes), tuple(self.messages), self.files
+        said = tuple(self.notes), tuple(self.messages), tuple(self.files)
         program = mv.Program(self.path, start, moves, self.kinematics, self.feedforward, *said)
         if not len(moves) or not np.any((np.abs(program.starts() - moves.target) > 1e-12).any(axis=1) | (moves.kind == mv.ARC)):
             text = f"{self.path}: the program moves no axis from its start; a first rapid move defines the start, so add a move after it"

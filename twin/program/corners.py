@@ -57,7 +57,7 @@ class Corners:
         traori = {out.all_modes[out.mode_of[row]].traori for row in rows}
         if not rows or out.kinds[rows[-1]] == mv.ARC or self.state.comp is not None or len(traori) > 1:
             return np.zeros(3)
-        before = np.array(out.targets[rows[0]][:3]) if len(rows) == 2 else out.home
+        before = np.array(out.targets[rows[0]][:3]) if len(rows) == 2 else out.home[:3]
         return self.state.to_program(np.array(out.targets[rows[-1]][:3])) - self.state.to_program(before)
 
     def queue(self, move: Move, corner: tuple[str, float] | None) -> None:

@@ -185,12 +185,10 @@ class Expression:
     def fail(self, message: str, at: int | None = None) -> WordError:
         return WordError(message, self.column + (self.at if at is None else at))
 
-    def blank(self) -> None:
+    def peek(self) -> str:
+        """The next character that is no blank, "" at the end."""
         while self.at < len(self.text) and self.text[self.at] in " \t":
             self.at += 1
-
-    def peek(self) -> str:
-        self.blank()
         return self.text[self.at] if self.at < len(self.text) else ""
 
     def whole(self) -> Value:
@@ -211,13 +209,8 @@ class Expression:
             left = self._apply(name, work, (left, right), at)
         return left
 
-    def number(self) -> float:
-        """A finite number."""
-        at = self.at
-        return as_number(self.value(), self.column + at)
-
     def _operator(self) -> tuple[str, int] | None:
-        self.blank()
+        self.peek()
         match = _SIGN.match(self.text, self.at)
         if not match:
             match = _NAME.match(self.text, self.at)

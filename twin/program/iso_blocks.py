@@ -194,7 +194,7 @@ class Iso(Reader):
                 if e.peek() != "=":
                     raise e.fail("a variable without an assignment; give it a value with '='")
                 e.at += 1
-                later.append((key, e.number(), column))
+                later.append((key, as_number(e.value(), column), column))
                 continue
             name = char
             if char == ",":

@@ -106,18 +106,15 @@ def g10(m: Iso, b: Block, _: float) -> None:
 
 def g92(m: Iso, b: Block, _: float) -> None:
     """G92: this place gets the coordinates."""
-    s, named = m.state, _named_offsets(m, b)
+    named = _named_offsets(m, b)
     if not named:
         raise WordError("G92 needs a coordinate, e.g. G92 X0", b.column)
     if not m.offsets.shift_on:
         m.offsets.shift, m.offsets.shift_on = np.zeros(5), True
         m.offsets.set_frames()
-    turn = rotation(2, m.offsets.turned[m.offsets.system])
-    place = turn.T @ (np.array(s.out.position[:3]) - m.offsets.systems[m.offsets.system][:3]) - m.offsets.local[:3]
-    angles = m.values.place()[3:] + np.array(s.offset[3:]) - m.offsets.systems[m.offsets.system][3:]
-    shift = m.offsets.shift.copy()
+    here, shift = m.values.place(), m.offsets.shift.copy()
     for i, value in named.items():
-        shift[i] = (place[i] if i < 3 else angles[i - 3]) - value
+        shift[i] += here[i] - value
     m.offsets.shift = m.offsets.shift_kept = shift
     m.offsets.set_frames()
 

@@ -17,6 +17,8 @@ from twin.program.klartext_blocks import VALUE, Block, Element, Klartext, all_pa
 from twin.program.klartext_cycles import cycle_here
 from twin.program.state import Item
 
+NO_POLE = "no pole is defined; add CC before"
+
 
 def move(m: Klartext, block: Block) -> None:
     """L, C, CR and so on, and M codes alone."""
@@ -79,7 +81,7 @@ def element_of(m: Klartext, block: Block, start: np.ndarray, machine: bool) -> t
         if way and (way < 0) != clockwise:
             raise WordError("IPA and DR of CP must have the same sign; correct one", column)
         turns = max(0, math.ceil(abs(way) / 360.0 - 1e-9) - 1)
-        arc = m.control.arc_about(start, point, pole_of(m, column), clockwise, turns)
+        arc = m.control.arc_about(start, point, needed(m.pole, NO_POLE, column), clockwise, turns)
     elif head == "CR":
         centre = arcs.centre_from_radius(start, point, radius, m.state.plane, clockwise)
         arc = m.control.arc_about(start, point, centre, clockwise)
@@ -152,14 +154,9 @@ def set_pole(m: Klartext, block: Block) -> None:
     m.pole = new
 
 
-def pole_of(m: Klartext, column: int) -> np.ndarray:
-    """The pole (3,)."""
-    return needed(m.pole, "no pole is defined; add CC before", column)
-
-
 def polar(m: Klartext, start: np.ndarray, words: dict[str, Item], column: int, *, on_circle: bool) -> tuple[np.ndarray, float]:
     """Point (3,) of PR and PA about the pole, and the programmed angle of travel [deg], 0 if it is not incremental."""
-    pole, radius, angle = pole_of(m, column), words.pop("PR", None), words.pop("PA", None)
+    pole, radius, angle = needed(m.pole, NO_POLE, column), words.pop("PR", None), words.pop("PA", None)
     if on_circle and radius is not None:
         raise WordError("PR has no use in CP, whose radius is that of the start; remove it", radius.column)
     if on_circle and angle is None:

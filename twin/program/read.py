@@ -114,14 +114,9 @@ def dialect(source: Source) -> str:
     return "iso"
 
 
-def understand(path: str | Path, machine: Machine) -> Collector:
-    """The moves of a G-code program, not yet checked against the machine."""
-    path = Path(path)
-    return understand_source(Source(path), machine)
-
-
-def understand_source(source: Source, machine: Machine) -> Collector:
-    """The moves of a program whose lines are read already."""
+def understand(program: str | Path | Source, machine: Machine) -> Collector:
+    """The moves of a program, or of one whose lines are read already; not yet checked against the machine."""
+    source = program if isinstance(program, Source) else Source(Path(program))
     path, language = source.path, dialect(source)
     front: Reader | AptReader
     if language == "apt":
@@ -135,7 +130,6 @@ def understand_source(source: Source, machine: Machine) -> Collector:
     where = path
     try:
         front.run()
-        front.out.files = tuple(front.files)
         return front.out
     except WordError as error:
         where, text, column = front.reading, str(error), error.column

@@ -54,6 +54,7 @@ class Values:
 
 
 MODES: dict[float, tuple[str, Any]] = {
+    **{number: ("motion", number) for number in range(4)},
     17: ("plane", 17), 18: ("plane", 18), 19: ("plane", 19), 90: ("absolute", True), 91: ("absolute", False),
     90.1: ("centre_absolute", True), 91.1: ("centre_absolute", False), 98: ("retract_to_start", True), 99: ("retract_to_start", False),
 }  # fmt: skip
@@ -83,17 +84,12 @@ class Reader:
         self.control = Control(self.state)
         self.corners = Corners(self.control)
         self.flow = Flow(unit, self.state, self)
-        self.folder = Folder(path)
+        self.folder = Folder(path, self.out.files)
 
     @property
     def reading(self) -> Path:
         """The file whose blocks run."""
         return self.flow.frames[-1].unit.path if self.flow.frames else self.state.path
-
-    @property
-    def files(self) -> list[Path]:
-        """Subprograms that were read from other files."""
-        return self.folder.read
 
     def run(self) -> None:
         """Read all blocks; `out` holds the moves."""

@@ -16,11 +16,11 @@ from twin.program.frames import AXES, ROTARY
 from twin.program.reader import set_mode
 from twin.program.sinumerik_blocks import Block, Sinumerik
 from twin.program.sinumerik_calls import call, modal_call, other_statement
+from twin.program.sinumerik_values import Word as Written
+from twin.program.sinumerik_values import split_arguments
 from twin.program.source import Unit, plain_name
 from twin.program.state import INCH
 from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word, named
-from twin.program.words import Word as Written
-from twin.program.words import split_arguments
 
 Handler = Callable[[Sinumerik, Block, float], None]
 """Carries out a G code."""
@@ -132,10 +132,6 @@ def _name(m: Sinumerik, b: Block, word: Written) -> None:
 
 
 # ------------------------------------------------------------------ G codes
-
-
-def _motion(m: Sinumerik, _: Block, number: float) -> None:
-    m.state.motion = int(number)
 
 
 def _plane(m: Sinumerik, b: Block, number: float) -> None:
@@ -253,7 +249,7 @@ def _modal(m: Sinumerik, b: Block, word: Written) -> None:
 
 
 SINUMERIK_G: dict[float, Word[Handler]] = {
-    0: Word(ACTS, "rapid", _motion, "motion"), 1: Word(ACTS, "line at feed", _motion, "motion"), 2: Word(ACTS, "arc clockwise; I J K from its start, CR=, AR=, TURN=", _motion, "motion"), 3: Word(ACTS, "arc counter-clockwise", _motion, "motion"),
+    0: Word(ACTS, "rapid", set_mode, "motion"), 1: Word(ACTS, "line at feed", set_mode, "motion"), 2: Word(ACTS, "arc clockwise; I J K from its start, CR=, AR=, TURN=", set_mode, "motion"), 3: Word(ACTS, "arc counter-clockwise", set_mode, "motion"),
     4: Word(ACTS, "dwell, alone in its block: F in s, S in turns of the spindle"), 9: Word(ACTS, "exact stop in this block"),
     17: Word(ACTS, "plane XY", _plane, "plane"), 18: Word(ACTS, "plane ZX", _plane, "plane"), 19: Word(ACTS, "plane YZ", _plane, "plane"),
     25: Word(NOTE, "limits of axes and spindle, which the machine file gives"), 26: Word(NOTE, "limits of axes and spindle, which the machine file gives"),

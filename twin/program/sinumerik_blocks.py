@@ -13,14 +13,13 @@ from twin.machine.machine import Machine
 from twin.program.expressions import NUMBER, Value, WordError, needed
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
-from twin.program.sinumerik_values import SinumerikValues
+from twin.program.sinumerik_values import SinumerikValues, Word, split_words
 from twin.program.source import Unit, plain_name
 from twin.program.state import Block as Words
 from twin.program.state import Item
 from twin.program.structures import Statement
 from twin.program.tables import REFUSED
 from twin.program.tables import Word as Meaning
-from twin.program.words import Word, split_words
 
 SINUMERIK_FRAMES = ("basic", "settable", "fine", "program", "plane")
 """Outermost first; `fine` is G59."""

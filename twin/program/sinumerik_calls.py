@@ -9,10 +9,9 @@ from twin.errors import nearest
 from twin.program.expressions import Value, WordError, needed
 from twin.program.flow import Frame
 from twin.program.sinumerik_blocks import Sinumerik
-from twin.program.sinumerik_values import Store
+from twin.program.sinumerik_values import Store, Word, split_arguments
 from twin.program.source import Unit
 from twin.program.structures import Statement
-from twin.program.words import Word, split_arguments
 
 ADD_FILE = "add the file, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 _DEFINE = re.compile(r"\s*DEFINE\s+([A-Z_][A-Z0-9_]*)\s+AS\s+(.+?)\s*\Z", re.A)

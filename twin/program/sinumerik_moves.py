@@ -12,8 +12,8 @@ from twin.program.control import Vector
 from twin.program.expressions import WordError, needed
 from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, mirrored, rotation, rotation_xyz, shifted
 from twin.program.sinumerik_blocks import Block, Sinumerik
+from twin.program.sinumerik_values import Word
 from twin.program.state import Item
-from twin.program.words import Word
 
 _ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
 _OF_ARCS = "I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add"

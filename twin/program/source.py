@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
@@ -30,12 +29,6 @@ class Source:
                 self._read(file)
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
-
-    def copy(self) -> Source:
-        """The same lines once more; a reader may change its own."""
-        other = copy(self)
-        other.lines = list(self.lines)
-        return other
 
     def _read(self, file: BinaryIO) -> None:
         lines, number = self.lines, 0
@@ -118,11 +111,10 @@ class Folder:
     BESIDE = ("subs", "sub", "subroutines", "macros", "SUBS", "SPF", "spf")
     ENDINGS = ("", ".spf", ".mpf", ".ngc", ".nc", ".sub", ".min", ".cnc", ".tap", ".prg", ".txt", ".h")
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, used: list[Path]) -> None:
+        self.path, self.used = path, used  # the files that were read are added to `used`
         self.files: dict[str, Path] | None = None
         self.units: dict[str, Unit | None] = {}
-        self.read: list[Path] = []  # files that were used
 
     def find(self, *names: str) -> Unit | None:
         """The program in the first of these files that exists in the folder."""
@@ -142,6 +134,6 @@ class Folder:
                 key = found.name
                 if key not in self.units:
                     self.units[key] = units_of(Source(found))[0]
-                    self.read.append(found)
+                    self.used.append(found)
                 return self.units[key]
         return None

@@ -35,16 +35,25 @@ class Tools:
         Raises:
             WordError: a tool or an edge that the machine file does not know, or H without G43.
         """
-        modes = self.out.modes
+        modes, length = self.out.modes, self.out.modes.tool_length
         if "T" in words:
-            self.prepared = self._length(words["T"])
-            self.prepared_name = _name(words["T"][0])
+            self.prepared, self.prepared_name = self._length(words["T"]), _name(words["T"][0])
         self.changes_by_m6 |= "M6" in words
         changed = "M6" in words or ("T" in words and not self.changes_by_m6)
         spindle = self.prepared if changed else modes.spindle_tool_length
         if changed:
             self.name = self.prepared_name
-        length = self._iso(words, spindle) if self.iso else self._sinumerik(words, spindle, changed)
+        if self.iso:
+            length = self._iso(words, spindle)
+        elif "D" in words:
+            edge, column = words["D"]
+            if not isinstance(edge, float) or (edge not in (0, 1) and self.table):
+                raise WordError(f"D{_name(edge)}: a tool of the table [tool] has one length, that of D1; use D1 or D0", column)
+            length = spindle if edge else 0.0
+        elif changed:
+            length = spindle
+        if "H" in words and not self.iso:
+            self.out.notes["H: understood, no effect on the motion"] = None
         if (new := replace(modes, tool_length=length, spindle_tool_length=spindle)) != modes:
             self.out.change_frame(new)
 
@@ -82,13 +91,6 @@ class Tools:
             raise WordError("H chooses a tool length together with G43; write G43 H.. in one block", words["H"][1])
         return self.out.modes.tool_length
 
-    def _sinumerik(self, words: Mapping[str, tuple[Value, int]], spindle: float, changed: bool) -> float:
-        if "H" in words:
-            self.out.notes["H: understood, no effect on the motion"] = None
-        if "D" in words:
-            return spindle if self._edge(words["D"]) else 0.0
-        return spindle if changed else self.out.modes.tool_length
-
     def _length(self, word: tuple[Value, int]) -> float:
         """Length [m] of the tool that T or H names; T0 and H0 have none."""
         name, column = _name(word[0]), word[1]
@@ -104,13 +106,6 @@ class Tools:
         if key not in self.table:
             raise WordError(f"tool {name} is not in the table [tool] of the machine file; {nearest(key, self.table)}", column)
         return float(self.table[key]["length_m"]) + wear
-
-    def _edge(self, word: tuple[Value, int]) -> float:
-        """Number of the cutting edge that D names, 0 for none; a tool of the table has only D1."""
-        number, column = word
-        if not isinstance(number, float) or (number not in (0, 1) and self.table):
-            raise WordError(f"D{_name(number)}: a tool of the table [tool] has one length, that of D1; use D1 or D0", column)
-        return number
 
 
 def _name(value: Value) -> str:
