@@ -1,7 +1,8 @@
 """Execution order of the blocks of a program: labels, jumps, loops, conditions, calls, for all languages.
 
-The lines of a language classify each line (`twin.program.structures.Statement`), and `Flow` executes it. Limits on blocks, jumps and calls prevent
-endless programs.
+A language classifies each line (`Statement`), and `Flow` executes it. Limits on blocks, jumps and calls prevent endless programs. The lines that
+begin, divide and end a loop, a condition or a subprogram are a structure: SINUMERIK nests IF .. ENDIF by position, LinuxCNC and Fanuc name
+both ends (O100, DO1): the `key`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,33 @@ from typing import Any
 from twin.program.expressions import WordError, needed
 from twin.program.source import Unit
 from twin.program.state import State
-from twin.program.structures import STRUCTURES, Statement, loop_around, partners, structures_of
+
+CLOSES = {
+    "if": "endif", "while": "endwhile", "for": "endfor", "loop": "endloop", "repeat": "until", "do": "while", "times": "endtimes",
+    "sub": "endsub",
+}  # fmt: skip
+"""Structure -> the statement that ends it; a label is repeated by `repeat_label`, LinuxCNC's O.. REPEAT is `times`."""
+
+STRUCTURES = {*CLOSES, *CLOSES.values(), "elseif", "else"} - {"endif", "endsub"}
+"""Statements that belong to a structure; an ENDIF only marks its end, and ENDSUB returns."""
+
+Table = dict[int, tuple[int, ...]]
+"""Line -> lines of its structure, first to last."""
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Statement of the flow in a line.
+
+    `text` is a condition, a target or arguments, starting at `column`; `rest`: further data for this `kind`.
+    """
+
+    kind: str
+    key: str = ""
+    text: str = ""
+    column: int = 1
+    rest: tuple = ()
+
 
 MOST_BLOCKS = 2_000_000  # that run, with repeats
 MOST_JUMPS = 100_000
@@ -39,7 +66,7 @@ class Frame:
 class Flow:
     """Executes the blocks of a program.
 
-    `language` is its reader: `lines` clean a line, find its statement and the labels of a program; `values` have the formulas and variables;
+    `language` is its reader: `clean`, `statement` and `labels` read lines; `values` have the formulas and variables;
     `fast` and `words` carry out a block, `other` a statement that the flow does not know; `runs_into`: a program does not end itself.
     """
 
@@ -161,43 +188,38 @@ class Flow:
             self._repeat(frame, at, s)
         elif kind in ("break", "continue"):
             end = loop_around(self.table(frame.unit), frame.unit, at, s)[-1]
-            if kind == "break":
-                self._behind(frame, end)
-            else:
-                frame.at = end
+            if kind == "continue":
                 self._jump(s.column)
+            self._behind(frame, end - (kind == "continue"))
         elif kind in STRUCTURES:
-            self._structure(frame, at, s)
+            self._behind(frame, self._structure(frame, at, s))
         else:
             self.language.other(s, frame)
             return False
         return True
 
-    def _structure(self, frame: Frame, at: int, s: Statement) -> None:
-        """The beginning of a loop or branch goes on or skips it; the end of a loop goes on or back: to its test, or behind it."""
-        kind, opens = s.kind, self.table(frame.unit).get(at, (at,))[0] == at
+    def _structure(self, frame: Frame, at: int, s: Statement) -> int:
+        """The line behind which the program goes on: it enters or skips a loop or branch, and goes on or back at the end of a loop."""
+        kind, opens, statements = s.kind, self.table(frame.unit).get(at, (at,))[0] == at, frame.unit.statements
         if opens and kind in ("while", "for", "times") and self._enters(frame, at, s):
-            self.advance(frame)
-            return
+            return at
         places = partners(self.table(frame.unit), at, s)
         first, last = places[0], places[-1]
-        if kind == "if":
-            self._branch(frame, s, places)
-        elif kind in ("elseif", "else"):  # the part before it has run
-            frame.at = last
-            self.advance(frame)
-        elif kind == "sub":
+        if kind == "if":  # the first branch whose condition is true
+            others = ((place, statements[place]) for place in places[1:])
+            ends = (place for place, other in others if other.kind != "elseif" or self._value(other.text, other.column))
+            return at if self._value(s.text, s.column) else next(ends)
+        if kind == "sub":
             self.language.runs_into("a subprogram", s.column)
-            self._behind(frame, last)
-        elif opens and kind in ("loop", "repeat", "do"):
-            self.advance(frame)
-        elif opens:
-            self._behind(frame, last)
-        elif kind in ("endwhile", "endloop") or self._again(frame, first, s):
-            self._jump(s.column)
-            frame.at = first + (kind not in ("endwhile", "endloop"))
-        else:
-            self.advance(frame)
+        if kind in ("sub", "elseif", "else"):  # the part before ELSE has run
+            return last
+        if opens:
+            return at if kind in ("loop", "repeat", "do") else last
+        to_its_test = kind in ("endwhile", "endloop")
+        if not to_its_test and not self._again(frame, first, s):
+            return at
+        self._jump(s.column)
+        return first - to_its_test
 
     def _enters(self, frame: Frame, at: int, s: Statement) -> bool:
         """Whether a loop runs from its beginning on."""
@@ -216,7 +238,7 @@ class Flow:
             frame.counters[first] = frame.counters.get(first, 1) - 1
             return frame.counters[first] > 0
         if s.kind == "endfor":
-            name, _, last = frame.unit.statements[first].rest  # type: ignore[attr-defined]
+            name, _, last = frame.unit.statements[first].rest
             self.language.values.assign(name, self._value(name, s.column) + 1.0, s.column)
             return self._value(name, s.column) <= self._value(last, s.column)
         return bool(self._value(s.text, s.column)) == (s.kind == "while")
@@ -225,18 +247,6 @@ class Flow:
         """The value of a condition or of the bound of a loop."""
         value: float = self.language.values.number_of(text, column)
         return value
-
-    def _branch(self, frame: Frame, s: Statement, places: tuple[int, ...]) -> None:
-        """IF: go to the first branch whose condition is true; a branch ends at the next ELSE."""
-        if self._value(s.text, s.column):
-            self.advance(frame)
-            return
-        for place in places[1:]:
-            other = frame.unit.statements[place]
-            assert isinstance(other, Statement)
-            if other.kind != "elseif" or self._value(other.text, other.column):
-                self._behind(frame, place)
-                return
 
     def _behind(self, frame: Frame, place: int) -> None:
         """Continue after a line; a repeated part that ends among the skipped lines is finished."""
@@ -314,3 +324,67 @@ class Flow:
         self._count()
         frame.repeats.append([last, at, first, times])
         frame.at = first
+
+
+# ------------------------------------------------------------------ structures
+
+
+def structures_of(unit: Unit, statement: Callable[[str], Statement | str]) -> Table:
+    """The table of a whole program; `statement` classifies a line. A fault in a line is raised when the line runs."""
+    table: Table = {}
+    stacks: dict[str, list[list[int]]] = {}
+    subs: list[int] = []
+    for at, text in enumerate(unit.lines):
+        if at not in unit.statements:
+            try:
+                unit.statements[at] = statement(text)
+            except WordError:
+                continue  # raised when the line runs
+        s = unit.statements[at]
+        if not isinstance(s, Statement):
+            continue
+        stack = stacks.setdefault(s.key, [])
+        top = unit.statements[stack[-1][0]].kind if stack else ""
+        if top and s.kind == CLOSES[top]:
+            places = (*stack.pop(), at)
+            if s.kind == "endsub":
+                subs.remove(places[0])
+            if table[places[0]][0] >= 0:
+                table |= dict.fromkeys(places, places)
+        elif s.kind in ("elseif", "else") and top == "if":
+            stack[-1].append(at)
+        elif s.kind in CLOSES:
+            stack.append([at])
+            table[at] = (at,)
+            if s.kind == "sub":
+                if subs:
+                    table[subs[-1]] = (-1, -1)
+                subs.append(at)
+    return table
+
+
+def partners(table: Table, at: int, s: Statement) -> tuple[int, ...]:
+    """Lines of the structure that the statement at this line belongs to, first to last."""
+    found = table.get(at, ())
+    if len(found) < 2:
+        end = CLOSES.get(s.kind, "").upper()
+        text = f"{s.kind.upper()} has no {end}; add it" if end else f"{s.kind.upper()} ends nothing that was begun; remove it"
+        raise WordError(text, s.column)
+    if found[0] < 0:
+        raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
+    return found
+
+
+def loop_around(table: Table, unit: Unit, at: int, s: Statement) -> tuple[int, ...]:
+    """The loop with the key of a BREAK or CONTINUE."""
+    for places in table.values():
+        opener = unit.statements.get(places[0])
+        if (
+            len(places) > 1
+            and places[0] < at < places[-1]
+            and isinstance(opener, Statement)
+            and opener.kind != "if"
+            and opener.key == s.key
+        ):
+            return places
+    raise WordError(f"{s.kind.upper()} is outside the loop {s.key}; correct its number", s.column)

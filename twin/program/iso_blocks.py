@@ -15,12 +15,12 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.expressions import NUMBER, Null, WordError, as_number
+from twin.program.flow import Statement
 from twin.program.frames import AXES
 from twin.program.iso_values import IsoValues
 from twin.program.reader import NO_GROUP, Reader
 from twin.program.source import Unit
 from twin.program.state import Block, Item
-from twin.program.structures import Statement
 
 ISO_FRAMES = ("system", "shift", "local", "mirror", "scale", "turn", "plane")
 """Zero offset, G92, G52, then G51.1, G51 and G68 in the order in which a Fanuc nests them, and G68.2."""

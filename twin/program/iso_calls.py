@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from twin.program.expressions import WordError, as_number
-from twin.program.flow import Frame
+from twin.program.flow import Frame, Statement
 from twin.program.iso_blocks import Iso, between_percents
 from twin.program.iso_moves import MOST_REPEATS
 from twin.program.reader import ADD_CALL
 from twin.program.source import Unit
 from twin.program.state import Block
-from twin.program.structures import Statement
 
 MACRO = dict(zip("ABCIJKDEFHMQRSTUVWXYZ", (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26)))
 """Letter of G65 -> variable that it sets."""

@@ -15,13 +15,12 @@ from twin.machine.machine import Machine
 from twin.program.arcs import Arc
 from twin.program.control import KEPT, Vector
 from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError, needed
-from twin.program.flow import Flow
+from twin.program.flow import Flow, Statement
 from twin.program.flow import Frame as Call
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader, Values
 from twin.program.source import Unit
 from twin.program.state import Block as Words
 from twin.program.state import Item, State
-from twin.program.structures import Statement
 from twin.program.tables import NOTE, UNKNOWN, Word
 
 VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+|Q[LR]?\d+)"

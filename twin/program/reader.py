@@ -14,10 +14,9 @@ from twin.program.collect import Collector
 from twin.program.control import Control
 from twin.program.corners import Corners
 from twin.program.expressions import Expression, Grammar, Value, as_number
-from twin.program.flow import Flow, Frame
+from twin.program.flow import Flow, Frame, Statement
 from twin.program.source import Folder, Unit
 from twin.program.state import State
-from twin.program.structures import Statement
 from twin.units import rad_from_deg
 
 NO_GROUP = "((?!))?"

@@ -11,13 +11,13 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.expressions import NUMBER, Value, WordError, needed
+from twin.program.flow import Statement
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
 from twin.program.sinumerik_values import SinumerikValues, Word, split_words
 from twin.program.source import Unit, plain_name
 from twin.program.state import Block as Words
 from twin.program.state import Item
-from twin.program.structures import Statement
 from twin.program.tables import REFUSED
 from twin.program.tables import Word as Meaning
 

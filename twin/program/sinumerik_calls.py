@@ -7,11 +7,10 @@ import re
 
 from twin.errors import nearest
 from twin.program.expressions import Value, WordError, needed
-from twin.program.flow import Frame
+from twin.program.flow import Frame, Statement
 from twin.program.sinumerik_blocks import Sinumerik
 from twin.program.sinumerik_values import Store, Word, split_arguments
 from twin.program.source import Unit
-from twin.program.structures import Statement
 
 ADD_FILE = "add the file, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 _DEFINE = re.compile(r"\s*DEFINE\s+([A-Z_][A-Z0-9_]*)\s+AS\s+(.+?)\s*\Z", re.A)
@@ -31,8 +30,8 @@ def other_statement(m: Sinumerik, s: Statement, frame: Frame) -> None:
     elif s.kind in ("def", "redef"):
         m.values.define(s, frame)
     elif s.kind == "define":
-        match = needed(_DEFINE.match(s.text), "DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
-        m.macros[match[1]] = match[2]
+        macro = needed(_DEFINE.match(s.text), "DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
+        m.macros[macro[1]] = macro[2]
         frame.unit.statements.clear()
         frame.unit.partners = None
     elif s.kind == "synchronised":

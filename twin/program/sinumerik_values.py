@@ -17,12 +17,11 @@ import numpy as np
 from twin.errors import nearest
 from twin.program.corners import Corners
 from twin.program.expressions import NUMBER, SINUMERIK, Expression, Value, WordError, as_number, closing, needed
-from twin.program.flow import Flow
+from twin.program.flow import Flow, Statement
 from twin.program.flow import Frame as Call
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
 from twin.program.reader import Values
 from twin.program.state import Item, State
-from twin.program.structures import Statement
 
 _ASSIGN = re.compile(r"([A-Z_$][A-Z_$][A-Z0-9_$]*|[A-Z]\d*)[ \t]*(?==(?!=)|\[)", re.A)
 _OTHER = re.compile(rf"([A-Z])[ \t]*({NUMBER})|([A-Z_$][A-Z0-9_$]*)", re.A)

@@ -6,7 +6,7 @@ import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from twin.errors import InputError
 
@@ -75,7 +75,7 @@ class Unit:
     lines: list[str]
     offset: int = 0
     first: int = 0
-    statements: dict[int, object] = field(default_factory=dict)
+    statements: dict[int, Any] = field(default_factory=dict)
     partners: dict[int, tuple[int, ...]] | None = None
     labels: dict[str, list[int]] | None = None
 
