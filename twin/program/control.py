@@ -242,9 +242,18 @@ class Control:
         """Rapid to a height [program units] along the normal of the plane."""
         self.steps([(RAPID, value, 1.0)])
 
-    def drill(self, cycle: Drilling) -> None:
-        """The steps of a drilling cycle at this place."""
+    def drill(self, cycle: Drilling, feed: float | None = None) -> None:
+        """A drilling cycle at this place; with a feed per minute of its own for this hole alone."""
+        s, mode, kept = self.state, self.state.out.modes.feed_mode, self.state.feed
+        if feed is not None:
+            s.set_feed_mode(94)
+            s.feed = feed
+        if abs(s.here()[arcs.PLANES[s.plane][2]] - cycle.safe * s.unit) > 1e-12:
+            self.height(cycle.safe)
         self.steps(drill(cycle), cycle.aside)
+        if feed is not None:
+            s.set_feed_mode(mode)
+            s.feed = kept
 
     def steps(self, steps: list[tuple[str, float, float]], aside: tuple[float, float] = (0.0, 0.0)) -> None:
         """Steps (kind, height or time, share of the feed) along the normal of the plane; ASIDE and BACK also move by `aside`."""

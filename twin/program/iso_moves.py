@@ -327,8 +327,6 @@ def drill_holes(m: Iso, b: Block, places: dict[str, Item]) -> None:
             inward = [(ASIDE, start_height, 1.0), (RAPID, safe, 1.0), (BACK, safe, 1.0), (FEED, depth, 1.0), *wait]
             m.control.steps([*inward, (ASIDE, depth, 1.0), (RAPID, initial, 1.0), (BACK, initial, 1.0)], cycle.aside)
             continue
-        if abs(s.here()[across] / s.unit - safe) > 1e-12:
-            m.control.height(safe)
         m.control.drill(cycle)
 
 

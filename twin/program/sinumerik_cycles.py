@@ -157,19 +157,7 @@ def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
             s.note(f"{name}: the halt at the bottom is omitted")
         cycle = Drilling(safe, depth, rtp, dwell=pause, out=out, out_scale=share, aside=aside, lift=lift)
 
-    def run() -> None:
-        kept, mode = s.feed, m.out.modes.feed_mode
-        if feed is not None:
-            s.set_feed_mode(94)
-            s.feed = feed * (s.unit / m.out.modes.feed_unit)
-        if abs(s.here()[arcs.PLANES[s.plane][2]] - safe * s.unit) >= 1e-12:
-            m.control.height(safe)
-        m.control.drill(cycle)
-        if feed is not None:
-            s.set_feed_mode(mode)
-            s.feed = kept
-
-    return run
+    return lambda: m.control.drill(cycle, feed and feed * (s.unit / m.out.modes.feed_unit))
 
 
 def _lead(m: Sinumerik, pitch: float, unit: int) -> float:
