@@ -135,7 +135,7 @@ def test_words_that_would_open_programs_are_counted(tmp_path, mikron, capsys) ->
     for name, body in bodies.items():
         (tmp_path / f"{name}.mpf").write_text(f"G1 X1 F100\n{body}\nX5\n")
     (tmp_path / "g.h").write_text("BEGIN PGM A MM\nL X+1 F100\nFL PR+3\nL X+2\nEND PGM A MM\n")
-    found = check.check_programs(check.programs_in(tmp_path), mikron, plan=False)
+    found = [check.check_program(path, mikron, plan=False) for path in check.programs_in(tmp_path)]
     unread = {one.path.stem: set(one.unread) for one in found}
     assert unread == {"a": {"POCKET1"}, "b": {"POCKET1", "G33"}, "c": {"G33"}, "d": set(), "e": set(), "f": {"POCKET1"}, "g": {"FL"}}
     assert check.opening_words(found) == [("POCKET1", 2, 3), ("G33", 1, 2), ("FL", 1, 1)]

@@ -172,8 +172,7 @@ def _stored(m: Iso, number: int) -> None:
 
         def restore() -> None:
             kept()
-            m.offsets.system = system
-            m.offsets.set_frames()
+            m.offsets.choose(system)
 
         m.stored_modes[id(frame)] = restore
     if number == 73:

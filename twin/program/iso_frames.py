@@ -8,10 +8,8 @@ from twin.program import arcs
 from twin.program.expressions import WordError
 from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, about, mirrored, rotation, shifted
 from twin.program.iso_blocks import ISO_FRAMES, Iso
+from twin.program.iso_values import SYSTEMS
 from twin.program.state import Block
-
-SYSTEMS = {54: 1, 55: 2, 56: 3, 57: 4, 58: 5, 59: 6, 59.1: 7, 59.2: 8, 59.3: 9}
-"""G code -> number of its zero offset."""
 
 
 def _named_offsets(m: Iso, b: Block) -> dict[int, float]:
@@ -25,20 +23,12 @@ def _named_offsets(m: Iso, b: Block) -> dict[int, float]:
 def choose_system(m: Iso, b: Block, number: float) -> None:
     """G54 to G59.3; G54.1 P, G154 P and G110 to G129 are additional ones."""
     if 110 <= number < 130:  # Haas
-        m.offsets.system = additional(m, number - 109)
+        m.offsets.choose(f"G54.1P{number - 109:g}")
     elif number in (54.1, 154) or (number == 54 and "P" in b.w and not m.linuxcnc):
-        m.offsets.system = additional(m, b.need("P", f"G{number:g} needs P, the number of the offset", b.column).value)
+        extra = b.need("P", f"G{number:g} needs P, the number of the offset", b.column).value
+        m.offsets.choose(f"G54.1P{int(extra)}")
     else:
-        m.offsets.system = SYSTEMS[number]
-    m.offsets.set_frames()
-
-
-def additional(m: Iso, number: float) -> int:
-    """The number here of an additional zero offset, G54.1 P1 and on."""
-    extra = 100 + int(number)
-    if extra not in m.offsets.systems:
-        m.offsets.systems[extra], m.offsets.turned[extra] = m.state.frame_table(f"G54.1P{extra - 100}"), 0.0
-    return extra
+        m.offsets.choose(f"G{number:g}")
 
 
 def _g10_tool(m: Iso, b: Block, what: int) -> None:
@@ -80,27 +70,28 @@ def g10(m: Iso, b: Block, _: float) -> None:
         s.note(
             f"G10 L20: it sets the additional offset G54.1 P{number}, as on a Fanuc; on LinuxCNC (.ngc), grbl and Mach this place gets the coordinates"
         )
-        number, what = additional(m, number), 2
-    number = number or m.offsets.system
-    if number not in m.offsets.systems:
+        name, what = f"G54.1P{number}", 2
+    elif 0 <= number <= len(SYSTEMS):
+        name = SYSTEMS[number - 1] if number else m.offsets.system
+    else:
         raise WordError(f"G10 P{number}: there is no such zero offset; use P1 to P9", b.column)
-    m.offsets.turned[number] = b.take("R", m.offsets.turned[number])
-    place, turn = np.array([*s.out.position[:3], *m.values.place()[3:]]), rotation(2, m.offsets.turned[number])
-    new = m.offsets.systems[number].copy()
+    m.offsets.turned[name] = b.take("R", m.offsets.turned.get(name, 0.0))
+    place, turn = np.array(s.out.position[:3]), rotation(2, m.offsets.turned[name])
+    new = m.offsets.of(name).copy()
     named = _named_offsets(m, b)
     if what == 20:
-        shift = m.offsets.shift if m.offsets.shift_on else np.zeros(5)
-        wanted = turn.T @ (place[:3] - new[:3]) - shift[:3]
+        shift = m.offsets.shift[:3]
+        wanted = turn.T @ (place - new[:3]) - shift
         wanted = np.array([named.get(i, wanted[i]) for i in range(3)])
-        new[:3] = place[:3] - turn @ (wanted + shift[:3])
+        new[:3] = place - turn @ (wanted + shift)
         for i in (3, 4):
             if i in named:
                 new[i] = s.out.position[i] - named[i]
     else:
         for i, value in named.items():
             new[i] = value if s.absolute or m.linuxcnc else new[i] + value  # G91 adds on a Fanuc
-    m.offsets.systems[number] = new
-    if number == m.offsets.system:
+    m.offsets.systems[name] = new
+    if name == m.offsets.system:
         m.offsets.set_frames()
 
 
@@ -147,7 +138,7 @@ def local_map(m: Iso, b: Block, number: float) -> None:
     s = m.state
     if number == 69:
         s.untilt()
-    if m.offsets.shift_on and np.any(m.offsets.shift):
+    if np.any(m.offsets.shift):
         s.note("G68, G51: their centre is in the coordinates before G92")
     places = {LINEAR.index(n): item.value * s.unit for n, item in b.pick(*LINEAR).items()}
     if number in (51.1, 101):

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.program.expressions import FANUC, ISO, Expression, Null, WordError, as_number
 from twin.program.flow import Flow
-from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame, rotation, shifted
+from twin.program.frames import INDEX, OTHER, ROTARY, Frame, rotation, shifted
 from twin.program.reader import Values
 from twin.program.state import State
 
@@ -19,24 +19,35 @@ _TOOLS_OTHERWISE = range(2001, 2801)
 LETTERS = "XYZABCUVW"
 
 
+SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
+"""Zero offsets in the order in which G10 P and the variables count them; additional ones are G54.1P1 and so on."""
+
+
 class Offsets:
-    """Zero offsets (G54 to G59.3, G54.1 as 101 and on), the shifts of G92 and G52, and the reference points of G28 and G30."""
+    """Zero offsets by name, the shifts of G92 and G52, and the reference points of G28 and G30."""
 
     def __init__(self, state: State) -> None:
         self.state = state
-        self.systems = {n: state.frame_table(system_name(n)) for n in range(1, 10)}
-        self.turned = dict.fromkeys(range(1, 10), 0.0)  # deg, by system
-        self.system = 1
+        self.systems: dict[str, np.ndarray] = {}
+        self.turned: dict[str, float] = {}  # deg, by system
         self.shift, self.shift_kept, self.shift_on = np.zeros(5), np.zeros(5), False  # G92 (LinuxCNC: also G52)
         self.local = np.zeros(5)  # G52 of Fanuc
         self.reference = {28: state.frame_table("G28"), 30: state.frame_table("G30")}
+        self.choose("G54")
+
+    def choose(self, name: str) -> None:
+        """Select a zero offset."""
+        self.system = name
         self.set_frames()
+
+    def of(self, name: str) -> np.ndarray:
+        """A zero offset (5,), of the program or the machine file."""
+        return self.systems[name] if name in self.systems else self.state.frame_table(name)
 
     def set_frames(self) -> None:
         """The zero offset in force with its rotation, G92 and G52."""
-        system = Frame(rotation(2, self.turned[self.system]), self.systems[self.system])
-        shift = shifted(self.shift) if self.shift_on else NO_FRAME
-        self.state.set_frames(system=system, shift=shift, local=shifted(self.local.copy()))
+        system = Frame(rotation(2, self.turned.get(self.system, 0.0)), self.of(self.system))
+        self.state.set_frames(system=system, shift=shifted(self.shift), local=shifted(self.local.copy()))
 
 
 class IsoValues(Values):
@@ -142,7 +153,7 @@ class IsoValues(Values):
             if k == 10:
                 m.turned[n] = value
             elif (letter := self._slot(k)) in INDEX:
-                m.systems[n] = m.systems[n].copy()
+                m.systems[n] = m.of(n).copy()
                 m.systems[n][INDEX[letter]] = math.radians(value) if letter in ROTARY else value * 1e-3
             elif value:
                 raise WordError("an offset of B U V W cannot be set on this machine")
@@ -153,10 +164,10 @@ class IsoValues(Values):
 
     # ------------------------------------------------------------------ values of the control
 
-    def _of_system(self, key: int) -> tuple[int, int] | None:
+    def _of_system(self, key: int) -> tuple[str, int] | None:
         """Zero offset and component (1 to 9, 10 its rotation) of #5221 and on."""
-        n, k = (key - 5201) // 20, (key - 5200) % 20
-        return (n, k) if 5221 <= key <= 5390 and n in self.offsets.systems and 1 <= k <= 10 else None
+        n, k = (key - 5221) // 20, (key - 5200) % 20
+        return (SYSTEMS[n], k) if 0 <= n < len(SYSTEMS) and 1 <= k <= 10 else None
 
     def _slot(self, k: int) -> str:
         """The axis of component k (1 to 9)."""
@@ -192,20 +203,20 @@ class IsoValues(Values):
                 return self._own(values, key - first + 1, stored=True) + 0.0
         if (place := self._of_system(key)) is not None:
             n, k = place
-            return m.turned[n] if k == 10 else self._own(m.systems[n], k, stored=True)
+            return m.turned.get(n, 0.0) if k == 10 else self._own(m.of(n), k, stored=True)
         if fanuc and (tool := _of_tool(key)) is not None:
             name, (what, wear) = tool
             known = s.tools.value(name, what, wear=wear)
             return known / s.unit if known is not None else 0.0 if wear else None
         if key in (5210, 5220):
-            return float(m.shift_on if key == 5210 else m.system)
+            return float(m.shift_on if key == 5210 else (*SYSTEMS, m.system).index(m.system) + 1)
         if key == 5400 and not fanuc:
             return self._tool()
         modes = s.out.modes
         return {
             4001: float(s.motion or 0), 4002: float(s.plane), 4003: 90.0 + (not s.absolute), 4005: float(modes.feed_mode),
             4006: 21.0 if s.unit == 1e-3 else 20.0, 4007: 40.0 if s.comp is None else 41.0 if s.comp.offset > 0 else 42.0,
-            4010: 98.0 + (not s.retract_to_start), 4014: 53.0 + m.system if m.system <= 6 else 54.1,
+            4010: 98.0 + (not s.retract_to_start), 4014: float(m.system[1:].split("P")[0]),
             4109: 0.0 if math.isnan(s.feed) else s.feed, 4119: modes.spindle, 4120: self._tool(),
         }.get(key) if fanuc and 4001 <= key <= 4120 else None  # fmt: skip
 
@@ -225,7 +236,7 @@ class IsoValues(Values):
             "_LINE": lambda: s.line, "_METRIC": lambda: s.unit == 1e-3, "_IMPERIAL": lambda: s.unit != 1e-3,
             "_ABSOLUTE": lambda: s.absolute, "_INCREMENTAL": lambda: not s.absolute,
             "_FEED": lambda: 0.0 if math.isnan(s.feed) else s.feed, "_RPM": lambda: s.out.modes.spindle,
-            "_CCOMP": lambda: s.comp is not None, "_PLANE": lambda: s.plane * 10.0, "_COORD_SYSTEM": lambda: _system_number(self.offsets.system),
+            "_CCOMP": lambda: s.comp is not None, "_PLANE": lambda: s.plane * 10.0, "_COORD_SYSTEM": lambda: 10.0 * float(self.offsets.system[1:].split("P")[0]),
             "_TASK": lambda: 0.0, "_CURRENT_TOOL": self._tool, "_CALL_LEVEL": lambda: len(self.flow.frames) - 1, "_REMAP_LEVEL": lambda: 0.0,
         }  # fmt: skip
         return float(values[name]()) if name in values else None  # type: ignore[operator]
@@ -235,12 +246,3 @@ def _of_tool(key: int) -> tuple[str, tuple[str, bool]] | None:
     """Tool and quantity of a variable of the tool table; None for another variable."""
     entry = _TOOL_TABLE.get(key // 1000)
     return None if entry is None or key % 1000 == 0 else (str(key % 1000), entry)
-
-
-def _system_number(number: int) -> float:
-    return 10.0 * (53 + number) if number <= 6 else 590.0 + number - 6
-
-
-def system_name(number: int) -> str:
-    """The name of a zero offset in the machine file."""
-    return f"G{53 + number}" if number <= 6 else f"G59.{number - 6}"

@@ -79,7 +79,7 @@ def _word(e: Expression) -> Word:
                 raise WordError(f"'{match[1]}[{index}]' is not given a value; add '='", at + 1)
         begin = e.at = e.at + 1
         e.value()
-        return Word(match[1], at + 1, None, line[begin : e.at], True, begin + 1, index)
+        return Word(match[1], at + 1, None, line[begin : e.at].rstrip(), True, begin + 1, index)
     match = needed(_OTHER.match(line, at), f"'{line[at]}' starts no word", at + 1)
     e.at, value = match.end(), float(match[2]) if match[2] else None
     if value is not None and not math.isfinite(value):
