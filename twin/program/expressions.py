@@ -42,6 +42,11 @@ def needed(value: Kind | None, message: str, column: int = 1) -> Kind:
     return value
 
 
+def no_value(name: str) -> str:
+    """The message about a variable that has none."""
+    return f"{name} has no value here; set it before, or give it in the table [variables] of the machine file"
+
+
 class Null(float):
     """The value of an unset ISO variable: 0 in sums, equal only to another unset one."""
 

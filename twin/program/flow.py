@@ -227,7 +227,7 @@ class Flow:
             return bool(self._value(s.text, s.column))
         if s.kind == "for":
             name, first, last = s.rest
-            self.language.values.assign(name, self._value(first, s.column), s.column)
+            self.language.assign(name, self._value(first, s.column), s.column)
             return self._value(name, s.column) <= self._value(last, s.column)
         frame.counters[at] = int(self._value(s.text, s.column))
         return frame.counters[at] > 0
@@ -239,13 +239,13 @@ class Flow:
             return frame.counters[first] > 0
         if s.kind == "endfor":
             name, _, last = frame.unit.statements[first].rest
-            self.language.values.assign(name, self._value(name, s.column) + 1.0, s.column)
+            self.language.assign(name, self._value(name, s.column) + 1.0, s.column)
             return self._value(name, s.column) <= self._value(last, s.column)
         return bool(self._value(s.text, s.column)) == (s.kind == "while")
 
     def _value(self, text: str, column: int) -> float:
         """The value of a condition or of the bound of a loop."""
-        value: float = self.language.values.number_of(text, column)
+        value: float = self.language.number_of(text, column)
         return value
 
     def _behind(self, frame: Frame, place: int) -> None:
@@ -286,7 +286,7 @@ class Flow:
     def place(self, frame: Frame, target: str, direction: str, column: int) -> int:
         """Line of a label or block number; `direction` F: forwards, B: backwards, C: a missing target is ignored."""
         if target.startswith("="):  # a block number by an expression
-            target = f"N{int(self.language.values.number_of(target[1:], column))}"
+            target = f"N{int(self.language.number_of(target[1:], column))}"
         places = self.labels(frame.unit).get(target, [])
         forward = [i for i in places if i > frame.at]
         back = [i for i in places if i <= frame.at]
@@ -315,7 +315,7 @@ class Flow:
             last = closing[0] if closing and (closing[0] < at or first > at) else (at - 1 if first < at else len(frame.unit.lines) - 1)
         if last < first or first <= at <= last:
             raise WordError(f"REPEAT {name}: the part to repeat holds the REPEAT itself or is empty; move the labels", s.column)
-        times = int(self.language.values.number_of(times_text, s.column)) if times_text else 1
+        times = int(self.language.number_of(times_text, s.column)) if times_text else 1
         if len(frame.repeats) >= 20:
             raise WordError("more than 20 REPEAT inside each other; correct the labels", s.column)
         if times <= 0:

@@ -14,7 +14,7 @@ import re
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.program.expressions import NUMBER, Null, WordError, as_number
+from twin.program.expressions import FANUC, ISO, NUMBER, Expression, Null, WordError, as_number
 from twin.program.flow import Statement
 from twin.program.frames import AXES
 from twin.program.iso_values import IsoValues
@@ -76,7 +76,8 @@ class Iso(Reader):
         self.parameter_lines = False  # behind G10 L50, up to G11
         self.stored_modes: dict[int, Callable[[], None]] = {}
         self.main_seen = False
-        self.values = IsoValues(state, self.flow)
+        self.grammar, self.values = ISO if linuxcnc else FANUC, IsoValues(state, self.flow)
+        self.variable, self.hashed = self.values.variable, self.values.hashed
         self.offsets = self.values.offsets
         letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{3 * NO_GROUP}(?:F({NUMBER})\s*)?;?\s*$", re.A)
@@ -86,6 +87,11 @@ class Iso(Reader):
             if linuxcnc
             else "F beside X Y Z with A or C: it counts all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
         )
+
+    def expression(self, text: str, column: int = 1) -> Expression:
+        if not self.linuxcnc and ("AND" in text or "OR" in text):
+            self.state.note("AND, OR, XOR work on the bits of whole numbers, as on a Fanuc; in .ngc files they are logical")
+        return super().expression(text, column)
 
     def runs_into(self, what: str, column: int) -> None:
         if self.main_seen and len(self.flow.frames) == 1 and self.linuxcnc:
@@ -180,12 +186,12 @@ class Iso(Reader):
         if body.strip():
             self.carry_out(self.words_of(body))
         for message in messages:
-            self.out.messages.append(message_text(message, self.values.number_of))
+            self.out.messages.append(message_text(message, self.number_of))
 
     def words_of(self, text: str) -> Block:
         """The words of a block; assigned variables are set after the block is read."""
         block, later = Block(), []
-        g, m, words, e, fanuc = block.g, block.m, block.w, self.values.expression(text), not self.linuxcnc
+        g, m, words, e, fanuc = block.g, block.m, block.w, self.expression(text), not self.linuxcnc
         while char := e.peek():
             column = e.at + 1
             if char == "#":

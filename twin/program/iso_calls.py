@@ -20,7 +20,7 @@ def other_statement(m: Iso, s: Statement, frame: Frame) -> None:
     """O-words of calls, program numbers, IF .. THEN."""
     flow = m.flow
     if s.kind == "then":
-        if m.values.number_of(s.text, s.column):
+        if m.number_of(s.text, s.column):
             m.words(" " * s.rest[0] + s.key)
     elif s.kind == "words_goto":
         m.words(s.key)
@@ -36,7 +36,7 @@ def other_statement(m: Iso, s: Statement, frame: Frame) -> None:
             raise WordError("RETURN is outside a subprogram; remove it", s.column)
         if frame.style == "m98":
             raise WordError("a subprogram called by M98 ends with M99, not with endsub", s.column)
-        m.values.returned_value = (m.values.number_of(s.text, s.column), 1.0) if s.text.strip() else (0.0, 0.0)
+        m.values.returned_value = (m.number_of(s.text, s.column), 1.0) if s.text.strip() else (0.0, 0.0)
         flow.back()
     else:
         raise WordError(f"O.. {s.kind} does not fit here; correct the O-words", s.column)
@@ -121,8 +121,8 @@ def _program_place(m: Iso, number: int, column: int) -> tuple[Unit, int] | None:
 
 def _call_oword(m: Iso, s: Statement) -> None:
     """O.. call with its arguments in brackets."""
-    name = str(int(m.values.number_of(s.key, s.column))) if s.key.startswith(("[", "#")) else s.key
-    e, arguments = m.values.expression(s.text, s.column), dict[int, float]()
+    name = str(int(m.number_of(s.key, s.column))) if s.key.startswith(("[", "#")) else s.key
+    e, arguments = m.expression(s.text, s.column), dict[int, float]()
     while e.peek():
         if e.peek() != "[" or len(arguments) == 30:
             raise e.fail("a call takes up to 30 arguments in brackets, e.g. O100 call [1] [2]")

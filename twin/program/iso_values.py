@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from twin.program.expressions import FANUC, ISO, Expression, Null, WordError, as_number
+from twin.program.expressions import Expression, Null, WordError, as_number, no_value
 from twin.program.flow import Flow
 from twin.program.frames import INDEX, OTHER, ROTARY, Frame, rotation, shifted
-from twin.program.reader import Values
 from twin.program.state import State
 
 _TOOL_TABLE = {10: ("length", True), 11: ("length", False), 12: ("radius", True), 13: ("radius", False)}
@@ -50,20 +49,15 @@ class Offsets:
         self.state.set_frames(system=system, shift=shifted(self.shift), local=shifted(self.local.copy()))
 
 
-class IsoValues(Values):
+class IsoValues:
     """Parameters: #1 to #33 (LinuxCNC: #30) and names belong to one program, the others to all."""
 
     def __init__(self, state: State, flow: Flow) -> None:
-        super().__init__(state, flow, ISO if state.linuxcnc else FANUC)
+        self.state, self.flow = state, flow
         self.offsets, self.fanuc = Offsets(state), not state.linuxcnc
         self.numbers: dict[int, float] = {}
         self.names: dict[str, float] = {}
         self.returned_value = (0.0, 0.0)
-
-    def expression(self, text: str, column: int = 1) -> Expression:
-        if self.fanuc and ("AND" in text or "OR" in text):
-            self.state.note("AND, OR, XOR work on the bits of whole numbers, as on a Fanuc; in .ngc files they are logical")
-        return super().expression(text, column)
 
     def variable(self, e: Expression, name: str, at: int) -> float:
         """EXISTS[#..]; other names are none."""
@@ -84,6 +78,7 @@ class IsoValues(Values):
             return 0.0
 
     def hashed(self, e: Expression, at: int) -> float:
+        """The value of the parameter behind a #."""
         return self._read(self.key(e), e.column + at)
 
     def key(self, e: Expression) -> int | str:
@@ -108,7 +103,7 @@ class IsoValues(Values):
             if found is None and (found := self._predefined(key)) is None:
                 found = self.state.given(name := f"#<{key.lower()}>")
                 if not isinstance(found, float):
-                    raise WordError(self.no_value(f"parameter {name}"), column)
+                    raise WordError(no_value(f"parameter {name}"), column)
             return found
         if key == 0:
             return Null(0.0)
@@ -123,7 +118,7 @@ class IsoValues(Values):
         if isinstance(given := self.state.given(f"#{key}"), float):
             return given
         if self.fanuc and key >= 1000:
-            raise WordError(self.no_value(f"system variable #{key}"), column)
+            raise WordError(no_value(f"system variable #{key}"), column)
         return Null(0.0)
 
     def write(self, key: int | str, value: float, column: int) -> None:

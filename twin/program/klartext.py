@@ -33,7 +33,7 @@ def tool_call(m: Klartext, b: Block) -> None:
     state, column = m.state, b.column
     match = re.match(rf"\s*(?:\"([^\"]*)\"|({VALUE}))?\s*(?:([XYZ])(?![-+\w.]))?", b.text)
     assert match
-    number = match[1] or (match[2] and f"{m.values.number_of(match[2], column):g}")
+    number = match[1] or (match[2] and f"{m.number_of(match[2], column):g}")
     b.text, b.column = b.text[match.end() :], column + match.end()
     m.scan(b, "in TOOL CALL; write its axis, S, F, DL, DR")
     values = {name: item.value for name, item in b.w.items()}
@@ -61,7 +61,7 @@ def tool_call(m: Klartext, b: Block) -> None:
 def tool_def(m: Klartext, b: Block) -> None:
     """TOOL DEF number, L, R: the table of tools of the program."""
     match = needed(re.match(rf"\s*({VALUE})", b.text), "TOOL DEF needs the number of the tool", b.column)
-    name, b.text = f"{m.values.number_of(match[1], b.column):g}", b.text[match.end() :]
+    name, b.text = f"{m.number_of(match[1], b.column):g}", b.text[match.end() :]
     for word, item in m.only_words(b, "L R", "; give the rest in [tool] of the machine file").items():
         m.state.tools.set_value(name, "length" if word == "L" else "radius", item.value * m.state.unit)
 
@@ -106,7 +106,7 @@ def stray(m: Klartext, b: Block) -> None:
 def function(m: Klartext, b: Block) -> None:
     """FN 0 to FN 8, FN 13 and formulas; printing is noted."""
     if (match := FORMULA.match(b.text)) and int(match["fn"] or 0) in (*range(9), 13):
-        m.values.assign(match["name"], m.values.number_of(match["text"], b.column + match.start("text")), b.column)
+        m.assign(match["name"], m.number_of(match["text"], b.column + match.start("text")), b.column)
     elif match := re.match(r"FN\s*(15|16)\b", b.text):
         m.state.note(f"FN {match[1]}: it prints, without effect on the motion")
     else:

@@ -14,13 +14,13 @@ from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.arcs import Arc
 from twin.program.control import KEPT, Vector
-from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError, needed
-from twin.program.flow import Flow, Statement
+from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError, needed, no_value
 from twin.program.flow import Frame as Call
-from twin.program.reader import ADD_CALL, NO_GROUP, Reader, Values
+from twin.program.flow import Statement
+from twin.program.reader import ADD_CALL, NO_GROUP, Reader
 from twin.program.source import Unit
 from twin.program.state import Block as Words
-from twin.program.state import Item, State
+from twin.program.state import Item
 from twin.program.tables import NOTE, UNKNOWN, Word
 
 VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+|Q[LR]?\d+)"
@@ -43,7 +43,7 @@ _WORD = re.compile(
 )
 _SIDES = {"R0": 0, "RL": 1, "RR": -1}
 
-KLARTEXT = Grammar(
+FORMULAS = Grammar(
     "(",
     ")",
     {
@@ -115,12 +115,29 @@ Handler = Callable[["Klartext", Block], None]
 """Carries out a block."""
 
 
-class KlartextValues(Values):
-    """Q parameters: Q and QR are common to all programs, QL belong to one."""
+class Klartext(Reader):
+    """Reads the blocks of one Klartext program."""
 
-    def __init__(self, state: State, flow: Flow) -> None:
-        super().__init__(state, flow, KLARTEXT)
-        self.q: dict[str, float] = {}
+    grammar = FORMULAS
+
+    def __init__(self, path: Path, machine: Machine, unit: Unit, table: Mapping[str, Word[Handler]], m_table: Mapping[int, Word]) -> None:
+        super().__init__(path, machine, "klartext", joined(unit), ("preset", "shift", "plane", "inner", "mirror", "turn", "scale"))
+        state, self.table, self.m_table = self.state, table, m_table
+        self.q: dict[str, float] = {}  # Q and QR are common to all programs, QL belong to one
+        self.pole: np.ndarray | None = None  # CC (3,)
+        self.tool_feed, self.extra_radius = math.nan, 0.0  # F and DR of TOOL CALL
+        self.shorter_way = False  # M126
+        self.waiting: tuple[str, np.ndarray, Block, float] | None = None  # APPR until the first element; its feed
+        self.tilt_angles: dict[str, float] = {}
+        self.turn_to: tuple[float, float] | None = None  # A and C that the next move goes to (SEQ)
+        self.cycle: int | None = None  # that a call carries out
+        self.cycle_everywhere = False  # M89
+        state.out.set_modes(replace(state.out.modes, workpiece_orientation=False, feed_of_all=True))
+        state.out.mixed_feed = "F beside X Y Z with A B C: it counts all axes, a degree as a unit of length; M128 counts the tool tip"
+        letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
+        self.plain_block = re.compile(rf"\s*(\d*)\s+L\s+{NO_GROUP}{letters}{3 * NO_GROUP}(?:R0\s*)?(?:F\s*(MAX|{NUMBER})\s*)?$", re.A)
+
+    # ------------------------------------------------------------------ Q parameters
 
     def assign(self, name: str, value: float, column: int) -> None:
         """Set a parameter."""
@@ -135,37 +152,14 @@ class KlartextValues(Values):
         if name == "Q108":
             return state.tools.radius(state.tools.name, column) / state.unit
         own = {"Q109": {19: 0.0, 18: 1.0, 17: 2.0}[state.plane], "Q113": float(state.unit != 1e-3)}
-        value = needed(own.get(name, default), self.no_value(name), column)
+        value = needed(own.get(name, default), no_value(name), column)
         return value
 
     def variable(self, e: Expression, name: str, at: int) -> float:
         if not re.fullmatch(r"Q[LR]?\d+", name):
-            hint = nearest(name, KLARTEXT.functions)
+            hint = nearest(name, FORMULAS.functions)
             raise e.fail(f"'{name}' is not a value; use Q parameters, numbers and functions" + (f"; {hint}" if "mean" in hint else ""), at)
         return self.parameter(name, e.column + at)
-
-
-class Klartext(Reader):
-    """Reads the blocks of one Klartext program."""
-
-    values: KlartextValues
-
-    def __init__(self, path: Path, machine: Machine, unit: Unit, table: Mapping[str, Word[Handler]], m_table: Mapping[int, Word]) -> None:
-        super().__init__(path, machine, "klartext", joined(unit), ("preset", "shift", "plane", "inner", "mirror", "turn", "scale"))
-        state, self.table, self.m_table = self.state, table, m_table
-        self.values = KlartextValues(state, self.flow)
-        self.pole: np.ndarray | None = None  # CC (3,)
-        self.tool_feed, self.extra_radius = math.nan, 0.0  # F and DR of TOOL CALL
-        self.shorter_way = False  # M126
-        self.waiting: tuple[str, np.ndarray, Block, float] | None = None  # APPR until the first element; its feed
-        self.tilt_angles: dict[str, float] = {}
-        self.turn_to: tuple[float, float] | None = None  # A and C that the next move goes to (SEQ)
-        self.cycle: int | None = None  # that a call carries out
-        self.cycle_everywhere = False  # M89
-        state.out.set_modes(replace(state.out.modes, workpiece_orientation=False, feed_of_all=True))
-        state.out.mixed_feed = "F beside X Y Z with A B C: it counts all axes, a degree as a unit of length; M128 counts the tool tip"
-        letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
-        self.plain_block = re.compile(rf"\s*(\d*)\s+L\s+{NO_GROUP}{letters}{3 * NO_GROUP}(?:R0\s*)?(?:F\s*(MAX|{NUMBER})\s*)?$", re.A)
 
     # ------------------------------------------------------------------ lines
 
@@ -257,7 +251,7 @@ class Klartext(Reader):
                 raise WordError(f"{match['name']} occurs twice in the block; keep one", place)
             else:
                 name = self.state.slot_of.get(str(match["name"]), str(match["name"]))
-                block.w[name] = Item(self.values.number_of(match["value"], place), "IC" if match["inc"] else "", place)
+                block.w[name] = Item(self.number_of(match["value"], place), "IC" if match["inc"] else "", place)
 
     def only_words(self, block: Block, names: str, hint: str = "", added: bool = False) -> dict[str, Item]:
         """The words of a block that takes these names alone, and in addition (I) if `added`."""
@@ -280,7 +274,7 @@ class Klartext(Reader):
         if block.feed == "AUTO":
             self.state.set_feed(self.tool_feed, block.column)
         elif block.feed not in ("", "MAX"):
-            self.state.set_feed(self.feed_word(self.values.number_of(block.feed, block.column)), block.column)
+            self.state.set_feed(self.feed_word(self.number_of(block.feed, block.column)), block.column)
 
     def modes(self, block: Block) -> None:
         """The M codes that act before the move of their block, then its feed."""

@@ -96,7 +96,7 @@ def scale(m: Klartext, b: Block) -> None:
 def preset(m: Klartext, b: Block) -> None:
     """Cycle 247: the preset with the number Q339."""
     found = needed(re.search(rf"Q339\s*=\s*({VALUE})", b.text), "cycle 247 needs Q339, the number of the preset", b.column)
-    m.state.set_frames(preset=shifted(m.state.frame_table(f"PRESET{m.values.number_of(found[1], b.column):g}")))
+    m.state.set_frames(preset=shifted(m.state.frame_table(f"PRESET{m.number_of(found[1], b.column):g}")))
 
 
 def tilt_cycle(m: Klartext, b: Block) -> None:
@@ -142,7 +142,7 @@ def tilt(m: Klartext, angles: dict[str, float], column: int, sequence: str = "")
         state.note("PLANE SPATIAL, cycle 19: A and C turn with the next move to the nearest solution, the tool tip keeps its place")
     for slot, angle in zip(ROTARY, chosen):
         letter = next((own for own, place in state.slot_of.items() if place == slot), slot)
-        m.values.q[{"A": "Q120", "B": "Q121", "C": "Q122"}.get(letter, "Q120")] = math.degrees(float(angle))
+        m.q[{"A": "Q120", "B": "Q121", "C": "Q122"}.get(letter, "Q120")] = math.degrees(float(angle))
 
 
 def _solution(m: Klartext, axis: np.ndarray, now: np.ndarray, sign: float, chosen: np.ndarray, column: int) -> np.ndarray:
@@ -159,7 +159,7 @@ def _solution(m: Klartext, axis: np.ndarray, now: np.ndarray, sign: float, chose
 def dwell(m: Klartext, b: Block) -> None:
     """Cycle 9."""
     found = needed(re.fullmatch(rf"[A-Z. ]*({VALUE})", b.text), "cycle 9 needs its time, e.g. CYCL DEF 9.1 DWELL 0.5", b.column)
-    m.control.dwell(m.values.number_of(found[1], b.column))
+    m.control.dwell(m.number_of(found[1], b.column))
 
 
 def tolerance(m: Klartext, b: Block) -> None:
@@ -176,7 +176,7 @@ def tolerance(m: Klartext, b: Block) -> None:
 def drilling(m: Klartext, b: Block) -> None:
     """Cycles 200 to 209: their parameters, then the cycle for the next call."""
     for word in re.finditer(rf"(Q\d+)\s*=\s*({VALUE})", b.text):
-        m.values.assign(word[1], m.values.number_of(word[2], b.column), b.column)
+        m.assign(word[1], m.number_of(word[2], b.column), b.column)
     m.cycle, m.cycle_everywhere = int(b.head.split()[-1]), False
 
 
@@ -190,7 +190,7 @@ def cycle_here(m: Klartext) -> None:
         raise WordError("no cycle is defined that a call could carry out; add CYCL DEF before")
 
     def q(key: int, default: float = 0.0) -> float:
-        return m.values.parameter(f"Q{key}", 1, default)
+        return m.parameter(f"Q{key}", 1, default)
 
     if missing := [f"Q{n}" for n in NEEDS[number].split() if math.isnan(q(int(n), math.nan))]:
         raise WordError(f"cycle {number} needs {' '.join(missing)}; add them")

@@ -98,7 +98,7 @@ def corner_of(m: Klartext, parts: list[str], column: int) -> tuple[str, float] |
     match = re.fullmatch(rf"(?:RND\s*R|(CHF)\s*)\s*({VALUE})", parts[0])
     if match is None:
         raise WordError(f"'{parts[0][:20]}' is not read; write RND R5 or CHF 5 without a feed", column)
-    return "CHR" if match[1] else "RND", m.values.number_of(match[2], column) * m.state.unit
+    return "CHR" if match[1] else "RND", m.number_of(match[2], column) * m.state.unit
 
 
 def afterwards(m: Klartext, block: Block) -> None:
@@ -126,7 +126,7 @@ def retract(m: Klartext, block: Block) -> None:
     kind = mv.RAPID if block.arg_feed in ("", "MAX") else mv.LINE
     if block.arg != "MBMAX":
         point = state.here()
-        point[across] += m.values.number_of(block.arg[2:], block.column) * state.unit
+        point[across] += m.number_of(block.arg[2:], block.column) * state.unit
         m.control.go(kind, point)
         return
     traori, goal = m.out.modes.traori, np.array(m.out.kinematics.travel[:, 1])

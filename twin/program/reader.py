@@ -1,4 +1,4 @@
-"""What the readers of all languages share: the control composed of its parts, values of formulas, plain blocks, subprograms beside the program."""
+"""What the readers of all languages share: the control composed of its parts, formulas, plain blocks, subprograms beside the program."""
 
 from __future__ import annotations
 
@@ -23,35 +23,6 @@ NO_GROUP = "((?!))?"
 ADD_CALL = "add it, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 
 
-class Values:
-    """Formulas over the variables of the running program; a language says what a name at a column of an expression means."""
-
-    variable: Callable[[Expression, str, int], Value]
-
-    def __init__(self, state: State, flow: Flow, grammar: Grammar) -> None:
-        self.state, self.flow, self.grammar = state, flow, grammar
-
-    def hashed(self, e: Expression, at: int) -> Value:
-        """The value of what follows a `#`."""
-        raise e.fail("a number or variable is missing before '#'", at)
-
-    def expression(self, text: str, column: int = 1) -> Expression:
-        """An expression that begins at `column`."""
-        return Expression(text, self.grammar, self.variable, self.hashed, 0, column)
-
-    def value_of(self, text: str, column: int) -> Value:
-        """The value of an expression: a number or a text."""
-        return self.expression(text, column).whole()
-
-    def number_of(self, text: str, column: int) -> float:
-        """The value of an expression or condition (1 true, 0 false)."""
-        return as_number(self.value_of(text, column), column)
-
-    def no_value(self, name: str, how: str = "set it before") -> str:
-        """The message about a variable that has none."""
-        return f"{name} has no value here; {how}, or give it in the table [variables] of the machine file"
-
-
 MODES: dict[float, tuple[str, Any]] = {
     **{number: ("motion", number) for number in range(4)},
     17: ("plane", 17), 18: ("plane", 18), 19: ("plane", 19), 90: ("absolute", True), 91: ("absolute", False),
@@ -69,7 +40,12 @@ def set_mode(m: Reader, _: object, number: float) -> None:
 class Reader:
     """One program under one control; a language adds its lines, values, words and calls."""
 
-    values: Values
+    grammar: Grammar
+    variable: Callable[[Expression, str, int], Value]
+    """The value of a name at a column of an expression."""
+    hashed: Callable[[Expression, int], Value] | None = None
+    """The value of what follows a `#`."""
+    assign: Callable[..., None]
     other: Callable[[Statement, Frame], None]
     """Carries out a statement that the flow does not know."""
     plain_now: Callable[[], bool]
@@ -95,6 +71,18 @@ class Reader:
         self.flow.run()
         self.corners.release()
         self.control.compensate(0, 0.0)
+
+    def expression(self, text: str, column: int = 1) -> Expression:
+        """An expression that begins at `column`."""
+        return Expression(text, self.grammar, self.variable, self.hashed, 0, column)
+
+    def value_of(self, text: str, column: int) -> Value:
+        """The value of an expression: a number or a text."""
+        return self.expression(text, column).whole()
+
+    def number_of(self, text: str, column: int) -> float:
+        """The value of an expression or condition (1 true, 0 false)."""
+        return as_number(self.value_of(text, column), column)
 
     def runs_into(self, what: str, column: int) -> None:
         """The end of the file, or a subprogram, is reached without the end of the program, which it stands for."""

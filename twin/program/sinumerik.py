@@ -233,7 +233,7 @@ def _by_text(m: Sinumerik, b: Block, word: Written) -> None:
     """CALL "NAME", or CALL NAME with a variable that holds the name."""
     text = (word.text or "").strip()
     if text or not b.calls:
-        b.calls.append(Written(plain_name(str(m.values.value_of(text, word.text_column))), word.column))
+        b.calls.append(Written(plain_name(str(m.value_of(text, word.text_column))), word.column))
     elif isinstance(held := (m.values.store_of(b.calls[0].name) or {}).get(()), str):
         b.calls[0] = Written(plain_name(held), word.column)
 

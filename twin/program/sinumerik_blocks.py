@@ -10,7 +10,7 @@ import re
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.program.expressions import NUMBER, Value, WordError, needed
+from twin.program.expressions import NUMBER, SINUMERIK, Value, WordError, needed
 from twin.program.flow import Statement
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
@@ -72,8 +72,8 @@ class Block(Words):
 class Sinumerik(Reader):
     """Reads the blocks of one SINUMERIK program."""
 
+    grammar = SINUMERIK
     carry_out: Callable[[Block], None]
-    values: SinumerikValues
 
     def __init__(self, path: Path, machine: Machine, units: list[Unit], names: Mapping[str, Meaning]) -> None:
         super().__init__(path, machine, "sinumerik", units[0], SINUMERIK_FRAMES)
@@ -84,7 +84,8 @@ class Sinumerik(Reader):
         self.angles_are_rpy: bool | None = None  # ORIRPY, ORIEULER
         self.corners_meet = False  # G451
         self.modal: Callable[[], None] | None = None  # MCALL
-        self.values = SinumerikValues(self.state, self.flow, self.corners, names)
+        self.values = SinumerikValues(self, names)
+        self.variable, self.assign = self.values.variable, self.values.assign
         letters = "".join(rf"(?:{letter}=?({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         vector = rf"(?:A3=({NUMBER})\s*B3=({NUMBER})\s*C3=({NUMBER})\s*)?"
         self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{vector}(?:F({NUMBER})\s*)?$", re.A)
@@ -94,6 +95,11 @@ class Sinumerik(Reader):
     def find(self, name: str) -> Unit | None:
         """A subprogram in this file or beside it."""
         return self.units.get(plain_name(name)) or self.folder.find(name)
+
+    def number_of(self, text: str, column: int) -> float:
+        if not text.strip():
+            raise WordError("a condition or number is missing, e.g. IF R1<10", column)
+        return super().number_of(text, column)
 
     def plain_now(self) -> bool:
         return self.modal is None and not self.corners.every_corner and self.state.override == 1.0

@@ -49,9 +49,9 @@ def other_statement(m: Sinumerik, s: Statement, frame: Frame) -> None:
 def _case(m: Sinumerik, s: Statement, frame: Frame) -> None:
     """CASE: the jump of the first value that fits."""
     match = needed(_CASE.match(s.text), "CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
-    value = m.values.value_of(match[1], s.column)
+    value = m.value_of(match[1], s.column)
     for part in _CASE_PART.finditer(match[2]):
-        if part[1] == "DEFAULT" or m.values.value_of(part[1], s.column) == value:
+        if part[1] == "DEFAULT" or m.value_of(part[1], s.column) == value:
             m.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
             return
 
@@ -127,7 +127,7 @@ def arguments(m: Sinumerik, unit: Unit, word: Word) -> tuple[dict[str, Store], i
             store.setdefault(("default",), start)
         else:
             by_name = "AXIS" in declared and words[0] != "VAR"
-            store = {(): start if not text else text if by_name else m.values.value_of(text, column), ("default",): start}
+            store = {(): start if not text else text if by_name else m.value_of(text, column), ("default",): start}
             if words[0] == "VAR" and text:
                 written.append((text, store, column))
         variables[words[-1]] = store

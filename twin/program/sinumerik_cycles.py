@@ -79,7 +79,7 @@ def arguments_of(m: Sinumerik, word: Word) -> Arguments:
     out = Arguments()
     for text, at in split_arguments(word.text or ""):
         name = text.startswith("_") and m.values.store_of(text) is None  # a name of the cycle such as _FINISH
-        out.append(None if not text else text if name else m.values.value_of(text, word.text_column + at))
+        out.append(None if not text else text if name else m.value_of(text, word.text_column + at))
     return out
 
 

@@ -15,13 +15,12 @@ import re
 import numpy as np
 
 from twin.errors import nearest
-from twin.program.corners import Corners
 from twin.program.expressions import NUMBER, SINUMERIK, Expression, Value, WordError, as_number, closing, needed
-from twin.program.flow import Flow, Statement
 from twin.program.flow import Frame as Call
+from twin.program.flow import Statement
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
-from twin.program.reader import Values
-from twin.program.state import Item, State
+from twin.program.reader import Reader
+from twin.program.state import Item
 
 _ASSIGN = re.compile(r"([A-Z_$][A-Z_$][A-Z0-9_$]*|[A-Z]\d*)[ \t]*(?==(?!=)|\[)", re.A)
 _OTHER = re.compile(rf"([A-Z])[ \t]*({NUMBER})|([A-Z_$][A-Z0-9_$]*)", re.A)
@@ -116,12 +115,11 @@ def split_arguments(text: str) -> list[tuple[str, int]]:
     return [*parts, (text[begin:].strip(), begin)]
 
 
-class SinumerikValues(Values):
+class SinumerikValues:
     """Values of variables, words and expressions."""
 
-    def __init__(self, state: State, flow: Flow, corners: Corners, names: Collection[str]) -> None:
-        super().__init__(state, flow, SINUMERIK)
-        self.corners, self.names = corners, names
+    def __init__(self, m: Reader, names: Collection[str]) -> None:
+        self.m, self.state, self.flow, self.corners, self.names = m, m.state, m.flow, m.corners, names
         self.settable: dict[str, Frame] = {}
         self.chosen = "G500"  # settable frame in force
         self.unset: set[str] = set()  # values that a call would give, of a subprogram that is read as the program
@@ -150,7 +148,7 @@ class SinumerikValues(Values):
             places: list[tuple] = [()]
             items = [value]
             if shape[2]:
-                sizes = [int(self.number_of(n, s.column)) for n, _ in split_arguments(shape[2])]
+                sizes = [int(self.m.number_of(n, s.column)) for n, _ in split_arguments(shape[2])]
                 if math.prod(sizes) > MOST_ELEMENTS:
                     raise WordError(f"an array of {math.prod(sizes)} elements is too large", s.column)
                 places = list(itertools.product(*(map(float, range(n)) for n in sizes)))
@@ -158,23 +156,19 @@ class SinumerikValues(Values):
                     items = [item for item, _ in split_arguments(values[2])]
                     if values[1] == "REP":  # one value for all elements
                         places = [("default",)]
-            store |= {place: self.value_of(item, s.column) for place, item in zip(places, items) if item.strip()}
+            store |= {place: self.m.value_of(item, s.column) for place, item in zip(places, items) if item.strip()}
             frame.variables[shape[1]] = store
-
-    def number_of(self, text: str, column: int) -> float:
-        if not text.strip():
-            raise WordError("a condition or number is missing, e.g. IF R1<10", column)
-        return super().number_of(text, column)
 
     def indices(self, text: str | None, column: int) -> tuple:
         """The values of an index."""
-        return tuple(self.value_of(part, column) for part, _ in split_arguments(text or ""))
+        return tuple(self.m.value_of(part, column) for part, _ in split_arguments(text or ""))
 
     def store_of(self, name: str) -> Store | None:
         """The elements of a variable that is defined."""
         return self.flow.frame.variables.get(name) or self.globals.get(name)
 
     def variable(self, e: Expression, name: str, at: int) -> Value:
+        """The value of a name at a column of an expression."""
         index: tuple = ()
         if e.peek() == "[":
             index = tuple(e.arguments())
@@ -259,7 +253,7 @@ class SinumerikValues(Values):
 
     def value(self, word: Word) -> float:
         if word.assigned:
-            return self.number_of(word.text or "", word.text_column)
+            return self.m.number_of(word.text or "", word.text_column)
         if word.value is None:
             raise WordError(f"'{word.name}' needs a number", word.column)
         return word.value
@@ -267,7 +261,7 @@ class SinumerikValues(Values):
     def item(self, word: Word) -> Item:
         """A coordinate and its mode (absolute, incremental, ...)."""
         if word.assigned and (match := _WRAPPED.match(word.text or "")):
-            return Item(self.number_of(match[2], word.text_column + match.start(2)), match[1], word.column)
+            return Item(self.m.number_of(match[2], word.text_column + match.start(2)), match[1], word.column)
         if word.text is not None and not word.assigned:
             raise WordError(f"'{word.name}({word.text})' is not a coordinate; write {word.name}=AC(..) or {word.name}=IC(..)", word.column)
         return Item(self.value(word), "", word.column)
@@ -276,12 +270,12 @@ class SinumerikValues(Values):
         """The axis of POS[X], AX[_AXIS] and the like: its name, or a variable of type AXIS."""
         text = (word.index or "").strip()
         if text not in AXIS_NAMES:
-            text = str(self.value_of(text, word.column)).strip()
+            text = str(self.m.value_of(text, word.column)).strip()
         return text.removesuffix("1")
 
     def of_group(self, word: Word) -> float:
         """The G code of G[6]=1: the first of group 6."""
-        group = int(self.number_of(word.index or "", word.column))
+        group = int(self.m.number_of(word.index or "", word.column))
         number = int(self.value(word))
         if group == 8 and number > 5:
             return 500.0 + number - 1
@@ -293,7 +287,7 @@ class SinumerikValues(Values):
     def assignment(self, word: Word) -> None:
         """A variable of any kind; frames are written whole or by component."""
         name, index = word.name, self.indices(word.index, word.column)
-        value = self.value_of(word.text or "", word.text_column)
+        value = self.m.value_of(word.text or "", word.text_column)
         if name in _FRAMES or isinstance((self.store_of(name) or {}).get(("default",)), Frame):
             self._write_frame(word, index, value)
         elif name == "$TC_DP6" and len(index) == 2:
