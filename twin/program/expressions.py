@@ -248,10 +248,9 @@ class Expression:
         self.depth += 1
         if self.depth > DEEPEST:
             raise self.fail("expression is nested too deeply")
-        try:
-            return self._atom()
-        finally:
-            self.depth -= 1
+        value = self._atom()
+        self.depth -= 1
+        return value
 
     def _atom(self) -> Value:
         char, at = self.peek(), self.at

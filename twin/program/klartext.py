@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 import re
 
-from twin.machine.machine import Machine
 from twin.program import klartext_cycles as cycles
 from twin.program import klartext_path as path
 from twin.program import moves as mv
 from twin.program.expressions import WordError, needed
 from twin.program.klartext_blocks import FORMULA, VALUE, Block, Handler, Klartext
-from twin.program.source import Unit
 from twin.program.state import INCH
 from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word, named
 
 _PLANE_OF = {"Z": 17, "Y": 18, "X": 19}
-
-
-def klartext(program: Path, machine: Machine, unit: Unit) -> Klartext:
-    """The reader of one program."""
-    return Klartext(program, machine, unit, KLARTEXT, KLARTEXT_M)
 
 
 # ------------------------------------------------------------------ tools and modes

@@ -12,7 +12,8 @@ from twin.program.collect import Collector
 from twin.program.expressions import WordError
 from twin.program.iso import iso
 from twin.program.iso_blocks import LINUXCNC
-from twin.program.klartext import klartext
+from twin.program.klartext import KLARTEXT, KLARTEXT_M
+from twin.program.klartext_blocks import Klartext
 from twin.program.moves import Program, place_of
 from twin.program.reader import Reader
 from twin.program.sinumerik import sinumerik
@@ -122,7 +123,7 @@ def understand(program: str | Path | Source, machine: Machine) -> Collector:
     if language == "apt":
         front = AptReader(source, machine)
     elif language == "klartext":
-        front = klartext(path, machine, units_of(source)[0])
+        front = Klartext(path, machine, units_of(source)[0], KLARTEXT, KLARTEXT_M)
     elif language == "sinumerik":
         front = sinumerik(path, machine, units_of(source))
     else:

@@ -208,7 +208,7 @@ class Sinumerik(Reader):
         elif name == "M" and with_number:
             block.m.append(int(values.value(word)))
         elif name in ("T", "D", "H") and with_number:
-            block.tool[name] = values.value_of(word.text or "", word.text_column) if word.assigned else values.value(word), word.column
+            block.tool[name] = self.value_of(word.text or "", word.text_column) if word.assigned else values.value(word), word.column
         elif name == "L" and word.value is not None:
             block.calls.append(word)
         elif name == "S1" and word.assigned and "S" not in block.w:

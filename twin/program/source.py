@@ -6,7 +6,7 @@ import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
-from typing import Any, BinaryIO
+from typing import Any
 
 from twin.errors import InputError
 
@@ -23,37 +23,28 @@ class Source:
         self.path = path
         if not path.is_file():
             raise InputError(f"{path}: no such file; give a program (.mpf .spf .nc .ngc .apt .cls)")
-        self.lines: list[str] = []
         try:
             with path.open("rb") as file:
-                self._read(file)
+                raw_lines = iter(lambda: file.readline(LONGEST_LINE + 2), b"")
+                self.lines = [self._line(raw, number) for number, raw in enumerate(raw_lines, start=1)]
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
 
-    def _read(self, file: BinaryIO) -> None:
-        lines, number = self.lines, 0
-        while True:
-            raw = file.readline(LONGEST_LINE + 2)
-            if not raw:
-                return
-            number += 1
-            if len(raw) > LONGEST_LINE and not raw.endswith(b"\n"):
-                raise InputError(
-                    f"{self.path}: line {number}: longer than {LONGEST_LINE} characters; this is no part program, or its line ends are lost"
-                )
-            if number > MOST_LINES:
-                raise InputError(f"{self.path}: more than {MOST_LINES} lines; split the program")
-            try:
-                text = raw.decode("utf-8-sig" if number == 1 else "utf-8")
-            except UnicodeDecodeError:
-                text = raw.decode("latin-1")
-            text = text.rstrip("\r\n")
-            if not text.isprintable():
-                text = self._readable(text, number)
-            lines.append(text)
-
-    def _readable(self, text: str, number: int) -> str:
-        """The line without relics of punched tape; other control characters are an error."""
+    def _line(self, raw: bytes, number: int) -> str:
+        """The text of a line without relics of punched tape; other control characters are an error."""
+        if len(raw) > LONGEST_LINE and not raw.endswith(b"\n"):
+            raise InputError(
+                f"{self.path}: line {number}: longer than {LONGEST_LINE} characters; this is no part program, or its line ends are lost"
+            )
+        if number > MOST_LINES:
+            raise InputError(f"{self.path}: more than {MOST_LINES} lines; split the program")
+        try:
+            text = raw.decode("utf-8-sig" if number == 1 else "utf-8")
+        except UnicodeDecodeError:
+            text = raw.decode("latin-1")
+        text = text.rstrip("\r\n")
+        if text.isprintable():
+            return text
         for column, char in enumerate(text, start=1):
             # tabs, end marks, soft hyphens, and the C1 range that old code pages use for letters in comments
             if not char.isprintable() and char not in "\t\r\xa0\x1a\xad\x00\x12\x14\ufeff\u200b" and not 0x7F <= ord(char) <= 0x9F:
@@ -114,7 +105,7 @@ class Folder:
     def __init__(self, path: Path, used: list[Path]) -> None:
         self.path, self.used = path, used  # the files that were read are added to `used`
         self.files: dict[str, Path] | None = None
-        self.units: dict[str, Unit | None] = {}
+        self.units: dict[str, Unit] = {}
 
     def find(self, *names: str) -> Unit | None:
         """The program in the first of these files that exists in the folder."""
@@ -128,12 +119,11 @@ class Folder:
                 stem = file.stem if file.suffix.lower() in self.ENDINGS else file.name
                 if file.suffix.lower() in self.ENDINGS and file != self.path:
                     self.files.setdefault(plain_name(stem), file)
-        for name in names:
-            found = self.files.get(plain_name(name))
-            if found is not None and found.is_file():
-                key = found.name
-                if key not in self.units:
-                    self.units[key] = units_of(Source(found))[0]
-                    self.used.append(found)
-                return self.units[key]
+        for name in map(plain_name, names):
+            found = self.files.get(name)
+            if found is not None and name not in self.units and found.is_file():
+                self.units[name] = units_of(Source(found))[0]
+                self.used.append(found)
+            if name in self.units:
+                return self.units[name]
         return None
