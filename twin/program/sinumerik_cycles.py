@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,26 +26,17 @@ POSITIONS = 9
 """Places of CYCLE802."""
 
 
-class Layout(NamedTuple):
-    """Positions of the arguments of a drilling cycle, counted from 0; None if it has none.
-
-    `gmode` 1: the depth is that of the shank, not of the tip. `amode`: its second digit 2 gives the dwell in turns. `axis`: the tool
-    axis, 1 or 2 for the first or second geometry axis. `pitch_unit`: 2 threads an inch, 3 inches, 4 modules.
-    """
-
-    gmode: int | None = None
-    amode: int | None = None
-    axis: int | None = None
-    pitch_unit: int | None = None
-    pecks: int | None = None
-    dwell: int | None = 5
-
-
-LAYOUTS = {
-    "CYCLE81": Layout(gmode=6, amode=8), "CYCLE82": Layout(gmode=6, amode=8), "CYCLE83": Layout(gmode=17, amode=19, axis=12),
-    "CYCLE84": Layout(gmode=21, axis=12, pitch_unit=13, pecks=15), "CYCLE840": Layout(gmode=17, axis=11, pitch_unit=12),
-    "CYCLE85": Layout(gmode=8, amode=10), "CYCLE86": Layout(gmode=11, amode=13), "CYCLE87": Layout(dwell=None), "CYCLE88": Layout(), "CYCLE89": Layout(),
+LAYOUTS: dict[str, dict[str, int]] = {
+    "CYCLE81": {"dwell": 5, "gmode": 6, "amode": 8}, "CYCLE82": {"dwell": 5, "gmode": 6, "amode": 8}, "CYCLE83": {"gmode": 17, "amode": 19, "axis": 12},
+    "CYCLE84": {"dwell": 5, "gmode": 21, "axis": 12, "pitch_unit": 13, "pecks": 15}, "CYCLE840": {"dwell": 5, "gmode": 17, "axis": 11, "pitch_unit": 12},
+    "CYCLE85": {"dwell": 5, "gmode": 8, "amode": 10}, "CYCLE86": {"dwell": 5, "gmode": 11, "amode": 13}, "CYCLE87": {}, "CYCLE88": {"dwell": 5},
+    "CYCLE89": {"dwell": 5},
 }  # fmt: skip
+"""Positions of the arguments of a drilling cycle, counted from 0.
+
+`gmode` 1: the depth is that of the shank, not of the tip. `amode`: its second digit 2 gives the dwell in turns. `axis`: the tool
+axis, 1 or 2 for the first or second geometry axis. `pitch_unit`: 2 threads an inch, 3 inches, 4 modules.
+"""
 
 
 class Arguments(list):
@@ -115,13 +105,13 @@ def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
         raise WordError(f"{name} needs the depth DP or DPR; add it", word.column)
     if (depth - safe) * down <= 0.0:
         raise WordError(f"{name}: the depth {depth:g} does not lie below the reference plane {rfp:g}; correct one", word.column)
-    if int(a.number(layout.gmode)) == 1:
+    if int(a.number(layout.get("gmode"))) == 1:
         s.note(f"{name}: its depth is that of the shank (_GMODE 1); here the tip goes to it, since the angle of the tip is not known")
-    if (axis := int(a.number(layout.axis))) in (1, 2) and axis != arcs.PLANES[s.plane][2] + 1:
+    if (axis := int(a.number(layout.get("axis")))) in (1, 2) and axis != arcs.PLANES[s.plane][2] + 1:
         raise WordError(f"{name} along geometry axis {axis} is not supported; select its plane with G17, G18 or G19", word.column)
-    if int(a.number(layout.pecks)):
+    if int(a.number(layout.get("pecks"))):
         s.note(f"{name}: one stroke to its depth; intermediate strokes (_VARI) are omitted")
-    in_turns = int(a.number(layout.amode)) // 10 % 10 == 2
+    in_turns = int(a.number(layout.get("amode"))) // 10 % 10 == 2
 
     def time(k: int | None) -> float:
         value = a.number(k)
@@ -135,11 +125,11 @@ def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
     if name == "CYCLE83":
         cycle = _deep(m, a, rfp, safe, depth, rtp, down, time)
     else:
-        pause, out, share, aside, lift = time(layout.dwell), FEED, 1.0, (0.0, 0.0), 0.0
+        pause, out, share, aside, lift = time(layout.get("dwell")), FEED, 1.0, (0.0, 0.0), 0.0
         if name in ("CYCLE84", "CYCLE840"):
             rigid = name == "CYCLE84"
             size, pitch = (7, 8) if rigid else (9, 10)
-            lead = _lead(m, abs(a.number(pitch)), int(a.number(layout.pitch_unit))) or PITCHES.get(abs(a.number(size)), 0.0)
+            lead = _lead(m, abs(a.number(pitch)), int(a.number(layout.get("pitch_unit")))) or PITCHES.get(abs(a.number(size)), 0.0)
             speed = (a.number(10) if rigid else 0.0) or spindle
             share = ((a.number(11) if rigid else 0.0) or speed) / speed if speed else 1.0
             feed = lead * speed if lead and speed else None
