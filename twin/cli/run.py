@@ -74,8 +74,8 @@ def carry_out(args: argparse.Namespace) -> None:
     write_trace(followed, out / "trace.parquet")
     contour = None  # for a machine without tool or part frame
     with contextlib.suppress(TwinError):
-        error = contour_error_of(run.trace, machine).error * 1e6
-        contour = {"max_um": float(error.max()), "rms_um": float(np.sqrt(np.mean(error**2)))}
+        off = contour_error_of(run.trace, machine).error * 1e6
+        contour = {"max_um": float(off.max()), "rms_um": float(np.sqrt(np.mean(off**2)))}
     summary = {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "input": str(source),

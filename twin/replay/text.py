@@ -57,7 +57,7 @@ def design_text(designs: Mapping[str, tuple[Machine, Trace]], paths: Sequence[To
     if summary:
         parts.append(f"```\n{summary.strip()}\n```")
     for i, (label, (machine, trace)) in enumerate(designs.items()):
-        parts.append(_run_text(machine, label, trace, paths and paths[i], "", [machine.name]))
+        parts.append(_run_text(machine, label, trace, paths[i] if paths else None, "", [machine.name]))
     if paths:
         parts.append(
             "Each contour error is the distance of the tool point from the path of its own set points. Both panes have the same colours and magnification."
