@@ -7,7 +7,7 @@ with its column; the reader adds file, line and block.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 import math
 import operator
@@ -100,19 +100,19 @@ def as_number(value: Value, column: int) -> float:
     return value
 
 
+def outside_quotes(text: str, at: int = 0) -> Iterator[tuple[int, str, int]]:
+    """Each character outside quotes: its place, itself, and how many brackets are open behind it."""
+    depth, quoted = 0, False
+    for i in range(at, len(text)):
+        quoted ^= text[i] == '"'
+        if not quoted:
+            depth += (text[i] in "([") - (text[i] in ")]")
+            yield i, text[i], depth
+
+
 def closing(line: str, at: int) -> int:
     """Position of the bracket that closes the one at `at`; quoted texts are skipped."""
-    depth, quoted = 0, False
-    for i in range(at, len(line)):
-        if line[i] == '"':
-            quoted = not quoted
-        elif not quoted and line[i] in "([":
-            depth += 1
-        elif not quoted and line[i] in ")]":
-            depth -= 1
-            if depth == 0:
-                return i
-    raise WordError("bracket is not closed", at + 1)
+    return needed(next((i for i, _, depth in outside_quotes(line, at) if depth == 0), None), "bracket is not closed", at + 1)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import re
 import numpy as np
 
 from twin.errors import nearest
-from twin.program.expressions import NUMBER, SINUMERIK, Expression, Value, WordError, as_number, closing, needed
+from twin.program.expressions import NUMBER, SINUMERIK, Expression, Value, WordError, as_number, closing, needed, outside_quotes
 from twin.program.flow import Frame as Call
 from twin.program.flow import Statement
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
@@ -101,18 +101,9 @@ def _inside(e: Expression) -> str:
 
 def split_arguments(text: str) -> list[tuple[str, int]]:
     """Arguments between commas, each with its start; an empty text has none."""
-    if not text.strip():
-        return []
-    parts, begin, depth, quoted = [], 0, 0, False
-    for i, char in enumerate(text):
-        if char == '"':
-            quoted = not quoted
-        elif not quoted:
-            depth += (char in "([") - (char in ")]")
-            if char == "," and depth == 0:
-                parts.append((text[begin:i].strip(), begin))
-                begin = i + 1
-    return [*parts, (text[begin:].strip(), begin)]
+    commas = [i for i, char, depth in outside_quotes(text) if char == "," and depth == 0]
+    starts = [0, *(i + 1 for i in commas)]
+    return [(text[a:b].strip(), a) for a, b in zip(starts, [*commas, len(text)])] if text.strip() else []
 
 
 class SinumerikValues:
