@@ -40,9 +40,11 @@ def from_centre(
 ) -> Arc:
     """Centre (3,), normal (3,) and angle > 0 of an arc in a plane; equal start and end are a full circle."""
     a, b, c = PLANES[plane]
-    first = np.array([start[a] - centre[a], start[b] - centre[b]])
-    last = np.array([end[a] - centre[a], end[b] - centre[b]])
-    radius, radius_end = math.hypot(*first), math.hypot(*last)
+    middle, normal = start.copy(), np.zeros(3)
+    middle[[a, b]], normal[c] = centre[[a, b]], -1.0 if clockwise else 1.0
+    first, last = start - middle, end - middle
+    last[c] = 0.0
+    radius, radius_end = (float(np.linalg.norm(arm)) for arm in (first, last))
     if radius < 1e-9:
         raise ArcError("the arc has no radius; give the centre with I J K (from the start) or the radius")
     if abs(radius - radius_end) > tolerance:
@@ -50,15 +52,7 @@ def from_centre(
             f"the arc does not close: the radius is {radius * 1e3:.4f} mm at its start and {radius_end * 1e3:.4f} mm at its end; "
             "correct the end point or I J K"
         )
-    sense = -1.0 if clockwise else 1.0
-    angle = sense * (math.atan2(last[1], last[0]) - math.atan2(first[1], first[0]))
-    angle %= 2.0 * math.pi
-    if angle < 1e-9 or math.hypot(*(last - first)) < 1e-9:
-        angle = 2.0 * math.pi
-    normal = np.zeros(3)
-    normal[c] = sense
-    middle = np.array(start, float)
-    middle[a], middle[b] = centre[a], centre[b]
+    angle = 2.0 * math.pi if np.linalg.norm(last - first) < 1e-9 else angle_between(first, last, normal)
     return middle, normal, angle + 2.0 * math.pi * turns
 
 

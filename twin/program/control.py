@@ -233,7 +233,7 @@ class Control:
             raise WordError(f"a dwell of {seconds:g} s is out of range; give 0 to 3600 s")
         out = self.state.out
         if self.state.comp is not None:
-            out.notes["G4 inside G41 or G42 is omitted: the tool does not dwell on the contour"] = None
+            self.state.note("G4 inside G41 or G42 is omitted: the tool does not dwell on the contour")
             return
         out.pauses[len(out.kinds)] = seconds
         out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.state.line, self.state.block)

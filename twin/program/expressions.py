@@ -87,7 +87,8 @@ FUNCTIONS: dict[str, Callable] = {
 }  # fmt: skip
 
 
-def _text(value: Value) -> str:
+def as_text(value: Value) -> str:
+    """A value as it is written."""
     return value if isinstance(value, str) else "frame" if isinstance(value, Frame) else f"{value:.10g}"
 
 
@@ -132,7 +133,7 @@ SINUMERIK = Grammar(
     ")",
     {
         "OR": (1, _LOGIC["OR"]), "XOR": (2, _LOGIC["XOR"]), "AND": (3, _LOGIC["AND"]), **{sign: (4, test) for sign, test in COMPARE.items()},
-        "<<": (5, lambda a, b: _text(a) + _text(b)), "B_OR": (6, _bits(operator.or_)), "B_XOR": (7, _bits(operator.xor)), "B_AND": (8, _bits(operator.and_)),
+        "<<": (5, lambda a, b: as_text(a) + as_text(b)), "B_OR": (6, _bits(operator.or_)), "B_XOR": (7, _bits(operator.xor)), "B_AND": (8, _bits(operator.and_)),
         "+": (9, SUMS["+"]), "-": (9, SUMS["-"]), "*": (10, SUMS["*"]), "/": (10, SUMS["/"]),
         "DIV": (10, lambda a, b: float(math.trunc(a / b))), "MOD": (10, math.fmod), ":": (11, operator.matmul),
     },
@@ -235,7 +236,7 @@ class Expression:
         except ZeroDivisionError:
             raise self.fail("division by zero", at) from None
         except (ValueError, TypeError, OverflowError):
-            shown = ", ".join(_text(a) for a in arguments)
+            shown = ", ".join(as_text(a) for a in arguments)
             raise self.fail(f"{name}({shown}) has no value", at) from None
         if isinstance(result, str | Frame):
             return result

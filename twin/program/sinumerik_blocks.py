@@ -10,7 +10,7 @@ import re
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.program.expressions import NUMBER, SINUMERIK, Value, WordError, needed
+from twin.program.expressions import NUMBER, SINUMERIK, Value, WordError, needed, outside_quotes
 from twin.program.flow import Statement
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
@@ -108,11 +108,8 @@ class Sinumerik(Reader):
 
     def clean(self, text: str) -> str:
         """The block in capitals without comment; texts in quotes keep their length."""
-        semicolon = text.find(";")
-        while semicolon >= 0 and text.count('"', 0, semicolon) % 2:
-            semicolon = text.find(";", semicolon + 1)
-        if semicolon >= 0:
-            text = text[:semicolon]
+        if ";" in text:
+            text = text[: next((i for i, char, _ in outside_quotes(text) if char == ";"), None)]
         text = text.upper().rstrip()
         stripped = text.lstrip()
         if stripped.startswith("%"):

@@ -15,7 +15,7 @@ import re
 import numpy as np
 
 from twin.errors import nearest
-from twin.program.expressions import NUMBER, SINUMERIK, Expression, Value, WordError, as_number, closing, needed, outside_quotes
+from twin.program.expressions import NUMBER, SINUMERIK, Expression, Value, WordError, as_number, as_text, closing, needed, outside_quotes
 from twin.program.flow import Frame as Call
 from twin.program.flow import Statement
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
@@ -175,7 +175,7 @@ class SinumerikValues:
             return value
         if (value := self._system(name, index)) is not None:
             return value
-        key = name + (f"[{','.join(str(i) if isinstance(i, str) else f'{i:g}' for i in index)}]" if index else "")
+        key = name + (f"[{','.join(map(as_text, index))}]" if index else "")
         if (value := self.state.given(key, key.lower())) is not None:
             return value
         if name in AXIS_NAMES and not index:
@@ -205,7 +205,7 @@ class SinumerikValues:
                 return math.degrees(float(s.out.settle()[i - 3]) - (0.0 if machine else s.offset[i]))
             return float((np.array(s.out.position[:3]) if machine else s.here())[i]) / s.unit
         if name == "$TC_DP6" and index:
-            return tools.radius(_tool_name(index[0]), 1) / s.unit
+            return tools.radius(as_text(index[0]), 1) / s.unit
         if name == "$P_UIFR" and len(index) == 3 and index[1] in INDEX:
             i, offset = INDEX[index[1]], self.settable_frame(frame_name(index[0])).shift
             return {"TR": math.degrees(offset[i]) if i >= 3 else offset[i] / s.unit, "FI": 0.0}.get(str(index[2]))
@@ -282,7 +282,7 @@ class SinumerikValues:
         if name in _FRAMES or isinstance((self.store_of(name) or {}).get(("default",)), Frame):
             self._write_frame(word, index, value)
         elif name == "$TC_DP6" and len(index) == 2:
-            self.state.tools.set_value(_tool_name(index[0]), "radius", as_number(value, word.column) * self.state.unit)
+            self.state.tools.set_value(as_text(index[0]), "radius", as_number(value, word.column) * self.state.unit)
         else:
             if name.startswith("$TC_DP3"):
                 self.state.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")
@@ -345,10 +345,6 @@ def _element(name: str, index: tuple) -> tuple[str, tuple]:
     if match := re.fullmatch(r"R(\d{1,4})", name):
         return "R[]", (float(match[1]),)
     return ("R[]", (float(int(index[0])),)) if name == "R" and len(index) == 1 and isinstance(index[0], float) else (name, index)
-
-
-def _tool_name(index: Value) -> str:
-    return index if isinstance(index, str) else f"{index:g}"
 
 
 def frame_name(number: Value) -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.collect import Collector
-from twin.program.expressions import Value, WordError
+from twin.program.expressions import Value, WordError, as_text
 
 
 class Tools:
@@ -37,7 +37,7 @@ class Tools:
         """
         modes, length = self.out.modes, self.out.modes.tool_length
         if "T" in words:
-            self.prepared, self.prepared_name = self._length(words["T"]), _name(words["T"][0])
+            self.prepared, self.prepared_name = self._length(words["T"]), as_text(words["T"][0])
         self.changes_by_m6 |= "M6" in words
         changed = "M6" in words or ("T" in words and not self.changes_by_m6)
         spindle = self.prepared if changed else modes.spindle_tool_length
@@ -48,7 +48,7 @@ class Tools:
         elif "D" in words:
             edge, column = words["D"]
             if not isinstance(edge, float) or (edge not in (0, 1) and self.table):
-                raise WordError(f"D{_name(edge)}: a tool of the table [tool] has one length, that of D1; use D1 or D0", column)
+                raise WordError(f"D{as_text(edge)}: a tool of the table [tool] has one length, that of D1; use D1 or D0", column)
             length = spindle if edge else 0.0
         elif changed:
             length = spindle
@@ -93,7 +93,7 @@ class Tools:
 
     def _length(self, word: tuple[Value, int]) -> float:
         """Length [m] of the tool that T or H names; T0 and H0 have none."""
-        name, column = _name(word[0]), word[1]
+        name, column = as_text(word[0]), word[1]
         if name == "0":
             return 0.0
         wear = self.value(name, "length", wear=True) or 0.0
@@ -106,7 +106,3 @@ class Tools:
         if key not in self.table:
             raise WordError(f"tool {name} is not in the table [tool] of the machine file; {nearest(key, self.table)}", column)
         return float(self.table[key]["length_m"]) + wear
-
-
-def _name(value: Value) -> str:
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
