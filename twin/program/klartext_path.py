@@ -12,7 +12,7 @@ from twin.program import moves as mv
 from twin.program.arcs import Arc
 from twin.program.control import KEPT
 from twin.program.expressions import WordError, needed
-from twin.program.frames import LINEAR, OTHER, ROTARY
+from twin.program.frames import LINEAR, OTHER, ROTARY, rotation
 from twin.program.klartext_blocks import VALUE, Block, Element, Klartext, all_parts
 from twin.program.klartext_cycles import cycle_here
 from twin.program.state import Item
@@ -254,20 +254,16 @@ def _way(
     arc_radius = words["R"].value * m.state.unit
     sense, size = 1.0 if side * arc_radius > 0 else -1.0, abs(arc_radius)
     centre = to + sense * size * np.cross(normal, t)
-
-    def turned(arm: np.ndarray, angle: float) -> np.ndarray:
-        flat = arm - normal * arm[across]
-        return math.cos(angle) * flat + math.sin(angle) * np.cross(normal, flat)
-
     if kind == "CT":
-        begin = centre + turned(to - centre, -sense * math.radians(words["CCA"].value))
+        begin = centre + rotation(across, -sense * words["CCA"].value) @ (to - centre)
     else:  # where a line from the start meets the circle as its tangent
         way = start - centre
         way[across] = 0.0
         distance = float(np.linalg.norm(way))
         if distance <= size:
             raise WordError("the start lies inside the circle of the approach or departure; give a smaller R or another point")
-        arms = [turned(way * (size / distance), sign * math.acos(size / distance)) for sign in (1.0, -1.0)]
+        angle = math.degrees(math.acos(size / distance))
+        arms = [rotation(across, sign * angle) @ way * (size / distance) for sign in (1.0, -1.0)]
         begin = centre + max(arms, key=lambda arm: float((arm - way) @ (sense * np.cross(normal, arm))))
     begin[across] = to[across]
     return begin, m.control.arc_about(begin, to, centre, sense < 0.0)

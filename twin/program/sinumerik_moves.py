@@ -100,16 +100,14 @@ def _by_angle(m: Sinumerik, b: Block, start: np.ndarray, point: np.ndarray, cent
     item = b.w.pop("AR")
     if not 0.0 < item.value < 360.0:
         raise WordError(f"AR={item.value:g}: the angle of an arc lies between 0 and 360 degrees", item.column)
-    plane = list(arcs.PLANES[m.state.plane][:2])
-    angle = math.radians(item.value) * (-1.0 if clockwise else 1.0)
+    *plane, across = arcs.PLANES[m.state.plane]
+    angle = -item.value if clockwise else item.value
     if centre:
         middle = m.control.arc_centre(start, point, centre, None)
-        x, y = start[plane] - middle[plane]
-        c, s = math.cos(angle), math.sin(angle)
-        point[plane] = middle[plane] + [c * x - s * y, s * x + c * y]
+        point[plane] = (middle + rotation(across, angle) @ (start - middle))[plane]
         return middle
     middle, chord = start.copy(), point[plane] - start[plane]
-    middle[plane] = start[plane] + 0.5 * chord + 0.5 / math.tan(0.5 * angle) * np.array([-chord[1], chord[0]])
+    middle[plane] += 0.5 * chord + 0.5 / math.tan(math.radians(0.5 * angle)) * np.array([-chord[1], chord[0]])
     return middle
 
 
