@@ -66,7 +66,7 @@ class Frame:
 class Flow:
     """Executes the blocks of a program.
 
-    `language` is its reader: `clean`, `statement` and `labels` read lines; `values` have the formulas and variables;
+    `language` is its reader: `clean`, `statement` and `labels_of` read lines; `values` have the formulas and variables;
     `fast` and `words` carry out a block, `other` a statement that the flow does not know; `runs_into`: a program does not end itself.
     """
 
@@ -280,7 +280,10 @@ class Flow:
     def labels(self, unit: Unit) -> dict[str, list[int]]:
         """Lines of a program by their labels and block numbers."""
         if unit.labels is None:
-            unit.labels = self.language.labels(unit)
+            unit.labels = {}
+            for i, line in enumerate(unit.lines):
+                for name in self.language.labels_of(line):
+                    unit.labels.setdefault(name, []).append(i)
         return unit.labels
 
     def place(self, frame: Frame, target: str, direction: str, column: int) -> int:

@@ -125,7 +125,6 @@ def _feed_and_tool(m: Iso, b: Block) -> None:
     for number in (93, 94, 95):
         if number in codes:
             s.set_feed_mode(number)
-            s.settle_plain()
     given = w.pop("F") if "F" in w else None
     if given and m.linuxcnc:
         s.set_feed(given.value, given.column)

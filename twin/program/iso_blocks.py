@@ -6,7 +6,7 @@ parameters. Where the dialects differ, a note gives the chosen meaning.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 import re
@@ -161,20 +161,17 @@ class Iso(Reader):
             return Statement("words_goto", match[1], column=match.start(2) + 1, rest=("", "", _target(match[2])))
         return None
 
-    def labels(self, unit: Unit) -> dict[str, list[int]]:
-        """Lines by block number (N100), number of a program (O100) and name of a subprogram of O-words (SUB 100, SUB <name>)."""
-        found: dict[str, list[int]] = {}
-        for i, line in enumerate(unit.lines):
-            text = line.upper()
-            if match := _NUMBERED.match(text.lstrip("/ ")):
-                found.setdefault(f"N{int(match[1])}", []).append(i)
-            if "O" in text or ":" in text:
-                body = COMMENT.sub("", text.split(";")[0])
-                if match := PROGRAM.match(body):
-                    found.setdefault(f"O{match[1].lstrip('0') or '0'}", []).append(i)
-                elif (match := OWORD.match(body)) and match[2] == "SUB":
-                    found.setdefault(f"SUB {plain_key(match[1])}", []).append(i)
-        return found
+    def labels_of(self, line: str) -> Iterator[str]:
+        """Block number (N100), number of a program (O100) and name of a subprogram of O-words (SUB 100, SUB <name>) of a line."""
+        text = line.upper()
+        if match := _NUMBERED.match(text.lstrip("/ ")):
+            yield f"N{int(match[1])}"
+        if "O" in text or ":" in text:
+            body = COMMENT.sub("", text.split(";")[0])
+            if match := PROGRAM.match(body):
+                yield f"O{match[1].lstrip('0') or '0'}"
+            elif (match := OWORD.match(body)) and match[2] == "SUB":
+                yield f"SUB {plain_key(match[1])}"
 
     # ------------------------------------------------------------------ words of a block
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
@@ -184,13 +184,10 @@ class Klartext(Reader):
             return Statement("call_program", match[1].strip(' "'), column=column)
         return Statement("end") if body.startswith("END PGM") else None
 
-    def labels(self, unit: Unit) -> dict[str, list[int]]:
-        """Lines by label."""
-        found: dict[str, list[int]] = {}
-        for i, line in enumerate(unit.lines):
-            if (match := LABEL.match(without_number(line)[0].strip())) and match[1] != "0":
-                found.setdefault(f"LBL {match[1]}", []).append(i)
-        return found
+    def labels_of(self, line: str) -> Iterator[str]:
+        """The label of a line."""
+        if (match := LABEL.match(without_number(line)[0].strip())) and match[1] != "0":
+            yield f"LBL {match[1]}"
 
     # ------------------------------------------------------------------ blocks
 

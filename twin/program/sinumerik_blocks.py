@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
@@ -168,16 +168,13 @@ class Sinumerik(Reader):
         parts = needed(pattern.match(body), hint, column)
         return Statement(kind, column=column, rest=parts.groups())
 
-    def labels(self, unit: Unit) -> dict[str, list[int]]:
-        """Lines by label and block number."""
-        found: dict[str, list[int]] = {}
-        for i, line in enumerate(unit.lines):
-            text = line.upper()
-            if match := _LABEL.match(text):
-                found.setdefault(match[1], []).append(i)
-            if match := _NUMBERED.match(text):
-                found.setdefault(f"N{match[1]}", []).append(i)
-        return found
+    def labels_of(self, line: str) -> Iterator[str]:
+        """Label and block number of a line."""
+        text = line.upper()
+        if match := _LABEL.match(text):
+            yield match[1]
+        if match := _NUMBERED.match(text):
+            yield f"N{match[1]}"
 
     # ------------------------------------------------------------------ words of a block
 

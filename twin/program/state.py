@@ -206,6 +206,7 @@ class State:
         if number != self.out.modes.feed_mode:
             self.out.set_modes(replace(self.out.modes, feed_mode=number))
             self.feed = math.nan
+            self.settle_plain()
 
     def set_unit(self, unit: float, *, feed: bool) -> None:
         """Millimetres or inches, for lengths and, if `feed`, for the feed."""
