@@ -143,17 +143,12 @@ class Flow:
 
     # ------------------------------------------------------------------ calls
 
-    def call(
-        self, unit: Unit, at: int, *, times: int = 1, name: str = "", style: str = "", shared: bool = False, column: int = 1
-    ) -> Frame | None:
-        """Run a subprogram from line `at`; the caller continues after its block."""
+    def call(self, unit: Unit, at: int, variables: dict[Any, Any], name: str, *, times: int = 1, column: int = 1, **more: Any) -> None:
+        """Run a subprogram from line `at`; the caller continues after its block. `more`: further fields of its `Frame`."""
         if len(self.frames) > DEEPEST_CALL:
-            raise WordError(f"more than {DEEPEST_CALL} calls inside each other; {name or unit.name} calls itself without end", column)
-        if times <= 0:
-            return None
-        frame = Frame(unit, at, name or unit.name, times - 1, at, self.frame.variables if shared else {}, style=style)
-        self.frames.append(frame)
-        return frame
+            raise WordError(f"more than {DEEPEST_CALL} calls inside each other; {name} calls itself without end", column)
+        if times > 0:
+            self.frames.append(Frame(unit, at, name, times - 1, at, variables, **more))
 
     def back(self, target: str = "") -> None:
         """The end of a program or subprogram: RET, M17, M99, endsub, or the end of its lines."""

@@ -55,10 +55,8 @@ def call_block(m: Iso, b: Block) -> bool:
         place = _program_place(m, int(p.value), p.column)
         if place is not None and 66 in codes:
             m.modal_macro = *place, variables
-        elif place is not None and (
-            frame := m.flow.call(*place, times=min(times, MOST_REPEATS), name=f"O{p.value:g}", style="macro", column=p.column)
-        ):
-            frame.variables = variables
+        elif place is not None:
+            m.flow.call(*place, variables, f"O{p.value:g}", times=min(times, MOST_REPEATS), style="macro", column=p.column)
         return True
     if 67 in codes:
         m.modal_macro = None
@@ -85,7 +83,8 @@ def call_block(m: Iso, b: Block) -> bool:
                 raise WordError(f"M97 P{number}: this program has no block N{number}; add it", p.column)
             place = m.flow.frame.unit, found[0]
         if place is not None:
-            m.flow.call(*place, times=times, name=f"{'N' if own else 'O'}{number}", style="m98", shared=True, column=p.column)
+            name = f"{'N' if own else 'O'}{number}"
+            m.flow.call(*place, m.flow.frame.variables, name, times=times, style="m98", column=p.column)
         return True
     if 99 not in b.m:
         return False
@@ -143,5 +142,4 @@ def _call_oword(m: Iso, s: Statement) -> None:
     if m.flow.table(found).get(at, (at,))[0] < 0:
         raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
     m.values.returned_value = (0.0, 0.0)
-    if frame := m.flow.call(found, at + 1, name=name, style="oword", column=s.column):
-        frame.variables = arguments
+    m.flow.call(found, at + 1, arguments, name, style="oword", column=s.column)

@@ -73,8 +73,7 @@ def move_words(m: Iso, b: Block) -> None:
     m.corners.queue(move, None if corner is None else (corner[0], corner[1].value * s.unit))
     if m.modal_macro is not None and all(frame.name != "G66" for frame in m.flow.frames):  # not after moves of the macro itself
         unit, at, variables = m.modal_macro
-        if frame := m.flow.call(unit, at, name="G66", style="macro"):
-            frame.variables = dict(variables)
+        m.flow.call(unit, at, dict(variables), "G66", style="macro")
 
 
 def _arc(m: Iso, b: Block, start: np.ndarray, point: np.ndarray, centre: dict[str, Item]) -> arcs.Arc:

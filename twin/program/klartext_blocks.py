@@ -337,14 +337,14 @@ class Klartext(Reader):
             self.flow.back()
         if s.kind == "call_label":
             place = self.flow.place(frame, s.key, "", s.column)
-            self.flow.call(frame.unit, place + 1, name=s.key, style="lbl", shared=True, column=s.column)
+            self.flow.call(frame.unit, place + 1, frame.variables, s.key, style="lbl", column=s.column)
         elif s.kind == "call_program":
             name = s.key.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".H")
             unit = self.folder.find(name)
             if unit is not None:
                 if not any("BEGIN PGM" in line for line in unit.lines[:50]):
                     raise WordError(f"CALL PGM {name}: {unit.path.name} is no Klartext program", s.column)
-                self.flow.call(unit if unit.statements else joined(unit), 0, name=name, style="pgm", column=s.column)
+                self.flow.call(unit if unit.statements else joined(unit), 0, {}, name, style="pgm", column=s.column)
             elif not self.moves_nothing(name):
                 raise WordError(f"program {name} is not beside this one ({name}.h); {ADD_CALL}", s.column)
         elif s.kind == "end" and frame.style == "lbl":

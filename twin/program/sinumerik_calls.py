@@ -80,8 +80,7 @@ def call(m: Sinumerik, word: Word, times: int) -> None:
         for target, store, column in written:
             m.values.assign(target, store[()], column)
 
-    if frame := m.flow.call(unit, first, times=times, name=name, column=word.column):
-        frame.variables, frame.on_return = variables, restore
+    m.flow.call(unit, first, variables, name, times=times, column=word.column, on_return=restore)
 
 
 def _unit_of(m: Sinumerik, word: Word) -> tuple[str, Unit | None]:
@@ -143,8 +142,4 @@ def modal_call(m: Sinumerik, word: Word) -> Callable[[], None]:
         raise WordError(f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
     variables, first, _ = arguments(m, unit, word)
 
-    def repeated() -> None:
-        if frame := m.flow.call(unit, first, name=unit.name, column=word.column):
-            frame.variables = {k: dict(v) for k, v in variables.items()}
-
-    return repeated
+    return lambda: m.flow.call(unit, first, {k: dict(v) for k, v in variables.items()}, unit.name, column=word.column)
