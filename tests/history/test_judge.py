@@ -32,6 +32,10 @@ def history(seed: int, theta: Theta, programs: int = 1) -> list[Row]:
     """Weekly recordings in which each direction differs by `theta`, next to what the twin lacks and noise."""
     rng, rows = np.random.default_rng(seed), []
     jacobian = {(axes, p): 60.0 * rng.standard_normal((200, len(d))) for axes, d in directions().items() for p in range(programs)}
+    for (axes, _), j in jacobian.items():  # a torque constant is friction and inertia together
+        names = [d.cause[0] for d in directions()[axes]]
+        parts = [names.index(name) for name in ("inertia", "coulomb_friction", "viscous_friction")]
+        j[:, names.index("torque_constant")] = 0.5 * j[:, parts].sum(axis=1) + 0.05 * j[:, names.index("torque_constant")]
     lacks = {key: 3.0 * rng.standard_normal(200) * 60.0 for key in jacobian}
     for week in range(WEEKS):
         projections, p = {}, week % programs
@@ -72,6 +76,22 @@ def test_a_fault_is_named_sized_and_dated_next_to_them() -> None:
         assert abs(change.onset - 18) <= 1
         assert change.alarm_row <= 21
         assert abs(change.size.size - size) < 0.15 * abs(size)
+
+
+def test_a_load_that_never_changed_tells_a_torque_constant_from_friction() -> None:
+    """The first recordings show that X always carries the same: a torque constant that moves inertia and friction is sized, a first new load is none."""
+
+    def light(d: Direction, week: int, rng: np.random.Generator, cause: str) -> float:
+        new = 0.4 if d.cause[:2] == (cause, "X") and week >= 18 else 0.0
+        return new + 0.01 * float(rng.standard_normal())
+
+    rows = history(3, functools.partial(light, cause="torque_constant"))
+    assert max(float(np.max(s.scatter)) for s in judge(rows).series) == 0.2  # that of friction
+    assert max(float(np.max(s.scatter)) for s in judge(history(0, everyday)).series) == 1.0
+    (change,) = judge(rows).changes
+    assert change.cause[:2] == ("torque_constant", "X")
+    assert abs(change.size.size - 0.4) < 0.02
+    assert not judge(history(4, functools.partial(light, cause="inertia"))).changes
 
 
 def test_a_growing_fault_is_one_change_with_a_forecast() -> None:

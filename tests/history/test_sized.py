@@ -1,5 +1,6 @@
 """A change that is too large for its slope gets its size by simulation."""
 
+import numpy as np
 import pytest
 
 from devtools.histories import machine_tables, program
@@ -7,7 +8,7 @@ from twin.diagnose.simulations import in_turn
 from twin.exam.plant.parameters import AXES
 from twin.history.columns import changed, directions_of
 from twin.history.projection import Reference
-from twin.history.series import filters, scatter_of
+from twin.history.series import Series, filters, scatter_of
 from twin.history.sized import sizes_on
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -25,8 +26,9 @@ def test_the_size_is_the_one_that_was_put_in(mikron: Machine, effect: str, theta
     [(_, own)] = Reference(machine, in_turn).linearised([run], ("X",))
     directions = directions_of(machine, ("X",))
     k = [d.name for d in directions].index(direction.name)
-    w = filters(own.gram, scatter_of(directions))[:, k]
+    series = Series(("X",), directions, np.array([0]), np.zeros((1, len(directions))), own.gram, scatter_of(directions))
+    w = filters(own.gram, series.scatter)[:, k]
     slope = float(w @ own.right(trace) / (w @ own.gram[:, k]))
-    found = sizes_on(lambda _: [own])(direction, ("X",), slope)
+    found = sizes_on(lambda _: [own])(direction, series, slope)
     assert found == pytest.approx(theta, rel=0.04)
     assert (abs(slope / theta - 1.0) > 0.1) is (effect != "coulomb_friction")  # friction is linear, the others are not

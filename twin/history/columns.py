@@ -22,7 +22,7 @@ from twin.effects.scan import InTime
 from twin.machine.machine import Axis, Machine
 
 WAVES = 5
-"""Wavelengths or frequencies of an effect whose own one is not known."""
+"""Wavelengths, frequencies or speeds of an effect whose own one is not known."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _value(p: Parameter, is_size: bool, low: float, high: float) -> list[float]:
         return [0.5 * (near + end)] if near != end else [end]
     if p.periodic:
         return [0.0]
-    if p.scan is None:
+    if p.scan is None and (is_size or not p.logarithmic):
         return [math.sqrt(low * high) if p.logarithmic else 0.5 * (low + high)]
     if p.quantity == "number":  # periods in a turn
         return [float(n) for n in range(math.ceil(low), math.floor(high) + 1)]

@@ -16,7 +16,7 @@ import numpy as np
 from twin.history.change import LONGEST, Forecast, Level, evidence, forecast, level
 from twin.history.columns import Direction, amplitude, waves_of
 from twin.history.limits import USUAL, Limit, LimitOf
-from twin.history.series import LOAD, RIVAL, SCATTER, Series, constants_of, programs_of, series_of, thermometers
+from twin.history.series import LEAST_SCATTER, LOAD, RIVAL, SCATTER, Series, constants_of, programs_of, series_of, thermometers
 from twin.history.store import Row
 
 FALSE_ALARM_WEEKS, ALARM = 1000.0, 3000.0
@@ -26,9 +26,6 @@ because the scatter of real recordings is not quite normal and independent.
 
 LEAST = 0.1
 """Smaller changes are not reported [usual sizes]: half of what an alarm should find."""
-
-LEAST_SCATTER = 0.01
-"""Smallest scatter between recordings in usual sizes: load and friction act on the rest too, in ways that are not linear."""
 
 SHOWN = 100.0
 """A direction may be named if the recordings hold this much information on it [1 / usual size^2]: a fifth of its usual size at two standard deviations of noise."""
@@ -44,8 +41,8 @@ RECENT = 8
 
 Cause = tuple[str, str, str]
 
-SizeOf = Callable[[Direction, tuple[str, ...], float], float]
-"""(direction, axes of its group, size by its slope) -> its size."""
+SizeOf = Callable[[Direction, Series, float], float]
+"""(direction, series of its group, size by its slope) -> its size."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +62,11 @@ class Change:
     @property
     def cause(self) -> Cause:
         return self.direction.cause
+
+    @property
+    def is_load(self) -> bool:
+        """Is it what the axis carries? That is no fault of the machine; it stands without an alarm."""
+        return is_load(self.direction)
 
 
 @dataclass(frozen=True)
@@ -95,12 +97,17 @@ class Judgement:
         return np.column_stack(columns)
 
 
+def is_load(direction: Direction) -> bool:
+    """Is a direction what the axis carries, such as a tool or a workpiece?"""
+    return SCATTER.get(direction.cause[0]) == LOAD
+
+
 def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
     """Causes that the recordings show: index of the series, and the directions of each. What an axis carries is no fault of the machine."""
     found: dict[Cause, tuple[int, list[int]]] = {}
     for g, one in enumerate(series):
         for k, direction in enumerate(one.directions):
-            if one.seen[k] and SCATTER.get(direction.setting.effect.name) != LOAD:
+            if one.seen[k] and not is_load(direction):
                 found.setdefault(direction.cause, (g, []))[1].append(k)
     return found
 
@@ -109,11 +116,12 @@ def judged(
     rows: Sequence[Row],
     directions: dict[tuple[str, ...], list[Direction]],
     limit_of: LimitOf = lambda *_: USUAL,
-    size_of: SizeOf = lambda _direction, _axes, size: size,
+    size_of: SizeOf = lambda _direction, _series, size: size,
 ) -> Judgement:
     """The judgement of all recordings by day; `size_of` simulates the changes, which are carried forward to their limits."""
-    series = [s for axes, own in directions.items() if (s := series_of(rows, axes, own)) is not None]
-    constants = constants_of(programs_of(rows)) if rows else np.zeros((0, 0))
+    programs = programs_of(rows) if rows else np.zeros(0, int)
+    series = [s for axes, own in directions.items() if (s := series_of(rows, axes, own, programs)) is not None]
+    constants = constants_of(programs)
     history = Judgement(rows, series, constants, [thermometers(series, one, len(rows)) for one in series])
     causes = causes_of(series)
     standing: list[list[Change]] = [[] for _ in series]
@@ -126,19 +134,23 @@ def judged(
             if own <= ALARM:
                 continue
             if stand and (again := _resized(history, stand[-1], stand[:-1], now)).cause != stand[-1].cause:
-                stand[-1] = again  # more recordings show another cause of the same change
+                stand[-1] = (
+                    replace(again, alarm_row=now) if stand[-1].is_load else again
+                )  # more recordings show another cause of the same change
                 continue
             loudest = max(found, key=lambda cause: found[cause][0])
             if stand and found[loudest][1] < stand[-1].onset + RECENT:
                 continue  # while a change grows, what moves with it is not told from another one
-            if (change := _change(history, group, stand, found[loudest][1], now)) is not None:
-                stand.append(change)
+            change = _change(history, group, stand, found[loudest][1], now)
+            if change is not None and not (change.is_load and now < change.onset + RECENT):
+                stand.append(change)  # what an axis carries is told from a fault that grows by some more recordings
     changes = []
     for stand in standing:
         for i, change in enumerate(stand):
             last = stand[i + 1].alarm_row - 1 if i + 1 < len(stand) else len(rows) - 1
             changes.append(_until_now(history, _resized(history, change, stand[:i], last), stand[:i], limit_of, size_of))
-    return replace(history, changes=sorted(changes, key=lambda c: c.alarm_row), evidence=total)
+    faults = [change for change in changes if not change.is_load]
+    return replace(history, changes=sorted(faults, key=lambda c: c.alarm_row), evidence=total)
 
 
 def _evidence(
@@ -176,14 +188,14 @@ def _change(history: Judgement, group: int, standing: Sequence[Change], onset: i
     nuisances = [history.nuisance(group, warms, standing)[at] for warms in (False, True)]
     levels = [level(y, nuisances[int(warms)], since) for y, warms in zip(one.sizes[inside].T, one.warms)]
     scatter = np.array([max(found.scatter, LEAST_SCATTER) for found in levels])
-    # also causes that no alarm can come from: a torque constant is friction and inertia together
-    shown = [k for k, d in enumerate(one.directions) if SCATTER.get(d.cause[0]) != LOAD and one.gram[k, k] > SHOWN]
+    # also causes that no alarm can come from: a torque constant is friction and inertia together, and the axis may carry something else
+    shown = np.flatnonzero(np.diag(one.gram) > SHOWN)
     blocks = waves_of(one.directions, shown)
     explained = one.explained_by(blocks, np.array([found.size for found in levels]), scatter)
     best: dict[Cause, tuple[float, int, float, float]] = {}
     for block, (gain, theta) in zip(blocks, explained):
         cause = one.directions[block[0]].cause
-        if abs(amplitude(theta)) > PLAUSIBLE * one.directions[block[0]].most:
+        if not is_load(one.directions[block[0]]) and abs(amplitude(theta)) > PLAUSIBLE * one.directions[block[0]].most:
             continue
         if gain > best.get(cause, (0.0, 0, 0.0, 0.0))[0] and cause not in {change.cause for change in standing}:
             best[cause] = gain, block[0], amplitude(theta), amplitude([levels[k].size for k in block])
@@ -213,7 +225,7 @@ def _until_now(history: Judgement, change: Change, standing: Sequence[Change], l
     size = replace(levels[0], size=amplitude([found.size for found in levels]))
     y, days = sizes_over_time(history, change.group, change.k, change.onset)
     after = np.flatnonzero(one.at >= change.onset)[-RECENT:]
-    factor = size_of(change.direction, one.axes, size.size) / size.size if size.size else 1.0
+    factor = size_of(change.direction, one, size.size) / size.size if size.size else 1.0
     limit = limit_of(change.direction, factor * size.size)
     ahead = forecast(days[after], factor * y[after], limit.size, float(days[-1]))
     return replace(change, size=size.times(factor), limit=limit, forecast=ahead)

@@ -18,6 +18,7 @@ import functools
 import numpy as np
 
 from twin.history.columns import Direction
+from twin.history.projection import Projection
 from twin.history.store import Row
 
 LOAD, FRICTION, GROWTH, ELSE = 1.0, 0.2, 0.2, 0.01
@@ -30,6 +31,14 @@ SCATTER = {
     "lead_error": GROWTH,
 }
 """Standard deviation between recordings of a healthy machine, in usual sizes of the effect: tool and workpiece, lubrication, temperature."""
+
+FIRST, LEAST_KNOWN, ROOM = 12, 6, 2.0
+"""First recordings that show how much the load of each axis differs normally, the fewest of them beside a constant for each program, and the room
+above their scatter: a tool or workpiece of another size may come.
+"""
+
+LEAST_SCATTER = 0.01
+"""Smallest scatter between recordings in usual sizes: load and friction act on the rest too, in ways that are not linear."""
 
 WARMS = ("coulomb_friction", "viscous_friction", "viscous_asymmetry", "stribeck", "thermal_drift", "lead_error", "frame_vibration")
 """Effects that temperature acts on, frame vibration by the moment at which an axis breaks away."""
@@ -53,11 +62,7 @@ class Series:
     at: np.ndarray  # (recording,)
     sizes: np.ndarray  # (recording, direction)
     gram: np.ndarray  # (direction, direction)
-
-    @functools.cached_property
-    def scatter(self) -> np.ndarray:
-        """Normal scatter of each direction between recordings (direction,)."""
-        return scatter_of(self.directions)
+    scatter: np.ndarray  # normal scatter of each direction between recordings (direction,)
 
     @functools.cached_property
     def warms(self) -> np.ndarray:
@@ -107,19 +112,41 @@ def information(gram: np.ndarray, scatter: np.ndarray) -> np.ndarray:
     return gram @ filters(gram, scatter)
 
 
-def series_of(rows: Sequence[Row], axes: tuple[str, ...], directions: Sequence[Direction]) -> Series | None:
-    """The series of a group of axes; None if no recording moves it."""
+def series_of(rows: Sequence[Row], axes: tuple[str, ...], directions: Sequence[Direction], programs: np.ndarray) -> Series | None:
+    """The series of a group of axes; None if no recording moves it. `programs` (row,) numbers the program of each."""
     at = np.array([i for i, row in enumerate(rows) if axes in row.projections])
     if not at.size:
         return None
-    scatter, sizes = scatter_of(directions), []
-    for i in at:
-        p = rows[i].projections[axes]
-        w = filters(p.gram, scatter)
-        own = np.diag(p.gram @ w)
-        sizes.append(w.T @ p.right / np.where(own > 0.0, own, np.inf))
-    gram = np.mean([rows[i].projections[axes].gram for i in at], axis=0)
-    return Series(axes, directions, at, np.array(sizes), gram)
+    projections = [rows[i].projections[axes] for i in at]
+    scatter = _with_learnt_load(scatter_of(directions), directions, projections[:FIRST], programs[at[:FIRST]])
+    gram = np.mean([p.gram for p in projections], axis=0)
+    return Series(axes, directions, at, np.array([_sizes(p, scatter) for p in projections]), gram, scatter)
+
+
+def _sizes(p: Projection, scatter: np.ndarray) -> np.ndarray:
+    """y of all directions in one recording (direction,)."""
+    w = filters(p.gram, scatter)
+    own = np.diag(p.gram @ w)
+    return np.asarray(w.T @ p.right / np.where(own > 0.0, own, np.inf))
+
+
+def _with_learnt_load(
+    scatter: np.ndarray, directions: Sequence[Direction], first: Sequence[Projection], programs: np.ndarray
+) -> np.ndarray:
+    """The scatter (direction,) with that of the load as the first recordings show it: most axes always carry the same, and then their inertia tells a
+    torque constant from friction. A direction shows its own scatter best if none is expected of it.
+    """
+    constants = constants_of(programs)
+    free = len(first) - constants.shape[1]
+    if free < LEAST_KNOWN:
+        return scatter
+    learnt = scatter.copy()
+    for k in [k for k, d in enumerate(directions) if SCATTER.get(d.cause[0]) == LOAD]:
+        none = np.where(np.arange(len(scatter)) == k, 0.0, scatter)
+        y = np.array([_sizes(p, none)[k] for p in first])
+        left = y - constants @ np.linalg.lstsq(constants, y, rcond=None)[0]
+        learnt[k] = min(scatter[k], max(ROOM * float(np.sqrt(left @ left / free)), LEAST_SCATTER))
+    return learnt
 
 
 def thermometers(series: Sequence[Series], of: Series, count: int) -> np.ndarray:
