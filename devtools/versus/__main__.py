@@ -19,7 +19,7 @@ from typing import Any
 from twin.errors import TwinError
 
 from .answer import Answer, marked, timed
-from .inputs import Input, Known, emps, kr300, made, simulated
+from .inputs import Input, Known, emps, kr300, made, recorded, simulated
 from .picture import draw
 from .simulated_fits import evolution_fit, least_squares_fit
 from .sindy import sindy_fit
@@ -43,6 +43,12 @@ CHANGES = {"inertia": 1.03, "coulomb_friction": 0.95, "viscous_friction": 1.04}
 SIMULATED = {"numbers": (), "asymmetry": ({"name": "viscous_asymmetry", "axis": "X", "fraction": 0.15},)}
 """Effects of the small axes that the twin simulates itself, with CHANGES of their numbers; the tests use them, too."""
 
+RECORDED = {  # name -> recording, axis, text
+    "sinumerik": ("sinumerik/recording.json", "1", "SINUMERIK, axis 1"),
+    "lorenz": ("recordings/lorenz_axis/Lorenz_Bm_1.txt", "X", "servo axis on a motion card"),
+    "grinder": ("recordings/ideko_grinder/electrical_20230911.csv", "X", "grinder, axis X"),
+}
+
 MADE = {  # name -> kind, seed, axis
     "healthy": ("healthy", 5701, "X"),
     "one_effect": ("single", 5702, "X"),
@@ -60,6 +66,9 @@ def inputs_of(data: Path | None, out: Path) -> dict[str, Callable[[], tuple[Inpu
         found["emps"] = lambda: emps(data, out / "work" / "emps")
     if data is not None and (data / "kr300" / "FF_A.mat").is_file():
         found["kr300"] = lambda: kr300(data, out / "work" / "kr300")
+    for name, (file, axis, text) in RECORDED.items():
+        if data is not None and (data / file).is_file():
+            found[name] = lambda name=name, file=file, axis=axis, text=text: recorded(data / file, axis, text, out / "work" / name)
     for name, effects in SIMULATED.items():
         found[name] = lambda name=name, effects=effects: simulated(out / "work" / name, CHANGES, effects)
     for name, (kind, seed, axis) in MADE.items():

@@ -22,11 +22,12 @@ from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import write_trace
+from twin.simulation.campaign_file import write_campaign as twin_campaign
 from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
-from .numbers import MECHANICS, numbers_of, with_numbers
+from .numbers import MECHANICS, drive_force, numbers_of, with_numbers
 
 HERE = Path(__file__).resolve().parent
 KR300 = HERE.parents[1] / "examples" / "real" / "kr300" / "run.py"
@@ -100,6 +101,53 @@ def kr300(data: Path, out: Path) -> tuple[Input, Known]:
     one = given(file, out / "fit")
     return one, Known("KR300, axis 1", one.machine.document["measurement"], tuple(runs[1:]), {}, None)
 
+
+FITTED_SHARE = 0.7
+"""Share of the travel of a single run that the methods are given, from its start."""
+
+
+def recorded(recording: Path, axis: str, text: str, out: Path) -> tuple[Input, Known]:
+    """One axis of a recording without a data sheet: the last of its runs left out, of a single run the last part of its travel. All methods begin with
+    the machine file that `twin machine new` makes of the fitted part. The truth is unknown."""
+    show_and_run("import", recording, "--out", out / "imported", "--no-picture")
+    runs = [run for run in read_campaign(out / "imported").runs if run.trace.has(axis, "setpoint") and run.trace.moves(axis)]
+    if len(runs) == 1:
+        travel = np.abs(np.diff(runs[0].trace.get(axis, "setpoint"))).cumsum()
+        cut = int(np.searchsorted(travel, FITTED_SHARE * travel[-1]))
+        runs = [_part(runs[0], slice(cut)), _part(runs[0], slice(cut, None))]
+    for part, some in (("fit", runs[:-1]), ("check", runs[-1:])):
+        alone = [
+            replace(run, trace=run.trace.select([axis]), facts={k: v for k, v in run.facts.items() if k[0] == axis}, events=())
+            for run in some
+        ]
+        twin_campaign({f"{part}_{i}": run for i, run in enumerate(alone)}, out / part)
+    file = out / "machine" / "machine.toml"
+    show_and_run("machine", "new", "--from-recording", out / "fit", "--out", file)
+    machine = given(file, out / "fit").machine
+    write_machine(_without_zeros(machine, read_campaign(out / "fit", machine).runs), file)
+    one = given(file, out / "fit")
+    return one, Known(text, one.machine.document["measurement"], read_campaign(out / "check", one.machine).runs, {}, None)
+
+
+def _without_zeros(machine: Machine, runs: Sequence[MeasuredRun]) -> Machine:
+    """The machine with a small friction in place of none, since the other methods search about the size that they are given."""
+    (axis,), start = machine.axes, numbers_of(machine)
+    force = START_SHARE * max(float(np.sqrt(np.mean(drive_force(axis, run.trace) ** 2))) for run in runs)
+    speed = max(float(np.abs(np.gradient(run.trace.get(axis.name, "setpoint"), run.trace.period)).max()) for run in runs)
+    least = {"coulomb_friction": force, "viscous_friction": force / speed}
+    return with_numbers(machine, {name: value for name, value in least.items() if start[name] == 0.0})
+
+
+def _part(run: MeasuredRun, rows: slice) -> MeasuredRun:
+    """These samples of a run, from time zero on."""
+    time = run.trace.time[rows]
+    return replace(
+        run, trace=replace(run.trace, time=time - time[0], signals={key: values[rows] for key, values in run.trace.signals.items()})
+    )
+
+
+START_SHARE = 0.05
+"""Share of the recorded force with which a friction begins that the machine file does not have."""
 
 STROKES = {  # run -> (stroke [m], speed [m/s]) there and back
     "fast": ((0.2, 0.12), (0.1, 0.08)),

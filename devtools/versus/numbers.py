@@ -77,3 +77,8 @@ def drive_force(axis: Axis, trace: Trace) -> np.ndarray:
 def force_per_effort(axis: Axis) -> float:
     """Force at the axis for one ampere, volt or newton metre."""
     return (1.0 if axis.effort == "torque" else axis.motor.torque_constant_nm_per_a) / axis.ratio
+
+
+def motor_motion(axis: Axis, trace: Trace) -> np.ndarray:
+    """Recorded position of the motor at the axis (sample,); that of the scale where no motor encoder is recorded."""
+    return trace.get(axis.name, "motor_position" if trace.has(axis.name, "motor_position") else "position")

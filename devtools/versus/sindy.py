@@ -14,7 +14,7 @@ from twin.recordings.campaign import MeasuredRun
 
 from .answer import Answer
 from .inputs import Input
-from .numbers import MECHANICS, drive_force, numbers_of, with_numbers
+from .numbers import MECHANICS, drive_force, motor_motion, numbers_of, with_numbers
 
 BAND_HZ = 50.0
 SLOW = 4e-3
@@ -48,7 +48,7 @@ def force_rows(axis: Axis, run: MeasuredRun, start: dict[str, float]) -> tuple[n
     from scipy.signal import butter, sosfiltfilt
 
     sos = butter(4, BAND_HZ, fs=1.0 / run.trace.period, output="sos")
-    q = sosfiltfilt(sos, run.trace.get(axis.name, "motor_position"))
+    q = sosfiltfilt(sos, motor_motion(axis, run.trace))
     v = np.gradient(q, run.trace.period)
     library = columns_of(axis, q, v, np.gradient(v, run.trace.period))
     force = drive_force(axis, run.trace)

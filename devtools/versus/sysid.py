@@ -20,7 +20,7 @@ from twin.machine.machine import Axis
 
 from .answer import Answer
 from .inputs import Input
-from .numbers import drive_force, numbers_of, sizes_of, with_numbers
+from .numbers import drive_force, motor_motion, numbers_of, sizes_of, with_numbers
 
 WINDOW_S = 0.5
 """Length of a window with recorded current."""
@@ -66,7 +66,7 @@ def sysid_fit(one: Input) -> Answer:
     names, states, controls, sensors = [], [], [], []
     for run in one.fitted:
         name, trace = axis.name, run.trace
-        q, control = trace.get(name, "motor_position"), drive_force(axis, trace)
+        q, control = motor_motion(axis, trace), drive_force(axis, trace)
         v = trace.get(name, "velocity") if trace.has(name, "velocity") else np.gradient(q, period)
         length = round(WINDOW_S / period)
         for at in range(0, len(q) - length + 1, length):
