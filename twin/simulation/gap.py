@@ -19,7 +19,7 @@ from twin.effects import Change
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.trace import OTHER_UNITS, Trace
+from twin.recordings.trace import OTHER_UNITS, POSITIONS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
@@ -71,7 +71,7 @@ class SignalGap:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction of a run: mean trace, and the scatter (sample,) of each (axis, signal) due to noise, SI."""
+    """Prediction of a run: mean trace of the positions and of what was recorded, and the scatter (sample,) of each (axis, signal) due to noise, SI."""
 
     trace: Trace
     scatter: dict[tuple[str, str], np.ndarray]
@@ -100,7 +100,7 @@ def predict(
     traces = [as_recorded(simulated.without_noise, run.trace.time, run.ballbar) for simulated in all_or_raise(simulate_each(jobs))]
     by_engine = traces.pop(0) if engine and len(traces) > 1 else None
     signals, scatter = {}, {}
-    for key in traces[0].signals:
+    for key in [key for key in traces[0].signals if key in run.trace.signals or key[1] in POSITIONS]:
         stack = np.stack([trace.signals[key] for trace in traces])
         signals[key] = stack.mean(axis=0)
         if by_engine is not None:
