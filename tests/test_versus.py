@@ -108,7 +108,7 @@ def test_the_table_is_made_from_stored_results(numbers_only: tuple[Input, Known]
     monkeypatch.setattr("devtools.versus.__main__.RIVALS", {"mine": lambda one: Answer(one.machine, {}, "said"), "other": fails})
     monkeypatch.setattr("devtools.versus.__main__.identified", lambda one, _out: Answer(one.machine, {"inertia": (1.0, 0.9, 1.1)}, ""))
     monkeypatch.setattr(
-        "devtools.versus.__main__.diagnosed", lambda one, _out: Answer(one.machine, {}, "", ("backlash",), verdict="effect")
+        "devtools.versus.__main__.diagnosed", lambda one, _out: Answer(one.machine, {}, "backlash 0.98", ("backlash",), verdict="effect")
     )
     compared(one, known, tmp_path / "small.json", tmp_path, quick=False)
     monkeypatch.setattr("devtools.versus.__main__.identified", fails)  # what is stored is not done again
@@ -123,7 +123,17 @@ def test_the_table_is_made_from_stored_results(numbers_only: tuple[Input, Known]
     assert "names none" in answers["mine"]
     says = table.says_table(results)
     assert "backlash" in says
-    assert "cannot" in says
+    assert "failed: cannot" in says
+    page = tmp_path / "page.md"
+    page.write_text(
+        "a\n<!-- gaps -->\nold\n<!-- end gaps -->\n<!-- answers -->\n<!-- end answers -->\n<!-- says -->\n<!-- end says -->\nz\n"
+    )
+    for _ in range(2):
+        table.put_into(page, tmp_path)
+    assert page.read_text().startswith("a\n<!-- gaps -->\n\n| gap left out")
+    assert page.read_text().endswith("<!-- end says -->\nz\n")
+    assert page.read_text().count("failed: cannot") == 1
+    assert "old" not in page.read_text()
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from .picture import draw
 from .simulated_fits import evolution_fit, least_squares_fit
 from .sindy import sindy_fit
 from .sysid import sysid_fit
-from .table import results_in, table_text
+from .table import put_into, results_in, table_text
 from .twin_answers import diagnosed, identified
 
 LIBRARY = {"mujoco.sysid": "absl", "CMA-ES (PACE)": "cma", "SINDy": "pysindy"}
@@ -110,6 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the public recordings; without it only made machines")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="only these inputs")
     parser.add_argument("--quick", action="store_true", help="twin diagnose --quick, which searches no law")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the tables into this page, and the picture beside it")
     parser.add_argument("--peers", action="store_true", help="only the speed of simulation and planning beside that of other libraries")
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -129,7 +130,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(name, file=sys.stderr, flush=True)
         compared(*make(), file, args.out / "work" / name, args.quick)
     if results_in(args.out):
-        draw(args.out, args.out / "versus.png")
+        draw(args.out, args.page.parent / "pictures" / "versus.png" if args.page else args.out / "versus.png")
+    if args.page:
+        put_into(args.page, args.out)
     print(table_text(args.out))
     return 0
 

@@ -215,7 +215,7 @@ def made(kind: str, seed: int, axis: str, out: Path, runs: Sequence[str] | None 
             true["constant_force"] += effect["force"]
         elif effect["axis"] == axis and effect["name"] in true and "factor" in effect:
             true[effect["name"]] *= effect["factor"]
-    text = f"made, {axis}: {', '.join(causes[:2]) + (' and more' if len(causes) > 2 else '') or 'no effect'}"
+    text = f"made, {axis}: {f'{len(causes)} small effects' if len(causes) > 2 else ', '.join(causes) or 'no effect'}"
     known = Known(text, machine.document["measurement"], read_campaign(held_out, machine).runs, true, causes, bool(truth["outside"]))
     return given(file, fitted), known
 

@@ -39,5 +39,5 @@ def draw(folder: Path, file: Path) -> None:
     panel.set_yticks(range(len(results)), [r["text"].split(";")[0] for r in results.values()])
     panel.set_ylim(len(results) - 0.4, -0.6)
     panel.set_xlabel("gap on runs left out, times noise")
-    panel.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.35, 1.0), frameon=False)
+    panel.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
     save_png(figure, file, 110)

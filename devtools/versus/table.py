@@ -11,9 +11,9 @@ NOT_RESULTS = ("peers",)
 
 
 def results_in(folder: Path) -> dict[str, dict[str, Any]]:
-    """Stored results by name of the input."""
-    files = [f for f in sorted(folder.glob("*.json")) if f.stem not in NOT_RESULTS]
-    return {f.stem: json.loads(f.read_text(encoding="utf-8")) for f in files}
+    """Stored results by name of the input, those of real axes first."""
+    found = {f.stem: json.loads(f.read_text(encoding="utf-8")) for f in sorted(folder.glob("*.json")) if f.stem not in NOT_RESULTS}
+    return dict(sorted(found.items(), key=lambda item: item[1]["causes"] is not None))
 
 
 def markdown(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -79,11 +79,23 @@ def says_table(results: dict[str, dict[str, Any]]) -> str:
     rows = []
     for result in results.values():
         for method, row in list(result["rows"].items())[1:]:
-            rows.append([result["text"], method, ", ".join(row.get("causes", ())) or "", row.get("says") or row.get("failed", "")])
-    return markdown(["input", "method", "names", "says"], rows)
+            rows.append([result["text"], method, f"failed: {row['failed']}" if "failed" in row else row["says"]])
+    return markdown(["input", "method", "says"], rows)
 
 
 def table_text(folder: Path) -> str:
     """All tables."""
     results = results_in(folder)
-    return "\n\n".join([gaps_table(results), answers_table(results), says_table(results)]) if results else "no results"
+    return "\n\n".join(table(results) for table in TABLES.values()) if results else "no results"
+
+
+def put_into(page: Path, folder: Path) -> None:
+    """Write the tables into a page, each between `<!-- name -->` and `<!-- end name -->`."""
+    text = page.read_text(encoding="utf-8")
+    for name, table in TABLES.items():
+        before, rest = text.split(f"<!-- {name} -->\n")
+        text = f"{before}<!-- {name} -->\n\n{table(results_in(folder))}\n\n<!-- end {name} -->{rest.split(f'<!-- end {name} -->')[1]}"
+    page.write_text(text, encoding="utf-8")
+
+
+TABLES = {"gaps": gaps_table, "answers": answers_table, "says": says_table}

@@ -32,7 +32,8 @@ def identified(one: Input, out: Path) -> Answer:
     try:
         seconds, _ = ran("identify", one.campaign, "--machine", one.file, "--out", file, "--json", result)
     except subprocess.CalledProcessError as error:
-        return Answer(one.machine, {}, f"refused: {error.stderr.strip().splitlines()[-1]}", lines=1)
+        said = error.stderr.strip().splitlines()[-1].removeprefix("twin: ").replace(f"{file}: ", "").split("; see ")[0]
+        return Answer(one.machine, {}, f"refused: {said}", lines=1)
     document = json.loads(result.read_text(encoding="utf-8"))
     machine = with_commissioned_inertia(load_machine(file))
     says = "; ".join(f["text"] for f in document["findings"]) or "no finding"
