@@ -1,4 +1,4 @@
-"""Laws of the estimator on systems that it knows nothing of: blocks, batches, the most likely values, their scatter, bounds."""
+"""Laws of the estimator on systems that it knows nothing of: parts, the most likely values, their scatter, bounds."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 
 from twin.estimate.evidence import mean_log_rms, predicts_better
 from twin.estimate.linearised import linearised
-from twin.estimate.problem import Free, Values, batches_of, blocks_of
+from twin.estimate.problem import Free, Values
 from twin.estimate.search import level_of, search
 
 
 @dataclass
 class Decays:
-    """Two records of y = a exp(-b t), noise of another size in each; `shared`: one rate for both. It counts its evaluations."""
+    """Two records of y = a exp(-b t), noise of another size in each. It counts its evaluations."""
 
     measured: Mapping[str, np.ndarray]
     free: Sequence[Free]
@@ -30,7 +30,7 @@ class Decays:
         t = np.linspace(0.0, 2.0, 400)
         out = {}
         for part, y in self.measured.items():
-            a, b = x[part, "a"], x[part if (part, "b") in x else "both", "b"]
+            a, b = x[part, "a"], x[part, "b"]
             if b < -2.0:
                 return None
             out[part] = {"y": y - a * np.exp(-b * t)}
@@ -40,51 +40,36 @@ class Decays:
         return {"y": np.arange(len(self.measured[part])) // 5}
 
 
-def decays(seed: int, shared: bool = False, high: float = np.inf) -> Decays:
+def decays(seed: int, high: float = np.inf) -> Decays:
     rng = np.random.default_rng(seed)
     t = np.linspace(0.0, 2.0, 400)
-    rates = {"one": 1.3, "two": 1.3 if shared else 0.4}
+    rates = {"one": 1.3, "two": 0.4}
     measured = {p: 2.0 * np.exp(-r * t) + s * rng.standard_normal(len(t)) for (p, r), s in zip(rates.items(), (0.01, 0.1))}
-    free = [Free((p, "a"), 1.0, 1e-3, (p,)) for p in measured]
-    free += [Free(("both", "b"), 0.0, 1e-3, ("one", "two"))] if shared else [Free((p, "b"), 0.0, 1e-3, (p,), high=high) for p in measured]
+    free = [Free((p, "a"), 1.0, 1e-3, p) for p in measured]
+    free += [Free((p, "b"), 0.0, 1e-3, p, high=high) for p in measured]
     return Decays(measured, free)
 
 
-def test_numbers_that_share_a_part_form_a_block_and_one_evaluation_moves_one_number_of_each_part() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        parts = [str(k) for k in range(6)]
-        free = [Free(i, 0.0, 1.0, tuple(rng.choice(parts, rng.integers(1, 3), replace=False))) for i in range(12)]
-        blocks, batches = blocks_of(free), batches_of(free)
-        for names in ([f.name for b in blocks for f in b.free], [f.name for b in batches for f in b]):
-            assert sorted(names) == list(range(12))
-        assert all(not set(a.parts) & set(b.parts) for k, a in enumerate(blocks) for b in blocks[:k])
-        for batch in batches:
-            moved = [p for f in batch for p in f.parts]
-            assert len(moved) == len(set(moved))
-
-
-@pytest.mark.parametrize("shared", [False, True])
-def test_the_intervals_contain_the_truth_as_often_as_they_say(shared: bool) -> None:
+def test_the_intervals_contain_the_truth_as_often_as_they_say() -> None:
     held = []
     for seed in range(60):
-        end = search(decays(seed, shared))
+        end = search(decays(seed))
         assert end is not None
-        truth = {**{(p, "a"): 2.0 for p in ("one", "two")}, ("one", "b"): 1.3, ("two", "b"): 0.4, ("both", "b"): 1.3}
+        truth = {**{(p, "a"): 2.0 for p in ("one", "two")}, ("one", "b"): 1.3, ("two", "b"): 0.4}
         deviations = end.deviations("one") | end.deviations("two")
         held += [abs(value - truth[name]) < 1.96 * deviations[name] for name, value in end.values.items()]
     assert 0.90 < np.mean(held) < 0.995
 
 
-def test_blocks_are_evaluated_together_and_end_where_each_ends_alone() -> None:
+def test_parts_are_evaluated_together_and_end_where_each_ends_alone() -> None:
     both = decays(1)
     end = search(both)
     assert end is not None
     for part in ("one", "two"):
-        alone = Decays({part: both.measured[part]}, [f for f in both.free if f.parts == (part,)])
+        alone = Decays({part: both.measured[part]}, [f for f in both.free if f.part == part])
         own = search(alone)
         assert own is not None
-        assert own.score(part) == pytest.approx(end.score(part), abs=1e-4)
+        assert own.scores[part] == pytest.approx(end.scores[part], abs=1e-4)
         assert alone.calls > 0.4 * both.calls
 
 
@@ -98,13 +83,12 @@ def test_a_bound_holds_and_a_start_without_residuals_is_none() -> None:
 
 def test_a_number_without_an_effect_has_no_interval() -> None:
     problem = decays(4)
-    problem.free = [*problem.free, Free("idle", 0.5, 0.1, ("one",))]
+    problem.free = [*problem.free, Free("idle", 0.5, 0.1, "one")]
     x = {f.name: f.start for f in problem.free}
     base = problem.residuals([x])[0]
     assert base is not None
-    one = linearised(problem, blocks_of(problem.free), x, base, level_of(base))[0]
-    assert one is not None
-    change, covariance = one.solved(robust=True)
+    one = linearised(problem, x, base, level_of(base))["one"]
+    change, covariance = one.solved()
     assert (change[-1], covariance[-1, -1]) == (0.0, np.inf)
     assert np.isfinite(covariance[:-1, :-1]).all()
     assert one.step(0.1, np.full(3, -1.0), np.full(3, 1.0))[-1] == 0.0

@@ -8,8 +8,7 @@ import pytest
 from tests.builders.other_structures import slides, write_slides
 from twin.estimate.evidence import predicts_better
 from twin.geometry.scurve import moves_in_turn
-from twin.identify.drive_fit import DriveFits, fit_drives
-from twin.identify.moves import FOLDS, folds_of
+from twin.identify.drive_fit import FOLDS, DriveFits, fit_drives, folds_of
 from twin.identify.parameters import with_drives
 from twin.machine.machine import Machine, load_machine
 from twin.machine.parameters import MOST_MODE_SHARE

@@ -14,7 +14,7 @@ from tests.builders.other_structures import MJCF, machine_text, write_slides
 from tests.builders.refused import refused
 from twin.errors import InputError
 from twin.geometry.mesh_file import load_mesh
-from twin.machine import model_file, model_limits
+from twin.machine import model_limits
 from twin.machine.machine import load_machine, write_machine
 from twin.machine.model_file import check_mjcf, check_safe, files_of, state_of_model
 from twin.machine.model_limits import compiles
@@ -173,34 +173,14 @@ def test_the_state_of_a_model_follows_the_files_of_its_includes(tmp_path: Path) 
     assert state_of_model(tmp_path / "m.xml") == states[-1]
 
 
-def test_a_model_is_read_again_only_after_a_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files that changed long ago are not read again; a change is seen even with the size and the modification time of before."""
+def test_a_change_of_a_model_is_seen_even_with_the_size_and_time_of_before(tmp_path: Path) -> None:
     model = tmp_path / "m.xml"
-    model.write_text("<mujoco/>", encoding="utf-8")
-    old = 1_000_000_000
-    os.utime(model, (old, old))
-    monkeypatch.setattr(model_file, "SETTLED_NS", 0)  # the change of its status is a moment ago
-    reads = []
-    read = model_file._read_state
-    monkeypatch.setattr(model_file, "_read_state", lambda path: reads.append(path) or read(path))
-    first = state_of_model(model)
-    assert state_of_model(model) == first
-    assert len(reads) == 1
-    model.write_text("<MUJOCO/>", encoding="utf-8")
-    os.utime(model, (old, old))
-    assert state_of_model(model) != first
-
-
-def test_a_model_that_changed_just_now_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """File systems that count in steps of 2 s do not show a second change."""
-    model = tmp_path / "m.xml"
-    model.write_text("<mujoco/>", encoding="utf-8")
-    reads = []
-    read = model_file._read_state
-    monkeypatch.setattr(model_file, "_read_state", lambda path: reads.append(path) or read(path))
-    state_of_model(model)
-    state_of_model(model)
-    assert len(reads) == 2
+    states = []
+    for text in ("<mujoco/>", "<MUJOCO/>"):
+        model.write_text(text, encoding="utf-8")
+        os.utime(model, (1_000_000_000, 1_000_000_000))
+        states += [state_of_model(model), state_of_model(model)]
+    assert states[0] == states[1] != states[2] == states[3]
 
 
 def test_a_model_made_for_something_else_runs_as_a_machine(tmp_path: Path) -> None:

@@ -62,7 +62,6 @@ MAPS: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "unit of time": (lambda m: m + '[time]\ncolumn = "t"\nunit = "mm"\n', ("time column 't'", "not a unit of time")),
     "column and interval": (lambda m: m + '[time]\ncolumn = "t"\ninterval_ms = 1\n', ("a column and an interval_ms",)),
     "CSV key": (lambda m: m + '[csv]\ndelimeter = ";"\n', ("[csv] delimeter", "did you mean 'delimiter'")),
-    "header line": (lambda m: m + "[csv]\nheader_line = 7\n", ("header_line = 7", "numbers begin in line 2")),
     "run of no file": (
         lambda m: m + '[[run]]\nfile = "rum.csv"\n',
         ("run 1", "'rum.csv' is not among the FILES", "did you mean 'run.csv'"),

@@ -182,7 +182,7 @@ def test_skew_is_reported_and_corrected_on_request(tmp_path: Path, capsys: pytes
     assert np.abs(trace.get("X", "current") - columns["strom"][: len(trace.time)]).max() < 1e-9
     fact = read_campaign(tmp_path / "out").runs[0].fact("X", "current")
     assert fact is not None
-    assert (fact.latency, fact.latency_left) == (pytest.approx(4e-3, abs=5e-4), pytest.approx(0.0, abs=5e-4))
+    assert (fact.latency, fact.taken_back) == (pytest.approx(4e-3, abs=5e-4), pytest.approx(4e-3, abs=5e-4))
 
 
 def test_following_error_motor_turns_force_and_signs(tmp_path: Path) -> None:

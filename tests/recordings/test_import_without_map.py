@@ -4,16 +4,24 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 
 from tests.builders.recorded_files import edge_columns, move, write_csv, write_edge
 from twin.cli import main
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.names import meaning_of
-from twin.recordings.signals import split_heading
+from twin.recordings.signals import Event, split_heading
 
 TIME = np.arange(3000) * 2e-3
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+def block_at(folder: Path, run: MeasuredRun, time: float) -> Event | None:
+    """The program block that was active at a time [s] of the trace."""
+    rows = pyarrow.parquet.read_table(folder / "events.parquet").to_pylist()
+    past = [Event(r["time"], r["channel"], r["block"], r["text"]) for r in rows if r["run"] == run.name and r["time"] <= time]
+    return max(past, key=lambda event: event.time, default=None)
 
 
 def imported(tmp_path: Path, *files: Path) -> dict[str, MeasuredRun]:
@@ -75,14 +83,14 @@ def test_a_recording_of_a_sinumerik_edge(tmp_path: Path, capsys: pytest.CaptureF
     ):
         assert np.allclose(second.trace.get("1", signal) * factor, columns[name][1500:], rtol=0, atol=1e-9)
     assert first.fact("1", "current").sign == -1
-    active = second.block_at(0.5)
+    active = block_at(tmp_path / "out", second, 0.5)
     assert active is not None
     assert (active.block, active.text) == ("_PART/@16000", "G0 X0")
-    before = second.block_at(0.1)
+    before = block_at(tmp_path / "out", second, 0.1)
     assert before is not None  # it began in the first part
     assert before.block == "_PART/N10"
     assert before.time < 0.0
-    named = first.block_at(1.0)
+    named = block_at(tmp_path / "out", first, 1.0)
     assert named is not None
     assert named.block == "_PART/N10"
 
@@ -115,9 +123,9 @@ def test_encoders_apart_and_a_late_one(tmp_path: Path) -> None:
     (run,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table)).values()
     fact = run.fact("X", "position")
     assert fact.latency == pytest.approx(3e-3, abs=5e-5)
-    assert fact.latency_left == 0.0
+    assert fact.taken_back == fact.latency
     assert fact.offset == pytest.approx(0.25e-3, rel=1e-3)
-    assert fact.offset_left == 0.0
+    assert fact.offset_taken_out
     gap = run.trace.get("X", "position") - run.trace.get("X", "motor_position")
     assert np.abs(gap).max() < 2e-6
 
@@ -188,7 +196,7 @@ def test_a_production_machine(tmp_path: Path) -> None:
     (first, second) = runs.values()
     assert first.trace.axes == ("1", "2", "6")
     assert [first.fact(axis, "current").sign for axis in first.trace.axes] == [-1, -1, 1]
-    active = second.block_at(0.45)
+    active = block_at(tmp_path / "out", second, 0.45)
     assert active is not None
     assert active.block == "_CUTTING/N7"
 
@@ -198,7 +206,7 @@ def test_a_robot_with_two_encoders(tmp_path: Path) -> None:
     (run,) = imported(tmp_path, DATA / "kr300" / "FF_A.mat").values()
     for axis in ("1", "2", "3"):
         assert run.fact(axis, "position").latency == pytest.approx(3.0e-3, abs=0.15e-3)
-        assert run.fact(axis, "position").offset_left == 0.0
+        assert run.fact(axis, "position").offset_taken_out
     content = json.loads((tmp_path / "out" / "import.json").read_text(encoding="utf-8"))
     assert content["runs"]["FF_A"]["period_s"] == 0.004
 

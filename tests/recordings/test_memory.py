@@ -18,7 +18,7 @@ from tests.builders.refused import refused
 from twin import load_machine
 from twin.cli import main
 from twin.errors import InputError
-from twin.recordings.campaign import EVENTS, MOST_RUNS, read_campaign
+from twin.recordings.campaign import MOST_RUNS, read_campaign
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.signals import Clock, ReadOptions
 from twin.recordings.table_file import read_table
@@ -131,22 +131,6 @@ def campaign(folder: Path, runs: int = 1) -> Path:
         os.link(folder / "r0.parquet", folder / f"r{i}.parquet")
     (folder / "campaign.toml").write_text("".join(f'[[run]]\nfile = "r{i % 1000}.parquet"\n' for i in range(runs)))
     return folder
-
-
-def test_events_of_a_campaign_are_limited_and_stay_in_its_folder(tmp_path: Path) -> None:
-    folder = campaign(tmp_path / "c")
-    rows = {"time": [0.0, 1.0], "channel": [1, 1], "block": ["N1", "N2"], "text": ["G1", "G0"], "run": ["r0", "r0"]}
-    write(folder / EVENTS, **rows)
-    assert [event.block for event in read_campaign(folder).runs[0].events] == ["N1", "N2"]
-    many = {name: [values[0]] * 4000 for name, values in rows.items()} | {"text": ["x" * 1_000_000] * 4000}
-    write(folder / EVENTS, **many)
-    with pytest.raises(InputError, match=LIMIT):
-        read_campaign(folder)
-    write(tmp_path / "outside.parquet", **rows)
-    (folder / EVENTS).unlink()
-    (folder / EVENTS).symlink_to("../outside.parquet")
-    with pytest.raises(InputError, match=r"events.parquet' leaves the folder"):
-        read_campaign(folder)
 
 
 def test_a_campaign_of_too_many_runs_is_refused_by_its_estimate(tmp_path: Path) -> None:

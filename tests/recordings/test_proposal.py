@@ -79,7 +79,7 @@ def test_columns_without_names_or_time_are_known_by_their_numbers(simulated: Tra
     assert current.sign == sign
     assert found.time is not None
     if speed_unit == "mm/s":  # other units explain other usual periods as well, and the period is asked for
-        assert found.time.interval_s == pytest.approx(1e-3)
+        assert found.time.interval == pytest.approx(1e-3)
         assert unit_of(found, velocity) == "mm/s"
     assert any("--interval-ms" in question for question in found.questions)
 

@@ -8,7 +8,7 @@ speed_controller      P or PI; measured or differentiated speed     structures  
 current_controller    PI and winding, or an ideal actuator          linear             sampled linear systems for the margins
 
 block, library        what a listed block is, and all of them       command_law        the law of a control whose command is recorded
-number, parameter     bounds, unit, key, machine datum              position_law       the law of the position controller over signals
+number                bounds, unit, key, machine datum
 
 Other rooms ask the blocks (`axis.actuator`, `axis.blocks`) and know no structure by name.
 

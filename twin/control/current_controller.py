@@ -13,8 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.control.number import positive
-from twin.control.parameter import same_key
+from twin.control.number import positive, same_key
 
 PARAMETERS = (
     same_key("loops.current_gain_v_per_a", positive(), (1120, "CURRCTRL_GAIN", "V/A", 1.0)),

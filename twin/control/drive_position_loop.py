@@ -20,8 +20,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from twin.compiled_functions import compiled
-from twin.control.number import Key
-from twin.control.parameter import same_key
+from twin.control.number import Key, same_key
 
 PARAMETERS = (same_key("loops.dsc_delay_s", Key(0.0, 1.0, required=False), (32644, "STIFFNESS_DELAY_TIME", "s", 1.0)),)
 

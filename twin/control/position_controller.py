@@ -4,14 +4,19 @@
                            T_ff = a_t J_ff d2s/dt2(t - d_ff) / r
 
 With a P speed controller behind it, this is a PD controller of the position with speed feedforward: T = Kp (Kv (s - x) + a_v ds/dt - v) / r.
-Open loop for the margins: Kv over the closed speed loop, which position it sees.
+Open loop for the margins: Kv over the closed speed loop, which position it sees. Its law over recorded signals (sample,) [axis units]:
+
+    r w* = Kv (s(t - d_pos) - x) + a_v f,   f = (s(t - d_ff) - s(t - d_ff - Tp)) / Tp
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
+
 from twin.compiled_functions import compiled
-from twin.control.number import Key, positive
-from twin.control.parameter import same_key
+from twin.control.number import Key, positive, same_key
 
 PARAMETERS = (
     same_key("loops.position_gain_per_s", positive(), (32200, "POSCTRL_GAIN", "1000/min", 1000.0 / 60.0)),
@@ -31,3 +36,13 @@ def position_controller(a, drives, state, setpoint, velocity_feedforward, torque
     if not drives.dsc[a]:
         state.speed_setpoint[a] = speed
         state.torque_feedforward[a] = torque_feedforward
+
+
+def position_law(gain: float, weight: float, error: np.ndarray, feedforward: np.ndarray) -> np.ndarray:
+    """r w* [axis units/s] from the control error s(t - d_pos) - x and the feedforward f."""
+    return gain * error + weight * feedforward
+
+
+def feedforward_at(setpoint: Callable[[float], np.ndarray], delay: float, cycle: float) -> np.ndarray:
+    """f as the control forms it: the last step of the set point over a position cycle. `setpoint` gives it a delay [s] ago."""
+    return (setpoint(delay) - setpoint(delay + cycle)) / cycle

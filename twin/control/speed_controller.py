@@ -16,8 +16,7 @@ from scipy.linalg import block_diag
 
 from twin.compiled_functions import compiled
 from twin.control.linear import padded
-from twin.control.number import Key, positive
-from twin.control.parameter import same_key
+from twin.control.number import Key, positive, same_key
 
 MOST_MEAN_CYCLES = 16
 """Most speed cycles over which a position may be differentiated."""

@@ -14,8 +14,7 @@ from __future__ import annotations
 import math
 
 from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
-from twin.control.number import Key, not_negative, positive, si_from_key
-from twin.control.parameter import Datum, Parameter, same_key
+from twin.control.number import Datum, Key, Parameter, not_negative, positive, same_key, si_from_key
 
 MOST_MODE_SHARE = 0.95
 """Largest mass share of a structural mode: the mass that feels the drive without delay must not vanish."""
