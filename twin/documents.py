@@ -65,6 +65,18 @@ def read_json(path: Path, what: str = "a valid JSON file", largest: int = LARGES
     return document
 
 
+def value_at(tables: Any, path: str) -> Any:
+    """The value at a path such as `axis.X.travel_m.0`; None if there is none."""
+    for key in path.split("."):
+        if isinstance(tables, list) and key.isdigit() and int(key) < len(tables):
+            tables = tables[int(key)]
+        elif isinstance(tables, Mapping) and key in tables:
+            tables = tables[key]
+        else:
+            return None
+    return tables
+
+
 def toml_text(value: str) -> str:
     """A TOML string."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -170,13 +182,13 @@ def _check(document: Any, where: str, largest: float = math.inf) -> None:
             )
 
 
-def flat(content: Any, path: str = "") -> dict[str, Any]:
+def flat(content: Any, path: str = "", nested: tuple[type, ...] = (Mapping, list, tuple)) -> dict[str, Any]:
     """Values of nested tables and lists by path: 'axis.X.travel_m.0'."""
-    if not isinstance(content, Mapping | list | tuple):
+    if not isinstance(content, nested):
         return {path: content}
     out: dict[str, Any] = {}
     for key, inner in content.items() if isinstance(content, Mapping) else enumerate(content):
-        out |= flat(inner, f"{path}.{key}" if path else str(key))
+        out |= flat(inner, f"{path}.{key}" if path else str(key), nested)
     return out
 
 

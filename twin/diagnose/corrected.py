@@ -15,6 +15,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.diagnose.tuning import tuning_from
+from twin.documents import value_at
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -42,9 +43,7 @@ def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine
     for f in states:
         for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
             for path in nuisance.paths(machine):
-                old: Any = machine.document
-                for key in path.split("."):
-                    old = old[key]
+                old = value_at(machine.document, path)
                 factor = 1.0 + float(deviation)
                 values[path] = [factor * v for v in old] if isinstance(old, list) else factor * old
     return with_added(

@@ -1,8 +1,8 @@
 """Estimation: problem -> linearised -> solved. Nothing here knows of machines; the other rooms say what is free and what is left.
 
-problem      free numbers with bounds and steps, residuals by part and signal, blocks that share no number
+problem      free numbers with bounds and steps, residuals by part and signal
 linearised   residual and columns at a point, damped step, covariance by clusters
-search       damped Gauss-Newton on all blocks at once, each signal with an unknown noise level
+search       damped Gauss-Newton on all parts at once, each signal with an unknown noise level
 regression   the linear problem: values, covariance by clusters, what the data do not separate
 evidence     held-out evidence between two laws
 """

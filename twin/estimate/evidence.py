@@ -32,9 +32,9 @@ def pieces_of(rows: int, run: int = 0) -> np.ndarray:
     return run * PIECES + np.arange(rows) * PIECES // max(rows, 1)
 
 
-def held_out(columns: np.ndarray, y: np.ndarray, pieces: np.ndarray, use: np.ndarray) -> np.ndarray:
+def held_out(columns: np.ndarray, y: np.ndarray, pieces: np.ndarray, use: np.ndarray | None = None) -> np.ndarray:
     """(piece,) Mean square of what a linear law leaves on each piece, fitted on the pieces of the other half; rows outside `use` do not count."""
-    half = pieces % 2
+    half, use = pieces % 2, np.ones(len(y), bool) if use is None else use
     left = np.empty(len(y))
     for out in (0, 1):
         rows = (half != out) & use
@@ -44,7 +44,7 @@ def held_out(columns: np.ndarray, y: np.ndarray, pieces: np.ndarray, use: np.nda
     return squares[counts > 0] / counts[counts > 0]
 
 
-def is_better(richer: np.ndarray, simpler: np.ndarray, rounding: float = 1e-150) -> bool:
+def is_better(richer: np.ndarray, simpler: np.ndarray, rounding: float) -> bool:
     """Whether the richer law predicts its held-out pieces better, from the mean squares of both (piece,); RMS below `rounding` are equal."""
     gain = 0.5 * np.log(np.maximum(simpler, rounding**2) / np.maximum(richer, rounding**2))
     return bool(gain.mean() > SURE * gain.std(ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else False

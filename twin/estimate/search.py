@@ -1,13 +1,13 @@
-"""The search for the most likely values: damped Gauss-Newton (Levenberg-Marquardt) on all blocks of a problem at once.
+"""The search for the most likely values: damped Gauss-Newton (Levenberg-Marquardt) on all parts of a problem at once.
 
-    min  sum over the signals of a block of  N log RMS(residual)
+    min  sum over the signals of a part of  N log RMS(residual)
 
-This is maximum likelihood with an unknown noise level for each signal. Each block has its own damping and stops on its own.
+This is maximum likelihood with an unknown noise level for each signal. Each part has its own damping and stops on its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,14 +15,14 @@ import numpy as np
 
 from twin.estimate.evidence import mean_log_rms, rms_of
 from twin.estimate.linearised import Linearised, linearised
-from twin.estimate.problem import Block, Problem, Residuals, Values, blocks_of
+from twin.estimate.problem import Free, Problem, Residuals, Values, by_part
 
 STEPS = 12
 CONVERGED = 1e-4
-"""A block is at its end when a step improves its mean log RMS by less than this."""
+"""A part is at its end when a step improves its mean log RMS by less than this."""
 
 FIRST_DAMPING, SOFTER, HARDER, TRIALS = 1e-3, 0.2, 8.0, 4
-"""Damping at the start, its factor after a step that improved a block and after one that did not, and trials of one step."""
+"""Damping at the start, its factor after a step that improved a part and after one that did not, and trials of one step."""
 
 LONGEST_STEP = 1.0
 """Largest change of a number in one step, in the units of the search."""
@@ -30,67 +30,56 @@ LONGEST_STEP = 1.0
 
 @dataclass(frozen=True)
 class Solution:
-    """End of a search: values, residuals, score of each block, and the problem linearised there."""
+    """End of a search: values, residuals, mean log RMS of each part, and the problem linearised there."""
 
     problem: Any
     values: Values
     residuals: Residuals
-    blocks: tuple[Block, ...]
-    scores: tuple[float, ...]
-    linear: tuple[Linearised | None, ...]
-
-    def score(self, part: str) -> float:
-        """Mean log RMS of the block that holds a part."""
-        return self.scores[self._index(part)]
+    scores: Mapping[str, float]
+    linear: Mapping[str, Linearised]
 
     def deviations(self, part: str) -> dict[Any, float]:
-        """Name -> standard deviation of the free numbers of this block, in the units of the search; infinite without an effect."""
-        k = self._index(part)
-        linear = self.linear[k]
-        size = len(self.blocks[k].free)
-        variances = np.full(size, np.inf) if linear is None else np.maximum(np.diag(linear.solved()[1]), 0.0)
-        return {f.name: float(d) for f, d in zip(self.blocks[k].free, np.sqrt(variances))}
-
-    def _index(self, part: str) -> int:
-        return next(i for i, b in enumerate(self.blocks) if part in b.parts)
+        """Name -> standard deviation of the free numbers of a part, in the units of the search; infinite without an effect."""
+        free = by_part(self.problem.free)[part]
+        variances = np.maximum(np.diag(self.linear[part].solved()[1]), 0.0) if part in self.linear else np.full(len(free), np.inf)
+        return {f.name: float(d) for f, d in zip(free, np.sqrt(variances))}
 
 
 def search(problem: Problem, start: Values | None = None, steps: int = STEPS, say: Callable[[int], None] | None = None) -> Solution | None:
     """Search from `start`, by default the start of each number; None if there are no residuals there. `say` is called after each step."""
-    blocks = blocks_of(problem.free)
+    free = by_part(problem.free)
     x = dict(start) if start is not None else {f.name: f.start for f in problem.free}
     base = problem.residuals([x])[0]
     if base is None:
         return None
-    score = [_score(base, b) for b in blocks]
-    damping = [FIRST_DAMPING] * len(blocks)
-    still = set(range(len(blocks)))
-    linear = linearised(problem, blocks, x, base, level_of(base))
+    score = {p: _score(base, p) for p in free}
+    damping = dict.fromkeys(free, FIRST_DAMPING)
+    still = set(free)
+    linear = linearised(problem, x, base, level_of(base))
     for step in range(steps):
         for _ in range(TRIALS):
             trial = dict(x)
-            for i in still:
-                trial.update(_moved(blocks[i], x, linear[i], damping[i]))
+            for p in still:
+                trial.update(_moved(free[p], x, linear.get(p), damping[p]))
             there = problem.residuals([trial])[0]
-            found = {i: _score(there, blocks[i]) for i in still} if there is not None else {}
-            better = {i for i, value in found.items() if value < score[i]}
-            for i in still:
-                damping[i] *= SOFTER if i in better else HARDER
+            found = {p: _score(there, p) for p in still} if there is not None else {}
+            better = {p for p, value in found.items() if value < score[p]}
+            for p in still:
+                damping[p] *= SOFTER if p in better else HARDER
             if there is not None and better:
-                kept = {p: there[p] for i in better for p in blocks[i].parts if p in there}
-                base = {**base, **kept}
-                x.update({f.name: trial[f.name] for i in better for f in blocks[i].free})
-                still -= {i for i in better if score[i] - found[i] < CONVERGED}
-                score = [found[i] if i in better else s for i, s in enumerate(score)]
+                base = {**base, **{p: there[p] for p in better if p in there}}
+                x.update({f.name: trial[f.name] for p in better for f in free[p]})
+                still -= {p for p in better if score[p] - found[p] < CONVERGED}
+                score |= {p: found[p] for p in better}
                 break
         else:
             break
         if say:
             say(step + 1)
-        linear = linearised(problem, blocks, x, base, level_of(base))
+        linear = linearised(problem, x, base, level_of(base))
         if not still:
             break
-    return Solution(problem, x, base, tuple(blocks), tuple(score), tuple(linear))
+    return Solution(problem, x, base, score, linear)
 
 
 def level_of(base: Residuals) -> Callable[[str, str], float]:
@@ -99,13 +88,13 @@ def level_of(base: Residuals) -> Callable[[str, str], float]:
     return lambda part, signal: levels[part, signal]
 
 
-def _moved(block: Block, x: Values, linear: Linearised | None, damping: float) -> Mapping[Any, float]:
+def _moved(free: Sequence[Free], x: Values, linear: Linearised | None, damping: float) -> Mapping[Any, float]:
     if linear is None:
         return {}
-    at, low, high = np.array([(x[f.name], f.low, f.high) for f in block.free]).T
+    at, low, high = np.array([(x[f.name], f.low, f.high) for f in free]).T
     step = linear.step(damping, np.maximum(low - at, -LONGEST_STEP), np.minimum(high - at, LONGEST_STEP))
-    return {f.name: float(v) for f, v in zip(block.free, np.clip(at + step, low, high))}
+    return {f.name: float(v) for f, v in zip(free, np.clip(at + step, low, high))}
 
 
-def _score(residuals: Residuals, block: Block) -> float:
-    return mean_log_rms([v for p in block.parts if p in residuals for v in residuals[p].values()])
+def _score(residuals: Residuals, part: str) -> float:
+    return mean_log_rms(residuals.get(part, {}).values())

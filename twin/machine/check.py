@@ -138,11 +138,13 @@ def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
     if c.holding > motor.peak_current_a:
         yield "impossible", f"holding its weight takes {c.holding:.3g} {unit}, the {effort} limit is {motor.peak_current_a:g} {unit}"
     elif c.accelerating > motor.peak_current_a:
-        reached = _reached(c)
+        # what is left of the limit after weight and friction
+        per_acceleration = c.inertia / axis.ratio / motor.torque_constant_nm_per_a
+        reached = max(motor.peak_current_a - c.accelerating + per_acceleration * axis.max_acceleration, 0.0) / per_acceleration
         yield (
             "impossible",
             f"full acceleration takes {c.accelerating:.3g} {unit}, the {effort} limit is {motor.peak_current_a:g} {unit}: "
-            f"{reached:.3g} of {axis.max_acceleration:.3g} {_unit(axis)}/s2 can be reached",
+            f"{reached:.3g} of {axis.max_acceleration:.3g} {'m' if axis.kind == 'linear' else 'rad'}/s2 can be reached",
         )
     elif c.accelerating > LARGEST_SHARE * motor.peak_current_a:
         share = c.accelerating / motor.peak_current_a
@@ -241,15 +243,3 @@ def _encoder_findings(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]
                 "unusual",
                 f"one encoder step, differentiated over {n} cycles, causes {share:.1f} times the Coulomb friction: the axis hums at rest",
             )
-
-
-def _reached(c: AxisCheck) -> float:
-    axis = c.axis
-    left = axis.motor.peak_current_a - (
-        c.accelerating - c.inertia * axis.max_acceleration / axis.ratio / axis.motor.torque_constant_nm_per_a
-    )
-    return max(left, 0.0) * axis.motor.torque_constant_nm_per_a * axis.ratio / c.inertia
-
-
-def _unit(axis: Axis) -> str:
-    return "m" if axis.kind == "linear" else "rad"

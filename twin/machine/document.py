@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.control.number import si_from_key
 from twin.control.structures import STRUCTURES
+from twin.documents import value_at
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.axis import Axis
@@ -221,11 +222,8 @@ def _without_contradicting_data(document: dict[str, Any], path: str) -> dict[str
     if not isinstance(table, Mapping) or not isinstance(table.get("sinumerik"), Mapping):
         return document
     given = sinumerik.plain_values(sinumerik.by_number(table["sinumerik"], table["kind"], f"[axis.{axis}.sinumerik]"), table["kind"])
-    there: Any = table
-    for name in key.split("."):
-        there = there.get(name) if isinstance(there, Mapping) else None
     of_data = key in given or f"{key}.0" in given
-    if not of_data or (there is None and sinumerik.datum_in_file(table, key, 1.0) is not None):
+    if not of_data or (value_at(table, key) is None and sinumerik.datum_in_file(table, key, 1.0) is not None):
         return document
     plain = sinumerik.with_plain_keys(table, f"[axis.{axis}]")
     return {**document, "axis": {**document["axis"], axis: plain}}

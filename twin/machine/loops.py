@@ -15,13 +15,12 @@ Friction is viscous here, the inertia is that of the home pose, and limits are n
 
 from __future__ import annotations
 
-import cmath
 from collections.abc import Callable
 from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 
 from twin.control.current_controller import winding_model
 from twin.control.drive_position_loop import closed_in_drive
@@ -58,21 +57,27 @@ def margins_of(loop: Loop, count: int = GRID) -> Margins:
     f = loop.grid(count)
     response = loop.open_response(f)
     crossovers = [
-        _refined(lambda x: math.log(abs(_at(loop, x))), f[i], f[i + 1])
+        _refined(lambda x: math.log(abs(loop.open_response(x)[0])), f[i], f[i + 1])
         for i in _sign_changes(np.log(np.maximum(np.abs(response), ZERO_GAIN)))
     ]
     # the imaginary part changes sign on the negative real axis
     turns = [i for i in _sign_changes(response.imag) if response[i].real < 0.0 and response[i + 1].real < 0.0]
-    crossings = [_refined(lambda x: _at(loop, x).imag, f[i], f[i + 1]) for i in turns]
+    crossings = [_refined(lambda x: loop.open_response(x)[0].imag, f[i], f[i + 1]) for i in turns]
     if response[-1].real < 0.0:
         crossings.append(0.5 / loop.period)  # at half the sampling rate L is real
-    phases = [(math.degrees(np.angle(-_at(loop, x))), x) for x in crossovers]
-    gains = [(1.0 / size, x) for x in crossings if (size := abs(_at(loop, x))) > ZERO_GAIN]
+    phases = [(math.degrees(np.angle(-loop.open_response(x)[0])), x) for x in crossovers]
+    gains = [(1.0 / size, x) for x in crossings if (size := abs(loop.open_response(x)[0])) > ZERO_GAIN]
     phase, crossover = min(phases, key=lambda p: abs(p[0])) if phases else (math.inf, math.inf)
     gain, phase_crossing = min(gains, key=lambda g: abs(math.log(g[0]))) if gains else (math.inf, math.inf)
-    closed = np.abs(response / (1.0 + response))
+    gains_closed = np.abs(response / (1.0 + response))
     return Margins(
-        float(gain), float(phase_crossing), float(phase), float(crossover), _bandwidth(loop, f, closed), float(closed.max()), loop.is_stable
+        float(gain),
+        float(phase_crossing),
+        float(phase),
+        float(crossover),
+        _bandwidth(loop, f, gains_closed),
+        float(gains_closed.max()),
+        loop.is_stable,
     )
 
 
@@ -164,12 +169,6 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float) -> tuple[np.ndarray
     return a, np.array([[1.0 / rotor], [0.0], [0.0], [0.0]]), rows[0], rows[2], rows[3]
 
 
-def _at(loop: Loop, frequency: float) -> complex:
-    """L at one frequency [Hz]."""
-    z = cmath.exp(2j * math.pi * frequency * loop.period)
-    return complex((loop.c @ np.linalg.solve(z * np.eye(len(loop.a)) - loop.a, loop.b))[0, 0])
-
-
 def _bandwidth(loop: Loop, f: np.ndarray, closed: np.ndarray) -> float:
     """Frequency [Hz] where the closed loop, with these gains on a grid, first falls to -3 dB; inf if it never does."""
     level = math.sqrt(0.5)
@@ -178,21 +177,7 @@ def _bandwidth(loop: Loop, f: np.ndarray, closed: np.ndarray) -> float:
         return math.inf
     fallen = np.flatnonzero(closed[above[0] :] < level) + above[0]
     end = int(fallen[0]) if fallen.size else len(f) - 1
-    # a notch may reach the level between two grid frequencies
-    inside = np.arange(above[0] + 1, end)
-    for i in inside[(closed[inside] < closed[inside - 1]) & (closed[inside] <= closed[inside + 1])]:
-        bottom = minimize_scalar(
-            lambda x: _closed_gain(loop, x), bounds=(f[i - 1], f[i + 1]), method="bounded", options={"xatol": 1e-6 * f[i]}
-        )
-        if bottom.fun < level:
-            return _refined(lambda x: _closed_gain(loop, x) - level, f[i - 1], float(bottom.x))
-    return _refined(lambda x: _closed_gain(loop, x) - level, f[end - 1], f[end]) if fallen.size else math.inf
-
-
-def _closed_gain(loop: Loop, frequency: float) -> float:
-    """abs(L / (1 + L)) at one frequency [Hz]."""
-    response = _at(loop, frequency)
-    return abs(response / (1.0 + response))
+    return _refined(lambda x: abs(loop.closed_response(x)[0]) - level, f[end - 1], f[end]) if fallen.size else math.inf
 
 
 def _sign_changes(values: np.ndarray) -> np.ndarray:

@@ -25,7 +25,6 @@ LEAST_SPEED = {"linear": 1.0, "rotary": 2.0 * math.pi}
 SMALL_FORCE = 0.02
 """A constant force below this share of the peak command is omitted."""
 UNKNOWN_MASS = 10.0
-_COMMAND_UNIT = {"current": "A", "voltage": "V", "torque": "Nm"}
 G = 9.81
 
 
@@ -173,7 +172,7 @@ def _part_of(period: float, longest: float) -> float:
 def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     linear, m = one.kind == "linear", one.forces
     per, drive = ("m", "direct") if linear else ("rad", "gear")
-    unit = _COMMAND_UNIT[m.effort] if m else "Nm"
+    unit = EFFORTS[m.effort].unit if m else "Nm"
     lumped = LUMP
     if m and m.force_per_unit is not None:
         unit, lumped = "N" if linear else "Nm", BY_LOAD

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from twin.control.number import si_from_key
-from twin.documents import named_file, read_toml
+from twin.documents import named_file, read_toml, value_at
 from twin.errors import InputError, nearest
 from twin.files import write_whole
 from twin.machine import keys
@@ -48,6 +48,19 @@ class Noise:
     speed: float
     current: float
     motor: float = 0.0
+
+
+_OF_NOISE = ("position", "position_resolution", "motor_resolution", "motor", "speed", "current")
+NOISE_KEYS = {
+    kind: dict(
+        zip(_OF_NOISE, (f"{scale}_noise_{unit}", f"{scale}_resolution_{unit}", *motor, f"speed_noise_{unit}_per_s", "current_noise_a"))
+    )
+    for kind, scale, unit, motor in (
+        ("linear", "linear_scale", "m", ("motor_encoder_resolution_m", "motor_encoder_noise_m")),
+        ("rotary", "rotary_encoder", "deg", ("motor_encoder_resolution_rad", "motor_encoder_noise_rad")),
+    )
+}
+"""Keys of `[measurement]` by kind of axis and field of `Noise`."""
 
 
 @dataclass(frozen=True)
@@ -158,18 +171,8 @@ class Machine:
         if axis.name in self.recorded_noise:
             return self.recorded_noise[axis.name]
         table = self.document.get("measurement", {})
-
-        def value(key: str) -> float:
-            return float(table.get(key, 0.0)) * si_from_key(key)
-
-        if axis.kind == "linear":
-            scale = ("linear_scale_noise_m", "linear_scale_resolution_m", "motor_encoder_resolution_m", "speed_noise_m_per_s")
-        else:
-            scale = ("rotary_encoder_noise_deg", "rotary_encoder_resolution_deg", "motor_encoder_resolution_rad", "speed_noise_deg_per_s")
-        current = value("current_noise_a") if axis.actuator.measured else 0.0
-        motor = "motor_encoder_noise_m" if axis.kind == "linear" else "motor_encoder_noise_rad"
-        position, position_resolution, motor_resolution, speed = (value(key) for key in scale)
-        return Noise(position, position_resolution, motor_resolution, speed, current, value(motor))
+        given = {field: float(table.get(key, 0.0)) * si_from_key(key) for field, key in NOISE_KEYS[axis.kind].items()}
+        return Noise(**given | ({} if axis.actuator.measured else {"current": 0.0}))
 
     def with_noise(self, noise: Mapping[str, Noise]) -> Machine:
         """The machine with the measuring noise that its axes have in a record. It is not written to a file."""
@@ -238,12 +241,7 @@ class Machine:
 
     def has(self, path: str) -> bool:
         """True if the file contains the number at this path."""
-        at: Any = self.document
-        for key in self.in_file(path, 1.0)[0].split("."):
-            if not isinstance(at, Mapping) or key not in at:
-                return False
-            at = at[key]
-        return True
+        return value_at(self.document, self.in_file(path, 1.0)[0]) is not None
 
     def in_file(self, path: str, value: Any) -> tuple[str, Any]:
         """Path and value of a number in the keys and units of this file: 'axis.X.coulomb_friction_nm' of a direct drive is `coulomb_friction_n`."""
@@ -289,11 +287,7 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
     written = tomlkit.parse(source)
     _update(written, {**machine.document, "model": machine.model_path.name})
     for where, comment in (comments or {}).items():
-        *tables, key = where.split(".")
-        table: Any = written
-        for name in tables:
-            table = table[name]
-        table[key].comment(comment)
+        value_at(written, where).comment(comment)
     copy_model(machine.model_path, path.parent)  # first the model, so that a machine file on disk can always be loaded
     write_whole(path, tomlkit.dumps(written))
 

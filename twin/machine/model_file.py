@@ -11,12 +11,10 @@ from collections.abc import Iterator
 import functools
 import hashlib
 import math
-import os
 from pathlib import Path
 import re
 import shutil
-import time
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from twin.documents import named_file
 from twin.errors import InputError
@@ -34,7 +32,6 @@ MOST_ATTACHED = 4
 
 _ASSET_FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "hfield": "texturedir", "texture": "texturedir"}
 _LOOPS = ("connect", "weld")
-_PHYSICAL = ("mass", "diaginertia")
 
 
 def read_xml(path: Path) -> Element:
@@ -77,9 +74,9 @@ def check_mjcf(path: Path) -> Element:
     for tag in ("model", "attach"):
         if root.find(f".//{tag}") is not None:
             raise InputError(f"{path}: <{tag}> attaches another model; write the parts of a machine into one file")
-    joints = [joint.get("name", "") for joint in root.iter("joint") if joint.get("class") or joint.get("name")]
-    twice = next((name for name in joints if name and joints.count(name) > 1 and not _only_default(root, name)), None)
-    if twice:
+    # others of the same name are of a sensor or an equality
+    joints = [joint.get("name") for world in root.findall("worldbody") for joint in world.iter("joint")]
+    if twice := next((name for name in joints if name and joints.count(name) > 1), None):
         raise InputError(f"{path}: two joints are named '{twice}'; rename one")
     for body in root.iter("body"):
         name = body.get("name", "without name")
@@ -88,8 +85,10 @@ def check_mjcf(path: Path) -> Element:
             raise InputError(f"{path}: body '{name}' is free, but a machine stands on its bed; remove the free joint")
         if "ball" in kinds:
             raise InputError(f"{path}: body '{name}' turns on a ball joint, but an axis is a slide or a hinge; use three hinges or none")
-        for values in (body.find("inertial"), *body.findall("geom")):
-            _check_masses(values, f"{path}: body '{name}'")
+        for element in (*body.findall("inertial"), *body.findall("geom")):
+            for key in ("mass", "diaginertia"):
+                for value in element.get(key, "").split():
+                    positive_mass(value, f"{path}: body '{name}': {key}", zero=element.tag == "geom")
     for equality in root.iter("equality"):
         for loop in (child for tag in _LOOPS for child in equality.findall(tag)):
             raise InputError(
@@ -114,10 +113,10 @@ def check_safe(path: Path, seen: tuple[Path, ...] = ()) -> Element:
         )
     _include(root, path, [path.resolve()])
     for file in _named_files(root, path):
-        _inside(file, path)
+        named_file(str(file), path.parent, str(path))
     for child in root.iter("model"):
         if (name := child.get("file")) is not None:
-            attached = _inside(Path(name), path)
+            attached = named_file(name, path.parent, str(path))
             if attached.resolve() in (path.resolve(), *seen):
                 raise InputError(f"{path}: <model file='{name}'> attaches the model to itself; remove the circle")
             if len(seen) >= MOST_ATTACHED:
@@ -136,52 +135,10 @@ def files_of(path: Path) -> list[Path]:
 
 
 def state_of_model(path: Path) -> bytes:
-    """Digest of an MJCF and the files that it names: equal while none of them changes. Meshes count by size and time of change.
-
-    The files are read again only if one of them changed since, or so shortly before that its time of change cannot tell.
-    """
-    known = _states.get(path)
-    if known is None or known.stamps != _stamps(known.files):
-        known = _states[path] = _read_state(path)
-    return known.digest
-
-
-class _State(NamedTuple):
-    """Digest of a model, its files, and their stamps when they were read."""
-
-    digest: bytes
-    files: tuple[str, ...]
-    stamps: tuple[object, ...]
-
-
-_states: dict[Path, _State] = {}
-SETTLED_NS = 2_000_000_000
-"""Least age of a file [ns] at which its time of change tells every later change: the coarsest file systems count in steps of 2 s."""
-
-
-def _stamps(files: tuple[str, ...]) -> tuple[object, ...]:
-    """Size, inode and times of change of each file; None for a missing file. A file that changed just now equals nothing."""
-    stamps: list[object] = []
-    for file in files:
-        try:
-            about = os.stat(file)
-        except OSError:
-            stamps.append(None)
-            continue
-        changed = max(about.st_mtime_ns, about.st_ctime_ns)
-        settled = time.time_ns() - changed > SETTLED_NS
-        stamps.append((about.st_size, about.st_ino, about.st_mtime_ns, about.st_ctime_ns) if settled else object())
-    return tuple(stamps)
-
-
-def _read_state(path: Path) -> _State:
-    """The state of a model from the content of its files."""
+    """Digest of an MJCF and the files that it names: equal while none of them changes. Meshes count by size and time of change."""
     texts: tuple[bytes, ...] = ()
-    stamps: tuple[object, ...] = ()
     while True:  # an included file may name others: repeat until the list of files belongs to the texts as they are now
         files = (Path(path.name), *_named_in(path, texts))
-        names = tuple(str(path.parent / f) for f in files)
-        stamps = _stamps(names)  # before reading: a change while reading must show
         now = tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
         if now == texts:
             break
@@ -191,7 +148,7 @@ def _read_state(path: Path) -> _State:
         if file.suffix.lower() != ".xml" and (path.parent / file).is_file():
             about = (path.parent / file).stat()
             digest.update(f"{file} {about.st_size} {about.st_mtime_ns}".encode())
-    return _State(digest.digest(), names, stamps)
+    return digest.digest()
 
 
 @functools.lru_cache(maxsize=32)
@@ -218,7 +175,7 @@ def _include(element: Element, path: Path, seen: list[Path], keep: bool = False)
     """Replace each include by the children of its file. `seen`: files included so far."""
     for child in list(element):
         if child.tag == "include":
-            file = _inside(Path(child.get("file", "")), path)
+            file = named_file(child.get("file", ""), path.parent, str(path))
             if file.resolve() in seen:
                 raise InputError(f"{path}: '{file.name}' includes itself or is included twice; include it once")
             seen.append(file.resolve())
@@ -255,19 +212,6 @@ def _named_files(root: Element, path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: plugin '{plugin.get('plugin', '')}' runs foreign code; remove it")
 
 
-def _inside(file: Path, path: Path) -> Path:
-    """A file that the model names; it must exist inside the model's folder."""
-    folder = path.parent
-    return named_file(str(file), folder, str(path))
-
-
-def _check_masses(element: Element | None, where: str) -> None:
-    for key in _PHYSICAL if element is not None else ():
-        given = element.get(key) if element is not None else None
-        for value in (given or "").split():
-            positive_mass(value, f"{where}: {key}", zero=element is not None and element.tag == "geom")
-
-
 def positive_mass(text: str, where: str, zero: bool = False) -> None:
     """Refuse an impossible mass or moment of inertia. `zero`: allow 0, for a shape without mass."""
     try:
@@ -276,9 +220,3 @@ def positive_mass(text: str, where: str, zero: bool = False) -> None:
         raise InputError(f"{where} = '{text}' is not a number; correct it") from None
     if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not zero):
         raise InputError(f"{where} = {value:g} is impossible; give {'a number of at least' if zero else 'a number above'} 0")
-
-
-def _only_default(root: Element, name: str) -> bool:
-    """True if fewer than two of the joints of that name are in the tree of bodies (others: a sensor, an equality)."""
-    world = root.findall("worldbody")
-    return sum(joint.get("name") == name for w in world for joint in w.iter("joint")) < 2

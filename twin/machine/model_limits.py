@@ -105,7 +105,7 @@ def check_size(root: Element, path: Path) -> None:
         if element.tag == "replicate":
             copies *= max(_number(element.get("count", "1"), f"{path}: <replicate>: count"), 1.0)
         if element.tag in ("composite", "flexcomp"):
-            copies *= math.prod(max(v, 1.0) for v in _numbers(element.get("count", "1"), f"{path}: <{element.tag}>: count"))
+            copies *= math.prod(max(v, 1.0) for v in numbers_of(element.get("count", "1"), f"{path}: <{element.tag}>: count"))
             elements += copies
         elements += copies
         joints += copies * (element.tag in ("joint", "freejoint"))
@@ -142,7 +142,7 @@ def compiles(path: Path, root: Element) -> None:
 
 def _check_values(element: Element, path: Path) -> None:
     """Refuse one element that generates too many values, and attributes that are not finite numbers."""
-    sizes = [_numbers(element.get(key, "1"), f"{path}: <{element.tag}>: {key}") for key in _TABLES.get(str(element.tag), ())]
+    sizes = [numbers_of(element.get(key, "1"), f"{path}: <{element.tag}>: {key}") for key in _TABLES.get(str(element.tag), ())]
     total = math.prod(max(v, 1.0) for values in sizes for v in values)
     refuse_above(total, MOST_VALUES, "values", f"{path}: <{element.tag}>", "make it smaller")
     if element.tag == "size":
@@ -156,7 +156,7 @@ def _check_values(element: Element, path: Path) -> None:
                 value = _number(text, f"{path}: <size>: {key}")
                 refuse_above(value, 1e6 if not key.startswith("nuser") else 1e3, key, f"{path}: <size>", "leave it out")
     if element.get("builtin") is not None and element.tag == "mesh":
-        corners = math.prod(max(v, 1.0) for v in _numbers(element.get("params", "1"), f"{path}: <mesh>: params"))
+        corners = math.prod(max(v, 1.0) for v in numbers_of(element.get("params", "1"), f"{path}: <mesh>: params"))
         refuse_above(corners, 1e5, "corners", f"{path}: <mesh builtin>", "make it coarser")
     for key, text in element.items():
         if key not in _NAMES and text.strip().lower().lstrip("+-") in ("nan", "inf", "infinity"):
@@ -169,7 +169,8 @@ _NAMES = ("name", "class", "childclass", "model", "file", "data", "joint", "body
 """Attributes that contain text."""
 
 
-def _numbers(text: str, where: str) -> list[float]:
+def numbers_of(text: str, where: str) -> list[float]:
+    """The numbers of an attribute. Raises InputError for other words and for numbers that are not finite."""
     return [_number(word, where) for word in text.split()]
 
 

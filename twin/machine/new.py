@@ -246,21 +246,12 @@ def _travel_line(f: JointFacts, known: dict[str, float], source: str) -> str:
 
 
 def _measurement(facts: Iterable[JointFacts]) -> list[str]:
-    facts = list(facts)
+    linear = {"linear_scale_resolution_m": 1e-8, "linear_scale_noise_m": 2e-8, "speed_noise_m_per_s": 1e-5}
+    rotary = {"rotary_encoder_resolution_deg": 1e-6, "rotary_encoder_noise_deg": 2e-6, "speed_noise_deg_per_s": 1e-3}
+    kinds = {f.linear for f in facts}
+    numbers = {**(linear if True in kinds else {}), **(rotary if False in kinds else {}), "current_noise_a": 0.02}
     lines = ["", "[measurement]", number_line("sample_period_us", 1000.0, "of recorded traces")]
-    if any(f.linear for f in facts):
-        lines += [
-            number_line("linear_scale_resolution_m", 1e-8),
-            number_line("linear_scale_noise_m", 2e-8),
-            number_line("speed_noise_m_per_s", 1e-5),
-        ]
-    if any(not f.linear for f in facts):
-        lines += [
-            number_line("rotary_encoder_resolution_deg", 1e-6),
-            number_line("rotary_encoder_noise_deg", 2e-6),
-            number_line("speed_noise_deg_per_s", 1e-3),
-        ]
-    return [*lines, number_line("current_noise_a", 0.02)]
+    return [*lines, *(number_line(key, value) for key, value in numbers.items())]
 
 
 def _round(value: float) -> float:

@@ -16,52 +16,43 @@ def sheet(machine: Machine) -> str:
     """All axes side by side, one number per row."""
     rows: list[list[str]] = []
 
-    def row(name: str, unit: str, values: list[str]) -> None:
+    def row(name: str, unit: str, value: Callable[[Axis], str]) -> None:
+        values = [value(axis) for axis in machine.axes]
         if any(v != "-" for v in values):
             rows.append([name, unit, *values])
 
-    def each(value: Callable[[Axis], str]) -> list[str]:
-        return [value(axis) for axis in machine.axes]
-
-    row("kind", "", each(lambda a: a.kind + (", direct" if a.drive == "direct" else "")))
-    row("structure", "", each(lambda a: a.structure if a.actuator.loops else f"{a.structure} on a {a.effort}"))
-    row("travel", "mm, deg", each(_travel))
-    row("highest speed", "m/min, deg/s", each(lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else deg_from_rad(1.0)))))
-    row("acceleration", "m/s2, rad/s2", each(lambda a: _g(a.max_acceleration)))
-    row("jerk", "m/s3, rad/s3", each(lambda a: _g(a.max_jerk)))
-    row("lead, gear", "mm/rev, 1", each(_gear))
-    row("moving mass", "kg", each(lambda a: _g(a.moving_mass_kg)))
-    row("rotor inertia", "kg m2", each(lambda a: _g(a.rotor_inertia_kg_m2) if a.rotor_inertia_kg_m2 else "-"))
-    row("Coulomb friction", "N, Nm", each(lambda a: _g(a.coulomb_friction)))
-    row("viscous friction", "N s/m, Nm s/rad", each(lambda a: _g(a.viscous_friction)))
-    row("torque constant", "Nm/A (N, V)", each(lambda a: _g(a.motor.torque_constant_nm_per_a) if a.effort != "torque" else "-"))
-    row("limit of the command", "A, V, Nm", each(lambda a: f"{_g(a.motor.peak_current_a)} {a.effort_unit}"))
-    row("bus voltage", "V", each(lambda a: _g(a.motor.bus_limit_v)))
-    row("position gain", "1/s", each(lambda a: _g(a.loops.position_gain_per_s)))
-    row("speed gain", "Nm s/rad (N s/m)", each(lambda a: _g(a.loops.speed_gain_nm_s_per_rad)))
-    row("speed integral time", "ms", each(lambda a: _g(a.loops.speed_integral_time_s * 1e3)))
-    row("current gain", "V/A", each(lambda a: _g(a.loops.current_gain_v_per_a) if a.actuator.loops else "-"))
-    row("current integral time", "ms", each(lambda a: _g(a.loops.current_integral_time_s * 1e3) if a.actuator.loops else "-"))
-    row("feedforward", "speed, torque", each(lambda a: f"{_g(a.loops.velocity_feedforward)}, {_g(a.loops.torque_feedforward)}"))
-    row("position delay", "ms", each(lambda a: _g(a.loops.position_delay_s * 1e3)))
-    row("loop closed in", "", each(lambda a: f"drive, {_g(a.loops.dsc_delay_s * 1e3)} ms late" if a.loops.dsc_delay_s else "NC"))
-    row("speed from", "", each(lambda a: f"position, {a.loops.speed_mean_cycles} cycles" if a.loops.speed_mean_cycles else "encoder"))
-    row("speed filter", "ms", each(lambda a: _g(a.loops.speed_filter_time_s * 1e3) if a.loops.speed_filter_time_s else "-"))
-    row("speed reference model", "ms", each(lambda a: _g(a.loops.speed_reference_time_s * 1e3) if a.loops.speed_reference_time_s else "-"))
-    row(
-        "torque feedforward of the drive",
-        "",
-        each(lambda a: _g(a.loops.drive_torque_feedforward) if a.loops.drive_torque_feedforward else "-"),
-    )
-    row("loop closed on", "", each(lambda a: a.encoder))
-    row("friction on", "", each(lambda a: a.friction_side))
-    row(
-        "pre-sliding stiffness",
-        "N/um (Nm/mrad)",
-        each(lambda a: _g(a.presliding_stiffness * (1e-6 if a.kind == "linear" else 1e-3)) if a.presliding_stiffness else "-"),
-    )
-    row("structural mode", "Hz", each(lambda a: _g(a.mode_frequency_hz) if a.mode_mass_share else "-"))
-    row("further blocks", "", each(lambda a: "; ".join(listed.text(a.kind) for listed in a.blocks) or "-"))
+    row("kind", "", lambda a: a.kind + (", direct" if a.drive == "direct" else ""))
+    row("structure", "", lambda a: a.structure if a.actuator.loops else f"{a.structure} on a {a.effort}")
+    row("travel", "mm, deg", _travel)
+    row("highest speed", "m/min, deg/s", lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else deg_from_rad(1.0))))
+    row("acceleration", "m/s2, rad/s2", lambda a: _g(a.max_acceleration))
+    row("jerk", "m/s3, rad/s3", lambda a: _g(a.max_jerk))
+    row("lead, gear", "mm/rev, 1", _gear)
+    row("moving mass", "kg", lambda a: _g(a.moving_mass_kg))
+    row("rotor inertia", "kg m2", lambda a: _g(a.rotor_inertia_kg_m2 or None))
+    row("Coulomb friction", "N, Nm", lambda a: _g(a.coulomb_friction))
+    row("viscous friction", "N s/m, Nm s/rad", lambda a: _g(a.viscous_friction))
+    row("torque constant", "Nm/A (N, V)", lambda a: _g(a.motor.torque_constant_nm_per_a) if a.effort != "torque" else "-")
+    row("limit of the command", "A, V, Nm", lambda a: f"{_g(a.motor.peak_current_a)} {a.effort_unit}")
+    row("bus voltage", "V", lambda a: _g(a.motor.bus_limit_v))
+    row("position gain", "1/s", lambda a: _g(a.loops.position_gain_per_s))
+    row("speed gain", "Nm s/rad (N s/m)", lambda a: _g(a.loops.speed_gain_nm_s_per_rad))
+    row("speed integral time", "ms", lambda a: _g(a.loops.speed_integral_time_s * 1e3))
+    row("current gain", "V/A", lambda a: _g(a.loops.current_gain_v_per_a) if a.actuator.loops else "-")
+    row("current integral time", "ms", lambda a: _g(a.loops.current_integral_time_s * 1e3) if a.actuator.loops else "-")
+    row("feedforward", "speed, torque", lambda a: f"{_g(a.loops.velocity_feedforward)}, {_g(a.loops.torque_feedforward)}")
+    row("position delay", "ms", lambda a: _g(a.loops.position_delay_s * 1e3))
+    row("loop closed in", "", lambda a: f"drive, {_g(a.loops.dsc_delay_s * 1e3)} ms late" if a.loops.dsc_delay_s else "NC")
+    row("speed from", "", lambda a: f"position, {a.loops.speed_mean_cycles} cycles" if a.loops.speed_mean_cycles else "encoder")
+    row("speed filter", "ms", lambda a: _g(a.loops.speed_filter_time_s * 1e3 or None))
+    row("speed reference model", "ms", lambda a: _g(a.loops.speed_reference_time_s * 1e3 or None))
+    row("torque feedforward of the drive", "", lambda a: _g(a.loops.drive_torque_feedforward or None))
+    row("loop closed on", "", lambda a: a.encoder)
+    row("friction on", "", lambda a: a.friction_side)
+    stiffness = {"linear": 1e-6, "rotary": 1e-3}
+    row("pre-sliding stiffness", "N/um (Nm/mrad)", lambda a: _g(a.presliding_stiffness * stiffness[a.kind] or None))
+    row("structural mode", "Hz", lambda a: _g(a.mode_frequency_hz) if a.mode_mass_share else "-")
+    row("further blocks", "", lambda a: "; ".join(listed.text(a.kind) for listed in a.blocks) or "-")
     cycles = {"position": machine.position_cycle, "speed": machine.speed_cycle}
     if any(a.actuator.cycle for a in machine.axes):
         cycles["current"] = machine.current_cycle

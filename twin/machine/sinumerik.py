@@ -20,8 +20,8 @@ from pathlib import Path
 import re
 from typing import Any
 
-from twin.control.parameter import Datum
-from twin.documents import read_toml
+from twin.control.number import Datum
+from twin.documents import read_toml, value_at
 from twin.errors import InputError, nearest
 from twin.machine.parameters import machine_data_of
 from twin.tables import is_number
@@ -161,10 +161,7 @@ def machine_data(table: Mapping[str, Any]) -> list[tuple[Datum, float]]:
     """Machine data of an axis table in plain keys, as far as it has values."""
     out = []
     for datum in DATA[table["kind"]]:
-        value: Any = table
-        for name in datum.key.split("."):
-            value = value[int(name)] if isinstance(value, list) else value.get(name) if isinstance(value, Mapping) else None
-        if isinstance(value, int | float):
+        if isinstance(value := value_at(table, datum.key), int | float):
             out.append((datum, value / datum.factor))
     loops = table.get("loops", {})
     torque, velocity = loops.get("torque_feedforward", 0.0), loops.get("velocity_feedforward", 0.0)

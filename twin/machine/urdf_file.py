@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 from graphlib import CycleError, TopologicalSorter
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twin.documents import named_file
 from twin.errors import InputError, nearest
 from twin.machine.model_file import positive_mass, read_xml
-from twin.machine.model_limits import check_size
+from twin.machine.model_limits import check_size, numbers_of
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -132,13 +131,10 @@ def _check_numbers(root: Element, path: Path) -> None:
                 if (element.tag, key) in _NEEDED:
                     raise InputError(f"{where} is missing; add it")
                 continue
-            try:
-                values = [float(word) for word in text.split()]
-            except ValueError:
-                raise InputError(f"{where} = '{text[:60]}' is not a number; correct it") from None
+            values = numbers_of(text, where)
             if len(values) != count:
                 raise InputError(f"{where} = '{text[:60]}' has {len(values)} numbers; give {count}")
-            if not all(math.isfinite(v) and abs(v) <= LARGEST_NUMBER for v in values):
+            if not all(abs(v) <= LARGEST_NUMBER for v in values):
                 raise InputError(f"{where} = '{text[:60]}': impossible; give finite numbers up to {LARGEST_NUMBER:g}")
             if element.tag == "axis" and not any(values):
                 raise InputError(f"{where} = '{text[:60]}' points nowhere; give a direction other than zero")

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from twin.control.number import si_from_key
-from twin.machine.machine import Axis, Machine, Noise
+from twin.machine.machine import NOISE_KEYS, Axis, Machine, Noise
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.trace import Trace
@@ -36,12 +36,6 @@ UNIT = {"position": 1e-8, "motor": 1e-8, "speed": 1e-5, "current": 1e-2}
 """Noise of a sensor in a simulated run, SI: so small that a sticking axis keeps sticking."""
 
 STEP = {"position": "position_resolution", "motor": "motor_resolution"}
-
-NOISE_KEYS = {
-    "linear": dict(zip(UNIT, ("linear_scale_noise_m", "motor_encoder_noise_m", "speed_noise_m_per_s", "current_noise_a"))),
-    "rotary": dict(zip(UNIT, ("rotary_encoder_noise_deg", "motor_encoder_noise_rad", "speed_noise_deg_per_s", "current_noise_a"))),
-}
-"""Keys of `[measurement]` by kind of axis and sensor."""
 
 MOST_SAMPLES = 60_000
 """Samples of a run that are used, from its start: a minute at 1 kHz."""

@@ -18,7 +18,7 @@ import fnmatch
 from typing import Any
 
 from twin.control.number import unit_of_key
-from twin.documents import flat
+from twin.documents import flat, value_at
 from twin.effects.change import total_inertia
 from twin.effects.effect import find_effect
 from twin.errors import InputError, nearest
@@ -131,10 +131,7 @@ def number_at(machine: Machine, path: str) -> float | None:
         return 0.0
     if path.startswith(INERTIA):
         return inertia_at_motor(machine, machine.axis(path.removeprefix(INERTIA)))
-    at: Any = machine.document
-    for key in path.split("."):
-        at = at[int(key)] if isinstance(at, list) else at[key]
-    return float(at)
+    return float(value_at(machine.document, path))
 
 
 def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
