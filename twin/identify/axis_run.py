@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import firwin
 
 from twin.errors import InputError
-from twin.identify.between_samples import SETTLED_CYCLES, measured_ripple
+from twin.identify.between_samples import SETTLED_CYCLES
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
@@ -177,8 +177,11 @@ class _Cycles:
         return self.table(values).mean(axis=1)
 
     def ripple(self, values: np.ndarray) -> np.ndarray | None:
-        """Mean course within a cycle; None with one sample a cycle."""
-        return measured_ripple(self.table(values)) if self.samples >= 2 else None
+        """Mean course within a cycle: the sample at mid-cycle minus the mean of those at its ends; None with one sample a cycle."""
+        if self.samples < 2:
+            return None
+        start, middle = self.table(values)[:, 0], self.table(values)[:, self.samples // 2]
+        return middle - 0.5 * (start + np.append(start[1:], start[-1]))
 
 
 def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:
@@ -208,7 +211,8 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     spline = CubicSpline(time[cycles.bounds], angle)
     effort, speed = recorded(axis.effort), recorded("velocity")
     limited, clipped = _limits(signals, cycles, setpoint)
-    pushed, added = _known_torques(trace, machine, axis)
+    pushed = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
+    added = recorded_forces.injected(trace, machine)[:, machine.axis_names.index(axis.name)] if trace.injections(axis.name) else None
     return AxisRun(
         run=run.name,
         feedforward=run.feedforward,
@@ -282,13 +286,6 @@ def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[
             if beyond.any():
                 clipped[name] = float(beyond.sum() * signals.trace.period)
     return limited, clipped
-
-
-def _known_torques(trace: Trace, machine: Machine, axis: Axis) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """(sample,) outside load and injected command as torques at the motor [Nm]; None where none is recorded."""
-    load = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
-    added = recorded_forces.injected(trace, machine) if trace.injections(axis.name) else None
-    return load, None if added is None else added[:, machine.axis_names.index(axis.name)]
 
 
 def _phase(speed_setpoint: np.ndarray, samples_per_cycle: int) -> int:

@@ -150,12 +150,6 @@ def ripples(loop: FastLoop, samples_per_cycle: int) -> list[list[np.ndarray]]:
     return out
 
 
-def measured_ripple(values: np.ndarray) -> np.ndarray:
-    """Ripple (cycle,) of a recorded signal (cycle, sample)."""
-    start, middle = values[:, 0], values[:, values.shape[1] // 2]
-    return middle - 0.5 * (start + np.append(start[1:], start[-1]))
-
-
 @dataclass(frozen=True)
 class Sawtooth:
     """Ripple of current and speed, condensed so that its size does not depend on the length of the recording.
@@ -185,7 +179,9 @@ def sawtooth_of(
     gram = np.zeros((2 * SETTLED_CYCLES, 2 * SETTLED_CYCLES))
     cross, square, count = np.zeros((2, 2 * SETTLED_CYCLES)), np.zeros(2), 0
     for (w, t), i, v, rows in zip(steps, current, speed, use):
-        lags = np.column_stack([_lagged(w), _lagged(t)])[rows]
+        # (cycle, lag) steps of this cycle and the earlier ones
+        before = (np.concatenate([np.zeros(SETTLED_CYCLES - 1), s]) for s in (w, t))
+        lags = np.column_stack([np.lib.stride_tricks.sliding_window_view(s, SETTLED_CYCLES)[:, ::-1] for s in before])[rows]
         seen = (i[rows], v[rows])
         gram += lags.T @ lags
         for quantity in (0, 1):
@@ -202,12 +198,6 @@ def sawtooth_of(
         targets.append(weight * (vectors.T @ cross[quantity]) / np.sqrt(values))
         rest.append(max(weight**2 * square[quantity] - float(targets[-1] @ targets[-1]), 0.0))
     return Sawtooth((roots[0], roots[1]), (targets[0], targets[1]), (rest[0], rest[1]), count)
-
-
-def _lagged(steps: np.ndarray) -> np.ndarray:
-    """(cycle, SETTLED_CYCLES) steps of this cycle and the earlier ones."""
-    padded = np.concatenate([np.zeros(SETTLED_CYCLES - 1), steps])
-    return np.lib.stride_tricks.sliding_window_view(padded, SETTLED_CYCLES)[:, ::-1]
 
 
 @dataclass(frozen=True)

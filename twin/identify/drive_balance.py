@@ -28,8 +28,8 @@ from twin.identify.between_samples import (
     missing_mean,
     sawtooth_of,
 )
+from twin.identify.recorded_axis import one_speed
 from twin.machine.machine import Axis, Machine
-from twin.recordings.excitation import one_speed
 
 NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
 ROW_STRIDE = 4

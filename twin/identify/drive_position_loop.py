@@ -55,8 +55,7 @@ MOST_PIECES = 0.75
 class DrivePositionLoop:
     """Result of the comparison: delay Td and lag of the speed loop [s] with standard deviations, and the evidence.
 
-    `left_nc`, `left_drive`: RMS residual of the speed on held-out pieces [axis units a second]; `better`: share of these pieces on which
-    the drive-side law is better; `closed_in_drive` is the verdict.
+    `left_nc`, `left_drive`: RMS residual of the speed on held-out pieces [axis units a second]; `closed_in_drive` is the verdict.
     """
 
     closed_in_drive: bool
@@ -67,7 +66,6 @@ class DrivePositionLoop:
     left_nc: float
     left_drive: float
     pieces: int
-    better: float
 
     quantile = 1.96
 
@@ -104,7 +102,7 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     x, alone = (_fitted(pieces, cycle, drive) for drive in (True, False))
     left_nc, left_drive = (rms_of(_left(pieces, v)) for v in (alone, x))
     if left_nc < CLEARER * left_drive:  # not clearer even on the fitted pieces
-        return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), np.inf, left_nc, left_drive, len(pieces), 0.0)
+        return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), np.inf, left_nc, left_drive, len(pieces))
     squares = np.zeros((2, len(pieces)))
     for held_out in (0, 1):
         for law in (0, 1):
@@ -118,7 +116,7 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     apart = bool(x[0] > max(4.0 * fit.deviations[0], LEAST_DELAY_CYCLES * cycle))
     closed = left_nc > CLEARER * left_drive and better >= MOST_PIECES and apart
     (delay, lag), (of_delay, of_lag) = x.tolist(), fit.deviations.tolist()
-    return DrivePositionLoop(closed, delay, of_delay, lag, of_lag, left_nc, left_drive, len(pieces), better)
+    return DrivePositionLoop(closed, delay, of_delay, lag, of_lag, left_nc, left_drive, len(pieces))
 
 
 @dataclass(frozen=True)

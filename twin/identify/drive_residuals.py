@@ -152,7 +152,7 @@ class DriveResiduals:
         if field_name in RANGES:
             low, high = map(math.log, RANGES[field_name])
         code = self._coded(n, field_name, self._value(n, field_name))
-        return Free((n, field_name), float(np.clip(code, low, high)), step, (n,), low, high)
+        return Free((n, field_name), float(np.clip(code, low, high)), step, n, low, high)
 
     def softer(self) -> dict[Any, float]:
         """Initial values with half the gains and twice the integral time, for a machine file whose loops are unstable."""

@@ -19,6 +19,9 @@ from twin.report.colours import axis_colour, hexadecimal
 from twin.report.figure import INK, SOFT
 from twin.units import deg_from_rad
 
+POINTS = 14
+"""Most points of friction in each direction."""
+
 STEADY = 0.02
 """A row is at constant speed if its acceleration is less than this share of the largest."""
 
@@ -42,22 +45,19 @@ def _residual(machine: Machine, balance: Balance, axis: str, with_friction: bool
     return (rows.y - rows.columns @ np.where(kept, 0.0, balance.fit.values)) * (machine.axis(axis).ratio if paired else 1.0)
 
 
-def friction_points(machine: Machine, balance: Balance, axis: str, count: int = 14) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def friction_points(machine: Machine, balance: Balance, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Speed [rad/s], friction torque [Nm] and its standard deviation at constant speeds, averaged over rows of equal speed and direction."""
     rows, friction = balance.rows[axis], _residual(machine, balance, axis, with_friction=True)
     steady = np.abs(rows.acceleration) < STEADY * max(float(np.abs(rows.acceleration).max()), 1e-9)
     speed, torque = rows.speed[steady], friction[steady]
     points = []
-    for sign in (-1.0, 1.0):
-        here = np.sign(speed) == sign
-        if here.sum() < 5:
-            continue
-        least = slides_above(machine.axis(axis))
-        edges = np.geomspace(least, max(np.abs(speed[here]).max() * 1.001, least * 1.1), count + 1)
-        for low, high in itertools.pairwise(edges):
-            inside = here & (np.abs(speed) >= low) & (np.abs(speed) < high)
-            if inside.sum() >= 5:
-                points.append((speed[inside].mean(), torque[inside].mean(), torque[inside].std() / np.sqrt(inside.sum() / 5.0)))
+    least = slides_above(machine.axis(axis))
+    edges = np.geomspace(least, max(np.abs(speed).max(initial=0.0) * 1.001, least * 1.1), POINTS + 1)
+    place = np.sign(speed) * np.digitize(np.abs(speed), edges)
+    for k in np.unique(place[place != 0.0]):
+        inside = place == k
+        if inside.sum() >= 5:
+            points.append((speed[inside].mean(), torque[inside].mean(), torque[inside].std() / np.sqrt(inside.sum() / 5.0)))
     return tuple(np.array(c) for c in zip(*points)) if points else (np.zeros(0),) * 3  # type: ignore[return-value]
 
 

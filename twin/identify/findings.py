@@ -16,9 +16,9 @@ from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent, hardly_accelerates
 from twin.identify.position_control import linearised, loop_position
+from twin.identify.recorded_axis import one_speed
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.excitation import one_speed
 from twin.recordings.force_sign import recorded_sign
 from twin.recordings.plausible import contradictions
 from twin.recordings.profile_speed import PROFILE
@@ -54,18 +54,13 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
             continue
         if any(axis.name in r.profiles for r in recorded):
             out.append(Finding(PROFILE, axis.name))
-        for signal, cost in _signals_of(axis).items():
+        # of a command that nothing measures only the motion is needed beside it
+        motion = "motor_position" if axis.encoder == "motor" else "position"
+        needed = SIGNALS if axis.actuator.measured else {motion: "anything", axis.effort: SIGNALS["current"]}
+        for signal, cost in needed.items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):
                 out.append(Finding(f"no {signal} in any run: cannot identify {cost}; record {axis.name}.{signal}", axis.name))
     return out
-
-
-def _signals_of(axis: Axis) -> dict[str, str]:
-    """Signals that an axis of this control structure can have -> what each identifies."""
-    if axis.actuator.measured:
-        return SIGNALS
-    motion = "motor_position" if axis.encoder == "motor" else "position"
-    return {motion: "anything", axis.effort: SIGNALS["current"]}
 
 
 def checked_flags(

@@ -33,14 +33,15 @@ from twin.identify.recorded_axis import (
     effort_balance,
     lags_of,
     noise_of,
+    one_speed,
     position_of,
     slopes_of,
     strokes_of,
 )
+from twin.machine import keys
 from twin.machine.lumped_file import LEAST_LAG_S, AxisLumps, Law, Mechanics, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.excitation import one_speed
 from twin.recordings.force_sign import recorded_sign
 from twin.recordings.profile_speed import PROFILE
 from twin.simulation.plant_spec import with_commissioned_inertia
@@ -172,7 +173,7 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
 def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> Law | None:
     """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none."""
     effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
-    unit = {"current": "A", "voltage": "V", "torque": "Nm"}.get(effort, "")
+    unit = keys.EFFORTS[effort].unit if effort else ""
     where = "position" if one.encoder == "scale" else "motor_position"
     signals = []
     for t in (r.trace for r in runs if effort):

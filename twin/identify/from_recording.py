@@ -169,12 +169,8 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
     out = {}
     for name, parts in rows.items():
         off, error, force_off, command = np.concatenate(parts).T
-        out[name] = Reproduction(_rms(off), _rms(error), _rms(force_off), float(np.ptp(command)))
+        out[name] = Reproduction(*(float(np.sqrt(np.mean(v**2))) for v in (off, error, force_off)), float(np.ptp(command)))
     return out
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _tuned(attempt: Attempt, lumps: Sequence[AxisLumps], say: Callable[[str], None]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:

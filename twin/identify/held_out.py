@@ -45,18 +45,18 @@ class Division:
         """Runs with training rows of at least one axis."""
         return [i for i in range(len(self.runs)) if any(rows[i].any() for rows in self.fitted.values())]
 
-    def held_out(self) -> list[int]:
-        """Runs without training rows."""
-        known = set(self.training())
-        return [i for i in range(len(self.runs)) if i not in known]
+    def left_out_names(self) -> tuple[str, ...]:
+        """Runs without training rows, and held-out stretches of motion, as printed."""
+        names = [run.name for i, run in enumerate(self.runs) if i not in self.training()]
+        return (*names, *(f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {a}" for a in self.by_stretch))
 
-    def part(self, axis_runs: Mapping[str, Sequence[AxisRun | None]], fitted: bool) -> dict[str, list[AxisRun | None]]:
-        """The training or the held-out part of the axis runs: all other rows are marked as limited; None without rows."""
+    def training_part(self, axis_runs: Mapping[str, Sequence[AxisRun | None]]) -> dict[str, list[AxisRun | None]]:
+        """The training part of the axis runs: all other rows are marked as limited; None without rows."""
         out: dict[str, list[AxisRun | None]] = {}
         for axis, seen in axis_runs.items():
             out[axis] = []
             for i, run in enumerate(seen):
-                rows = self.fitted[axis][i] if fitted else ~self.fitted[axis][i]
+                rows = self.fitted[axis][i]
                 if run is None or not rows.any():
                     out[axis].append(None)
                 elif rows.all():
@@ -108,11 +108,14 @@ def _stretch(moving: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     return tuple(out)
 
 
-def held_out_gap(machine: Machine, division: Division) -> Table:
-    """Gap of a machine on held-out rows: axis -> signal -> RMS, RMS of noise alone, unit. Raises SimulationError if the simulation diverges."""
+def gap_or_reason(machine: Machine, division: Division) -> Table | str:
+    """Gap of a machine on held-out rows: axis -> signal -> RMS, RMS of noise alone, unit; or one line with the reason why the simulation failed."""
     asked = sorted({i for a in machine.axis_names for i, _ in division.judged(a)})
-    predictions = dict(zip(asked, predict_each([PredictJob(machine, division.runs[i]) for i in asked])))
-    squares: dict[str, dict[str, list[tuple[float, float, int, str]]]] = {}
+    try:
+        predictions = dict(zip(asked, predict_each([PredictJob(machine, division.runs[i]) for i in asked])))
+    except SimulationError as error:
+        return " ".join(str(error).split())
+    parts: dict[str, dict[str, list[tuple[SignalGap, int]]]] = {}
     for axis in machine.axes:
         for i, rows in division.judged(axis.name):
             run = division.runs[i]
@@ -121,18 +124,15 @@ def held_out_gap(machine: Machine, division: Division) -> Table:
             if np.max(np.abs(np.gradient(run.trace.get(axis.name, "setpoint"), run.trace.period))[rows]) < AT_REST[axis.kind]:
                 continue
             for signal, g in _of_rows(machine, run, predictions[i], axis.name, rows).items():
-                squares.setdefault(axis.name, {}).setdefault(signal, []).append((g.rms, g.noise, int(rows.sum()), g.unit))
-    return {
-        axis: {
-            s: {
-                "rms": math.sqrt(np.average([v[0] ** 2 for v in values], weights=[v[2] for v in values])),
-                "noise": math.sqrt(np.average([v[1] ** 2 for v in values], weights=[v[2] for v in values])),
-                "unit": values[0][3],
-            }
-            for s, values in signals.items()
-        }
-        for axis, signals in squares.items()
-    }
+                parts.setdefault(axis.name, {}).setdefault(signal, []).append((g, int(rows.sum())))
+    return {axis: {s: _mean_gap(own) for s, own in signals.items()} for axis, signals in parts.items()}
+
+
+def _mean_gap(parts: Sequence[tuple[SignalGap, int]]) -> dict[str, float | str]:
+    """RMS of the gap and of its noise over parts of so many rows."""
+    gaps, weights = zip(*parts)
+    rms, noise = (math.sqrt(np.average([v**2 for v in values], weights=weights)) for values in zip(*((g.rms, g.noise) for g in gaps)))
+    return {"rms": rms, "noise": noise, "unit": gaps[0].unit}
 
 
 def _of_rows(machine: Machine, run: MeasuredRun, prediction: Prediction, axis: str, rows: np.ndarray) -> dict[str, SignalGap]:
@@ -148,11 +148,3 @@ def _of_rows(machine: Machine, run: MeasuredRun, prediction: Prediction, axis: s
 
     scatter = {k: v[part] for k, v in prediction.scatter.items()}
     return gap_of(machine, replace(run, trace=cut(run.trace)), Prediction(cut(prediction.trace), scatter)).get(axis, {})
-
-
-def gap_or_reason(machine: Machine, division: Division) -> Table | str:
-    """The gap on held-out rows, or one line with the reason why the simulation failed."""
-    try:
-        return held_out_gap(machine, division)
-    except SimulationError as error:
-        return " ".join(str(error).split())

@@ -18,7 +18,7 @@ from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
 from twin.identify.findings import Finding
-from twin.identify.held_out import HELD_OUT_SHARE, Division, divide_runs, gap_or_reason
+from twin.identify.held_out import Division, divide_runs, gap_or_reason
 from twin.identify.parameters import (
     LOOP_BOUNDS,
     implausible_currents,
@@ -29,7 +29,7 @@ from twin.identify.parameters import (
 from twin.identify.position_control import NOT_RECORDED
 from twin.identify.recording import prepare_recording
 from twin.identify.regressions import Regressions, Runs, regress_blocks
-from twin.identify.result import Identification, Parameter
+from twin.identify.result import Identification
 from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
@@ -79,20 +79,17 @@ def identify(
     say("simulating instruments")
     simulated = _simulated(machine, division)
     say("regression")
-    direct = regress_blocks(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
+    direct = regress_blocks(machine, division.training_part(recording.axis_runs), simulated, say)
     against = implausible_currents(direct)
     if against:
         recording = recording.without_current(against)
-        direct = regress_blocks(machine, division.part(recording.axis_runs, fitted=True), simulated, say)
+        direct = regress_blocks(machine, division.training_part(recording.axis_runs), simulated, say)
     splits = split_products(machine, direct, torque_constant_tolerance)
     training = [division.runs[i] for i in division.training()]
     noise = measurement_values(machine, training)
     controlled = _with_noise(with_identified_control(machine, direct), noise)
     found = _with_noise(with_identified_control(split_machine(machine, splits), direct), noise)
-    say("regression on the held-out motion")
-    checking = division.part(recording.axis_runs, fitted=False)
-    other = regress_blocks(machine, checking) if any(r is not None for a in checking.values() for r in a) else Regressions()
-    parameters = parameters_of(machine, direct, other, splits)
+    parameters = parameters_of(machine, direct, splits)
     not_found, notes = position_control_findings(machine, direct)
     findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
     for one in (delivered_effort(axis, recording.runs) for axis in machine.axes):
@@ -101,11 +98,16 @@ def identify(
     clock["regression"] = time.perf_counter() - started
     stages = {"regression": found}
     if refine:
-        refined, parameters, said = _resimulated(found, division, direct, parameters, against, say)
-        findings += said
+        say("drives in closed loop")
+        rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names}
+        known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop} | direct.unexcited
+        try:
+            fits = fit_drives(found, training, rows, known, say, skipped=against)
+            parameters = with_drives(parameters, found, fits)
+            stages |= {"refined": fits.machine} if fits.axes else {}
+        except SimulationError as error:
+            findings.append(Finding(f"drives not fitted in closed loop: {error}"))
         clock["closed loop"] = time.perf_counter() - started
-        if refined is not None:
-            stages["refined"] = refined
     findings += unidentified(machine, parameters)
     best, route, refused, tables = found, "regression", "", {}
     stage_of: dict[str, str] | None = None
@@ -122,16 +124,9 @@ def identify(
         clock["gaps"] = time.perf_counter() - started
     return Identification(
         machine, best, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
-        tuple(r.name for r in training), _held_out_names(division), str(campaign.path),
+        tuple(r.name for r in training), division.left_out_names(), str(campaign.path),
         {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, tuple(notes),
     )  # fmt: skip
-
-
-def _held_out_names(division: Division) -> tuple[str, ...]:
-    """Held-out runs and stretches of motion, as printed."""
-    names = [division.runs[i].name for i in division.held_out()]
-    stretches = [f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {a}" for a in division.by_stretch]
-    return (*names, *stretches)
 
 
 def _simulated(machine: Machine, division: Division) -> Runs | None:
@@ -154,26 +149,6 @@ def _simulated(machine: Machine, division: Division) -> Runs | None:
         return {a.name: [axis_run(machine, a, twins[i]) if i in twins else None for i in range(len(division.runs))] for a in machine.axes}
     except TwinError:
         return None
-
-
-def _resimulated(
-    found: Machine,
-    division: Division,
-    direct: Regressions,
-    parameters: list[Parameter],
-    against: dict[str, Finding],
-    say: Callable[[str], None],
-) -> tuple[Machine | None, list[Parameter], list[Finding]]:
-    """The closed-loop fit: its machine (None if it changed nothing), the parameters, and a finding if it failed."""
-    training = division.training()
-    rows = {a: [division.fitted[a][i] for i in training] for a in found.axis_names}
-    known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop} | direct.unexcited
-    say("drives in closed loop")
-    try:
-        fits = fit_drives(found, [division.runs[i] for i in training], rows, known, say, skipped=against)
-    except SimulationError as error:
-        return None, parameters, [Finding(f"drives not fitted in closed loop: {error}")]
-    return fits.machine if fits.axes else None, with_drives(parameters, found, fits), []
 
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3

@@ -1,4 +1,4 @@
-"""The table of identified parameters, each with intervals from the regression, from the fit in closed loop and from the held-out motion."""
+"""The table of identified parameters, each with intervals from the regression and from the fit in closed loop."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ import numpy as np
 
 from twin.identify import tilting_pair
 from twin.identify.drive_fit import DriveFits
-from twin.identify.drive_position_loop import DrivePositionLoop
 from twin.identify.drive_residuals import MODE, RANGES, TIMES
 from twin.identify.findings import Finding
-from twin.identify.position_control import PositionControl
 from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
-from twin.identify.speed_control import SpeedControl
 from twin.identify.torque_constants import Split, is_vertical
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD, parameter
@@ -29,12 +26,9 @@ FRICTIONS = ("coulomb_friction", "viscous_friction")
 FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
 
 
-def parameters_of(machine: Machine, direct: Regressions, other: Regressions, splits: dict[str, Split]) -> list[Parameter]:
-    """All parameters in the order of the axes: control, mechanics at the motor, moments of the table at the axes.
-
-    `direct` is the regression on the training rows, `other` that on the held-out rows (empty: none).
-    """
-    return [p for axis in machine.axes for part in (_control, _mechanics) for p in part(machine, axis, direct, other, splits)]
+def parameters_of(machine: Machine, direct: Regressions, splits: dict[str, Split]) -> list[Parameter]:
+    """All parameters of a regression in the order of the axes: control, mechanics at the motor, moments of the table at the axes."""
+    return [p for axis in machine.axes for p in (*_control(machine, axis, direct), *_mechanics(machine, axis, direct, splits))]
 
 
 def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
@@ -56,54 +50,39 @@ def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     return p.unit(axis.drive), float(getattr(axis.loops if in_loops else axis, name)), machine.in_file(f"axis.{axis.name}.{key}", 0.0)[0]
 
 
-def _control(machine: Machine, axis: Axis, direct: Regressions, other: Regressions, splits: dict[str, Split]) -> Iterator[Parameter]:
+def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Parameter]:
     """Position and speed controller of one axis."""
-    for block, check in (
-        (direct.position.get(axis.name), other.position.get(axis.name)),
-        (direct.speed.get(axis.name), other.speed.get(axis.name)),
-        *([(direct.drive_loop[axis.name], other.drive_loop.get(axis.name))] if axis.name in direct.drive_loop else []),
-    ):
+    for table in (direct.position, direct.speed, direct.drive_loop):
+        block = table.get(axis.name)
         for name, value in block.values.items() if block is not None else ():
-            estimate, aside = _range_of(block, name), _range_of(check, name)
-            if estimate is None:
+            if not math.isfinite(block.deviations[name]):
                 continue
+            estimate = Range.around(value, block.deviations[name] * block.quantile)
             low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
             bounded = Range.around(float(np.clip(value, low, high)), estimate.half)
             unit, before, path = _about(machine, axis, name)
             condition = getattr(block, "condition", 1.0)
-            yield Parameter(axis.name, name, unit, before, estimate, bounded, False, condition, bounded.value != value, path, aside)
+            yield Parameter(axis.name, name, unit, before, estimate, bounded, False, condition, bounded.value != value, path)
 
 
-def _range_of(block: PositionControl | SpeedControl | DrivePositionLoop | None, name: str) -> Range | None:
-    """A value of a block with its interval; None if it was not identified."""
-    if block is None or not math.isfinite(block.deviations.get(name, math.inf)):
-        return None
-    return Range.around(block.values[name], block.deviations[name] * block.quantile)
-
-
-def _mechanics(machine: Machine, axis: Axis, direct: Regressions, other: Regressions, splits: dict[str, Split]) -> Iterator[Parameter]:
+def _mechanics(machine: Machine, axis: Axis, direct: Regressions, splits: dict[str, Split]) -> Iterator[Parameter]:
     """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A."""
     key = next((k for k in direct.balance if axis.name in k.split()), None)
     if key is None:
         return
-    balance, check = direct.balance[key], other.balance.get(key)
+    balance, fit = direct.balance[key], direct.balance[key].fit
     kt_log, kt_sd = splits[key].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0)) if key in splits else (0.0, 0.0)
     for inner, name, factor in _names_of(machine, axis, paired=key == "A C"):
         i = balance.names.index(inner)
-        found, aside = (
-            Range.around(float(b.fit.values[i] * factor), float(b.fit.deviations[i] * b.fit.quantile * factor))
-            if b is not None and b.fit.seen[i] and math.isfinite(b.fit.deviations[i])
-            else None
-            for b in (balance, check)
-        )
-        if found is None:
+        if not fit.seen[i] or not math.isfinite(fit.deviations[i]):
             continue
+        found = Range.around(float(fit.values[i] * factor), float(fit.deviations[i] * fit.quantile * factor))
         # the value is the product at the most probable torque constant; the uncertainty of that constant is added
         split = found.value * math.exp(kt_log)
         value = Range.around(split, math.hypot(found.half, 1.96 * kt_sd * abs(split)))
         unit, before, path = _about(machine, axis, name)
         at_bound = name in FRICTIONS and split <= 0.0
-        yield Parameter(axis.name, name, unit, before, found, value, True, balance.fit.condition, at_bound, path, aside)
+        yield Parameter(axis.name, name, unit, before, found, value, True, fit.condition, at_bound, path)
 
 
 def _names_of(machine: Machine, axis: Axis, paired: bool) -> list[tuple[str, str, float]]:

@@ -26,7 +26,7 @@ from twin.geometry.scurve import jerk_limited_move, sample_times, time_of_move
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.parameters import parameters_of
-from twin.identify.regressions import Regressions, regress_blocks
+from twin.identify.regressions import regress_blocks
 from twin.identify.result import Parameter
 from twin.identify.torque_constants import split_products
 from twin.limits import MOST_SETPOINTS, refuse_above
@@ -124,7 +124,7 @@ Move = tuple[dict[str, float], float, float]
 
 def _path(machine: Machine, moves: Sequence[Move], name: str, feedforward: str) -> PlannedRun:
     """A run of consecutive moves from the middle of the travels, with dwells between them."""
-    period, begin, at = machine.sample_period, DWELL_S, _home(machine)
+    period, begin, at = machine.sample_period, DWELL_S, {axis.name: _reach(axis)[0] for axis in machine.axes}
     start, ways, blocks = np.array(list(at.values())), [], []
     for targets, speed_share, acceleration_share in moves:
         way = np.array([targets.get(axis, here) - here for axis, here in at.items()])
@@ -145,10 +145,6 @@ def _path(machine: Machine, moves: Sequence[Move], name: str, feedforward: str) 
     for since, way, limits in ways:
         position += way * jerk_limited_move(1.0, *limits, times - since)[:, None]
     return PlannedRun(name, feedforward, Setpoints(position, period), 1, tuple(blocks))
-
-
-def _home(machine: Machine) -> dict[str, float]:
-    return {axis.name: _reach(axis)[0] for axis in machine.axes}
 
 
 def constant_speeds(machine: Machine, axes: Sequence[Axis], name: str = "plan_constant_speeds") -> PlannedRun:
@@ -181,17 +177,7 @@ def _table_runs(machine: Machine) -> list[PlannedRun]:
     if not tilting_pair.has_pair(machine):
         return []
     (low_a, middle_a, high_a), (low_c, middle_c, high_c) = ((m - half, m, m + half) for m, half in map(_reach, map(machine.axis, "AC")))
-    turns = [
-        ("C", low_c),
-        ("A", low_a),
-        ("A", high_a),
-        ("C", middle_c),
-        ("A", low_a),
-        ("A", high_a),
-        ("C", high_c),
-        ("A", low_a),
-        ("A", high_a),
-    ]
+    turns = [turn for at in (low_c, middle_c, high_c) for turn in (("C", at), ("A", low_a), ("A", high_a))]
     tilts = [("A", low_a), ("C", low_c), ("C", high_c), ("A", middle_a), ("C", low_c), ("C", high_c)]
     slow = {"A": 0.35, "C": 0.5}
     return [_path(machine, [({n: target}, slow[n], SHARE) for n, target in (*turns, *tilts)], "plan_table", "velocity+torque")]
@@ -228,7 +214,7 @@ def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[s
             if progress:
                 progress(f"simulating {run.name}")
         direct = regress_blocks(machine, seen, quiet)
-        table = parameters_of(machine, direct, Regressions(), split_products(machine, direct))
+        table = parameters_of(machine, direct, split_products(machine, direct))
         halves.append({(p.axis, p.name): p for p in table})
     out = []
     for key, p in halves[0].items():

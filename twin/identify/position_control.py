@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from twin.control.command_law import LARGEST_LEFT
-from twin.control.position_law import feedforward_at, position_law
+from twin.control.position_controller import feedforward_at, position_law
 from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
 from twin.machine.axis import Axis

@@ -18,7 +18,6 @@ import numpy as np
 
 from twin.estimate.regression import Fit, regress
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.excitation import one_speed
 from twin.recordings.force_sign import low_passed
 from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise, roughness, step_of
 
@@ -31,6 +30,9 @@ LEAST_SAMPLES = 16
 LEAST_TURN_RAD = 0.5
 """Least travel of a rotary axis on which a weight that turns with it shows."""
 EFFORTS = ("current", "voltage", "torque")
+LEAST_SPREAD = 2.5
+"""Below this ratio of the 97th to the 10th percentile of its speeds an axis has one speed. Ramps are a small share of such motion, and their
+friction is not that of steady speed."""
 
 
 class Value(NamedTuple):
@@ -145,6 +147,17 @@ def value_of(fit: Fit, weights: Sequence[float]) -> Value | None:
     return Value(
         float(w @ fit.values), fit.quantile * float(np.sqrt(max(w @ np.where(used[:, None] & used, fit.covariance, 0.0) @ w, 0.0)))
     )
+
+
+def one_speed(speeds: np.ndarray) -> float | None:
+    """The single speed at which an axis slides, from its speeds (sample,) while it moves; None if it has several.
+
+    Coulomb and viscous friction are separated only by several speeds.
+    """
+    size = np.abs(speeds)
+    if len(size) == 0 or np.percentile(size, 97) >= LEAST_SPREAD * np.percentile(size, 10):
+        return None
+    return float(np.median(size))
 
 
 def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict[str, Value], np.ndarray]:

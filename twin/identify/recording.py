@@ -110,7 +110,9 @@ def _without_skew(
         before, correct = correct, {}
         for item in skews.values():
             if abs(item.seconds) > max(LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
-                correct.setdefault(item.axis, {})[item.signal] = _whole_samples(item.seconds, runs[0].trace.period)
+                samples = item.seconds / runs[0].trace.period
+                whole = abs(samples - round(samples)) < NEAR_SAMPLE
+                correct.setdefault(item.axis, {})[item.signal] = runs[0].trace.period * (round(samples) if whole else samples)
         if correct == before:
             break
         axis_runs = _axis_runs(machine, runs, correct)
@@ -120,11 +122,6 @@ def _without_skew(
 SKEW_ROUNDS = 3
 NEAR_SAMPLE = 0.2
 """A skew within this fraction of a period from a whole number of samples is rounded to it: recorders delay by whole samples."""
-
-
-def _whole_samples(seconds: float, period: float) -> float:
-    samples = seconds / period
-    return round(samples) * period if abs(samples - round(samples)) < NEAR_SAMPLE else seconds
 
 
 def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) -> list[ChannelSkew]:

@@ -66,8 +66,7 @@ def regress_blocks(
         else:
             out.position[axis.name] = position
         if any(r.current is not None for r in here):
-            partners = _partners(machine, axis, runs)
-            out.current[axis.name] = MeanCurrent.start(machine, axis, here, control_inertia(axis), partners)  # type: ignore[arg-type]
+            out.current[axis.name] = MeanCurrent.start(machine, axis, here, control_inertia(axis), _partners(machine, axis, runs))
     _one_interpolation(machine, moving, out)
     for axis in machine.axes:
         if axis.name in out.position:
@@ -75,7 +74,7 @@ def regress_blocks(
             loop = drive_position_loop(axis, moving[axis.name], gain)
             if loop is not None:
                 out.drive_loop[axis.name] = loop
-    _balances(machine, runs, out, ITERATIONS)
+    _balances(machine, runs, out)
     if progress:
         progress("torque balance")
     for last in (False, True):
@@ -90,16 +89,9 @@ def regress_blocks(
                 found = out.speed.get(axis.name)
                 if found is not None:
                     weight = found.values["torque_feedforward"] if math.isfinite(found.deviations["torque_feedforward"]) else 1.0
-                    inertia = out.current[axis.name].fit.loop.inertia
-                    out.current[axis.name] = MeanCurrent.start(  # type: ignore[call-arg]
-                        machine,
-                        axis,
-                        moving[axis.name],
-                        inertia,
-                        _partners(machine, axis, runs),
-                        weight,  # type: ignore[arg-type]
-                    )
-            _balances(machine, runs, out, ITERATIONS)
+                    inertia, partners = out.current[axis.name].fit.loop.inertia, _partners(machine, axis, runs)
+                    out.current[axis.name] = MeanCurrent.start(machine, axis, moving[axis.name], inertia, partners, weight)
+            _balances(machine, runs, out)
             if progress:
                 progress("torque balance, with the control's own weights")
     return out
@@ -123,10 +115,10 @@ def _partners(machine: Machine, axis: Axis, runs: Runs) -> list[AxisRun | None]:
     return [b for a, b in zip(runs[axis.name], runs[other]) if a is not None]
 
 
-def _balances(machine: Machine, runs: Runs, out: Regressions, iterations: int) -> None:
+def _balances(machine: Machine, runs: Runs, out: Regressions) -> None:
     """Torque balances of all axes; mean current and inertia are updated alternately."""
     paired = tilting_pair.has_pair(machine) and {"A", "C"} <= out.current.keys()
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         for axis in machine.axes:
             if axis.name not in out.current or (paired and axis.name in ("A", "C")):
                 continue

@@ -111,34 +111,26 @@ def _caveats(result: Identification) -> Section:
     return Section("Limits and findings", lines, items=findings)
 
 
-WIDER_INTERVAL = 20.0
-"""A parameter is not compared with its held-out value if the interval of that is wider by more than this factor."""
-
-
 def _parameters(result: Identification) -> Section:
     rows: list[dict[str, str]] = []
-    marked = set()
     for p in result.parameters:
-        judges = p.held_out is not None and p.held_out.half < WIDER_INTERVAL * p.estimate.half
-        off = judges and p.held_out is not None and (p.held_out.low > p.estimate.high or p.held_out.high < p.estimate.low)
-        if off or p.at_bound:
-            marked.add(len(rows))
         product = p.estimate if p.product else None
         rows.append(
             {
                 "axis": p.axis, "parameter": p.name.replace("_", " "), "unit": p.unit, "before": f"{p.before:.4g}",
                 "value": _number(p.value), "95 %": _half(p.value), "product": _number(product), "95 % of the product": _half(product),
                 "in closed loop": _number(p.refined), "95 % in closed loop": _half(p.refined),
-                "held out": f"{_number(p.held_out)} {_half(p.held_out)}".strip(),
                 "condition": f"{p.condition:.0f}" if math.isfinite(p.condition) else "", "at bound": "yes" if p.at_bound else "",
             }
         )  # fmt: skip
     note = (
-        "Product: the value at the machine file's torque constant, as determined by current and motion. Value: after the split. Marked rows: the interval "
-        "from held-out motion does not overlap, or the value lies at its bound. Condition: condition number of the scaled regressors."
+        "Product: the value at the machine file's torque constant, as determined by current and motion. Value: after the split. Marked "
+        "rows: the value lies at its bound. Condition: condition number of the scaled regressors."
     )
     shown = [h for i, h in enumerate(rows[0] if rows else ()) if i < 6 or any(row[h] for row in rows)]
-    table = Table(shown, [[row[h] for h in shown] for row in rows], left=3, marked=frozenset(marked))
+    table = Table(
+        shown, [[row[h] for h in shown] for row in rows], left=3, marked=frozenset(i for i, p in enumerate(result.parameters) if p.at_bound)
+    )
     return Section("Parameters before and after", [note], tables=[table])
 
 

@@ -48,7 +48,7 @@ class Parameter:
     """One identified number.
 
     `estimate`: result of the regression; with `product` it equals value x (file's Kt / true Kt). `value`: after the split of the products.
-    `held_out`: the same regression on held-out motion. `refined`: result of the fit in closed loop.
+    `refined`: result of the fit in closed loop.
     """
 
     axis: str
@@ -61,7 +61,6 @@ class Parameter:
     condition: float
     at_bound: bool
     path: str = ""
-    held_out: Range | None = None
     refined: Range | None = None
 
 

@@ -19,6 +19,7 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
+from twin.documents import value_at
 from twin.effects.change import upward
 from twin.identify import tilting_pair
 from twin.identify.axis_run import control_inertia
@@ -78,8 +79,7 @@ def split_products(machine: Machine, direct: Regressions, torque_constant_tolera
 
 def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
     """The machine with the factors applied to its values."""
-    scaled = machine.with_values({p: v for split in splits.values() for p, v in _scaled(machine, split.factors).items()})
-    return scaled.with_values({p: v for split in splits.values() for p, v in split.added.items()})
+    return machine.with_values({p: v for split in splits.values() for p, v in (_scaled(machine, split.factors) | split.added).items()})
 
 
 def _friction_from_zero(machine: Machine, name: str, balance: Balance, factors: Mapping[str, tuple[float, float]]) -> dict[str, float]:
@@ -124,7 +124,9 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
     """Products at the file's torque constants as a function of log factors, in the order of the balance's names."""
     index = {p: i for i, p in enumerate(paths)}
     axes = [machine.axis(n) for n in name.split()]
-    parts = {b.name: _pair_part(machine, b.name) for b in machine.bodies if b.name in PAIR_BODIES} if name == "A C" else {}
+    # the PAIR numbers are linear in mass and inertia of each body
+    bodies = [b.name for b in machine.bodies if b.name in PAIR_BODIES and name == "A C"]
+    parts = {b: tilting_pair.pair_numbers(machine.with_body(b, 2.0)) - tilting_pair.pair_numbers(machine) for b in bodies}
 
     def predicted(x: np.ndarray) -> np.ndarray:
         def f(path: str) -> float:
@@ -153,11 +155,6 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
     return predicted
 
 
-def _pair_part(machine: Machine, body: str) -> np.ndarray:
-    """Contribution of one body to the ten PAIR numbers, which are linear in its mass and inertia."""
-    return tilting_pair.pair_numbers(machine.with_body(body, 2.0)) - tilting_pair.pair_numbers(machine)
-
-
 def is_vertical(machine: Machine, name: str) -> bool:
     """Does the drive of this linear axis carry its weight?"""
     axis = machine.axis(name)
@@ -179,11 +176,8 @@ def _scaled(machine: Machine, factors: Mapping[str, tuple[float, float]]) -> dic
     out: dict[str, object] = {}
     for asked, (log_factor, _) in factors.items():
         path = machine.in_file(asked, 0.0)[0]
-        table: object = machine.document
-        for key in path.split("."):
-            table = table[key]  # type: ignore[index]
         factor = math.exp(log_factor)
-        out[path] = float(table) * factor  # type: ignore[arg-type]
+        out[path] = float(value_at(machine.document, path)) * factor
         if path.startswith("body."):
             body = path.split(".")[1]
             out[f"body.{body}.inertia_kg_m2"] = [factor * v for v in machine.document["body"][body]["inertia_kg_m2"]]

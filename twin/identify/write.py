@@ -7,7 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from twin.identify.result import Identification, Parameter, Range
+from twin.documents import value_at, values_of
+from twin.identify.result import Identification, Range
 from twin.machine.commented import ASSUMED, BOUNDED
 from twin.machine.machine import Machine, write_machine
 
@@ -22,7 +23,7 @@ def machine_comments(result: Identification) -> dict[str, str]:
     changed = _changed(result.before, result.machine)
     for p in result.parameters:
         if p.path in changed or (p.path and p.at_bound and result.taken(p) is not None):
-            r = _final(p, result)
+            r = result.taken(p) or p.value
             limit = ", at its bound" if p.at_bound else ""
             small = p.path.endswith("delay_s") or p.path.endswith("time_s")  # a delay near zero is one all the same
             grade = BOUNDED if r.half > WIDE * abs(r.value) and not small else "identified"
@@ -41,35 +42,16 @@ def machine_comments(result: Identification) -> dict[str, str]:
     return out
 
 
-def _final(p: Parameter, result: Identification) -> Range:
-    return result.taken(p) or p.value
-
-
 def _changed(before: Machine, after: Machine) -> list[str]:
     """Paths of values that differ between two machine files."""
-    out: list[str] = []
-
-    def walk(a: Any, b: Any, path: str) -> None:
-        for key, value in b.items():
-            here = f"{path}.{key}" if path else key
-            if isinstance(value, dict):
-                walk(a.get(key, {}), value, here)
-            elif value != a.get(key):
-                out.append(here)
-
-    walk(before.document, after.document, "")
-    return out
+    old = values_of(before.document)
+    return [path for path, value in values_of(after.document).items() if value != old.get(path)]
 
 
 def write_identified(result: Identification, path: str | Path) -> None:
     """Write the machine file: values rounded to their interval, each with its grade as a comment, and a table [identified] with the source."""
-    values = {}
-    for where in _changed(result.before, result.machine):
-        value: Any = result.machine.document
-        for key in where.split("."):
-            value = value[key]
-        values[where] = _rounded(value)
-    machine = result.before.with_values(values)
+    changed = _changed(result.before, result.machine)
+    machine = result.before.with_values({path: _rounded(value_at(result.machine.document, path)) for path in changed})
     table = {
         "campaign": Path(result.campaign).name,
         "route": result.chosen,
@@ -107,9 +89,9 @@ def as_json(result: Identification) -> dict[str, Any]:
         "parameters": [
             {
                 "axis": p.axis, "name": p.name, "unit": p.unit, "path": p.path, "before": p.before,
-                **(range_table(_final(p, result)) or {}),
+                **(range_table(result.taken(p) or p.value) or {}),
                 "product_at_file_torque_constant": range_table(p.estimate) if p.product else None,
-                "regression": range_table(p.value), "refined": range_table(p.refined), "left_out": range_table(p.held_out),
+                "regression": range_table(p.value), "refined": range_table(p.refined),
                 "taken": result.taken(p) is not None,
                 "condition": p.condition if math.isfinite(p.condition) else None, "at_bound": p.at_bound,
             }

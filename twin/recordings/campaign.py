@@ -33,21 +33,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 import dataclasses
 from dataclasses import dataclass, replace
-import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from msgspec import field
 import numpy as np
 
-from twin.documents import named_file, read_toml, reading
+from twin.documents import named_file, read_toml
 from twin.errors import InputError
 from twin.limits import refuse_above, refuse_bytes
 from twin.machine.machine import Feedforward, Machine
 from twin.recordings.ballbar import Ballbar, ballbar_of
 from twin.recordings.profile_speed import SIGNAL, answers_position
-from twin.recordings.signals import Event
-from twin.recordings.table_file import read_parquet, table_bytes, text_bytes
+from twin.recordings.table_file import table_bytes
 from twin.recordings.trace import Trace, read_trace
 from twin.tables import Number, Positive, Table, asks, typed
 
@@ -80,16 +78,6 @@ class ChannelFact(Table, frozen=True, omit_defaults=True):
         """Constant difference to the motor encoder [m or rad]."""
         return self.offset_m or self.offset_rad
 
-    @property
-    def latency_left(self) -> float:
-        """Latency [s] that remains in the trace."""
-        return self.latency - self.taken_back
-
-    @property
-    def offset_left(self) -> float:
-        """Offset [m or rad] that remains in the trace."""
-        return 0.0 if self.offset_taken_out else self.offset
-
 
 class _Ballbar(Table, frozen=True):
     axes: Annotated[tuple[str, str], asks("name two axes of the trace")]
@@ -119,7 +107,6 @@ class MeasuredRun:
 
     facts      findings of the import, by (axis, signal)
     labels     values of label columns
-    events     program blocks in order of time
     own_zeros  axes whose encoders have no common zero, such as those with an offset taken out; comparisons remove the mean of their difference
     ballbar    the instrument that measured the positions instead of scales
     profiles   axes whose recorded speed set point does not answer the position; it is not in the trace
@@ -131,7 +118,6 @@ class MeasuredRun:
     started_at: float
     facts: Mapping[tuple[str, str], ChannelFact] = dataclasses.field(default_factory=dict)
     labels: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    events: tuple[Event, ...] = ()
     own_zeros: frozenset[str] = frozenset()
     ballbar: Ballbar | None = None
     profiles: frozenset[str] = frozenset()
@@ -139,11 +125,6 @@ class MeasuredRun:
     def fact(self, axis: str, signal: str) -> ChannelFact:
         """Findings about a channel; defaults if there are none."""
         return self.facts.get((axis, signal), ChannelFact(axis=axis, signal=signal))
-
-    def block_at(self, time: float) -> Event | None:
-        """The program block that was active at a time [s] of the trace; None if none is recorded."""
-        past = [e for e in self.events if e.time <= time]
-        return past[-1] if past else None
 
 
 @dataclass(frozen=True)
@@ -173,8 +154,7 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
         named.add(one.stem)
         taken += table_bytes(one)
         refuse_bytes(taken, str(file), "split the campaign, or record at a lower rate")
-    events = _read_events(path)
-    runs = [_read_run(one, run, f"{file}: run {i + 1}", machine, events) for i, (one, run) in enumerate(zip(files, document.run))]
+    runs = [_read_run(one, run, f"{file}: run {i + 1}", machine) for i, (one, run) in enumerate(zip(files, document.run))]
     return Campaign(path, document.machine, _without_profiles(runs))
 
 
@@ -209,24 +189,7 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     return tuple(out)
 
 
-def _read_events(folder: Path) -> dict[str, list[Event]]:
-    """Events by run; empty if the campaign has none."""
-    if not os.path.lexists(folder / EVENTS):
-        return {}
-    path = named_file(EVENTS, folder, str(folder))
-    kind, remedy = "table of events with time, channel, block, text, run", "remove it or import again"
-    table = read_parquet(path, kind, remedy)
-    with reading(path, kind, remedy):
-        refuse_bytes(text_bytes(table) + 500.0 * table.num_rows, str(path), "remove it or import the recording in parts")
-        rows = table.to_pylist()
-        named = [(str(r["run"]), Event(float(r["time"]), int(r["channel"]), str(r["block"]), str(r["text"]))) for r in rows]
-    out: dict[str, list[Event]] = {}
-    for run, event in sorted(named, key=lambda one: one[1].time):
-        out.setdefault(run, []).append(event)
-    return out
-
-
-def _read_run(file: Path, run: _Run, where: str, machine: Machine | None, events: Mapping[str, list[Event]]) -> MeasuredRun:
+def _read_run(file: Path, run: _Run, where: str, machine: Machine | None) -> MeasuredRun:
     trace = read_trace(file, axes=machine.kinds if machine else None, need=("setpoint",))
     name = Path(run.file).stem
     return MeasuredRun(
@@ -236,7 +199,6 @@ def _read_run(file: Path, run: _Run, where: str, machine: Machine | None, events
         run.started_at_s,
         facts={(fact.axis, fact.signal): fact for fact in run.channel},
         labels=run.labels,
-        events=tuple(events.get(name, ())),
         own_zeros=frozenset(fact.axis for fact in run.channel if fact.signal == "position" and fact.offset_taken_out),
         ballbar=_ballbar(run.ballbar, trace, f"{where}: [ballbar]") if run.ballbar else None,
     )

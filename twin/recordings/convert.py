@@ -12,6 +12,7 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.grid import Source
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
+from twin.recordings.relations import without_sign_bit
 from twin.recordings.signals import Signal
 from twin.recordings.trace import BY_UNIT, DISTURBANCE, QUANTITY, quantity_of, unit_of
 from twin.units import RECORDED_UNITS, dimension_recorded
@@ -30,7 +31,7 @@ class Conversion:
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         if self.sign_bit is not None:
-            values = np.where(values >= 2.0**self.sign_bit, 2.0**self.sign_bit - values, values)
+            values = without_sign_bit(values, self.sign_bit)
         return values * self.factor + self.offset if self.offset else values * self.factor
 
 

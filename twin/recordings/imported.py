@@ -17,7 +17,7 @@ from twin.progress import Progress
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.mapping import Map, runs_of
 from twin.recordings.overview import draw_run, understood_table
-from twin.recordings.signals import ReadOptions, Recording
+from twin.recordings.signals import ReadOptions
 from twin.recordings.understand import understand
 from twin.recordings.write import write_campaign, write_run
 
@@ -37,13 +37,15 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
     output_folder(out)
     for left in out.glob(f"{SCRATCH}*"):  # of an import that was killed: this one has the lock of the folder
         shutil.rmtree(left, ignore_errors=True)
+    wanted = frozenset([*(c.name for c in mapping.columns), *mapping.settings.labels])
     done = []
     first: datetime | None = None
     with Progress("importing", total=len(runs)) as bar:
         for run, paths in runs:
             # data that do not fit into memory are stored beside the result; /tmp may itself be in memory
             with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=out) as scratch:
-                recordings = _read(mapping, paths, Path(scratch))
+                options = [ReadOptions(mapping.clock, wanted, Path(scratch) / str(i), mapping.dialect) for i in range(len(paths))]
+                recordings = [read_recording(path, own) for path, own in zip(paths, options)]
                 known = understand(mapping, run, recordings)
                 # the start of a run: from the map, else from the clocks of the files relative to the first run, else 0
                 started = known.started.replace(tzinfo=known.started.tzinfo or UTC) if known.started is not None else None
@@ -66,8 +68,3 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
             bar(None)
     write_campaign(out, mapping, done)
     return sum(len(traces) for _, traces in done)
-
-
-def _read(mapping: Map, paths: Sequence[Path], scratch: Path) -> list[Recording]:
-    wanted = frozenset([*(c.name for c in mapping.columns), *mapping.settings.labels])
-    return [read_recording(path, ReadOptions(mapping.clock, wanted, scratch / str(i), mapping.dialect)) for i, path in enumerate(paths)]

@@ -64,8 +64,8 @@ def _time(proposal: Proposal) -> list[str]:
     lines = [f"# {_one_line(time.question or time.text)}"]
     if not time.known:
         return [*lines, "# [time]", "# interval_ms = 1.0"]
-    if time.interval_s is not None:
-        return [*lines, "[time]", f"interval_ms = {time.interval_s * 1e3:.9g}"]
+    if not time.column:
+        return [*lines, "[time]", f"interval_ms = {time.interval * 1e3:.9g}"]
     return [*lines, "[time]", f"column = {toml_text(time.column)}", f'unit = "{time.unit}"']
 
 

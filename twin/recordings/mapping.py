@@ -18,8 +18,6 @@ unit = "ms"
 [csv]                              # only for what is not detected
 delimiter = ";"
 decimal = ","
-header_line = 3
-units_row = true
 encoding = "latin-1"
 columns = ["time [ms]", "position"]   # names of all columns where the file gives none or wrong ones; "-" where unused
 

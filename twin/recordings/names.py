@@ -8,6 +8,7 @@ the last part counts. The data decide what a name leaves open (mm or deg).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import re
 import unicodedata
@@ -39,7 +40,11 @@ for _role, _listed in _WORDS.items():
 _LETTERS = {"s": "pos", "q": "pos", "qd": "vel", "qdd": "acceleration", "v": "vel", "n": "vel", "i": "current", "m": "torque", "tau": "torque",
             "u": "voltage", "a": "acceleration"}  # fmt: skip
 """Letters for a quantity; valid only beside a word for set point, actual value or feedforward."""
-_QUANTITIES = ("pos", "vel", "current", "torque", "voltage", "acceleration")
+_SIGNALS = {
+    "pos": ("setpoint", "position", ""), "vel": ("velocity_setpoint", "velocity", ""), "current": ("current", "current", "A"),
+    "torque": ("torque_setpoint", "torque", "Nm"), "voltage": ("voltage", "voltage", "V"), "acceleration": ("acceleration", "acceleration", ""),
+}  # fmt: skip
+"""Quantity -> signal if it is a set point, signal else, usual unit."""
 
 _EXACT = {
     # SINUMERIK Edge
@@ -68,6 +73,16 @@ _PART = re.compile("|".join(_PARTS), re.IGNORECASE)
 _STEMS = {"geschwindigkeits": "geschwindigkeit", "drehmomenten": "drehmoment", "momenten": "moment", "positions": "position",
           "beschleunigungs": "beschleunigung", "spannungs": "spannung", "achs": "achse"}  # fmt: skip
 _AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
+
+
+_LABELS = (
+    re.compile(r"[(\[|]\s*(?:u\d+\s*,\s*)?(\d{1,2})\s*[)\]]?\s*$"),  # pos (5), tau[3], DES_POS|12
+    re.compile(r"^([XYZABCUVWS]\d?)[_. ]", re.IGNORECASE),  # X1_ActualPosition
+    re.compile(r"[_. ]([XYZABCUVW]\d?)$", re.IGNORECASE),  # speed_X
+    re.compile(r"(?:axis|achse|axe|joint|drive|antrieb|ax|j)[_. ]?(\d{1,2})(?=[_. ]|$)", re.IGNORECASE),  # axis2.speed
+    re.compile(r"[_.](\d{1,2})$"),  # target_q_0
+)
+"""Where the name of a column may state its axis: 'X1_ActualPosition', 'pos (5)', 'target_q_0', 'DES_POS|3', 'axis2.speed'."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +158,7 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
     if plain or len(letters) > 2:
         return None
     # a letter is a quantity if no word is one, else an axis: 'v actual', 'pos cmd a'
-    if letters and roles & {"set", "act", "ffw"} and not roles & set(_QUANTITIES):
+    if letters and roles & {"set", "act", "ffw"} and not roles & set(_SIGNALS):
         roles.add(_LETTERS[letters.pop(0)])
     for letter in letters:
         if axis or not _AXIS.fullmatch(letter):
@@ -153,7 +168,7 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
 
 
 def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning | None:
-    quantities = [q for q in _QUANTITIES if q in roles]
+    quantities = [q for q in _SIGNALS if q in roles]
     spoken = {w.lower() for w in words}
     relative = 2 if spoken & {"rel", "relative"} else 0
     if "injected" in roles:  # 'injected_current', 'excitation'
@@ -171,19 +186,36 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
         if quantity == "torque":
             return Meaning(axis, "torque_feedforward", unit or "Nm")
         return Meaning(axis, "velocity_feedforward" if quantity == "vel" else "", unit)
-    if quantity == "pos":
-        if "set" in roles:
-            return Meaning(axis, "setpoint", unit, 1 if "motor" in roles else 0)
-        return Meaning(axis, "motor_position" if "motor" in roles else "position", unit)
-    if quantity == "vel":
-        if "set" in roles:
-            return Meaning(axis, "velocity_setpoint", unit)
-        return Meaning(axis, "" if "load" in roles else "velocity", unit)
-    if quantity == "acceleration":
-        return Meaning(axis, "acceleration", unit, 0 if "set" in roles else 1)
-    if quantity == "current":
-        # a control may show only the nominal current; its current loop is faster than the recording
-        return Meaning(axis, "current", unit or "A", 1 if "set" in roles else 0)
-    if quantity == "torque":
-        return Meaning(axis, "torque_setpoint" if "set" in roles else "torque", unit or "Nm", relative)
-    return Meaning(axis, "voltage", unit or "V", 1 if "act" in roles else 0)
+    commanded, actual, usual = _SIGNALS[quantity]
+    signal = commanded if "set" in roles else actual
+    if signal == "position" and "motor" in roles:
+        signal = "motor_position"
+    elif signal == "velocity" and "load" in roles:
+        signal = ""
+    # a control may show only the nominal current; its current loop is faster than the recording
+    ranks = {"torque": relative, "acceleration": int("set" not in roles), "current": int("set" in roles), "voltage": int("act" in roles)}
+    return Meaning(axis, signal, unit or usual, ranks.get(quantity, int(signal == "setpoint" and "motor" in roles)))
+
+
+def label_of(name: str) -> str:
+    """Name of the axis in the name of a column; "" if there is none."""
+    for pattern in _LABELS:
+        if (found := pattern.search(name.strip())) is not None:
+            return found[1].upper()
+    return ""
+
+
+def groups(names: Sequence[str], known: Mapping[str, str]) -> dict[str, list[str]]:
+    """Axis -> columns. `known`: axis of the columns whose names are understood; the others join by their label, or the only axis there is.
+
+    Columns that belong to no axis are under "".
+    """
+    axes = dict.fromkeys(known.values())
+    out: dict[str, list[str]] = {axis: [] for axis in axes}
+    labels = {name: label_of(name) for name in names if name not in known}
+    for name in names:
+        axis = known.get(name) or labels[name]
+        if axis not in out and axes and name not in known:
+            axis = next(iter(axes)) if not labels[name] and len(axes) == 1 else ""
+        out.setdefault(axis, []).append(name)
+    return out

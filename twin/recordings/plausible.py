@@ -12,14 +12,13 @@ import math
 import numpy as np
 
 from twin.machine.machine import Machine
+from twin.recordings.relations import multiple, slope
 from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
 
 TOLERANCE = 0.08
 """Relative tolerance within which a ratio counts as 1, or as another known factor."""
-FITS = 0.5
-"""Least squared correlation of a meaningful ratio."""
-SHARP = 0.9
-"""Above this squared correlation any ratio other than 1 is reported."""
+UNLIKE, SHARP = 0.5, 0.1
+"""Unexplained share of the variance above which a ratio means nothing, and below which any ratio other than 1 is reported."""
 
 _SWAPPED = {
     "both": ((60.0, "", "per minute", "per second"), (60e3, "in ", "mm/min", "m/s")),
@@ -86,32 +85,20 @@ def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind
         if signal in own and signal != reference:
             # differences over 0.1 s cancel offsets and following error
             step = max(1, min(round(0.1 / period), len(own[signal]) // 4))
-            ratio = _ratio(own[signal][step:] - own[signal][:-step], own[reference][step:] - own[reference][:-step])
-            if ratio is not None and (text := _mistake(*ratio, kind, loose=True)):
-                out.append(Doubt(axis, signal, f"{axis}.{signal} moves {_plain(ratio[0])} times as far as {axis}.{reference}: {text}"))
+            ratio, left = multiple(own[signal][step:] - own[signal][:-step], own[reference][step:] - own[reference][:-step])
+            if left < UNLIKE and (text := _mistake(ratio, left, kind, loose=True)):
+                out.append(Doubt(axis, signal, f"{axis}.{signal} moves {_plain(ratio)} times as far as {axis}.{reference}: {text}"))
     for signal in SPEEDS:
         if signal in own:
             base = next((s for s in ("motor_position", "position", "setpoint") if s in own and np.ptp(own[s]) > 0.0), reference)
             base = "setpoint" if signal != "velocity" and "setpoint" in own else base
-            # travel within short windows averages the noise of the slope
-            step = max(1, min(round(0.02 / period), len(own[signal]) // 4))
-            moved = own[base][step:] - own[base][:-step]
-            summed = np.concatenate([[0.0], np.cumsum(0.5 * (own[signal][1:] + own[signal][:-1]))]) * period
-            ratio = _ratio(summed[step:] - summed[:-step], moved)
-            if ratio is not None and (text := _mistake(*ratio, kind, loose=signal != "velocity")):
-                out.append(Doubt(axis, signal, f"{axis}.{signal} is {_plain(ratio[0])} times the slope of {axis}.{base}: {text}"))
+            found = slope(own[signal], own[base], period)
+            if found.left < UNLIKE and (text := _mistake(found.factor, found.left, kind, loose=signal != "velocity")):
+                out.append(Doubt(axis, signal, f"{axis}.{signal} is {_plain(found.factor)} times the slope of {axis}.{base}: {text}"))
     return out
 
 
-def _ratio(values: np.ndarray, reference: np.ndarray) -> tuple[float, float] | None:
-    """Least-squares factor from reference to values, and squared correlation; None if they are not correlated."""
-    xx, xy, yy = float(reference @ reference), float(reference @ values), float(values @ values)
-    if xx <= 0.0 or yy <= 0.0 or xy**2 < FITS * xx * yy:
-        return None
-    return xy / xx, xy**2 / (xx * yy)
-
-
-def _mistake(ratio: float, fit: float, kind: str, loose: bool) -> str:
+def _mistake(ratio: float, left: float, kind: str, loose: bool) -> str:
     """Text for a ratio, "" for 1. `loose`: a position may follow its set point with a smaller amplitude."""
     size = abs(ratio)
     sign = "it runs the other way: sign = -1?" if ratio < 0.0 else ""
@@ -119,7 +106,7 @@ def _mistake(ratio: float, fit: float, kind: str, loose: bool) -> str:
     nearest = min(known, key=lambda factor: abs(math.log(size / factor)))
     if abs(size / nearest - 1.0) <= TOLERANCE:
         text = f"{known[nearest]} correct unit or scale" if known[nearest] else ""
-    elif (loose and not 0.1 < size < 10.0) or (not loose and fit > SHARP and not 0.8 < size < 1.25):
+    elif (loose and not 0.1 < size < 10.0) or (not loose and left < SHARP and not 0.8 < size < 1.25):
         text = UNNAMED
     else:
         text = ""

@@ -13,15 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.estimate.regression import solved
+from twin.estimate.evidence import held_out, pieces_of
 from twin.recordings.trace import Trace
 
 SIGNAL = "velocity_setpoint"
 AHEAD, BEHIND, ERRORS = 2, 10, 3
 """Samples of the set point before and after the present one, and samples of the following error that the laws use."""
-
-PIECES = 8
-"""Pieces of the motion of each run, alternately fitted and held out."""
 
 LEAST_ROWS, MOST_ROWS = 60, 4_000
 """Fewest samples that are judged, and most that are read of one run."""
@@ -40,13 +37,14 @@ def answers_position(traces: Sequence[Trace], axis: str) -> bool | None:
     parts = [p for t in traces if t.has(axis, SIGNAL) and (p := _rows(t, axis)) is not None]
     if not parts or sum(len(p[1]) for p in parts) < LEAST_ROWS:
         return None
-    profile, errors, y, half = (np.concatenate([p[i] for p in parts]) for i in range(4))
-    alone = _held_out(profile, y, half)
-    return bool(_held_out(np.column_stack([profile, errors]), y, half) < ANSWERS * alone)
+    profile, errors, y = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    pieces = np.concatenate([pieces_of(len(p[2]), k) for k, p in enumerate(parts)])
+    alone, both = (held_out(columns, y, pieces).mean() for columns in (profile, np.column_stack([profile, errors])))
+    return bool(both < ANSWERS**2 * alone)
 
 
-def _rows(trace: Trace, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Columns of the profile and of the errors (row, k), speed set point (row,) and half (row,) of one trace while its set point moves."""
+def _rows(trace: Trace, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Columns of the profile and of the errors (row, k), and speed set point (row,) of one trace while its set point moves."""
     seen = [trace.get(axis, s) for s in ("position", "motor_position") if trace.has(axis, s)]
     if not seen or not trace.moves(axis):
         return None
@@ -59,13 +57,4 @@ def _rows(trace: Trace, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     profile = np.column_stack([*(step[at + j] for j in range(AHEAD, -BEHIND - 1, -1)), np.ones(len(at))])
     # only one encoder closes the loop; with both in each run the law finds which
     errors = np.column_stack([(setpoint - (seen[0] if k == 0 else seen[-1]))[at - j] for k in range(2) for j in range(ERRORS)])
-    return profile, errors, y[at], np.arange(len(at)) * PIECES // max(len(at), 1) % 2
-
-
-def _held_out(columns: np.ndarray, y: np.ndarray, half: np.ndarray) -> float:
-    """RMS residual of a law on the rows that did not fit it."""
-    left = np.empty(len(y))
-    for out in (0, 1):
-        use = half != out
-        left[~use] = y[~use] - columns[~use] @ solved(columns[use], y[use])
-    return float(np.sqrt(np.mean(left**2)))
+    return profile, errors, y[at]

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.recordings.grouping import groups
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, Map
-from twin.recordings.names import Meaning, meaning_of
+from twin.recordings.names import Meaning, groups, meaning_of
 from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
 from twin.recordings.relations import moves
-from twin.recordings.signals import Recording, Signal
-from twin.recordings.time_found import TimeFound, by_speed, row_counters, time_of, with_time
+from twin.recordings.signals import Recording, Signal, TimeSource
+from twin.recordings.time_column import numbers_rows
+from twin.recordings.time_found import by_speed, time_of, with_time
 
 FURTHER = 12.0
 """Least evidence that columns without names are a further axis: a set point that a position follows, and a speed or a force."""
@@ -36,7 +36,7 @@ class Proposal:
     left_out: list[str] = field(default_factory=list)
     unknown: dict[str, str] = field(default_factory=dict)  # column -> reason, "" if there is none
     labels: list[str] = field(default_factory=list)
-    time: TimeFound | None = None
+    time: TimeSource | None = None
     feedforward: str | None = None  # of all recordings
     mixed_feedforward: bool = False  # it differs between them
     notes: list[str] = field(default_factory=list)
@@ -65,7 +65,7 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
     out, axes = _axes(with_time(recordings, time), given, time is None or time.known)
     speed = next((a.speed for a in axes if a.speed is not None), None)
     if time is not None and speed is not None and (better := by_speed(time, *speed)) != time:
-        changed = (better.unit, better.interval_s) != (time.unit, time.interval_s)
+        changed = (better.unit, better.interval) != (time.unit, time.interval)
         time = better
         if changed:
             out, axes = _axes(with_time(recordings, time), given, True)
@@ -75,9 +75,8 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
         *([time.question] if time is not None and time.question else []),
         *_together(out.asked, "; if not, correct it in the map"),
     ]
-    for counter in dict.fromkeys(name for r in recordings for name in row_counters(r)):
-        if counter in out.unknown:
-            out.unknown[counter] = "counts rows: an index, no time"
+    counters = {name for r in recordings for name, s in r.signals.items() if numbers_rows(s.head)}
+    out.unknown |= {name: "counts rows: an index, no time" for name in out.unknown if name in counters}
     if not out.used and not out.left_out:
         out.notes.append("none of these columns is the motion of an axis")
     moving = {c.axis for c in out.used}
@@ -99,32 +98,21 @@ def _axes(recordings: Sequence[Recording], given: Map | None, timed: bool) -> tu
     out.unknown |= dict.fromkeys(by_axis.pop("", []), "")
     found = []
     for group in sorted(by_axis, key=lambda a: (a.isdigit(), int(a) if a.isdigit() else 0, a)):
-        axis, left = group, by_axis[group]
-        letters = iter(a for a in _LETTERS if a not in by_axis)
-        while (own := _propose(recordings, axis, left, meanings, timed)) is not None:
+        left = by_axis[group]
+        known = {n: meanings[n] for n in left if n in meanings}
+        # columns without names may hold further axes
+        for axis in (group, *(a for a in _LETTERS if a not in by_axis)):
+            signals = _signals_of_one_recording(recordings, left)
+            own = propose_axis(axis, signals, known, timed) if signals else None
+            if own is None or (axis != group and own.score < FURTHER):
+                break
+            out.unknown = {name: why for name, why in out.unknown.items() if name not in left}
             _take(own, axis, left, meanings, out)
             found.append(own)
-            # columns without names may hold further axes
             left = [name for name, why in own.unused.items() if not why and name not in meanings]
-            axis = next(letters, "")
-            if (
-                not axis
-                or any(n in meanings for n in by_axis[group])
-                or len(left) < 2
-                or (own := _propose(recordings, axis, left, meanings, timed)) is None
-                or own.score < FURTHER
-            ):
+            if known or len(left) < 2:
                 break
-            for name in left:
-                out.unknown.pop(name, None)
     return out, found
-
-
-def _propose(
-    recordings: Sequence[Recording], axis: str, names: Sequence[str], meanings: Mapping[str, Meaning], timed: bool
-) -> AxisProposal | None:
-    signals = _signals_of_one_recording(recordings, names)
-    return propose_axis(axis, signals, {n: m for n, m in meanings.items() if n in names}, timed) if signals else None
 
 
 def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[str, Meaning], out: Proposal) -> None:

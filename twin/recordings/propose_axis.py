@@ -66,7 +66,8 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     period = float(np.median(np.diff(time)))
     if not period > 0.0:
         raise InputError(f"column '{lead.name}': its time stands still; repair it, or give [time] interval_ms in a map")
-    values = {one.name: _in_mm_or_deg(_interpolated(one, time), _unit(one, meanings)) for one in sound}
+    units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
+    values = {one.name: _in_mm_or_deg(_interpolated(one, time), units[one.name]) for one in sound}
     bits = _sign_bits(values, sound, meanings)
     guess = _kind_of_units(meanings.values(), label or axis)
     stated = {one.name: one.unit for one in sound}
@@ -80,7 +81,8 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         ):
             out.unused[name] = why
             del values[name]
-    candidates = [Candidate(n, _signed(v, bits.get(n)), meanings.get(n), stated[n]) for n, v in values.items()]
+    values |= {n: relations.without_sign_bit(values[n], bit) for n, bit in bits.items() if n in values}
+    candidates = [Candidate(n, v, meanings.get(n), stated[n]) for n, v in values.items()]
     roles = assign(candidates, period, guess[0], timed)
     motion = next((roles.roles[s] for s in ("setpoint", "position", "motor_position", "velocity") if s in roles.roles), None)
     if motion is None:
@@ -189,20 +191,12 @@ def _sign_bits(values: Mapping[str, np.ndarray], signals: Sequence[Signal], mean
     return {name: bit for name, bit in found.items() if bit is not None}
 
 
-def _unit(signal: Signal, meanings: Mapping[str, Meaning]) -> str:
-    return meanings[signal.name].unit if signal.name in meanings else signal.unit
-
-
 def _in_mm_or_deg(values: np.ndarray, unit: str) -> np.ndarray:
     """A length or an angle with a unit in mm or degrees; other values as they are."""
     quantity = dimension_recorded(unit) if unit else ""
     if quantity not in ("length", "angle"):
         return values
     return values * RECORDED_UNITS[unit][1] / RECORDED_UNITS["mm" if quantity == "length" else "deg"][1]
-
-
-def _signed(values: np.ndarray, bit: int | None) -> np.ndarray:
-    return values if bit is None else np.where(values >= 2.0**bit, 2.0**bit - values, values)
 
 
 def _interpolated(signal: Signal, time: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ A column whose name fits but whose numbers do not is doubtful: it becomes a comm
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 import re
 
@@ -16,6 +16,7 @@ from twin.recordings.force_sign import force_sign
 from twin.recordings.profile_speed import answers_position
 from twin.recordings.relations import moves
 from twin.recordings.roles import Role, Roles
+from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import Trace
 from twin.recordings.units_found import Scale, counts, position_scale, speed_unit
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded
@@ -102,19 +103,12 @@ def _without_double(columns: list[Proposed]) -> list[Proposed]:
     """A following error is not needed beside a position; without a sound position a set point alone says nothing."""
     measured = [c for c in columns if c.signal in ("position", "motor_position")]
     if any(not c.doubt for c in measured):
-        return [
-            replace(c, doubt=c.doubt or "the position itself is recorded")
-            if c.signal == "following_error" and _has(columns, "setpoint")
-            else c
-            for c in columns
-        ]
+        commanded = any(c.signal == "setpoint" and not c.doubt for c in columns)
+        beside = "the position itself is recorded" if commanded else ""
+        return [replace(c, doubt=c.doubt or beside) if c.signal == "following_error" else c for c in columns]
     if measured and not any(c.signal == "following_error" and not c.doubt for c in columns):
         return [replace(c, doubt=c.doubt or "no usable measured position of this axis") for c in columns]
     return columns
-
-
-def _has(columns: Sequence[Proposed], signal: str) -> bool:
-    return any(c.signal == signal and not c.doubt for c in columns)
 
 
 def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: tuple[str, bool], axis: str) -> Scale:
@@ -229,7 +223,9 @@ LEAST_GAIN = 5.0
 def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapping[str, np.ndarray], period: float, kind: str) -> Proposed:
     """Unit and sign of a current, torque or voltage."""
     unit, assumed = column.unit, ""
-    if column.signal == "torque" and not role.column.unit and _tenths(role.column.values):
+    # numbers of one decimal up to a few hundred, as controls show percent
+    tenths = np.abs(role.column.values).max() < 400.0 and decimal_place(role.column.values, off=1e-6) >= 0.1
+    if column.signal == "torque" and not role.column.unit and tenths:
         assumed = f"nothing states its unit: taken as {unit}, but steps of 0.1 may be percent of the rated torque"
     if role.column.meaning is None and not unit:
         unit = {"current": "A", "torque": "Nm", "voltage": "V"}[column.signal]
@@ -246,11 +242,6 @@ def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapp
     in_si = RECORDED_UNITS[AXIS_UNITS[kind].position[0]][1]
     found = force_sign(role.column.values, base * in_si, period, kind)
     return replace(column, unit=unit, sign=found.sign, remark=found.remark or assumed, doubt=found.doubt, assumed=assumed)
-
-
-def _tenths(values: np.ndarray) -> bool:
-    """True for numbers of one decimal up to a few hundred, as controls show percent."""
-    return bool(np.abs(values).max() < 400.0 and np.all(np.abs(10.0 * values - np.rint(10.0 * values)) < 1e-6))
 
 
 def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray]) -> str:

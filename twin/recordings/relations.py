@@ -82,11 +82,16 @@ def slope(v: np.ndarray, x: np.ndarray, period: float) -> Relation:
     for step in WINDOWS:
         if step * 4 > len(v):
             break
-        y, moved = summed[step:] - summed[:-step], x[step:] - x[:-step]
-        xx, xy, yy = float(moved @ moved), float(moved @ y), float(y @ y)
-        if xx > 0.0 and yy > 0.0 and 1.0 - xy * xy / (xx * yy) < best.left:
-            best = Relation(xy / xx, max(1.0 - xy * xy / (xx * yy), 0.0))
+        factor, left = multiple(summed[step:] - summed[:-step], x[step:] - x[:-step])
+        if left < best.left:
+            best = Relation(factor, left)
     return best
+
+
+def multiple(y: np.ndarray, x: np.ndarray) -> tuple[float, float]:
+    """y as a multiple of x: (factor, unexplained share of the mean square); (0, 1) where one of them is zero."""
+    xx, xy, yy = float(x @ x), float(x @ y), float(y @ y)
+    return (xy / xx, max(1.0 - xy * xy / (xx * yy), 0.0)) if xx > 0.0 and yy > 0.0 else (0.0, 1.0)
 
 
 def second_slope(a: np.ndarray, x: np.ndarray, period: float) -> Relation:
@@ -172,11 +177,16 @@ def sign_bit(values: np.ndarray, positive: np.ndarray) -> int | None:
     for bit in (15, 10, 11, 31):
         high = values >= 2.0**bit
         if high.any() and not high.all() and values.max() < 2.0 ** (bit + 1):
-            signed = np.where(high, 2.0**bit - values, values)
+            signed = without_sign_bit(values, bit)
             moving = (signed != 0.0) & (positive != 0.0)
             if np.count_nonzero(moving) > 3 and abs(np.mean(np.sign(signed[moving]) * np.sign(positive[moving]))) > 0.7:
                 return bit
     return None
+
+
+def without_sign_bit(values: np.ndarray, bit: int) -> np.ndarray:
+    """Whole numbers whose sign is a bit of the word, with their sign."""
+    return np.where(values >= 2.0**bit, 2.0**bit - values, values)
 
 
 def whole(values: np.ndarray) -> bool:

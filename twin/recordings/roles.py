@@ -126,14 +126,14 @@ class _Evidence:
 
     def __init__(self, period: float, kind: str, timed: bool, strange: float) -> None:
         self.period, self.kind, self.timed, self.strange = period, kind, timed, strange
-        self._known: dict[tuple[str, int, int], Relation] = {}
-        self._kept: list[np.ndarray] = []  # so that no array is freed and its id used again
+        self._known: dict[tuple[str | int, ...], Relation] = {}
+        self._kept: list[object] = []  # so that no array is freed and its id used again
 
     def relation(self, find: Callable[..., Relation], a: np.ndarray, b: np.ndarray, *more: object) -> Relation:
         """find(a, b, *more), remembered."""
-        key = (find.__name__ + str(more), id(a), id(b))
+        key = (find.__name__, *map(id, (a, b, *more)))
         if key not in self._known:
-            self._kept += [a, b]
+            self._kept += [a, b, *more]
             self._known[key] = find(a, b, *more)
         return self._known[key]
 
@@ -303,19 +303,11 @@ class _Evidence:
             return -1.0, ""
         if signal == "velocity_feedforward":
             return _of(of_s.left) + _ratio(of_x.left, of_s.left, 2.0) + odd, f"slope of the set point (to {np.sqrt(of_s.left):.1%})"
-        found = self.relation(_law_of(x, self.period), y, s)
+        found = self.relation(relations.law, y, s, x, self.period)
         # the axis does what the command says: without this, a force that a controller commands would pass, too
         better = min(_ratio(min(of_x.left, of_s.left), found.left, 3.0), max(_of(of_x.left), 0.0))
         score = min(_of(found.left), 2.0 * _of(of_x.left)) - 1.5 + better
         return score, f"gain times following error (to {np.sqrt(found.left):.1%})"
-
-
-def _law_of(x: np.ndarray, period: float) -> Callable[[np.ndarray, np.ndarray], Relation]:
-    def law(w: np.ndarray, s: np.ndarray) -> Relation:
-        return relations.law(w, s, x, period)
-
-    law.__name__ = f"law{id(x)}"
-    return law
 
 
 def _of(left: float) -> float:

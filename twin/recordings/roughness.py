@@ -62,6 +62,15 @@ def step_of(values: np.ndarray) -> float:
     return step
 
 
+def decimal_place(values: np.ndarray, coarsest: int = 0, off: float = 1e-3) -> float:
+    """Decimal place of all values: 1e-3 if they have three decimals, up to 10 ** -`coarsest`; 0 if it is below 1e-9. `off`: tolerance, in places."""
+    for exponent in range(coarsest, 10):
+        scaled = values * 10.0**exponent
+        if np.all(np.abs(scaled - np.rint(scaled)) < off):
+            return 10.0**-exponent
+    return 0.0
+
+
 def quiet_noise(values: np.ndarray) -> tuple[float, bool]:
     """(variance of the white noise of a record (sample,) in its quiet stretches, whether it is white). Shorter records show none: (0, False).
 

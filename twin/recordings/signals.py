@@ -79,10 +79,12 @@ class TimeSource:
 
     kind      "file" (times of the format itself), "column", "interval" (given, or stated above the numbers), or "rows": no time is known, and the
               times of the signals are row numbers 0, 1, 2, ...
-    column    name of the time column
+    column    name of the time column, and `at`, its index among the columns
     unit      unit of its numbers
+    interval  interval of the rows [s], if there is no time column
     assumed   nothing states this unit; `text` says what was assumed
     text      one sentence for the user; "" if the file leaves nothing open
+    question  what the user should confirm or give
     """
 
     kind: str = "file"
@@ -90,11 +92,19 @@ class TimeSource:
     unit: str = "s"
     assumed: bool = False
     text: str = ""
+    at: int | None = None
+    interval: float = 1.0
+    question: str = ""
 
     @property
     def known(self) -> bool:
         """False if the times are row numbers."""
         return self.kind != "rows"
+
+    @property
+    def factor(self) -> float:
+        """Seconds per number of the time column, or per row."""
+        return RECORDED_UNITS[self.unit][1] if self.column else self.interval
 
 
 @dataclass(frozen=True)

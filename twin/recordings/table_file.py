@@ -8,7 +8,7 @@ batches that are read has a limit of its own.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 import contextlib
 from pathlib import Path
 import re
@@ -26,8 +26,8 @@ REMEDY = "export the recording in parts"
 BYTES_PER_NUMBER = 8.0
 
 
-def read_parquet(path: Path, kind: str = "Parquet file", remedy: str = "write it again", names: Collection[str] | None = None) -> Any:
-    """A pyarrow table of the columns `names` (None: all), without lists and structs. Raises InputError."""
+def read_parquet(path: Path, kind: str = "Parquet file", remedy: str = "write it again") -> Any:
+    """A pyarrow table of the columns of a file without lists and structs. Raises InputError."""
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -37,7 +37,7 @@ def read_parquet(path: Path, kind: str = "Parquet file", remedy: str = "write it
         file = pyarrow.parquet.ParquetFile(opened, read_dictionary=texts, metadata=first.metadata)
         refuse_bytes(decoded_bytes(file.metadata), str(path), REMEDY)
         schema = file.schema_arrow
-        chosen = [i for i, field in enumerate(schema) if (names is None or field.name in names) and not pa.types.is_nested(field.type)]
+        chosen = [i for i, field in enumerate(schema) if not pa.types.is_nested(field.type)]
         _refuse_twice(schema.names, path)  # a batch is chosen by names
         batches, taken = [], 0.0
         for batch in file.iter_batches(BATCH, columns=[schema.names[i] for i in chosen]):
@@ -45,20 +45,6 @@ def read_parquet(path: Path, kind: str = "Parquet file", remedy: str = "write it
             refuse_bytes(taken, str(path), REMEDY)
             batches.append(batch)
         return pa.Table.from_batches(batches, pa.schema([schema.field(i) for i in chosen], schema.metadata))
-
-
-def text_bytes(table: Any) -> float:
-    """What the texts of a table take as Python objects, at most [bytes]; a text that many rows share is made for each of them."""
-    import pyarrow as pa
-    import pyarrow.compute
-
-    total = 0.0
-    for column in table.columns:
-        for chunk in column.chunks:
-            texts = chunk.dictionary if pa.types.is_dictionary(chunk.type) else chunk
-            if _is_text(texts.type) and len(texts):
-                total += len(chunk) * (pyarrow.compute.max(pyarrow.compute.binary_length(texts)).as_py() or 0.0)
-    return total
 
 
 def decoded_bytes(about: Any) -> float:
@@ -140,11 +126,16 @@ def _csv(path: Path) -> Any:
     except UnicodeDecodeError:
         table = pyarrow.csv.read_csv(path, read_options=pyarrow.csv.ReadOptions(encoding="latin1"))
     except pa.ArrowInvalid as error:
-        if not (found := re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+): (.*)", str(error), re.S)):
+        if (found := uneven_row(error)) is None:
             raise
-        line, expected, given, row = found.groups()
-        raise InputError(f"{path}: line {line} has {given} of {expected} cells: '{row[:60].strip()}'; correct or remove it") from None
+        raise InputError(f"{path}: line {found[0]} {found[1]}; correct or remove it") from None
     return table
+
+
+def uneven_row(error: Exception) -> tuple[int, str] | None:
+    """Line, and what it holds, of a row with too many or too few cells that the CSV reader of pyarrow reports; None for another fault."""
+    found = re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+): (.*)", str(error), re.S)
+    return (int(found[1]), f"has {found[3]} of {found[2]} cells: '{found[4][:60].strip()}'") if found else None
 
 
 def _is_number(cell: object) -> bool:

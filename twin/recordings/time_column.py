@@ -7,14 +7,14 @@ because no control records slower than every half second. An assumed unit and a 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 import re
 
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.recordings.restarts import Restarts
+from twin.recordings.relations import even_step
 from twin.recordings.signals import IMPOSSIBLE_VALUE, Clock, Signal, TimeSource, known_unit, split_heading
+from twin.recordings.timing import Restarts
 from twin.units import RECORDED_UNITS, dimension_recorded
 
 _NAMES = (
@@ -35,15 +35,6 @@ COUNTERS = ("", UNNAMED.format(1), "unnamed: 0", "index", "idx", "n", "nr", "no"
 NO_TIME = "no time: neither a column nor a line of the file gives it; give the interval of the samples with --interval-ms"
 
 
-@dataclass(frozen=True)
-class Found:
-    """The time column: its index, seconds per number of it, and its source. `at` is None if the times are rows * `factor`."""
-
-    at: int | None
-    factor: float
-    source: TimeSource
-
-
 def find_time(
     names: Sequence[str],
     units: Sequence[str],
@@ -51,7 +42,7 @@ def find_time(
     clock: Clock,
     where: str,
     interval_s: float | None = None,
-) -> Found:
+) -> TimeSource:
     """The time among columns with these names, units and first values (None: not numbers). `interval_s`: interval that the file states.
 
     Raises:
@@ -59,7 +50,7 @@ def find_time(
     """
     heads = [head[~np.isnan(head)] if head is not None else None for head in heads]
 
-    def found(at: int) -> Found:
+    def found(at: int) -> TimeSource:
         """The time column with its unit."""
         name, head = split_heading(names[at])[0], heads[at]
         ending = _ENDING.search(name)
@@ -71,25 +62,25 @@ def find_time(
         if (clock.unit and (not stated or dimension_recorded(stated) != "time")) or (stated and dimension_recorded(stated) != "time"):
             raise InputError(f"{where}: time column '{name}': [{clock.unit or stated}] is not a unit of time; use s, ms, us, ns or min")
         if stated:
-            return Found(at, RECORDED_UNITS[stated][1], TimeSource("column", name, stated))
+            return TimeSource("column", name, stated, at=at)
         if head is None or len(head) < 2:
-            return Found(at, 1.0, TimeSource("column", name))
+            return TimeSource("column", name, at=at)
         for unit in ("s", "ms", "us", "ns"):
             if _SINCE_1970[0] < head[0] * RECORDED_UNITS[unit][1] < _SINCE_1970[1]:
-                return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit, text=f"'{name}' counts {unit} since 1970"))
+                return TimeSource("column", name, unit, text=f"'{name}' counts {unit} since 1970", at=at)
         step = float(np.median(np.diff(head)))
         if interval_s is not None and step > 0.0:
             for unit in ("s", "ms", "us", "ns"):
                 if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
-                    return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit))
+                    return TimeSource("column", name, unit, at=at)
         unit = "ms" if step >= SLOWEST_S else "s"
         seconds = step * RECORDED_UNITS[unit][1]
         what = f"nothing states the unit of '{name}'" + (", which may only number the rows" if numbers_rows(head) else "")
         text = f"{what}: its steps of {step:.4g} are taken as {unit} ({seconds * 1e3:.4g} ms a row); if that is wrong, give --interval-ms"
-        return Found(at, RECORDED_UNITS[unit][1], TimeSource("column", name, unit, assumed=True, text=text))
+        return TimeSource("column", name, unit, assumed=True, text=text, at=at)
 
     if clock.interval_s is not None:
-        return Found(None, clock.interval_s, TimeSource("interval"))
+        return TimeSource("interval", interval=clock.interval_s)
     if clock.column is not None:
         plain = [split_heading(n)[0] for n in names]
         at = next((i for i, name in enumerate(names) if clock.column in (name, plain[i])), None)
@@ -98,15 +89,15 @@ def find_time(
         return found(at)
     # of several candidates the one that distinguishes most rows and does not just number them, then the likelier name
     candidates = [i for i in time_candidates(names, units) if (head := heads[i]) is None or _runs(head)]
-    if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and _even(heads[0]):
+    if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and heads[0] is not None and even_step(heads[0]):
         candidates = [0]
     if candidates:
         most = max(_distinct(heads[i]) for i in candidates)
         finest = [i for i in candidates if _distinct(heads[i]) >= 0.9 * most]
         return found(min(finest, key=lambda i: numbers_rows(heads[i])))
     if interval_s is not None:
-        return Found(None, interval_s, TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms by the lines above the numbers"))
-    return Found(None, 1.0, TimeSource("rows", text=NO_TIME))
+        return TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms by the lines above the numbers", interval=interval_s)
+    return TimeSource("rows", text=NO_TIME)
 
 
 def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
@@ -132,7 +123,7 @@ def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, wher
         time = np.arange(rows) * found.factor
     else:
         values = np.asarray(columns[names[found.at]][0], float)
-        time = (values - (values[0] if found.source.text.endswith("since 1970") else 0.0)) * found.factor
+        time = (values - (values[0] if found.text.endswith("since 1970") else 0.0)) * found.factor
     restarts = Restarts()
     time = restarts(time)
     signals = {
@@ -140,25 +131,18 @@ def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, wher
         for i, (name, (values, unit)) in enumerate(columns.items())
         if i != found.at and not is_counter(name, np.asarray(values[:4096], float))
     }
-    return signals, found.source, restarts.count
+    return signals, found, restarts.count
 
 
 def numbers_rows(head: np.ndarray | None) -> bool:
     """True for a column 0, 1, 2, ... that only numbers the rows; it may begin anew in each part."""
-    return head is not None and len(head) > 2 and bool(np.mean(np.diff(head) == 1.0) > 0.95)
+    fine = head[np.isfinite(head)] if head is not None else np.empty(0)
+    return len(fine) > 2 and bool(np.mean(np.diff(fine) == 1.0) > 0.95)
 
 
 def is_counter(name: str, head: np.ndarray | None) -> bool:
     """True for a column that numbers the rows and is named like that, or not at all."""
     return name.lower() in COUNTERS and numbers_rows(head)
-
-
-def _even(head: np.ndarray | None) -> bool:
-    """True for a column that rises by one step in every row."""
-    if head is None or len(head) < 3:
-        return False
-    steps = np.diff(head)
-    return bool(steps.min() > 0.0 and np.ptp(steps) < 0.02 * steps.max())
 
 
 def _distinct(head: np.ndarray | None) -> int:

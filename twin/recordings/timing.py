@@ -1,4 +1,4 @@
-"""Timing of one recorded signal: interval, gaps, rounding of printed times, clock jitter.
+"""Timing of one recorded signal: interval, gaps, rounding of printed times, clock jitter, and parts whose time starts again.
 
 A stretch lies between two gaps. Its samples count as evenly spaced, first + k * interval, if the recorded times agree up to their
 rounding. If the clock really jitters, the recorded times are used.
@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.restarts import PAUSE_S
+from twin.recordings.roughness import decimal_place
 from twin.recordings.signals import IMPOSSIBLE_VALUE, Column
 from twin.recordings.trace import RELATIVE_PERIOD_TOLERANCE
 
@@ -25,6 +25,10 @@ SHORTEST_S, LONGEST_S = 1e-6, 60.0
 MANY_GAPS = 0.02
 """Above this share of gaps among the samples the interval itself counts as changing."""
 MEDIAN_OF = 1 << 18
+PAUSE_S = 1.0
+"""Gap [s] inserted between two parts, which splits the run. The file does not give the real pause."""
+RUNS_ON = 3.0
+"""After a true restart the next step forwards is at most this many intervals; after a damaged row it leads back to where the time was."""
 WINDOW = 50
 """Samples over which an interval is averaged when single steps are rounded or jitter."""
 
@@ -66,7 +70,7 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     if not (fine := np.abs(time) < IMPOSSIBLE_VALUE).all():
         row = int(np.argmin(fine))
         raise InputError(f"{where}: the time holds {str(time[row]).replace('nan', 'NaN')} at row {row + 1}; repair it")
-    quantum = _quantum(time[:MEDIAN_OF])
+    quantum = decimal_place(time[:MEDIAN_OF])
     interval, rounded = _usual_step(time[:MEDIAN_OF], quantum)
     if interval > LONGEST_S or 0.0 < interval < SHORTEST_S:
         raise InputError(f"{where}: its samples are {interval:.3g} s apart, which no control records; correct the unit of the time")
@@ -105,15 +109,6 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
             f"the clock deviates by {0.5 * longest.spread * 1e3:.3g} ms from {longest.interval * 1e3:.4g} ms; resampled to an even grid"
         )
     return Timing(tuple(stretches), longest.interval, tuple(notes))
-
-
-def _quantum(times: np.ndarray) -> float:
-    """Decimal place [s] of all times: 1e-3 if they are printed to a millisecond; 0 if finer than 1e-9."""
-    for exponent in range(10):
-        scaled = times * 10.0**exponent
-        if np.all(np.abs(scaled - np.rint(scaled)) < 1e-3):
-            return 10.0**-exponent
-    return 0.0
 
 
 def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
@@ -171,3 +166,36 @@ def _interval_error(time: np.ndarray, row: int, interval: float, where: str) -> 
         else f"the interval is not constant: {interval * 1e3:.4g} ms, but {np.diff(here[:2])[0] * 1e3:.4g} ms at {here[0]:.6g} s and often after"
     )
     return InputError(f"{where}: {problem}; split the recording there (from_s, to_s), or give period_ms in the map to resample it")
+
+
+class Restarts:
+    """Makes the times of consecutive blocks increase across restarts. `count`: number of restarts so far.
+
+    The time starts again where it goes back and then runs on in steps of the interval. A part has two rows or more. At the end of a block, where the next
+    step is not known, a return to zero or to the first time of the file decides.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._first = self._interval = self._last = np.nan
+        self._shift = 0.0
+
+    def __call__(self, time: np.ndarray) -> np.ndarray:
+        """Corrected times (sample,) [s] of the next block."""
+        if np.isnan(self._first) and len(time) > 1:
+            forwards = np.diff(time[: 1 << 12])
+            forwards = forwards[forwards > 0.0]
+            self._first, self._interval = float(time[0]), float(np.median(forwards)) if len(forwards) else np.nan
+        if not np.isfinite(self._interval):
+            return time
+        before = np.concatenate([[self._last if np.isfinite(self._last) else time[0]], time[:-1]])
+        after = np.concatenate([np.diff(time), [np.nan]])
+        at_start = np.minimum(np.abs(time - self._first), np.abs(time)) <= 1.001 * self._interval
+        runs_on = np.where(np.isnan(after), at_start, (after > 0.0) & (after <= RUNS_ON * self._interval))
+        out = time + self._shift
+        for row in np.flatnonzero((time < before) & runs_on):
+            self._shift += float(before[row] - time[row]) + max(PAUSE_S, 10.0 * self._interval)
+            out[row:] = time[row:] + self._shift
+            self.count += 1
+        self._last = float(time[-1])
+        return out

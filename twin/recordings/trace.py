@@ -231,7 +231,9 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
     kinds: dict[str, str] = {}
     forces = set()
     for name in names[1:]:
-        axis, signal, unit = _parse_heading(name, path)
+        if (heading := _HEADING.match(name)) is None:
+            raise InputError(f"{path}: column '{name}' is not of the form '<axis>.<signal> [<unit>]'; rename it, e.g. 'X.setpoint [mm]'")
+        axis, signal, unit = heading[1], heading[2], heading[3].strip()
         if signal in BY_UNIT:
             if unit not in BY_UNIT[signal]:
                 raise InputError(f"{path}: column '{name}': [{unit}] is not a unit of {signal}; use one of {', '.join(BY_UNIT[signal])}")
@@ -246,8 +248,7 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
                 forces.add(axis)
         if (axis, signal) in signals:
             raise InputError(f"{path}: column '{name}' occurs twice; remove one")
-        values = table[name] * factor_to_si(unit, f"{path}: column '{name}'")
-        signals[axis, signal] = values
+        signals[axis, signal] = table[name] * factor_to_si(unit, f"{path}: column '{name}'")
     time = table[names[0]] * factor_to_si(_TIME_HEADING.match(names[0])[1], f"{path}: column '{names[0]}'")  # type: ignore[index]
     trace = Trace(time, signals, {**kinds, **(axes or {})}, frozenset(forces))
     _check_samples(trace, path, names)
@@ -290,13 +291,6 @@ def written(traces: Iterable[Trace], path: str | Path) -> Iterator[Trace]:
             writer = writer or stack.enter_context(make(str(partial), table.schema))
             writer.write_table(table)
             yield trace
-
-
-def _parse_heading(name: str, path: Path) -> tuple[str, str, str]:
-    match = _HEADING.match(name)
-    if not match:
-        raise InputError(f"{path}: column '{name}' is not of the form '<axis>.<signal> [<unit>]'; rename it, e.g. 'X.setpoint [mm]'")
-    return match[1], match[2], match[3].strip()
 
 
 def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: str) -> str | None:

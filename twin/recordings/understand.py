@@ -220,9 +220,13 @@ def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Seque
     labels = {}
     for name in names:
         labelled = next((r.signals[name] for r in recordings if name in r.signals and len(r.signals[name].values)), None)
+        if labelled is None or labelled.time is None:
+            continue
+        time, values = (np.asarray(column[0 : len(column)], float) for column in (labelled.time, labelled.values))
         for piece in pieces:
-            if labelled is not None and (value := _label(labelled, piece)) is not None:
-                labels[piece, name] = value
+            own = values[(time >= piece.begin - 1e-9) & (time <= piece.end + 1e-9)]
+            if len(own) and not np.ptp(own) > 0.0:
+                labels[piece, name] = float(own[0])
     return labels
 
 
@@ -234,15 +238,6 @@ def _force_signs(window: Mapping[tuple[str, str], np.ndarray], period: float, ki
         if signal in FORCES and position is not None:
             out[axis, signal] = force_sign(values, position, period, kinds[axis])
     return out
-
-
-def _label(signal: Signal, piece: Piece) -> float | None:
-    """Value of a column in a piece where it is constant, else None."""
-    if signal.time is None:
-        return None
-    time = np.asarray(signal.time[0 : len(signal.time)], float)
-    own = np.asarray(signal.values[0 : len(signal.values)], float)[(time >= piece.begin - 1e-9) & (time <= piece.end + 1e-9)]
-    return float(own[0]) if len(own) and not np.ptp(own) > 0.0 else None
 
 
 def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from twin.recordings.relations import whole
+from twin.recordings.roughness import decimal_place
 from twin.units import RECORDED_UNITS
 
 _SPEEDS = {
@@ -128,26 +129,13 @@ def steps_of_a_turn(values: np.ndarray, base: float) -> float | None:
     gaps = np.diff(levels)
     if len(gaps) < 20:
         return None
-    digit = _digit(levels)
+    digit = decimal_place(levels, coarsest=-3, off=1e-4)
     smallest = float(gaps[gaps > 0.5 * digit].min(initial=np.inf))
     for turn in _TURNS:
         step = base / turn
-        if abs(step / smallest - 1.0) < 0.05 and step > 8.0 * digit:
+        decimal = abs(float(f"{step:.3g}") - step) < 1e-9 * step  # a step of at most three digits: 0.1, 0.025
+        if abs(step / smallest - 1.0) < 0.05 and step > 8.0 * digit and not decimal:
             off = (levels - levels[0]) / step
-            if np.sqrt(np.mean((off - np.rint(off)) ** 2)) < ON_GRID and not _decimal(step):
+            if np.sqrt(np.mean((off - np.rint(off)) ** 2)) < ON_GRID:
                 return turn
     return None
-
-
-def _decimal(step: float) -> bool:
-    """True if a step has at most three digits: 0.1, 0.025."""
-    return abs(float(f"{step:.3g}") - step) < 1e-9 * step
-
-
-def _digit(values: np.ndarray) -> float:
-    """Decimal place of all values."""
-    for exponent in range(-3, 10):
-        scaled = values * 10.0**exponent
-        if np.all(np.abs(scaled - np.rint(scaled)) < 1e-4):
-            return 10.0**-exponent
-    return 0.0

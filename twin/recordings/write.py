@@ -9,12 +9,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+import tomlkit
 
-from twin.documents import toml_text
 from twin.errors import InputError
 from twin.files import beside, stamped, write_whole
-from twin.recordings.campaign import EVENTS
+from twin.recordings.campaign import EVENTS, ChannelFact
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
 from twin.recordings.signals import BLOCK
@@ -96,58 +97,53 @@ def _thinned(values: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
 
 def write_campaign(out: Path, mapping: Map, runs: Sequence[tuple[Understood, Sequence[Written]]]) -> None:
     """Write campaign.toml and import.json."""
-    lines = ["# imported by 'twin import'; import.json records the details"]
-    if mapping.machine_name:
-        lines.append(f"machine = {toml_text(mapping.machine_name)}")
-    for known, traces in runs:
-        for trace in traces:
-            lines += [
-                "",
-                f"[[run]]  # from {', '.join(known.run.files)}".replace("\n", " "),
-                f"file = {toml_text(trace.name + '.parquet')}",
-            ]
-            lines += [f"feedforward = {toml_text(trace.feedforward)}"] if trace.feedforward else []
-            lines.append(f"started_at_s = {trace.started_at_s:.6f}")
-            lines += _facts(known, trace)
+    document: dict[str, Any] = {"machine": mapping.machine_name} if mapping.machine_name else {}
+    document["run"] = [_run(known, trace) for known, traces in runs for trace in traces]
     content = {"runs": {trace.name: _record(known, trace) for known, traces in runs for trace in traces}}
+    head = "# imported by 'twin import'; import.json records the details\n"
     try:
         _write_events(out / EVENTS, runs)
-        write_whole(out / "campaign.toml", "\n".join(lines) + "\n")
+        write_whole(out / "campaign.toml", head + tomlkit.dumps(document))
         write_whole(out / "import.json", json.dumps(stamped(content, "import"), indent=2) + "\n")
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
 
 
-def _facts(known: Understood, trace: Written) -> list[str]:
-    """[[run.channel]] and [run.labels]: findings of the import, for identification and diagnosis."""
-    lines = []
-    skews = {(item.axis, item.signal): item for item in known.skews}
-    by_key = {c.key: c for c in known.channels}
-    for key in trace.units:
-        skew, channel = skews.get(key), by_key.get(key)
-        back = channel.source.skew_s if channel else 0.0
-        late = skew is not None and (skew.clear or bool(back))
-        # what the map gives; the skews are those that are left beside it
-        given = channel.column.skew_ms * 1e-3 if channel else 0.0
-        offset = known.offsets.get((trace.piece, key[0])) if key[1] == "position" else None
-        facts = {
-            "latency_s": f"{skew.seconds + given:.6g}" if skew is not None and late else f"{back:.6g}" if back else "",
-            "latency_deviation_s": f"{skew.deviation:.3g}" if skew is not None and late else "",
-            "taken_back_s": f"{back:.6g}" if back else "",
-            "offset_m" if known.kinds[key[0]] == "linear" else "offset_rad": "" if offset is None else f"{offset:.9g}",
-            "offset_taken_out": "true" if offset is not None and known.centred else "",
-            "sign": "-1" if channel and channel.column.factor < 0.0 else "",
-            "against": "true" if skew is not None and skew.against else "",
-            "unsigned": "true" if key in known.unsigned else "",
-            "made_from": toml_text(known.made[key]) if key in known.made else "",
-        }
-        if any(facts.values()):
-            lines += ["[[run.channel]]", f"axis = {toml_text(key[0])}", f"signal = {toml_text(key[1])}"]
-            lines += [f"{name} = {value}" for name, value in facts.items() if value]
-    labels = {name: value for (piece, name), value in known.labels.items() if piece == trace.piece}
-    if labels:
-        lines += ["[run.labels]", *(f"{toml_text(name)} = {value:.9g}" for name, value in labels.items())]
-    return lines
+def _run(known: Understood, trace: Written) -> dict[str, Any]:
+    """[[run]] with [[run.channel]] and [run.labels]: findings of the import, for identification and diagnosis."""
+    run: dict[str, Any] = {"file": f"{trace.name}.parquet"} | ({"feedforward": trace.feedforward} if trace.feedforward else {})
+    run["started_at_s"] = round(trace.started_at_s, 6)
+    facts = [msgspec.to_builtins(_fact(known, trace, key)) for key in trace.units]
+    if found := [fact for fact in facts if len(fact) > 2]:  # more than axis and signal
+        run["channel"] = found
+    if labels := {name: _digits(value, 9) for (piece, name), value in known.labels.items() if piece == trace.piece}:
+        run["labels"] = labels
+    return run
+
+
+def _fact(known: Understood, trace: Written, key: tuple[str, str]) -> ChannelFact:
+    """Findings about one channel."""
+    skew = next((item for item in known.skews if (item.axis, item.signal) == key), None)
+    channel = next((c for c in known.channels if c.key == key), None)
+    back = channel.source.skew_s if channel else 0.0
+    late = skew is not None and (skew.clear or bool(back))
+    # what the map gives; the skews are those that are left beside it
+    given = channel.column.skew_ms * 1e-3 if channel else 0.0
+    offset = known.offsets.get((trace.piece, key[0]), 0.0) if key[1] == "position" else 0.0
+    linear = known.kinds[key[0]] == "linear"
+    return ChannelFact(
+        axis=key[0], signal=key[1], latency=_digits(skew.seconds + given if skew is not None and late else back, 6),
+        latency_deviation=_digits(skew.deviation if skew is not None and late else 0.0, 3), taken_back=_digits(back, 6),
+        offset_m=_digits(offset if linear else 0.0, 9), offset_rad=_digits(0.0 if linear else offset, 9),
+        offset_taken_out=known.centred and key[1] == "position" and (trace.piece, key[0]) in known.offsets,
+        sign=-1 if channel and channel.column.factor < 0.0 else 1, against=skew is not None and skew.against, unsigned=key in known.unsigned,
+        made_from=known.made.get(key, ""),  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _digits(value: float, count: int) -> float:
+    """A number with so many significant digits."""
+    return float(f"{value:.{count}g}")
 
 
 def _write_events(path: Path, runs: Sequence[tuple[Understood, Sequence[Written]]]) -> None:

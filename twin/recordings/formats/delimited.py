@@ -20,7 +20,7 @@ from twin.recordings.formats.text_heading import UNUSED, Heading, read_heading
 from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs
 from twin.recordings.formats.text_stream import Clocks, Layout, stream
 from twin.recordings.signals import ReadOptions, Recording, Signal, TimeSource, known_unit
-from twin.recordings.time_column import UNNAMED, Found, find_time, is_counter, numbers_rows, time_candidates
+from twin.recordings.time_column import UNNAMED, find_time, is_counter, numbers_rows, time_candidates
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}
 
@@ -52,7 +52,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
         more = [f"column '{names[i]}' is empty" for i, (values, _) in columns.items() if not len(values)]
     mark = "comma" if rows.decimal == "," else "point"
     note = f"CSV: {_SEPARATORS[rows.delimiter]}, decimal {mark}, numbers from line {rows.first + 1}, {layout.sample.encoding}"
-    source = next((s for i in chosen if (s := layout.times[i].source).text), layout.times[chosen[0]].source)
+    source = next((s for i in chosen if (s := layout.times[i]).text), layout.times[chosen[0]])
     notes = [note, *layout.notes, *more, *([source.text] if source.text else [])]
     if clocks.restarts:
         notes.append(f"the time starts again at {clocks.restarts} row{'s' * (clocks.restarts > 1)}: each part is a run of its own")
@@ -82,11 +82,11 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         names, units = (["", *own[:-1]] for own in (names, units))
     names = [name or (UNNAMED.format(i + 1) if rows.kinds[i] != BLANK else "") for i, name in enumerate(names)]
 
-    def time_of(among: Sequence[int], stamps: Sequence[int] = ()) -> Found:
+    def time_of(among: Sequence[int], stamps: Sequence[int] = ()) -> TimeSource:
         """The time of the columns `among`."""
         clock = options.clock
         if stamps and clock.interval_s is None and clock.column in (None, *(names[i] for i in stamps)):
-            return Found(stamps[-1], 1e-9, TimeSource("column", names[stamps[-1]], "ns"))
+            return TimeSource("column", names[stamps[-1]], "ns", at=stamps[-1])
         # a column of words or dates cannot be a time in numbers
         index = sorted(among) if clock.column is None else rows.columns(NUMBER)
         if len(among) == 1 and clock.interval_s is None:
@@ -144,18 +144,14 @@ def _kept(rows: Rows, names: Sequence[str], pairs: Mapping[int, str] | None, sta
 
 def _groups(rows: Rows, names: Sequence[str], units: Sequence[str], heading: Heading) -> list[int]:
     """Time columns where each group of signals has its own, else none: their names repeat, and each stands before signals."""
-    rising = [i for i in rows.columns(NUMBER) if (head := rows.values(i)) is not None and _rises(head)]
+    steps = {i: np.diff(head[np.isfinite(head)]) for i in rows.columns(NUMBER) if (head := rows.values(i)) is not None}
+    rising = [i for i, own in steps.items() if len(own) and own.min() >= 0.0 and own.max() > 0.0]
     if heading.keyed:
         return [i for i in sorted(heading.keyed) if i in rising]
     plain = [re.sub(r"(\.\d+|\s*\(\d+\)|[ _]\d+)$", "", name.lower()) for name in names]
     at = [i for i in time_candidates(plain, units) if i in rising]
     same = [i for i in at if plain[i] == plain[at[0]]] if at else []
     return sorted(same) if all(b - a > 1 for a, b in zip(sorted(same), sorted(same)[1:])) else []
-
-
-def _rises(head: np.ndarray) -> bool:
-    steps = np.diff(head[np.isfinite(head)])
-    return len(steps) > 0 and bool(np.all(steps >= 0.0) and np.any(steps > 0.0))
 
 
 def _named_once(rows: Rows, names: Sequence[str], kept: Sequence[int]) -> tuple[list[str], set[int]]:

@@ -16,7 +16,7 @@ from twin.errors import InputError, nearest
 from twin.recordings.formats.text_cells import cells_of, is_number, is_stamp
 from twin.recordings.signals import known_unit, split_heading
 
-KEYS = ("delimiter", "decimal", "header_line", "units_row", "encoding", "columns")
+KEYS = ("delimiter", "decimal", "encoding", "columns")
 _NAME_KEYS = (
     "name", "names", "channel name", "channel", "channels", "signal", "signals", "signal name", "variable", "kanal", "kanalname",
     "bezeichnung", "nom",
@@ -58,7 +58,7 @@ class Heading:
 
 
 def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], given: Mapping[str, Any], path: Path) -> Heading:
-    """The heading from the lines above the numbers; `filled` columns have values. Names in `given` (--columns) and positions of lines (the map's [csv]) take precedence."""
+    """The heading from the lines above the numbers; `filled` columns have values. Names in `given` (--columns) take precedence."""
     for key in given:
         if key not in KEYS:
             raise InputError(f"{path}: [csv] {key}: unknown key; {nearest(key, KEYS)}")
@@ -68,7 +68,7 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
     if lines and delimiter != " " and len(table[-1]) == width + 1 and _wordy(table[-1]):
         full.append(len(lines) - 1)  # one name more than columns: a comment that no row has
         table[-1] = table[-1][:width]
-    names_at, units_at, keyed = _given_lines(given, len(lines), path) if "header_line" in given else _lines_of(table, full, given)
+    names_at, units_at, keyed = _lines_of(table, full)
     names = _padded(table[names_at] if names_at is not None else [], width)
     below = _padded(table[units_at] if units_at is not None else [], width)
     if names_at is not None:
@@ -112,16 +112,7 @@ def _cells(line: str, delimiter: str, width: int) -> list[str]:
     return cells
 
 
-def _given_lines(given: Mapping[str, Any], count: int, path: Path) -> tuple[int | None, int | None, bool]:
-    line = given["header_line"]
-    if isinstance(line, bool) or not isinstance(line, int):
-        raise InputError(f"{path}: [csv] header_line = {line!r}; give the number of a line")
-    if not 1 <= line <= count:
-        raise InputError(f"{path}: [csv] header_line = {line}, but numbers begin in line {count + 1}; correct it")
-    return line - 1, (line if given.get("units_row") and line < count else None), False
-
-
-def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int], given: Mapping[str, Any]) -> tuple[int | None, int | None, bool]:
+def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int]) -> tuple[int | None, int | None, bool]:
     """Lines of names and of units, and whether the lines begin with their meaning."""
     keys = {i: _plain(re.sub(r"[\[(].*", "", table[i][0])).lower() for i in full}
     named = [i for i in full if keys[i] in _NAME_KEYS]
@@ -129,7 +120,7 @@ def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int], given: Mappin
     if named and (measured or any(_INTERVAL.search(keys[i]) for i in full)):
         return named[0], measured[0] if measured else None, True
     rows = [i for i in full if _wordy(table[i]) and not all(c.lower() in _TYPES for c in table[i] if c)]
-    if len(rows) > 1 and given.get("units_row", _units(table[rows[-1]])):
+    if len(rows) > 1 and _units(table[rows[-1]]):
         return rows[-2], rows[-1], False
     return (rows[-1] if rows else None), None, False
 

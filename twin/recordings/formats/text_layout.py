@@ -89,7 +89,8 @@ def _rows(lines: Sequence[str], delimiter: str, decimal: str) -> list[Rows]:
         first = next(
             (i for i, after in zip(there, [*there[1:], there[-1]]) if len(kinds[i]) == width and fits[i] and fits[after]), len(kinds)
         )
-        if first + 1 in there and _numbered(table[first]):
+        # a heading 0, 1, 2, ... or 1, 2, 3, ...
+        if first + 1 in there and any(table[first] == [str(i + start) for i in range(width)] for start in (0, 1)):
             first += 1
         rows = [i for i in there if i >= first and fits[i]]
         numbers = columns.count(NUMBER)
@@ -107,11 +108,6 @@ def _majority(kinds: Sequence[str]) -> str:
     """The kind of a column; blank cells do not count."""
     counted = Counter(there := [kind for kind in kinds if kind != BLANK])
     return max(counted, key=lambda kind: (counted[kind], kind == there[-1])) if counted else BLANK
-
-
-def _numbered(cells: Sequence[str]) -> bool:
-    """True for a heading 0, 1, 2, ... or 1, 2, 3, ..."""
-    return len(cells) > 1 and any(list(cells) == [str(i + start) for i in range(len(cells))] for start in (0, 1))
 
 
 def names_in_pairs(rows: Rows, headed: bool) -> dict[int, str] | None:

@@ -15,9 +15,9 @@ from twin.errors import InputError
 from twin.recordings.formats.text_cells import DAY_NS, WORD, Sample, cells_of, has_date, kind_of, stamp_ns
 from twin.recordings.formats.text_heading import Heading
 from twin.recordings.formats.text_layout import Long, Rows
-from twin.recordings.restarts import Restarts
-from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Column, Stored
-from twin.recordings.time_column import Found
+from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Column, Stored, TimeSource
+from twin.recordings.table_file import uneven_row
+from twin.recordings.timing import Restarts
 
 BLOCK_CHARACTERS = 1 << 22
 
@@ -33,7 +33,7 @@ class Layout:
     units: tuple[str, ...]
     kept: tuple[int, ...]
     """Columns that are signals."""
-    times: Mapping[int, Found]
+    times: Mapping[int, TimeSource]
     """Time of each of them; a dictionary of one object where all share it."""
     stamps: tuple[int, ...]
     """Columns that together are a date and clock time."""
@@ -52,7 +52,7 @@ class Clocks:
     Dates count from the first of the file, `origin_ns`. `restarts`: rows where a time starts again.
     """
 
-    def __init__(self, found: Mapping[int, Found], stamps: tuple[int, ...]) -> None:
+    def __init__(self, found: Mapping[int, TimeSource], stamps: tuple[int, ...]) -> None:
         self.found, self.stamps = found, stamps
         self.origin_ns: int | None = None
         self.dated = False
@@ -68,7 +68,7 @@ class Clocks:
         """Columns of times."""
         return {at for one in self.found.values() if one.at is not None for at in (self.stamps if one.at in self.stamps else (one.at,))}
 
-    def times(self, batch: Any, found: Found) -> np.ndarray:
+    def times(self, batch: Any, found: TimeSource) -> np.ndarray:
         """Times of a batch as recorded, NaN where the cell is blank. Each batch is asked for once per time column."""
         if found.at is None:
             time = (self._rows + np.arange(batch.num_rows)) * found.factor
@@ -77,7 +77,7 @@ class Clocks:
         if found.at in self.stamps:
             return self._stamped(batch)
         values = batch.column(f"c{found.at}").to_numpy(zero_copy_only=False)
-        if found.source.text.endswith("since 1970"):
+        if found.text.endswith("since 1970"):
             there = values[np.isfinite(values)]
             first = self._epoch.setdefault(found.at, float(there[0]) if len(there) else 0.0)
             if self.origin_ns is None:
@@ -133,12 +133,11 @@ def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path) 
     import pyarrow as pa
 
     path, rows = layout.sample.path, 0
-    bad: list[tuple[int | None, int, int, str]] = []
     scratch = _Scratch(folder)
     found: dict[Any, str] = {}  # column -> its file; of a long table, by name
     blank: set[int] = set()  # columns with empty cells
     try:
-        for batch in _batches(layout, chosen, clocks, bad):
+        for batch in _batches(layout, chosen, clocks):
             line = layout.rows.first + rows
             if layout.long:
                 _add_long(layout, layout.long, clocks, batch, scratch, found, line)
@@ -146,7 +145,7 @@ def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path) 
                 blank |= _add_table(layout, chosen, clocks, batch, scratch, line)
             rows += batch.num_rows
     except pa.ArrowException as error:
-        raise _why(layout, error, bad) from None
+        raise _why(layout, error) from None
     except UnicodeError:
         raise InputError(f"{path}: not {layout.sample.encoding} text; give the encoding in [csv] of the map") from None
     finally:
@@ -218,18 +217,14 @@ def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int) 
     return values
 
 
-def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks, bad: list[tuple[int | None, int, int, str]]) -> Iterator[Any]:
-    """The rows in batches with columns c0, c1, ...; rows of another width are added to `bad`."""
+def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks) -> Iterator[Any]:
+    """The rows in batches with columns c0, c1, ..."""
     import pyarrow as pa
     import pyarrow.csv as pc
 
     kinds = {f"c{i}": pa.string() if i in clocks.stamps else pa.float64() for i in {*chosen, *clocks.columns()}}
     if layout.long:
         kinds[f"c{layout.long.name}"] = pa.string()
-
-    def invalid(row: Any) -> str:
-        bad.append((row.number, row.actual_columns, row.expected_columns, row.text))
-        return "error"
 
     yield from pc.open_csv(
         _Text(layout),
@@ -238,7 +233,7 @@ def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks, bad: list[tu
             block_size=BLOCK_CHARACTERS,
             use_threads=False,
         ),
-        parse_options=pc.ParseOptions(delimiter=layout.rows.delimiter, invalid_row_handler=invalid),
+        parse_options=pc.ParseOptions(delimiter=layout.rows.delimiter),
         convert_options=pc.ConvertOptions(
             column_types=kinds,
             include_columns=list(kinds),
@@ -249,15 +244,12 @@ def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks, bad: list[tu
     )
 
 
-def _why(layout: Layout, error: Exception, bad: list[tuple[int | None, int, int, str]]) -> InputError:
+def _why(layout: Layout, error: Exception) -> InputError:
     """An error of the library as one line with its place in the file."""
     path, text = layout.sample.path, str(error)
-    if bad:
-        number, have, expected, row = bad[0]
-        line = f"line {layout.rows.first + number}" if number is not None else "a row"
-        return InputError(
-            f"{path}: {line} has {have} of {expected} cells: '{row[:60].strip()}'; the file is cut off or damaged there, remove the line"
-        )
+    if found := uneven_row(error):
+        line = layout.rows.first + found[0]
+        return InputError(f"{path}: line {line} {found[1]}; the file is cut off or damaged there, remove the line")
     if match := re.search(r"column #(\d+)(?:.*?Row #(\d+))?.*?invalid value '(.*?)'", text, re.DOTALL):
         name = layout.names[int(match[1])] if int(match[1]) < len(layout.names) else f"column {int(match[1]) + 1}"
         line = f"line {layout.rows.first + int(match[2])} of " if match[2] else ""
