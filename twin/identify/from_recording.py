@@ -85,7 +85,7 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
             write_lumped_machine(file, axes, folder.name)
             return _reproductions(load_machine(file), tried, axes)
 
-        lumps, followed = _tuned(attempt, _likelier_laws(attempt, lumps), say)
+        lumps, followed = _tuned(attempt, lumps, say)
     if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
         raise InputError(
             f"{folder.name}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
@@ -114,15 +114,6 @@ def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[Measu
 
 Attempt = Callable[[Sequence[AxisLumps]], dict[str, Reproduction]]
 """How axes with these laws reproduce the recording."""
-
-
-def _likelier_laws(attempt: Attempt, lumps: Sequence[AxisLumps]) -> list[AxisLumps]:
-    """Each axis with the one of its two position controllers that follows more like the recording."""
-    if not any(one.other for one in lumps):
-        return list(lumps)
-    others = [replace(one, law=one.other or one.law, other=None) for one in lumps]
-    first, second = attempt(lumps), attempt(others)
-    return [other if second[one.name].merit < first[one.name].merit else one for one, other in zip(lumps, others)]
 
 
 LEAST_SAMPLES = 40
@@ -174,33 +165,34 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
 
 
 def _tuned(attempt: Attempt, lumps: Sequence[AxisLumps], say: Callable[[str], None]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
-    """Speed controller of each axis by trial. All axes are tried at once, since their gaps are independent."""
+    """The likelier of two position controllers, and the speed controller of each axis, by trial. All axes are tried at once: their gaps are independent."""
     kept = {one.name: one for one in lumps}
     best = attempt(list(kept.values()))
 
-    def changed(of: Iterable[str], change: Callable[[Law], dict[str, float]]) -> dict[str, AxisLumps]:
-        return {**kept, **{n: replace(kept[n], law=replace(kept[n].law, **change(kept[n].law))) for n in of}}  # type: ignore[arg-type]
+    def tried(of: Iterable[str], law_of: Callable[[AxisLumps], Law]) -> None:
+        """Keep the changed law of each of these axes that then reproduces better."""
+        given = {n: replace(kept[n], law=law_of(kept[n]), other=None) for n in of}
+        found = attempt(list({**kept, **given}.values())) if given else {}
+        for name, one in given.items():
+            if math.isfinite(found[name].gap) and not found[name].merit >= best[name].merit:
+                kept[name], best[name] = one, found[name]
 
+    tried([one.name for one in lumps if one.other], lambda one: one.other or one.law)
     for _ in range(4):  # a speed controller may be too stiff for its cycles
         if not (lost := [n for n, one in best.items() if not math.isfinite(one.gap)]):
             break
-        kept = changed(lost, lambda law: {"lag": 1.8 * law.lag})
+        kept |= {n: replace(kept[n], law=replace(kept[n].law, lag=1.8 * kept[n].law.lag)) for n in lost}
         best = attempt(list(kept.values()))
-    adjustable = [one.name for one in lumps if not one.law.direct]
-    unmeasured = [one.name for one in lumps if not one.law.measured]
-    trials: list[tuple[list[str], Callable[[Law], dict[str, float]]]] = [
-        *((adjustable, lambda _, v=v: {"integral_time": v}) for v in INTEGRAL_TIMES_S),  # type: ignore[misc]
-        *((adjustable, lambda law, v=v: {"lag": v * law.lag}) for v in LAG_FACTORS),  # type: ignore[misc]
-        *((unmeasured, lambda law, v=v: {"delay": max(law.delay + v, 0.0)}) for v in DELAY_STEPS_S),  # type: ignore[misc]
-    ]
+    adjustable = [one.name for one in kept.values() if not one.law.direct]
+    unmeasured = [one.name for one in kept.values() if not one.law.measured]
     for _ in range(2):
         say("trying speed controllers")
-        for of, change in trials:
-            given = changed(of, change)
-            found = attempt(list(given.values())) if of else {}
-            for name in of:
-                if math.isfinite(found[name].gap) and not found[name].merit >= best[name].merit:
-                    kept, best = {**kept, name: given[name]}, {**best, name: found[name]}
+        for integral_time in INTEGRAL_TIMES_S:
+            tried(adjustable, lambda one, v=integral_time: replace(one.law, integral_time=v))  # type: ignore[misc]
+        for factor in LAG_FACTORS:
+            tried(adjustable, lambda one, v=factor: replace(one.law, lag=v * one.law.lag))  # type: ignore[misc]
+        for step in DELAY_STEPS_S:
+            tried(unmeasured, lambda one, v=step: replace(one.law, delay=max(one.law.delay + v, 0.0)))  # type: ignore[misc]
     return list(kept.values()), best
 
 

@@ -148,48 +148,36 @@ def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
         )
     elif c.accelerating > LARGEST_SHARE * motor.peak_current_a:
         share = c.accelerating / motor.peak_current_a
-        yield (
-            "unusual",
-            f"full acceleration takes {share * 100:.0f} % of the {effort} limit; above {LARGEST_SHARE * 100:.0f} % the loops have no reserve",
-        )
+        text = f"full acceleration takes {share * 100:.0f} % of the {effort} limit; above {LARGEST_SHARE * 100:.0f} % the loops have no reserve"
+        yield "unusual", text
     if axis.actuator.electrical and c.voltage > motor.bus_limit_v:
         yield "impossible", f"the highest speed takes {c.voltage:.3g} V, the bus gives {motor.bus_limit_v:g} V"
     elif axis.actuator.electrical and c.voltage > LARGEST_SHARE * motor.bus_limit_v:
         yield "unusual", f"the highest speed takes {c.voltage / motor.bus_limit_v * 100:.0f} % of the bus voltage"
     if c.inertia_ratio > MOST_INERTIA_RATIO and math.isfinite(c.inertia_ratio):
-        yield (
-            "unusual",
-            f"the load's inertia is {c.inertia_ratio:.1f} times the rotor's; above {MOST_INERTIA_RATIO:g} a drive is hard to tune",
-        )
+        text = f"the load's inertia is {c.inertia_ratio:.1f} times the rotor's; above {MOST_INERTIA_RATIO:g} a drive is hard to tune"
+        yield "unusual", text
     commissioned = axis.commissioned_inertia
     if commissioned is not None and loops.acceleration_weight and abs(commissioned / c.inertia - 1.0) > MOST_INERTIA_ERROR:
-        yield (
-            "unusual",
-            f"torque feedforward was commissioned with {commissioned:.3g} kg m2, {commissioned / c.inertia:.2f} times the model's {c.inertia:.3g}",
-        )
+        text = f"torque feedforward was commissioned with {commissioned:.3g} kg m2, {commissioned / c.inertia:.2f} times the model's {c.inertia:.3g}"
+        yield "unusual", text
     if not axis.has_speed_integral and c.holding > 1e-9:
         sag = (
             (held_force(machine, axis) + axis.constant_force) * axis.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)
         )
         error, factor = AXIS_UNITS[axis.kind].error
-        yield (
-            "unusual",
-            f"the speed controller has no integral part: the force that holds it causes a following error of {sag * factor:.3g} {error}",
-        )
+        text = f"the speed controller has no integral part: the force that holds it causes a following error of {sag * factor:.3g} {error}"
+        yield "unusual", text
     yield from _loop_findings(c)
     # mechanics and measuring system compared with the loops
     speed = c.margins[-2]
     if c.first_mode_hz is None:
         if axis.rotor_inertia_kg_m2 > 0.0:
-            yield (
-                "missing",
-                "no stiffness between motor and load (effect transmission_compliance): the first mode cannot be compared with the speed loop",
-            )
+            text = "no stiffness between motor and load (effect transmission_compliance): the first mode cannot be compared with the speed loop"
+            yield "missing", text
     elif c.first_mode_hz < LEAST_MODE_RATIO * speed.crossover:
-        yield (
-            "unusual",
-            f"the first mode of {c.first_mode_hz:.0f} Hz is less than {LEAST_MODE_RATIO:g} times the crossover of the speed loop, {speed.crossover:.0f} Hz",
-        )
+        text = f"the first mode of {c.first_mode_hz:.0f} Hz is less than {LEAST_MODE_RATIO:g} times the crossover of the speed loop, {speed.crossover:.0f} Hz"
+        yield "unusual", text
     yield from _encoder_findings(machine, axis)
 
 
@@ -199,15 +187,13 @@ def _loop_findings(c: AxisCheck) -> Iterator[tuple[str, str]]:
             yield "impossible", f"the {loop.name} loop is unstable with these gains"
             continue
         if m.phase < LEAST_PHASE_DEG[loop.name]:
-            yield (
-                "unusual",
-                f"the {loop.name} loop has a phase margin of {m.phase:.0f} degrees at {m.crossover:.3g} Hz; {LEAST_PHASE_DEG[loop.name]:.0f} are usual",
-            )
+            text = f"the {loop.name} loop has a phase margin of {m.phase:.0f} degrees at {m.crossover:.3g} Hz; {LEAST_PHASE_DEG[loop.name]:.0f} are usual"
+            yield "unusual", text
         if m.gain < LEAST_GAIN:
-            yield (
-                "unusual",
-                f"the {loop.name} loop has a gain margin of {20 * math.log10(m.gain):.1f} dB at {m.phase_crossing:.3g} Hz; 6 dB are usual",
+            text = (
+                f"the {loop.name} loop has a gain margin of {20 * math.log10(m.gain):.1f} dB at {m.phase_crossing:.3g} Hz; 6 dB are usual"
             )
+            yield "unusual", text
         if not math.isfinite(m.crossover):
             yield "unusual", f"the gain of the {loop.name} loop never reaches 1: it has no effect"
     if c.margins[-1].stable and c.margins[-1].peak > MOST_PEAK:
@@ -239,7 +225,5 @@ def _encoder_findings(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]
         step = noise.motor_resolution / (n * machine.speed_cycle) / axis.ratio * axis.loops.speed_gain_nm_s_per_rad
         if step > 0.5 * axis.coulomb_friction_nm:
             share = step / axis.coulomb_friction_nm if axis.coulomb_friction_nm else math.inf
-            yield (
-                "unusual",
-                f"one encoder step, differentiated over {n} cycles, causes {share:.1f} times the Coulomb friction: the axis hums at rest",
-            )
+            text = f"one encoder step, differentiated over {n} cycles, causes {share:.1f} times the Coulomb friction: the axis hums at rest"
+            yield "unusual", text
