@@ -125,11 +125,8 @@ class DriveResiduals:
         return [s for s in wanted if any(r.trace.has(name, s) for r in self.runs)]
 
     def _is_seen(self, axis: Axis) -> bool:
-        moved = [r for r in self.runs if r.trace.moves(axis.name)]
-        return any(
-            r.trace.has(axis.name, axis.effort) and (r.trace.has(axis.name, "position") or r.trace.has(axis.name, "motor_position"))
-            for r in moved
-        )
+        moved = [r.trace for r in self.runs if r.trace.moves(axis.name) and r.trace.has(axis.name, axis.effort)]
+        return any(trace.has(axis.name, s) for trace in moved for s in BOTH)
 
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)

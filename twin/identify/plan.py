@@ -279,12 +279,9 @@ def siemens_program(run: PlannedRun, machine: Machine) -> str:
         f"IF R1<{run.repeats} GOTOB AGAIN",
         "M30",
     ]
-    return (
-        "\n".join(
-            f"N{10 * (i + 1)} {line}" if not line.startswith(";") and not line.endswith(":") else line for i, line in enumerate(lines)
-        )
-        + "\n"
-    )
+    # comments and labels have no number
+    numbers = ["" if line.startswith(";") or line.endswith(":") else f"N{10 * (i + 1)} " for i, line in enumerate(lines)]
+    return "".join(f"{number}{line}\n" for number, line in zip(numbers, lines))
 
 
 def _word(axis: Axis, value: float) -> str:

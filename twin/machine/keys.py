@@ -86,12 +86,8 @@ def canonical(table: Mapping[str, Any]) -> dict[str, Any]:
 def speed_gains(effort: str) -> tuple[tuple[str, bool, bool], ...]:
     """Keys of a speed gain for a command: key; True for torque, False for the command; True per axis unit, False per motor radian."""
     command = {"current": "a", "voltage": "v"}.get(effort)
-    own = ((SPEED_GAIN, True, False),)
-    return (
-        own
-        if command is None
-        else (*own, (f"speed_gain_{command}_s_per_rad", False, False), (f"speed_gain_{command}_s_per_m", False, True))
-    )
+    own = (SPEED_GAIN, True, False)
+    return (own, (f"speed_gain_{command}_s_per_rad", False, False), (f"speed_gain_{command}_s_per_m", False, True)) if command else (own,)
 
 
 def tables_of_axis(

@@ -57,11 +57,8 @@ def conversion_of(column: ColumnMap, signal: Signal, machine: Machine | None, wh
     if not unit:
         raise InputError(f'{where}: the file gives no unit; give it in the map, e.g. unit = "{_example(column.signal)}"')
     if column.unit and signal.unit and column.unit != signal.unit and column.scale is None:
-        remedy = (
-            "give scale = 1.0 to overrule the file"
-            if dimension_recorded(column.unit) == dimension_recorded(signal.unit)
-            else (f"give scale = ... [{column.unit} per {signal.unit}]")
-        )
+        alike = dimension_recorded(column.unit) == dimension_recorded(signal.unit)
+        remedy = "give scale = 1.0 to overrule the file" if alike else f"give scale = ... [{column.unit} per {signal.unit}]"
         raise InputError(
             f"{where}: the unit is [{signal.unit}] in the file, [{column.unit}] in the map; leave unit out of the map, or {remedy}"
         )

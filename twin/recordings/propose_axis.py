@@ -72,14 +72,9 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     guess = _kind_of_units(meanings.values(), label or axis)
     stated = {one.name: one.unit for one in sound}
     for name in [n for n, v in values.items() if n not in meanings and moves(v)]:
-        if (
-            why := "a switch"
-            if relations.switches(values[name])
-            else "increases evenly: counts or a time"
-            if relations.even_step(values[name])
-            else ""
-        ):
-            out.unused[name] = why
+        switch = relations.switches(values[name])
+        if switch or relations.even_step(values[name]):
+            out.unused[name] = "a switch" if switch else "increases evenly: counts or a time"
             del values[name]
     values |= {n: relations.without_sign_bit(values[n], bit) for n, bit in bits.items() if n in values}
     candidates = [Candidate(n, v, meanings.get(n), stated[n]) for n, v in values.items()]

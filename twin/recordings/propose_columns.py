@@ -65,11 +65,8 @@ def proposed_columns(
     if base is None and {"setpoint", "following_error"} <= set(recorded):
         base = recorded["setpoint"] - recorded["following_error"]
     base = base if base is not None else recorded.get("setpoint")
-    factors = (
-        {s: relations.slope(recorded[s], base, period).factor for s in SPEEDS if s in recorded and moves(recorded[s])}
-        if base is not None
-        else {}
-    )
+    speeds = [s for s in SPEEDS if base is not None and s in recorded and moves(recorded[s])]
+    factors = {s: relations.slope(recorded[s], base, period).factor for s in speeds}  # type: ignore[arg-type]
     units = {s: role.column.meaning.unit if role.column.meaning is not None else role.column.unit for s, role in roles.roles.items()}
     scale = _scale(roles, base, [f for s, f in factors.items() if not units.get(s) and timed], guess, axis)
     kind = guess[0] if guess[1] else ("rotary" if RECORDED_UNITS[scale.unit][0] == "angle" else "linear")
@@ -149,9 +146,7 @@ def _speed(
         if signal != column.signal and signal in recorded:
             return replace(column, doubt=PROFILE if profile else "another column is the speed set point")
         reason = {True: PROFILE, False: "answers the position: output of the position controller", None: column.reason}[profile]
-        remark = (
-            PROFILE if profile else "it does not answer the position in this record: no gain follows from it" if profile is None else ""
-        )
+        remark = {True: PROFILE, False: "", None: "it does not answer the position in this record: no gain follows from it"}[profile]
         column = replace(column, signal=signal, remark=remark, reason=reason)
         if unnamed and profile is None:
             column = replace(column, assumed=f"within this record it is the slope of the set point: taken as {signal.replace('_', ' ')}")
@@ -188,12 +183,8 @@ def _speed(
     unit, travel = speed_unit(scale.unit, found.factor / scale.factor, column.signal, kind)
     if not travel:
         return replace(column, unit=unit, sign=sign, remark=remark or f"{unit} by the slope of the position")
-    key = "mm_per_rev" if kind == "linear" else "deg_per_rev"
-    said = (
-        "read as rev/min of a motor: travel per revolution from the slope of the position"
-        if travel != 360.0
-        else "turns of the axis itself"
-    )
+    of_motor = "read as rev/min of a motor: travel per revolution from the slope of the position"
+    said = of_motor if travel != 360.0 else "turns of the axis itself"
     return replace(column, unit=unit, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark=f"{said}; {remark}".rstrip("; "))
 
 

@@ -172,11 +172,8 @@ class _Evidence:
                 c for c in rest if c.meaning is None and c.able("velocity") and relations.moves(c.values)
             ]
             named = next((c.values for c in rest if c.means("motor_position") and relations.moves(c.values)), None)
-            motions = (
-                [named]
-                if named is not None
-                else [np.cumsum(c.values - (c.values[0] if c.meaning is None else 0.0)) * self.period for c in speeds]
-            )
+            summed = [np.cumsum(c.values - (c.values[0] if c.meaning is None else 0.0)) * self.period for c in speeds]
+            motions = [named] if named is not None else summed
         best = max((self._assigned(rest, s, x, motion) for motion in motions if motion is not None), key=lambda r: r[0], default=None)
         if best is None:
             return -np.inf, {}

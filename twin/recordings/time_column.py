@@ -54,11 +54,8 @@ def find_time(
         """The time column with its unit."""
         name, head = split_heading(names[at])[0], heads[at]
         ending = _ENDING.search(name)
-        stated = (
-            known_unit(clock.unit)
-            if clock.unit
-            else units[at] or (known_unit(ending[1]) if ending else _UNIT_OF_NAME.get(name.lower(), ""))
-        )
+        of_name = known_unit(ending[1]) if ending else _UNIT_OF_NAME.get(name.lower(), "")
+        stated = known_unit(clock.unit) if clock.unit else units[at] or of_name
         if (clock.unit and (not stated or dimension_recorded(stated) != "time")) or (stated and dimension_recorded(stated) != "time"):
             raise InputError(f"{where}: time column '{name}': [{clock.unit or stated}] is not a unit of time; use s, ms, us, ns or min")
         if stated:

@@ -160,11 +160,10 @@ def _interval_error(time: np.ndarray, row: int, interval: float, where: str) -> 
     """The error for an interval that is not constant."""
     here = time[row : row + WINDOW]
     after = float(np.median(np.diff(here)[1:])) if len(here) > 2 else interval
-    problem = (
-        f"the interval changes from {interval * 1e3:.4g} ms to {after * 1e3:.4g} ms at {here[0]:.6g} s"
-        if abs(after - interval) > 0.05 * interval
-        else f"the interval is not constant: {interval * 1e3:.4g} ms, but {np.diff(here[:2])[0] * 1e3:.4g} ms at {here[0]:.6g} s and often after"
-    )
+    problem = f"the interval changes from {interval * 1e3:.4g} ms to {after * 1e3:.4g} ms at {here[0]:.6g} s"
+    if abs(after - interval) <= 0.05 * interval:
+        other = float(here[1] - here[0])
+        problem = f"the interval is not constant: {interval * 1e3:.4g} ms, but {other * 1e3:.4g} ms at {here[0]:.6g} s and often after"
     return InputError(f"{where}: {problem}; split the recording there (from_s, to_s), or give period_ms in the map to resample it")
 
 

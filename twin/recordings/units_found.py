@@ -82,12 +82,8 @@ def speed_unit(position: str, factor: float, signal: str, kind: str) -> tuple[st
 
 def surprise_of(position: str, factor: float) -> float:
     """How unusual the unit is that makes a speed `factor` times the slope of a position; 3 if none explains it, as for a motor of unknown travel."""
-    found = [
-        s
-        for unit, s in _SPEEDS[position].items()
-        if factor and abs(abs(factor) / slope_factor(position, unit) - 1.0) < TOLERANCE["velocity"]
-    ]
-    return min([*found, 3.0])
+    off = {unit: abs(abs(factor) / slope_factor(position, unit) - 1.0) for unit in _SPEEDS[position]}
+    return min([*(_SPEEDS[position][unit] for unit in off if factor and off[unit] < TOLERANCE["velocity"]), 3.0])
 
 
 def usual_factor(factor: float) -> bool:
