@@ -66,11 +66,12 @@ def _check(args: argparse.Namespace) -> int:
     print(f"{machine.name}: {len(machine.axes)} {'axis' if len(machine.axes) == 1 else 'axes'}\n")
     print(check_text(checks, findings))
     if args.out:
-        from twin.machine.loops_figure import write_loop_figure
+        from twin.machine.loops_figure import loop_figure
+        from twin.report.figure import save_png
 
         out = Path(args.out)
         for check in checks:
-            write_loop_figure(check, machine.name, out / f"loops_{check.axis.name}.png")
+            save_png(loop_figure(check, machine.name), out / f"loops_{check.axis.name}.png")
         numbers = ("inertia", "inertia_ratio", "holding", "accelerating", "voltage", "first_mode_hz")
         axes = {
             c.axis.name: {

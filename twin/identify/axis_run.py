@@ -211,6 +211,8 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     spline = CubicSpline(time[cycles.bounds], angle)
     effort, speed = recorded(axis.effort), recorded("velocity")
     limited, clipped = _limits(signals, cycles, setpoint)
+    s = [setpoint(np.clip(start - k * cycle, 0.0, setpoint.x[-1])) for k in range(3)]
+    fed = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
     pushed = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
     added = recorded_forces.injected(trace, machine)[:, machine.axis_names.index(axis.name)] if trace.injections(axis.name) else None
     return AxisRun(
@@ -234,7 +236,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         current=each(cycles.means, effort),
         current_ripple=each(cycles.ripple, effort),
         speed_ripple=each(lambda values: cycles.ripple(values / axis.ratio), speed),
-        torque_feedforward=_torque_feedforward(axis, run, setpoint, start, cycle),
+        torque_feedforward=fed if run.feedforward not in ("off", "velocity") else np.zeros(len(start)),
         deflection=cycles.means(encoder - position) if encoder is not None and position is not None else None,
         known_load=each(cycles.means, pushed),
         injected=each(cycles.means, added),
@@ -261,14 +263,6 @@ def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals) -> _Cycles
     if cycles < 3:
         raise InputError(f"run {run.name}: {samples} samples are {cycles} position cycles; record at least 3 cycles of {cycle * 1e3:g} ms")
     return _Cycles(n, first, cycles)
-
-
-def _torque_feedforward(axis: Axis, run: MeasuredRun, setpoint: CubicSpline, start: np.ndarray, cycle: float) -> np.ndarray:
-    """(cycle,) torque feedforward at weight 1 without delay [Nm]."""
-    if run.feedforward in ("off", "velocity"):
-        return np.zeros(len(start))
-    s = [setpoint(np.clip(start - k * cycle, 0.0, setpoint.x[-1])) for k in range(3)]
-    return control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
 
 
 def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[np.ndarray, dict[str, float]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,7 +11,7 @@ import numpy as np
 from twin.control.linear import Loop
 from twin.machine.check import AxisCheck
 from twin.machine.loops import Margins
-from twin.report.figure import AMBER, BLUE, INK, RED, SOFT, new_figure, save_png
+from twin.report.figure import AMBER, BLUE, INK, RED, SOFT, new_figure
 
 _LOWEST_DB, _HIGHEST_DB = -50.0, 50.0
 
@@ -28,11 +27,6 @@ def loop_figure(check: AxisCheck, machine: str) -> Figure:
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     figure.suptitle(f"{machine}, axis {check.axis.name} ({check.axis.structure}): its loops", fontsize=12, x=0.01, ha="left", color=INK)
     return figure
-
-
-def write_loop_figure(check: AxisCheck, machine: str, path: Path) -> None:
-    """Write the picture as PNG."""
-    save_png(loop_figure(check, machine), path)
 
 
 def _draw(magnitude: Axes, phase: Axes, loop: Loop, margins: Margins) -> None:

@@ -67,12 +67,12 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     if not period > 0.0:
         raise InputError(f"column '{lead.name}': its time stands still; repair it, or give [time] interval_ms in a map")
     units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
-    values = {one.name: _in_mm_or_deg(_interpolated(one, time), units[one.name]) for one in sound}
+    values = {one.name: _at_times(one, time, units[one.name]) for one in sound}
     bits = _sign_bits(values, sound, meanings)
     guess = _kind_of_units(meanings.values(), label or axis)
     stated = {one.name: one.unit for one in sound}
     for name in [n for n, v in values.items() if n not in meanings and moves(v)]:
-        switch = relations.switches(values[name])
+        switch = len(np.unique(values[name])) == 2
         if switch or relations.even_step(values[name]):
             out.unused[name] = "a switch" if switch else "increases evenly: counts or a time"
             del values[name]
@@ -186,18 +186,11 @@ def _sign_bits(values: Mapping[str, np.ndarray], signals: Sequence[Signal], mean
     return {name: bit for name, bit in found.items() if bit is not None}
 
 
-def _in_mm_or_deg(values: np.ndarray, unit: str) -> np.ndarray:
-    """A length or an angle with a unit in mm or degrees; other values as they are."""
-    quantity = dimension_recorded(unit) if unit else ""
-    if quantity not in ("length", "angle"):
-        return values
-    return values * RECORDED_UNITS[unit][1] / RECORDED_UNITS["mm" if quantity == "length" else "deg"][1]
-
-
-def _interpolated(signal: Signal, time: np.ndarray) -> np.ndarray:
-    """Values at these times, linear between samples."""
+def _at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
+    """Values at these times, linear between samples; lengths and angles with a unit in mm or degrees."""
     assert signal.time is not None
     own, values = np.asarray(signal.time[0:BLOCK], float), signal.head
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")
-    return np.interp(time, own, values)
+    in_si, usual = RECORDED_UNITS, {"length": "mm", "angle": "deg"}.get(dimension_recorded(unit) if unit else "")
+    return np.interp(time, own, values) * (in_si[unit][1] / in_si[usual][1] if usual else 1.0)

@@ -145,11 +145,6 @@ def settled(s: np.ndarray, x: np.ndarray) -> float:
     return float(np.std((s - x)[resting])) if np.count_nonzero(resting) > quiet else float("nan")
 
 
-def switches(values: np.ndarray) -> bool:
-    """True if a column has two values only: a switch, no measurement."""
-    return len(np.unique(values)) == 2
-
-
 def supplies(voltage: np.ndarray) -> bool:
     """True if a voltage only wavers about a constant: a supply, no command."""
     return abs(float(voltage.mean())) > SUPPLY * float(voltage.std())
