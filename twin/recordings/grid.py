@@ -80,61 +80,35 @@ def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: f
 def on_grid(source: Source, piece: Piece, first: int, last: int, fill: bool = False) -> np.ndarray:
     """Values (last - first,) of a signal at rows first to last - 1 of a piece."""
     times = piece.times(first, last) + source.skew_s
-    stretches = source.timing.stretches
-    if fill and len(stretches) > 1:
-        return _bridged(source, times)
-    middle = 0.5 * (piece.begin + piece.end) + source.skew_s
-    own = min(stretches, key=lambda s: max(s.begin - middle, middle - s.end))
-    return _within(source.signal, own, times)
-
-
-def _within(signal: Signal, own: Stretch, times: np.ndarray) -> np.ndarray:
-    """Values within one stretch: copied if all times are sample times, else by spline."""
-    if own.even:
+    signal, stretches = source.signal, source.timing.stretches
+    if not fill:
+        middle = 0.5 * (piece.begin + piece.end) + source.skew_s
+        stretches = (min(stretches, key=lambda s: max(s.begin - middle, middle - s.end)),)
+    own = stretches[0]
+    if own.even and len(stretches) == 1:
         at = (times - own.begin) / own.interval
         whole = np.rint(at)
-        if np.all(np.abs(at - whole) < ON_GRID + _GRID_ROUNDING_S / own.interval):
+        if np.all(np.abs(at - whole) < ON_GRID + _GRID_ROUNDING_S / own.interval):  # copied if all times are sample times
             rows = np.clip(whole.astype(int), 0, own.count - 1)
             low, high = int(rows[0]), int(rows[-1])
             return np.asarray(signal.values[own.first + low : own.first + high + 1], float)[rows - low]
-    slack = int(np.ceil(own.spread / own.interval)) + MARGIN
-    low = max(int((times[0] - own.begin) / own.interval) - slack, 0)
-    high = min(int((times[-1] - own.begin) / own.interval) + slack + 2, own.count)
-    values = np.asarray(signal.values[own.first + low : own.first + high], float)
-    if own.even or signal.time is None:
-        base = own.begin + own.interval * np.arange(low, high)
-    else:
-        base = np.asarray(signal.time[own.first + low : own.first + high], float)
-        base, kept = np.unique(base, return_index=True)
-        values = values[kept]
+    # a cubic spline also bridges the gap between two stretches
+    base, values = map(np.concatenate, zip(*(_samples(signal, own, times) for own in stretches)))
     if len(base) < 4:
         return np.interp(times, base, values)
     return CubicSpline(base, values)(np.clip(times, base[0], base[-1]))
 
 
-def _bridged(source: Source, times: np.ndarray) -> np.ndarray:
-    """Values at times that may lie in gaps: a cubic spline through the samples on both sides bridges a gap."""
-    out = np.empty(len(times))
-    done = np.zeros(len(times), bool)
-    for own in source.timing.stretches:
-        inside = (times >= own.begin - ON_GRID * own.interval) & (times <= own.end + ON_GRID * own.interval)
-        if inside.any():
-            out[inside] = _within(source.signal, own, times[inside])
-            done |= inside
-    for before, after in zip(source.timing.stretches, source.timing.stretches[1:]):
-        lost = (times > before.end) & (times < after.begin) & ~done
-        if lost.any():
-            left, right = min(before.count, 8), min(after.count, 8)
-            base = np.concatenate([before.end + before.interval * np.arange(1 - left, 1), after.begin + after.interval * np.arange(right)])
-            values = np.concatenate(
-                [
-                    np.asarray(source.signal.values[before.first + before.count - left : before.first + before.count], float),
-                    np.asarray(source.signal.values[after.first : after.first + right], float),
-                ]
-            )
-            out[lost] = CubicSpline(base, values)(times[lost])
-            done |= lost
-    return np.where(done, out, out[np.argmax(done)] if done.any() else 0.0)
+def _samples(signal: Signal, own: Stretch, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of the samples of a stretch around these times, with a margin; beside a gap those at its end."""
+    margin = int(np.ceil(own.spread / own.interval)) + MARGIN
+    low = min(max(int((times[0] - own.begin) / own.interval) - margin, 0), max(own.count - margin, 0))
+    high = max(min(int((times[-1] - own.begin) / own.interval) + margin + 2, own.count), min(margin, own.count))
+    values = np.asarray(signal.values[own.first + low : own.first + high], float)
+    if own.even or signal.time is None:
+        return own.begin + own.interval * np.arange(low, high), values
+    base, kept = np.unique(np.asarray(signal.time[own.first + low : own.first + high], float), return_index=True)
+    return base, values[kept]
 
 
 def block_with_most_travel(source: Source, piece: Piece, fill: bool) -> tuple[int, int]:
