@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from twin.control.number import si_from_key
-from twin.control.structures import STRUCTURES
 from twin.documents import value_at
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
@@ -23,10 +22,6 @@ from twin.machine.parameters import typed_from_file
 
 TABLES = ("name", "structure", "model", "axis_order", "driven_axes", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "tool", "identified", "variables", "program")  # fmt: skip
 """Keys and tables of a machine file besides `keys.TOP`."""
-
-ADDED = ("effect", "driven_axes", "identified", "frame", "tool", "variables", "program")
-"""Those that `changed` may add."""
-
 
 LONGEST_CYCLE, MOST_TICKS = 1.0, 1_000_000
 """Longest cycle of a control [s], and most ticks of the shortest cycle in another one (matrices are multiplied that often)."""
@@ -137,7 +132,7 @@ def _check_body(table: Any, where: str) -> None:
 
 
 def changed(document: Mapping[str, Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """The document with other values by path. Raises InputError for a path that this kind of machine file cannot have."""
+    """The document with other values by path. Raises InputError for a path through a table that does not exist."""
     out = dict(document)
     for asked, value in values.items():
         if asked.startswith("axis.") and asked.count(".") > 1:
@@ -146,38 +141,13 @@ def changed(document: Mapping[str, Any], values: Mapping[str, Any], where: str) 
         *tables, key = path.split(".")
         table: Any = out
         for i, name in enumerate(tables):
-            if not isinstance(table, dict) or name not in table:
-                known = table if isinstance(table, dict) else {}
-                if not isinstance(table, dict) or not _is_allowed(out, path):
-                    raise InputError(f"machine {where}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, known)}")
-                table[name] = {}
-            if isinstance(table[name], dict):
-                table[name] = dict(table[name])
-            table = table[name]
-        if not isinstance(table, dict) or (key not in table and not _is_allowed(out, path)):
-            raise InputError(f"machine {where}: no '{path}'; {nearest(key, table if isinstance(table, dict) else {})}")
+            # tables of the file and tables below an axis may be added; their keys are checked with the whole document
+            new = {} if (i == 0 and name in TABLES) or (i > 1 and tables[0] == "axis") else None
+            if not isinstance(inner := table.get(name, new), dict):
+                raise InputError(f"machine {where}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, table)}")
+            table[name] = table = dict(inner)
         table[key] = number
     return out
-
-
-def _is_allowed(document: Mapping[str, Any], path: str) -> bool:
-    """True if a machine file of this kind may have this path."""
-    parts = path.split(".")
-    if len(parts) == 1:
-        return path in ADDED or path in keys.TOP
-    if len(parts) == 2 and parts[0] in ("control", "geometry", "measurement"):
-        known = {"control": (*keys.CONTROL, "setpoint_interpolation"), "geometry": keys.GEOMETRY, "measurement": keys.MEASUREMENT}
-        return parts[1] in known[parts[0]]
-    table = document["axis"].get(parts[1]) if parts[0] == "axis" else None
-    if not isinstance(table, Mapping) or len(parts) > (5 if parts[2:3] == ["block"] else 4):
-        return False
-    kind, direct = table.get("kind"), table.get("drive") == "direct"
-    if parts[2] == "block":
-        return True  # its names and keys are checked with the axis
-    own, below = keys.tables_of_axis(str(kind), direct, table.get("structure", next(iter(STRUCTURES))), table, f"[axis.{parts[1]}]")
-    if len(parts) == 3:
-        return parts[2] in own or parts[2] in (*keys.WORDS, "commissioned")
-    return parts[3] in below.get(parts[2], {})
 
 
 def in_file(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, Any]:
