@@ -287,29 +287,25 @@ def _hangs(one: AxisLumps) -> bool:
 
 def _body(one: AxisLumps, i: int, vertical: bool) -> str:
     """A slide or a hinge with a box as its shape."""
-    m, place = one.forces, f"0 {0.4 * i:.3g} 0"
+    m, name = one.forces, _xml(one.name)
     inertia = m.inertia if m else UNKNOWN_MASS
-    shape = '      <geom type="box" size="0.1 0.1 0.05" rgba="0.10 0.30 0.55 1" contype="0" conaffinity="0" group="2"/>\n    </body>'
     if one.kind == "linear":
         mass = m.constant / G if vertical and m else inertia
-        side = max(1e-6, 1e-3 * mass)
-        axis = "0 0 1" if vertical else "1 0 0"
-        return (
-            f'    <body name="{_xml(one.name)}_body" pos="{place}">\n'
-            f'      <inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="{side:.6g} {side:.6g} {side:.6g}"/>\n'
-            f'      <joint name="{_xml(one.name)}" type="slide" axis="{axis}"/>\n{shape}'
-        )
-    # gravity that turns with the axis: a mass off the axis, with a small part of the inertia
-    own = _BODY_PART * inertia
-    cosine, sine = m.gravity if m and math.hypot(*m.gravity) > SMALL_FORCE * m.peak else (0.0, 0.0)
-    weight = math.hypot(cosine, sine) / G
-    mass = max(weight**2 / (0.5 * own), own) if weight else max(own, 1e-6)
-    x, z = -cosine / (mass * G), -sine / (mass * G)
-    rest = max(own - mass * (x * x + z * z), 0.1 * own)
+        x, z, moment = 0.0, 0.0, max(1e-6, 1e-3 * mass)
+        joint = f'type="slide" axis="{"0 0 1" if vertical else "1 0 0"}"'
+    else:  # gravity that turns with the axis: a mass off the axis, with a small part of the inertia
+        own = _BODY_PART * inertia
+        cosine, sine = m.gravity if m and math.hypot(*m.gravity) > SMALL_FORCE * m.peak else (0.0, 0.0)
+        weight = math.hypot(cosine, sine) / G
+        mass = max(weight**2 / (0.5 * own), own) if weight else max(own, 1e-6)
+        x, z = -cosine / (mass * G), -sine / (mass * G)
+        moment = max(own - mass * (x * x + z * z), 0.1 * own)
+        joint = 'type="hinge" axis="0 1 0"'
     return (
-        f'    <body name="{_xml(one.name)}_body" pos="{place}">\n'
-        f'      <inertial pos="{x:.9g} 0 {z:.9g}" mass="{mass:.9g}" diaginertia="{rest:.6g} {rest:.6g} {rest:.6g}"/>\n'
-        f'      <joint name="{_xml(one.name)}" type="hinge" axis="0 1 0"/>\n{shape}'
+        f'    <body name="{name}_body" pos="0 {0.4 * i:.3g} 0">\n'
+        f'      <inertial pos="{x:.9g} 0 {z:.9g}" mass="{mass:.9g}" diaginertia="{moment:.6g} {moment:.6g} {moment:.6g}"/>\n'
+        f'      <joint name="{name}" {joint}/>\n'
+        '      <geom type="box" size="0.1 0.1 0.05" rgba="0.10 0.30 0.55 1" contype="0" conaffinity="0" group="2"/>\n    </body>'
     )
 
 

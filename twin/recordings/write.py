@@ -113,7 +113,8 @@ def _run(known: Understood, trace: Written) -> dict[str, Any]:
     """[[run]] with [[run.channel]] and [run.labels]: findings of the import, for identification and diagnosis."""
     run: dict[str, Any] = {"file": f"{trace.name}.parquet"} | ({"feedforward": trace.feedforward} if trace.feedforward else {})
     run["started_at_s"] = round(trace.started_at_s, 6)
-    facts = [msgspec.to_builtins(_fact(known, trace, key)) for key in trace.units]
+    # what is zero is left out, as the defaults are
+    facts = [{k: v for k, v in msgspec.to_builtins(_fact(known, trace, key)).items() if v} for key in trace.units]
     if found := [fact for fact in facts if len(fact) > 2]:  # more than axis and signal
         run["channel"] = found
     if labels := {name: _digits(value, 9) for (piece, name), value in known.labels.items() if piece == trace.piece}:
