@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import itertools
 import json
@@ -19,7 +19,7 @@ from twin.recordings.campaign import EVENTS, ChannelFact
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
 from twin.recordings.signals import BLOCK
-from twin.recordings.trace import heading_of, unit_of
+from twin.recordings.trace import Trace, unit_of, written
 from twin.recordings.understand import Understood
 from twin.units import UNITS
 
@@ -48,41 +48,36 @@ class Written:
 
 def write_run(known: Understood, started_at_s: float, out: Path, runs: Collection[str]) -> list[Written]:
     """Write the traces of a run: one, or one per piece between gaps, named name_1, name_2, skipping the names of other `runs`."""
-    written = []
     # the map gives the start of the run; without it a part starts later than its recording
     start = known.pieces[0].begin if known.run.started_at_s is not None else known.begin
     of_pieces = (name for i in itertools.count(1) if (name := f"{known.run.name}_{i}") not in runs)
-    for name, piece in zip([known.run.name] if len(known.pieces) == 1 else of_pieces, known.pieces):
-        written.append(_write_piece(known, piece, name, started_at_s + piece.begin - start, out))
-    return written
+    names = [known.run.name] if len(known.pieces) == 1 else of_pieces
+    return [_write_piece(known, piece, name, started_at_s + piece.begin - start, out) for name, piece in zip(names, known.pieces)]
 
 
 def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float, out: Path) -> Written:
-    import pyarrow as pa
-    import pyarrow.parquet
-
     order = {axis: i for i, axis in enumerate(dict.fromkeys(c.column.axis for c in known.channels))}
     keys = sorted(known.block(piece, 0, 2), key=lambda k: order[k[0]])
     units = {(axis, signal): unit_of(signal, known.kinds[axis]) for axis, signal in keys}
-    headings = {key: heading_of(*key, unit) for key, unit in units.items()}
-    schema = pa.schema([("time [s]", pa.float64()), *((h, pa.float64()) for h in headings.values())])
     result = Written(name, started_at_s, known.run.feedforward, piece, units)
     part = max(1, int(np.ceil(piece.count / (POINTS / 2))))
-    with beside(out / f"{name}.parquet") as partial, pyarrow.parquet.ParquetWriter(partial, schema) as writer:
-        # blocks contain whole parts of the picture
-        step = max(BLOCK // part, 1) * part
+    # blocks contain whole parts of the picture
+    step = max(BLOCK // part, 1) * part
+
+    def blocks() -> Iterator[Trace]:
         for first in range(0, piece.count, step):
             last = min(first + step, piece.count)
             block = known.block(piece, first, last)
-            time = piece.period * np.arange(first, last)
-            columns = {"time [s]": time, **{headings[key]: block[key] / UNITS[units[key]][1] for key in keys}}
-            writer.write_table(pa.table(columns, schema=schema))
-            result.times.append(_thinned(time, part)[0])
-            for axis in order:
-                if (shown := next(((axis, s) for s in ("position", "motor_position") if (axis, s) in block), None)) is not None:
-                    result.curves.setdefault((axis, ERROR), []).append(_thinned(block[axis, "setpoint"] - block[shown], part)[1])
-            for key in keys:
-                result.curves.setdefault(key, []).append(_thinned(columns[headings[key]], part)[1])
+            yield Trace(piece.period * np.arange(first, last), {key: block[key] for key in keys}, known.kinds)
+
+    for trace in written(blocks(), out / f"{name}.parquet"):
+        result.times.append(_thinned(trace.time, part)[0])
+        for axis in order:
+            if (shown := next((s for s in ("position", "motor_position") if trace.has(axis, s)), None)) is not None:
+                error = trace.get(axis, "setpoint") - trace.get(axis, shown)
+                result.curves.setdefault((axis, ERROR), []).append(_thinned(error, part)[1])
+        for key in keys:
+            result.curves.setdefault(key, []).append(_thinned(trace.get(*key) / UNITS[units[key]][1], part)[1])
     return result
 
 
