@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, TwinError
-from twin.estimate.evidence import rms_of
 from twin.estimate.problem import Free, Values
 from twin.estimate.search import Solution
 from twin.machine.machine import Axis, Machine
@@ -60,11 +59,10 @@ SETTLING_S = 0.1
 
 @dataclass(frozen=True)
 class DriveFit:
-    """Values of one axis by name with standard deviations (SI, at the motor), RMS of each signal after the fit, and unidentified values."""
+    """Values of one axis by name with standard deviations (SI, at the motor), and unidentified values."""
 
     values: dict[str, float]
     deviations: dict[str, float]
-    rms: dict[str, float]
     unidentified: tuple[str, ...] = ()
 
 
@@ -296,8 +294,7 @@ class DriveResiduals:
             deviations["constant_force"] = math.hypot(
                 deviations["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio
             )
-        rms = {s: rms_of(v) * self.scale[n, s] for s, v in end.residuals[n].items()}
-        return DriveFit(values, deviations, rms, tuple(unidentified))
+        return DriveFit(values, deviations, tuple(unidentified))
 
 
 def _motion_of(machine: Machine, setpoints: Setpoints) -> Motion:

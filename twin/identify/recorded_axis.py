@@ -117,16 +117,11 @@ def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
         stroke = count + np.cumsum(begins & moving)
         count += int((begins & moving).sum())
         keep = np.flatnonzero(moving)
-        parts.append(
-            np.column_stack(
-                [np.full(len(keep), i), stroke[keep], run.trace.time[keep], v[keep], a[keep], position_of(run, axis)[keep], keep]
-            )
-        )
-    rows = np.concatenate(parts)
-    if len(rows) < LEAST_SAMPLES:
+        parts.append((np.full(len(keep), i), stroke[keep], run.trace.time[keep], v[keep], a[keep], position_of(run, axis)[keep]))
+    columns = [np.concatenate(column) for column in zip(*parts)]
+    if len(columns[0]) < LEAST_SAMPLES:
         return None
-    steady = np.abs(rows[:, 4]) < 0.1 * np.abs(rows[:, 4]).max()
-    return Strokes(rows[:, 0].astype(int), rows[:, 1].astype(int), rows[:, 2], rows[:, 3], rows[:, 4], rows[:, 5], steady)
+    return Strokes(*columns, np.abs(columns[4]) < 0.1 * np.abs(columns[4]).max())
 
 
 def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndarray]) -> np.ndarray:

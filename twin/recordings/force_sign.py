@@ -40,11 +40,10 @@ class ForceSign:
 
 @dataclass(frozen=True)
 class Balance:
-    """Fit of the balance: unexplained share of the variance, the same for the speed alone and for |balance| (NaN in one direction only), and
-    `direction`: 1 if all parts of the force are along the motion, -1 if all are against it."""
+    """Fit of the balance: unexplained share of the variance, the same for |balance| (NaN in one direction only), and `direction`: 1 if all parts
+    of the force are along the motion, -1 if all are against it."""
 
     left: float
-    left_speed: float
     left_magnitude: float
     direction: float
 
@@ -52,7 +51,7 @@ class Balance:
 def force_balance(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> Balance:
     """Balance of a force (sample,) in any unit on the motion of a position (sample,) [m or rad; a linear axis: any unit]."""
     if len(force) < LEAST or not np.ptp(force) > 0.0 or not np.ptp(position) > 0.0:
-        return Balance(1.0, 1.0, np.nan, 0.0)
+        return Balance(1.0, np.nan, 0.0)
     motion, f = low_passed(position, period, BAND_HZ), low_passed(force, period, BAND_HZ)
     speed = np.gradient(motion, period)
     acceleration = np.gradient(speed, period)
@@ -60,12 +59,10 @@ def force_balance(force: np.ndarray, position: np.ndarray, period: float, kind: 
     direction = np.sign(speed) * moving
     inner = slice(len(f) // 50, len(f) - len(f) // 50)
     place = [np.cos(position), np.sin(position)] if kind == "rotary" else []
-    rest = [*place, np.ones_like(f)]
-    left, coefficients = _fit(np.column_stack([acceleration, direction, speed, *rest])[inner], f[inner])
+    left, coefficients = _fit(np.column_stack([acceleration, direction, speed, *place, np.ones_like(f)])[inner], f[inner])
     # few samples, fewer of them independent after the low-pass, explain anything
     independent = len(f[inner]) * min(1.0, 2.0 * min(BAND_HZ * period, 0.15))
     left = min(left * max(independent - 1.0, 1.0) / max(independent - len(coefficients), 0.1), 1.0)
-    left_speed, _ = _fit(np.column_stack([speed, *rest])[inner], f[inner])
     left_magnitude = np.nan
     both_ways = min(np.count_nonzero(direction > 0), np.count_nonzero(direction < 0)) > 0.1 * np.count_nonzero(moving)
     if both_ways and (force.min() >= 0.0 or force.max() <= 0.0):
@@ -73,7 +70,7 @@ def force_balance(force: np.ndarray, position: np.ndarray, period: float, kind: 
         left_magnitude, _ = _fit(np.column_stack([along, np.abs(direction), np.abs(speed), np.ones_like(f)])[inner], f[inner])
     # inertia, Coulomb and viscous friction weighted by their part of the force
     parts = coefficients[:3] * np.column_stack([acceleration, direction, speed])[inner].std(axis=0)
-    return Balance(left, left_speed, left_magnitude, float(parts.sum() / max(np.abs(parts).sum(), 1e-300)))
+    return Balance(left, left_magnitude, float(parts.sum() / max(np.abs(parts).sum(), 1e-300)))
 
 
 def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> ForceSign:

@@ -26,7 +26,7 @@ TRIMMED = 0.98
 
 @dataclass(frozen=True)
 class Relation:
-    """`factor` k or a; `left`: unexplained share of the variance; `lag` [samples]; `left_without`: the same without the lag (or the extra term)."""
+    """`factor` k or a; `left`: unexplained share of the variance; `lag` [samples]; `left_without`: the same without the lag."""
 
     factor: float
     left: float
@@ -104,19 +104,17 @@ EXACT = 1e-5
 
 
 def law(w: np.ndarray, s: np.ndarray, x: np.ndarray, period: float) -> Relation:
-    """w as output of a position controller; `left_without`: without the following error."""
+    """w as output of a position controller."""
     speed, error = np.gradient(s, period), s - x
     columns = np.column_stack([error, speed, np.ones_like(error)])
-    total = max(float(np.var(w)), TINY)
     b = solved(columns, w)
-    alone = w - columns[:, 1:] @ solved(columns[:, 1:], w)
-    return Relation(float(b[0]), float(np.var(w - columns @ b)) / total, 0.0, float(np.var(alone)) / total)
+    return Relation(float(b[0]), float(np.var(w - columns @ b)) / max(float(np.var(w)), TINY))
 
 
 def balance(u: np.ndarray, x: np.ndarray, period: float, kind: str) -> Relation:
-    """u as the force that moves x; `left_without`: what the speed alone leaves. `factor` < 0: it pushes against the motion."""
+    """u as the force that moves x. `factor` < 0: it pushes against the motion."""
     found = force_balance(u, x, period, kind)
-    return Relation(found.direction, found.left, 0.0, found.left_speed)
+    return Relation(found.direction, found.left)
 
 
 def uneven(values: np.ndarray) -> float:
