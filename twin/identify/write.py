@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from twin.documents import value_at, values_of
+from twin.documents import flat, value_at
 from twin.identify.result import Identification, Range
 from twin.machine.commented import ASSUMED, BOUNDED
 from twin.machine.machine import Machine, write_machine
@@ -44,8 +44,8 @@ def machine_comments(result: Identification) -> dict[str, str]:
 
 def _changed(before: Machine, after: Machine) -> list[str]:
     """Paths of values that differ between two machine files."""
-    old = values_of(before.document)
-    return [path for path, value in values_of(after.document).items() if value != old.get(path)]
+    old, new = (flat(machine.document, nested=(dict,)) for machine in (before, after))
+    return [path for path, value in new.items() if value != old.get(path)]
 
 
 def write_identified(result: Identification, path: str | Path) -> None:
