@@ -46,37 +46,30 @@ def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
     """Read a campaign, check flags and correct late channels; `findings` lists all problems. Raises InputError without a usable run."""
     usable, findings = _usable(machine, campaign)
     findings += missing_signals(machine, usable)
-    flags = [r.feedforward for r in usable]
-    skews: dict[tuple[str, str], ChannelSkew] = {}
+    runs = usable
     correct: dict[str, dict[str, float]] = {}
-    for _ in range(ROUNDS):
-        runs = [replace(r, feedforward=f) for r, f in zip(usable, flags)]
-        shown, said = checked_flags(machine, usable, _axis_runs(machine, runs, correct))
-        runs = [replace(r, feedforward=f) for r, f in zip(usable, shown)]
-        for left in _mean_skews(machine, _axis_runs(machine, runs, correct)):
-            taken = correct.get(left.axis, {}).get(left.signal, 0.0)
-            skews[left.axis, left.signal] = replace(left, seconds=taken + left.seconds)
-        before, flags, correct = (flags, correct), shown, _corrections(skews.values(), runs[0].trace.period)
-        if before == (flags, correct):
+    axis_runs = _axis_runs(machine, runs, {})
+    skews: list[ChannelSkew] | None = None
+    said: list[Finding] = []
+    for _ in range(FLAG_ROUNDS):
+        flags, said = checked_flags(machine, usable, axis_runs)
+        if skews is not None and flags == [r.feedforward for r in runs]:
             break
-    axis_runs = _axis_runs(machine, runs, correct)
+        runs = [replace(r, feedforward=f) for r, f in zip(usable, flags)]
+        skews, correct, axis_runs = _without_skew(machine, runs)
     findings += said
-    for item in skews.values():
+    for item in skews or ():
         if item.signal in correct.get(item.axis, {}):
             text = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); corrected"
             findings.append(Finding(text, item.axis))
     for axis in machine.axes:
         seen = [r for r in axis_runs[axis.name] if r is not None]
         findings += [Finding(text, axis.name) for text in coverage(axis, seen)]
-    return Recording(runs, axis_runs, findings, [*skews.values()])
+    return Recording(runs, axis_runs, findings, skews or [])
 
 
-ROUNDS = 5
-"""Rounds of flag check and skew correction. They depend on each other: a late channel looks like another feedforward and vice versa, a current that is late
-by an odd number of samples has another phase of the saw-tooth, and a late motor angle makes all other channels look late."""
-
-NEAR_SAMPLE = 0.2
-"""A skew within this fraction of a period from a whole number of samples is rounded to it: recorders delay by whole samples."""
+FLAG_ROUNDS = 2
+"""Rounds of flag check and skew correction. They depend on each other: a late channel looks like another feedforward and vice versa."""
 
 
 def _usable(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], list[Finding]]:
@@ -101,15 +94,34 @@ def _axis_runs(machine: Machine, runs: Sequence[MeasuredRun], lateness: dict[str
     return {a.name: [axis_run(machine, a, r, lateness.get(a.name)) if a.name in r.trace.axes else None for r in runs] for a in machine.axes}
 
 
-def _corrections(skews: Iterable[ChannelSkew], period: float) -> dict[str, dict[str, float]]:
-    """Applied correction by axis and signal [s]."""
+def _without_skew(
+    machine: Machine, runs: Sequence[MeasuredRun]
+) -> tuple[list[ChannelSkew], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
+    """Skew of each channel, applied correction by axis and signal [s], and the corrected axis runs."""
     correct: dict[str, dict[str, float]] = {}
-    for item in skews:
-        if abs(item.seconds) > max(LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
-            samples = item.seconds / period
-            whole = abs(samples - round(samples)) < NEAR_SAMPLE
-            correct.setdefault(item.axis, {})[item.signal] = period * (round(samples) if whole else samples)
-    return correct
+    skews: dict[tuple[str, str], ChannelSkew] = {}
+    axis_runs = _axis_runs(machine, runs, {})
+    for _ in range(SKEW_ROUNDS):
+        # A current that is late by an odd number of samples has another phase of the saw-tooth, and a late motor angle makes all other
+        # channels look late. Further rounds correct the remaining error.
+        for left in _mean_skews(machine, axis_runs):
+            taken = correct.get(left.axis, {}).get(left.signal, 0.0)
+            skews[left.axis, left.signal] = replace(left, seconds=taken + left.seconds)
+        before, correct = correct, {}
+        for item in skews.values():
+            if abs(item.seconds) > max(LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
+                samples = item.seconds / runs[0].trace.period
+                whole = abs(samples - round(samples)) < NEAR_SAMPLE
+                correct.setdefault(item.axis, {})[item.signal] = runs[0].trace.period * (round(samples) if whole else samples)
+        if correct == before:
+            break
+        axis_runs = _axis_runs(machine, runs, correct)
+    return list(skews.values()), correct, axis_runs
+
+
+SKEW_ROUNDS = 3
+NEAR_SAMPLE = 0.2
+"""A skew within this fraction of a period from a whole number of samples is rounded to it: recorders delay by whole samples."""
 
 
 def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) -> list[ChannelSkew]:
