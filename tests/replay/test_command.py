@@ -305,8 +305,14 @@ def test_all_kinds_of_geoms_are_drawn(tmp_path: Path) -> None:
         f'<body><joint name="s" type="slide"/>{geoms}<geom name="hidden" type="box" size="1 1 1" group="3"/></body></worldbody></mujoco>'
     )
     scene = read_scene(tmp_path / "m.xml")
-    kinds = {shape.name: shape.kind for shape in scene.shapes}
-    assert kinds == {"sheet": "box", "ground": "mesh", "sphere": "ellipsoid", **{k: k for k in ("box", "cylinder", "capsule", "ellipsoid")}}
+    sizes = {shape.name: np.ptp(shape.vertices, axis=0).tolist() for shape in scene.shapes}
+    assert sizes == {
+        name: pytest.approx(size, abs=2e-4)
+        for name, size in {
+            "sheet": (2.0, 2.0, 0.0), "ground": (2.0, 2.0, 0.0), "box": (0.2, 0.4, 0.6), "sphere": (0.2, 0.2, 0.2),
+            "cylinder": (0.2, 0.2, 0.4), "capsule": (0.2, 0.2, 0.6), "ellipsoid": (0.2, 0.4, 0.6),
+        }.items()
+    }  # fmt: skip
     assert replay(str(tmp_path / "m.xml"), "--out", str(tmp_path / "m.rrd")) == 0
 
 

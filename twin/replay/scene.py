@@ -1,7 +1,7 @@
 """The scene of a model: its bodies as a tree of entities, and the shapes of each.
 
 Shapes of a machine come from its MJCF. Frames come from the machine file, as in the simulation: its offsets, table height and tool
-length take precedence. Shapes are in the frame of their body; positions in m, quaternions (w, x, y, z).
+length take precedence. Every shape is a mesh in the frame of its body [m].
 """
 
 from __future__ import annotations
@@ -24,25 +24,20 @@ from twin.simulation.plant_spec import frames_of_model, load_spec
 ROOT = "machine"
 LAST_SEEN_GROUP = 2
 """Geoms of higher groups are for collision or marks and are not shown, as in MuJoCo's viewer."""
+SHEET = 2e-4
+"""Thickness of a drawn plane [m]."""
 _UNSET_COLOUR = np.array([0.5, 0.5, 0.5, 1.0])
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One shape: `kind` box, cylinder, capsule or ellipsoid with half sizes, or mesh with vertices and faces.
-
-    `size` (3,) [m]: half edges of a box; radii of an ellipsoid; (radius, half length, -) along z of a cylinder or capsule.
-    """
+    """One shape as a mesh: vertices (vertex, 3) [m] in the frame of its body, faces (face, 3), colour (red, green, blue, alpha)."""
 
     body: int
     name: str
-    kind: str
-    position: np.ndarray
-    quaternion: np.ndarray
     colour: tuple[int, int, int, int]
-    size: np.ndarray
-    vertices: np.ndarray | None = None
-    faces: np.ndarray | None = None
+    vertices: np.ndarray
+    faces: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -132,63 +127,47 @@ def scene_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_kinematics(scene.model, data)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for shape in scene.shapes:
-        corners = shape.vertices if shape.vertices is not None else _box_corners(shape)
-        points = rotate(shape.quaternion[None], corners) + shape.position
-        points = points @ data.xmat[shape.body].reshape(3, 3).T + data.xpos[shape.body]
+        points = shape.vertices @ data.xmat[shape.body].reshape(3, 3).T + data.xpos[shape.body]
         low, high = np.minimum(low, points.min(0)), np.maximum(high, points.max(0))
     return (low, high) if scene.shapes else (np.full(3, -0.5), np.full(3, 0.5))
 
 
-def _box_corners(shape: Shape) -> np.ndarray:
-    size = shape.size
-    if shape.kind in ("cylinder", "capsule"):
-        size = np.array([size[0], size[0], size[1] + (size[0] if shape.kind == "capsule" else 0.0)])
-    return size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-
-
 def _geom_shape(model: mujoco.MjModel, geom: int) -> Shape | None:
     """The shape of a geom; None if it is not drawn (hidden group, transparent, infinite plane)."""
-    kinds = mujoco.mjtGeom
-    kind, size = kinds(model.geom_type[geom]), model.geom_size[geom].copy()
     rgba = model.geom_rgba[geom]
     if model.geom_matid[geom] >= 0 and np.allclose(rgba, _UNSET_COLOUR):
         rgba = model.mat_rgba[model.geom_matid[geom]]
-    if model.geom_group[geom] > LAST_SEEN_GROUP or rgba[3] == 0.0:
+    mesh = None if model.geom_group[geom] > LAST_SEEN_GROUP or rgba[3] == 0.0 else _geom_mesh(model, geom)
+    if mesh is None:
         return None
-    vertices = faces = None
-    if kind in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF):
-        word, (vertices, faces) = "mesh", _mesh(model, model.geom_dataid[geom])
-    elif kind == kinds.mjGEOM_HFIELD:
-        word, (vertices, faces) = "mesh", _height_field(model, model.geom_dataid[geom])
-    elif kind == kinds.mjGEOM_PLANE:
-        if not np.all(size[:2] > 0.0):
-            return None
-        word, size = "box", np.array([size[0], size[1], 1e-4])
-    elif kind == kinds.mjGEOM_SPHERE:
-        word, size = "ellipsoid", np.full(3, size[0])
-    else:
-        words = {
-            kinds.mjGEOM_BOX: "box",
-            kinds.mjGEOM_CYLINDER: "cylinder",
-            kinds.mjGEOM_CAPSULE: "capsule",
-            kinds.mjGEOM_ELLIPSOID: "ellipsoid",
-        }
-        if kind not in words:
-            return None
-        word = words[kind]
     red, green, blue, alpha = np.rint(255 * np.clip(rgba, 0.0, 1.0)).astype(int).tolist()
-    name = model.geom(geom).name or f"{word}_{geom}"
-    return Shape(
-        int(model.geom_bodyid[geom]),
-        name,
-        word,
-        model.geom_pos[geom],
-        model.geom_quat[geom],
-        (red, green, blue, alpha),
-        size,
-        vertices,
-        faces,
-    )
+    vertices, faces = mesh
+    placed = rotate(model.geom_quat[geom][None], vertices) + model.geom_pos[geom]
+    name = model.geom(geom).name or f"shape_{geom}"
+    return Shape(int(model.geom_bodyid[geom]), name, (red, green, blue, alpha), placed, faces)
+
+
+def _geom_mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Vertices (vertex, 3) [m] in the frame of a geom, and its faces (face, 3); None for an infinite plane."""
+    from trimesh import creation
+
+    kinds = mujoco.mjtGeom
+    kind, size = kinds(model.geom_type[geom]), model.geom_size[geom]
+    if kind in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF):
+        return _mesh(model, model.geom_dataid[geom])
+    if kind == kinds.mjGEOM_HFIELD:
+        return _height_field(model, model.geom_dataid[geom])
+    if kind == kinds.mjGEOM_PLANE and np.all(size[:2] > 0.0):
+        solid = creation.box(extents=(2.0 * size[0], 2.0 * size[1], SHEET))
+    elif kind == kinds.mjGEOM_BOX:
+        solid = creation.box(extents=2.0 * size)
+    elif kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_ELLIPSOID):
+        solid = creation.icosphere(subdivisions=3).apply_scale(size if kind == kinds.mjGEOM_ELLIPSOID else size[0])
+    elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
+        solid = (creation.cylinder if kind == kinds.mjGEOM_CYLINDER else creation.capsule)(radius=size[0], height=2.0 * size[1])
+    else:
+        return None
+    return np.asarray(solid.vertices), np.asarray(solid.faces)
 
 
 def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """Shapes as viewer entities, and the motion of their bodies as transforms.
 
-Shapes are meshes or solids of the viewer. The transform of a body is parent_from_body, logged only while it moves.
+The transform of a body is parent_from_body, logged only while it moves.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from twin.geometry.body_poses import Pose, rotate
+from twin.geometry.body_poses import Pose
 from twin.replay.names import TIMELINE, entity
 from twin.replay.scene import Scene, Shape, scene_bounds, shape_path
 
@@ -83,29 +83,11 @@ def moving_steps(pose: Pose) -> np.ndarray:
     return np.flatnonzero(np.r_[True, differs] | np.r_[differs, False])
 
 
-def drawable(shape: Shape) -> rr.AsComponents:
-    """The viewer's archetype of a shape."""
-    place: dict[str, Any] = {"colors": [shape.colour], "fill_mode": "solid"}
-    if np.any(shape.quaternion[1:]):
-        place["quaternions"] = _xyzw(shape.quaternion[None])
-    if shape.kind == "box":
-        return rr.Boxes3D(half_sizes=[shape.size], centers=[shape.position], **place)
-    if shape.kind == "ellipsoid":
-        return rr.Ellipsoids3D(half_sizes=[shape.size], centers=[shape.position], **place)
-    if shape.kind == "cylinder":
-        return rr.Cylinders3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], centers=[shape.position], **place)
-    if shape.kind == "capsule":
-        # the origin of the viewer's capsule is its lower centre
-        lower = rotate(shape.quaternion[None], np.array([[0.0, 0.0, -shape.size[1]]]))[0]
-        return rr.Capsules3D(lengths=[2.0 * shape.size[1]], radii=[shape.size[0]], translations=[shape.position + lower], **place)
-    assert shape.vertices is not None
-    assert shape.faces is not None
+def drawable(shape: Shape) -> rr.Mesh3D:
+    """The viewer's mesh of a shape."""
     mesh = with_normals(shape.vertices, shape.faces)
     return rr.Mesh3D(
-        vertex_positions=rotate(shape.quaternion[None], mesh.vertices) + shape.position,
-        vertex_normals=rotate(shape.quaternion[None], mesh.vertex_normals),
-        triangle_indices=mesh.faces,
-        albedo_factor=shape.colour,
+        vertex_positions=mesh.vertices, vertex_normals=mesh.vertex_normals, triangle_indices=mesh.faces, albedo_factor=shape.colour
     )
 
 

@@ -17,7 +17,7 @@ from twin.units import AXIS_UNITS
 if TYPE_CHECKING:
     from twin.replay.toolpaths import ToolPaths
 
-SETPOINTS_EQUAL = {"linear": 1e-6, "rotary": 1e-6}
+SAME_SETPOINT = 1e-6
 """Set points of two runs that differ by less count as equal [m, rad]; covers rounding of a recording."""
 
 
@@ -101,7 +101,7 @@ def _axis_table(machine: Machine, trace: Trace) -> str:
 def _overlay_text(machine: Machine, first: Trace, second: Trace, label: str, other: str) -> str:
     """A sentence on the difference of two runs."""
     amount, axis, at = setpoint_difference(machine, first, second)
-    if not axis or amount <= SETPOINTS_EQUAL[machine.axis(axis).kind]:
+    if not axis or amount <= SAME_SETPOINT:
         return f"**{other} - {label}** both runs have the same set points; curves of *{other}* are thin."
     unit, factor = AXIS_UNITS[machine.axis(axis).kind].error
     return (

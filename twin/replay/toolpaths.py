@@ -31,8 +31,6 @@ SECOND_RUN_COLOUR = (190, 70, 190)
 MARKS_PER_SECOND = 25.0
 SHORTEST_PATH = 1e-4
 """A shorter tool path is not drawn [m]."""
-SAME_SETPOINT = 1e-6
-"""Set points that differ by less count as equal [m, rad]; covers rounding of a recording."""
 MAGNIFICATIONS = (10, 100, 1000)
 LEAST_SHOWN = 5e-8
 """A smaller deviation is not magnified: it would show rounding [m]."""
@@ -183,10 +181,10 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace]) -> 
     followed = {label: tool_point(scene, followed_joints(trace)) for label, trace in runs.items()}
     contours = {}
     for label, points in followed.items():
-        # a run with other set points is compared with its own
-        own = not _same_setpoints(runs[label], main)
-        asked = tool_point(scene, commanded_joints(runs[label])) if own else commanded
-        contours[label] = contour_of(runs[label].time, points, runs[label].time if own else main.time, asked, window)
+        # a run without set points is compared with those of the first
+        trace = runs[label] if any(signal == "setpoint" for _, signal in runs[label].signals) else main
+        asked = commanded if trace is main else tool_point(scene, commanded_joints(trace))
+        contours[label] = contour_of(runs[label].time, points, trace.time, asked, window)
     times = {label: trace.time for label, trace in runs.items()}
     found = ToolPaths(commanded, followed, times, contours, end_of_scale(next(iter(contours.values())).error))
     return replace(found, magnifications=magnifications(largest_error(found), path_extent(found)))
@@ -202,17 +200,6 @@ def alike(first: ToolPaths, second: ToolPaths) -> tuple[ToolPaths, ToolPaths]:
 def largest_error(paths: ToolPaths) -> float:
     """Largest contour error of all runs [m]."""
     return max(float(contour.error.max()) for contour in paths.contours.values())
-
-
-def _same_setpoints(trace: Trace, other: Trace) -> bool:
-    """Whether both have the same set points, on the axes where the first has any."""
-    return all(
-        other.has(axis, "setpoint")
-        and len(other.time) == len(trace.time)
-        and np.allclose(trace.get(axis, "setpoint"), other.get(axis, "setpoint"), rtol=0.0, atol=SAME_SETPOINT)
-        for axis in trace.axes
-        if trace.has(axis, "setpoint")
-    )
 
 
 def path_extent(paths: ToolPaths) -> float:
