@@ -38,7 +38,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Diagnose a campaign or raw recordings, write the files and print the verdict."""
     from twin.diagnose.first.raw import is_campaign
 
@@ -50,7 +50,6 @@ def carry_out(args: argparse.Namespace) -> int:
     if not is_campaign(inputs):
         return _raw(args, inputs)
     _diagnosed(args, inputs[0], machine_of(args), output_folder(args.out))
-    return 0
 
 
 def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Path) -> dict[str, Any]:
@@ -70,7 +69,7 @@ def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Pa
     return document
 
 
-def _since(args: argparse.Namespace, inputs: list[Path]) -> int:
+def _since(args: argparse.Namespace, inputs: list[Path]) -> None:
     """What is different from earlier campaigns: diagnose the latest of them first, unless the machine has effects already, then compare."""
     from twin.diagnose.check import same_machine
     from twin.diagnose.first.raw import is_campaign, machine_of_campaign
@@ -94,7 +93,6 @@ def _since(args: argparse.Namespace, inputs: list[Path]) -> int:
     write_since(document, today, out)
     print(document["sentence"], *(f"  note: {note}" for note in document["notes"]), sep="\n")
     finish(args, out, f"diagnosis.json, machine.toml (of today), report.html{'' if machine.effects else ', baseline/'}")
-    return 0
 
 
 def _program(args: argparse.Namespace, machine: Machine) -> MeasuredRun | None:
@@ -110,7 +108,7 @@ def _program(args: argparse.Namespace, machine: Machine) -> MeasuredRun | None:
     return MeasuredRun(source.name, trace, read.feedforward if read else None, 0.0)
 
 
-def _raw(args: argparse.Namespace, inputs: list[Path]) -> int:
+def _raw(args: argparse.Namespace, inputs: list[Path]) -> None:
     """Import, card, machine from the recording, diagnosis. A step that the recording does not allow ends with its reason, not with an error."""
     from twin.diagnose.first.card import card_of, card_text, write_card
     from twin.diagnose.first.next_program import next_run, write_next
@@ -153,4 +151,3 @@ def _raw(args: argparse.Namespace, inputs: list[Path]) -> int:
         print(f"at length: twin diagnose {folder} --machine {args.machine or out / MACHINE} --out {out / 'at_length'}")
     args.open = shown
     finish(args, out, f"card.json, card.html, card.png, campaign/{'' if args.machine else ', machine_from_recording.toml'}", "card.html")
-    return 0

@@ -20,7 +20,7 @@ ARGUMENTS = (
 )
 
 
-def _law_page(machine: Machine, picture: str | None) -> int:
+def _law_page(machine: Machine, picture: str | None) -> None:
     """Print the variables, outputs and formulas of laws, and the laws of the machine."""
     from twin.effects.law import OUTPUTS, VARIABLES
     from twin.effects.law_shapes import SHAPES
@@ -42,7 +42,6 @@ def _law_page(machine: Machine, picture: str | None) -> int:
         print(f"\non axis {setting.axis}: {setting.effect.summary}\n  {setting.table()}")
     if picture:
         print(f"written: {draw_laws(machine, picture_file(picture))}")
-    return 0
 
 
 def _usual_size(parameter: Parameter, axis: Axis, machine: Machine) -> str:
@@ -56,7 +55,7 @@ def _usual_size(parameter: Parameter, axis: Axis, machine: Machine) -> str:
     return f"{factor * (low - offset):.3g} to {factor * (high - offset):.3g} {unit}".strip()
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """List all effects, or show one of them."""
     from twin.effects import BLOCKS, EFFECTS, find_effect
     from twin.simulation.summary import table
@@ -69,7 +68,7 @@ def carry_out(args: argparse.Namespace) -> int:
         rows = [[e.name, "".join(a.name for a in e.axes(machine)), e.block, e.summary] for e in effects]
         rows.append(["law", "".join(machine.axis_names), "any", "A law that no listed effect describes, as a formula or a curve"])
         print(table(["effect", "axes", "block", "meaning"], rows, left=4))
-        return 0
+        return
     if args.name == "law":
         return _law_page(machine, args.picture)
     effect = find_effect(args.name, "twin effects")
@@ -85,4 +84,3 @@ def carry_out(args: argparse.Namespace) -> int:
         from twin.simulation.effect_picture import draw_effect
 
         print(f"written: {draw_effect(effect, machine, picture_file(args.picture))}")
-    return 0

@@ -35,7 +35,7 @@ def reading_of(args: argparse.Namespace) -> tuple[Clock | None, dict[str, object
     return Clock(interval_s=args.interval_ms * 1e-3) if args.interval_ms else None, dialect
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Import the files and print a report."""
     files = [Path(f) for f in args.files]
     clock, dialect = reading_of(args)
@@ -49,7 +49,7 @@ def carry_out(args: argparse.Namespace) -> int:
         print(found.table)
         if args.out is None:
             print(f"\n{found.map}\nnothing is written; give --out CAMPAIGN to import")
-            return 0
+            return
         given = read_map(_write_map(Path(args.out), found.map, found.lacking), args.machine)
     from twin.recordings.imported import MOST_PICTURES, import_campaign
 
@@ -58,7 +58,6 @@ def carry_out(args: argparse.Namespace) -> int:
     drawn = "of each" if traces <= MOST_PICTURES else f"of the first {MOST_PICTURES} of a recording"
     pictures = "" if args.no_picture else f", a picture (.png) {drawn}"
     print(f"written to {args.out}: campaign.toml, {traces} trace{'s' * (traces > 1)}{pictures}, import.json")
-    return 0
 
 
 def _write_map(out: Path, text: str, lacking: str) -> Path:

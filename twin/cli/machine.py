@@ -13,13 +13,13 @@ from twin.files import all_or_none, write_json
 from twin.progress import Progress
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: argparse.Namespace) -> None:
     """Carry out the chosen action. A machine that is refused leaves no model behind."""
     with all_or_none():
-        return int(args.action(args))
+        args.action(args)
 
 
-def _new(args: argparse.Namespace) -> int:
+def _new(args: argparse.Namespace) -> None:
     from twin.machine.new import new_machine
 
     out = Path(args.out)
@@ -34,10 +34,9 @@ def _new(args: argparse.Namespace) -> int:
     if left:
         print(f"machine data without a key in the machine file, ignored: {', '.join(left)}")
     print(f"assumed values are marked; list them with: twin machine check {out}")
-    return 0
 
 
-def _from_recording(args: argparse.Namespace, out: Path) -> int:
+def _from_recording(args: argparse.Namespace, out: Path) -> None:
     from twin.identify.from_recording import machine_from_recording, reproduction_text
 
     if args.structure or args.sinumerik:
@@ -54,10 +53,9 @@ def _from_recording(args: argparse.Namespace, out: Path) -> int:
     print(
         "drive and load are lumped parameters at the axis, in units of the recorded command; comments in the file state the source of each"
     )
-    return 0
 
 
-def _check(args: argparse.Namespace) -> int:
+def _check(args: argparse.Namespace) -> None:
     from twin.machine.check import check_machine
     from twin.machine.sheet import check_text
 
@@ -82,10 +80,9 @@ def _check(args: argparse.Namespace) -> int:
         }
         write_json({"axes": axes, "findings": [asdict(f) for f in findings]}, out / "check.json", "check")
         print(f"\nwritten to {out}: check.json, {', '.join(f'loops_{c.axis.name}.png' for c in checks)}")
-    return 0
 
 
-def _show(args: argparse.Namespace) -> int:
+def _show(args: argparse.Namespace) -> None:
     from twin.machine.sheet import sheet, sinumerik_sheet
 
     machine = machine_of(args)
@@ -95,9 +92,8 @@ def _show(args: argparse.Namespace) -> int:
         for file in args.control_file:
             for found in existing(file, machine, args.comp_file_type):
                 print("\n".join(lines_of(found)))
-        return 0
+        return
     print(sinumerik_sheet(machine) if args.sinumerik else sheet(machine))
-    return 0
 
 
 CONTROL_FILES = (
