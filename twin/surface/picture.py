@@ -7,29 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from twin.files import beside
 from twin.report.colours import AXIS_COLOURS, PROGRAM_COLOUR, SETPOINT_COLOUR, hexadecimal
-from twin.report.figure import plain_text
-from twin.surface.export import COLOUR_MAP
+from twin.report.figure import INK, new_figure, save_png
+from twin.surface.export import COLOUR_MAP, deviation_colours
 from twin.surface.height_rays import HeightRays
 from twin.surface.machining import CutSurface, Machining
 from twin.surface.measured import Comparison, HeightMap
 from twin.surface.metrology import mark
-from twin.units import round_down, round_up
+from twin.units import round_up
 
-INK, QUIET = "#1c2733", "#5c6b7a"
 LIGHT = (-0.42, 0.5, 0.757)
 """Unit vector to the light source in u, v and height."""
 MOST_PIXELS = 700
 """Most rows and columns of a drawn relief."""
-FONT: Any = {"font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": "#9aa5b1", "axes.labelcolor": INK, "text.color": INK}
-TITLE: Any = {"fontsize": 14, "x": 0.012, "ha": "left", "fontweight": "bold"}
 
 
 def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     """Write a PNG of one cut: shaded relief, deviation map with colour bar in um, sections along and across the mark."""
-    import matplotlib
-
     rays = one.finest
     if not rays.is_grid:
         _draw_scattered(machining, one, path)
@@ -42,40 +36,36 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
         row, column = rays.shape[0] // 2, rays.shape[1] // 2
     height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
     end = colour_end(height)
-    with matplotlib.rc_context(FONT):
-        figure = _figure(12.0, 8.6)
-        grid = figure.add_gridspec(3, 2, height_ratios=[1.5, 1.15, 1.0], hspace=0.04)
-        # u and v have different scales on a long patch, so each gets its own scale bar
-        relief, flat = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
-        along, across = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
-        _relief(relief, rays, end)
-        drawn = _deviation_map(flat, height, u, v, end)
-        flat.axhline(v[row], color=INK, lw=0.8, ls=(0, (6, 4)))
-        flat.axvline(u[column], color=INK, lw=0.8, ls=(0, (2, 3)))
-        flat.set_xlabel("along the surface, u [mm]")
-        flat.set_ylabel("across, v [mm]")
-        _scale_bar(flat, u, v)
-        _scale_bar(relief, u, v)
-        beyond = "both" if np.abs(height).max() > end else "neither"
-        bar = figure.colorbar(drawn, ax=[relief, flat], fraction=0.022, pad=0.012, extend=beyond)
-        bar.set_label("deviation from nominal [um]   (below 0: cut too deep)")
-        programmed = None if against is None else against.map() * 1e6
-        _section(along, u, height[row], None if programmed is None else programmed[row], one.level.label)
-        along.set_title(f"section along the mark, v = {v[row]:.3f} mm", fontsize=10, color=QUIET, loc="left")
-        _section(across, v, height[:, column], None if programmed is None else programmed[:, column], one.level.label)
-        across.set_title(f"section across the passes, u = {u[column]:.3f} mm", fontsize=10, color=QUIET, loc="left")
-        along.legend(frameon=False, fontsize=9, loc="best")
-        subtitle = f"{machining.part.tool.name}, rays every {abs(u[1] - u[0]) * 1e3:.0f} um"
-        if against is not None:
-            subtitle += f"; mark {place.depth * 1e6:.2f} um deep against the programmed cut, "
-            subtitle += f"{place.width * 1e3:.2f} mm wide, {place.length * 1e3:.2f} mm long at half depth"
-        figure.suptitle(f"{machining.part.name}, {one.surface.name}: {one.level.label}", **TITLE)
-        relief.set_title(subtitle, fontsize=10, color=QUIET, loc="left")
-        _save(figure, path)
+    figure, panels = new_figure(4, 1, width=12.0, height=2.3)
+    relief, flat, along, across = panels[:, 0]
+    _relief(relief, rays, end)
+    drawn = _deviation_map(flat, height, u, v, end)
+    flat.axhline(v[row], color=INK, lw=0.8, ls=(0, (6, 4)))
+    flat.axvline(u[column], color=INK, lw=0.8, ls=(0, (2, 3)))
+    flat.set_xlabel("along the surface, u [mm]")
+    flat.set_ylabel("across, v [mm]")
+    beyond = "both" if np.abs(height).max() > end else "neither"
+    bar = figure.colorbar(drawn, ax=[relief, flat], fraction=0.022, pad=0.012, extend=beyond)
+    bar.set_label("deviation from nominal [um]   (below 0: cut too deep)")
+    programmed = None if against is None else against.map() * 1e6
+    _section(along, u, height[row], None if programmed is None else programmed[row], one.level.label)
+    along.set_xlabel("u [mm]")
+    along.set_title(f"section along the mark, v = {v[row]:.3f} mm")
+    _section(across, v, height[:, column], None if programmed is None else programmed[:, column], one.level.label)
+    across.set_xlabel("v [mm]")
+    across.set_title(f"section across the passes, u = {u[column]:.3f} mm")
+    along.legend(loc="best")
+    text = f"{machining.part.name}, {one.surface.name}: {one.level.label}; {machining.part.tool.name}, rays every {abs(u[1] - u[0]) * 1e3:.0f} um"
+    if against is not None:
+        text += f"\nmark {place.depth * 1e6:.2f} um deep against the programmed cut, "
+        text += f"{place.width * 1e3:.2f} mm wide, {place.length * 1e3:.2f} mm long at half depth"
+    relief.set_title(text)
+    save_png(figure, path)
 
 
 def _deviation_map(axes: Any, height: np.ndarray, u: np.ndarray, v: np.ndarray, end: float) -> Any:
     """Draw heights (row, column) [um] over u and v [mm] on the colour scale from -end to end."""
+    axes.grid(False)
     extent = (float(u[0]), float(u[-1]), float(v[0]), float(v[-1]))
     return axes.imshow(
         height, extent=extent, origin="lower", cmap=COLOUR_MAP, vmin=-end, vmax=end, aspect="auto", interpolation="antialiased"
@@ -89,9 +79,6 @@ def _section(axes: Any, x: np.ndarray, y: np.ndarray, programmed: np.ndarray | N
     axes.plot(x, y, color=hexadecimal(AXIS_COLOURS["Z"]), lw=1.4, label=label)
     axes.axhline(0.0, color=hexadecimal(PROGRAM_COLOUR), lw=0.5, alpha=0.5)
     axes.set_ylabel("deviation [um]")
-    axes.set_xlabel("[mm]")
-    axes.grid(color="#e6eaee", lw=0.7)
-    axes.spines[["top", "right"]].set_visible(False)
     axes.margins(x=0)
 
 
@@ -102,26 +89,21 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
     cuts = [c for c in machining.cuts if c.surface.name == surface and c.finest.is_grid]
     if not cuts:
         return
-    u, v = cuts[0].finest.u * 1e3, cuts[0].finest.v * 1e3
-    with matplotlib.rc_context(FONT):
-        figure = _figure(12.0, 0.9 + 1.95 * len(cuts))
-        axes = figure.subplots(len(cuts), 1, sharex=True, squeeze=False)[:, 0]
-        for one, ax in zip(cuts, axes):
-            end = colour_end(one.finest.map() * 1e6)
-            _relief(ax, one.finest, end)
-            drawn = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(-end, end), COLOUR_MAP)
-            figure.colorbar(drawn, ax=ax, fraction=0.03, pad=0.012).set_label("deviation [um]", fontsize=9)
-            reference = machining.reference(one)
-            text = one.level.label
-            if reference is not None and reference is not one:
-                found = mark(one.finest, reference.finest)
-                text += f":  up to {found.depth * 1e6:.2f} um too deep, {found.height * 1e6:.2f} um left, against the programmed cut"
-            ax.set_title(text, fontsize=10.5, loc="left")
-            ax.set_ylabel("v [mm]")
-            _scale_bar(ax, u, v)
-        axes[-1].set_xlabel("along the surface, u [mm]")
-        figure.suptitle(f"{machining.part.name}, {surface}: level by level (red: too deep; each level has its own scale)", **TITLE)
-        _save(figure, path)
+    figure, panels = new_figure(len(cuts), 1, width=12.0, height=2.2, sharex=True)
+    for one, ax in zip(cuts, panels[:, 0]):
+        end = colour_end(one.finest.map() * 1e6)
+        _relief(ax, one.finest, end)
+        drawn = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(-end, end), COLOUR_MAP)
+        figure.colorbar(drawn, ax=ax, fraction=0.03, pad=0.012).set_label("deviation [um]")
+        reference = machining.reference(one)
+        text = one.level.label
+        if reference is not None and reference is not one:
+            found = mark(one.finest, reference.finest)
+            text += f":  up to {found.depth * 1e6:.2f} um too deep, {found.height * 1e6:.2f} um left, against the programmed cut"
+        ax.set_title(text)
+    panels[-1, 0].set_xlabel("along the surface, u [mm]")
+    figure.suptitle(f"{machining.part.name}, {surface}: level by level (red: too deep; each level has its own scale)", weight="bold")
+    save_png(figure, path)
 
 
 def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Path) -> None:
@@ -134,28 +116,14 @@ def draw_measured(simulated: HeightMap, found: Comparison, label: str, path: Pat
         (f"measured, registered; {depths[1]}", found.measured, end),
         (f"measured - simulated: {found.rms * 1e6:.2f} um RMS", difference, colour_end(difference[np.isfinite(difference)] * 1e6)),
     )
-    figure = _figure(12.0, 7.0)
-    panels = figure.subplots(3, 1, sharex=True)
-    for ax, (title, height, end) in zip(panels, maps):
+    figure, panels = new_figure(3, 1, width=12.0, height=2.3, sharex=True)
+    for ax, (title, height, end) in zip(panels[:, 0], maps):
         drawn = _deviation_map(ax, height * 1e6, simulated.u * 1e3, simulated.v * 1e3, end)
         figure.colorbar(drawn, ax=ax).set_label("deviation [um]")
-        ax.set_title(title, loc="left")
+        ax.set_title(title)
         ax.set_ylabel("v [mm]")
-    panels[-1].set_xlabel("along the surface, u [mm]")
-    _save(figure, path)
-
-
-def _figure(width: float, height: float) -> Any:
-    """An empty figure; inches."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), dpi=130, facecolor="white", layout="constrained")
-
-
-def _save(figure: Any, path: Path) -> None:
-    """Write a figure in its own style; the style of the reports would redraw its ticks."""
-    with beside(path) as partial:
-        plain_text(figure).savefig(partial)
+    panels[-1, 0].set_xlabel("along the surface, u [mm]")
+    save_png(figure, path)
 
 
 def colour_end(height: np.ndarray) -> float:
@@ -165,8 +133,6 @@ def colour_end(height: np.ndarray) -> float:
 
 def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
     """The surface from above in a low light: colour by deviation, shading by slope."""
-    import matplotlib
-
     step = max(1, -(-max(rays.shape) // (2 * MOST_PIXELS)))
     height = rays.map()[::step, ::step] * 1e6
     u, v = rays.u[::step] * 1e3, rays.v[::step] * 1e3
@@ -174,30 +140,15 @@ def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
     stretch = 0.1 / end
     dv, du = np.gradient(height * stretch, v, u)
     shade = (LIGHT[2] - LIGHT[0] * du - LIGHT[1] * dv) / np.sqrt(1.0 + du**2 + dv**2) / LIGHT[2]
-    colour = matplotlib.colormaps[COLOUR_MAP](np.clip(0.5 + 0.5 * height / end, 0.0, 1.0))[..., :3]
+    colour = deviation_colours(height, end)[..., :3] / 255.0
     lit = np.clip(colour * (0.52 + 0.44 * np.clip(shade, 0.0, 1.5)[..., None]), 0.0, 1.0)
+    axes.grid(False)
     axes.set_ylabel("v [mm]")
     return axes.imshow(lit, extent=(u[0], u[-1], v[0], v[-1]), origin="lower", aspect="auto", interpolation="bilinear")
 
 
-def _scale_bar(axes: Any, u: np.ndarray, v: np.ndarray) -> None:
-    """Scale bars of round lengths in the lower right corner."""
-    length, rise = round_down(float(u[-1] - u[0]) * 0.15), round_down(float(np.ptp(v)) * 0.25)
-    x, y = float(u[-1]) - 0.025 * float(np.ptp(u)) - length, float(v[0]) + 0.1 * float(np.ptp(v))
-    for colour, width in (("white", 5.5), (INK, 3.0)):
-        axes.plot([x, x + length], [y, y], color=colour, lw=width, solid_capstyle="butt")
-        axes.plot([x + length] * 2, [y, y + rise], color=colour, lw=width, solid_capstyle="butt")
-    box = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.2}
-    right = x + length + 0.004 * float(np.ptp(u))
-    axes.text(right, y + rise, f"{rise:g}", ha="left", va="top", fontsize=8, rotation=90, bbox={**box, "pad": 0.6})
-    text = f"{length:g} mm" if length >= 1 else f"{length * 1e3:g} um"
-    axes.text(x + length / 2, y + 0.045 * float(np.ptp(v)), text, ha="center", va="bottom", fontsize=9, bbox=box)
-
-
 def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
     """Rays on a mesh, projected along their mean normal."""
-    import matplotlib
-
     rays = one.finest
     normal = rays.direction.mean(axis=0)
     across = np.linalg.svd(normal[None])[2][1:] if np.linalg.norm(normal) > 1e-6 else np.eye(3)[:2]
@@ -205,13 +156,12 @@ def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
     height = rays.height * 1e6
     touched = rays.cutter >= 0
     end = colour_end(height[touched])
-    with matplotlib.rc_context(FONT):
-        figure = _figure(11.0, 7.0)
-        axes = figure.add_subplot()
-        axes.scatter(x[~touched], y[~touched], s=3, color="#d5dbe1", label="not touched")
-        drawn = axes.scatter(x[touched], y[touched], c=height[touched], s=4, cmap=COLOUR_MAP, vmin=-end, vmax=end)
-        axes.set_aspect("equal")
-        axes.set_xlabel("[mm]")
-        figure.colorbar(drawn, ax=axes).set_label("deviation from nominal [um]   (below 0: cut too deep)")
-        axes.set_title(f"{machining.part.name}, {one.surface.name}: {one.level.label}", loc="left", fontweight="bold")
-        _save(figure, path)
+    figure, panels = new_figure(1, 1, height=7.0)
+    axes = panels[0, 0]
+    axes.scatter(x[~touched], y[~touched], s=3, color="#d5dbe1", label="not touched")
+    drawn = axes.scatter(x[touched], y[touched], c=height[touched], s=4, cmap=COLOUR_MAP, vmin=-end, vmax=end)
+    axes.set_aspect("equal")
+    axes.set_xlabel("[mm]")
+    figure.colorbar(drawn, ax=axes).set_label("deviation from nominal [um]   (below 0: cut too deep)")
+    axes.set_title(f"{machining.part.name}, {one.surface.name}: {one.level.label}")
+    save_png(figure, path)
