@@ -42,21 +42,20 @@ def test_the_trims_that_linuxcnc_applies() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "points", "words"),
+    ("text", "words"),
     [
-        ("# comment\n0 0 0\n", 0, "the loader stops there"),
-        ("0 0 0\n\n1 0 0\n", 1, "the loader stops there"),
-        ("0 0 0\n1,0,0\n", 1, "the loader stops there"),
-        ("0 0 0\n0 1 1\n1 0 0\n", 2, "skipped"),
-        ("".join(f"{i} 0 0\n" for i in range(300)), 256, "more than 256"),
-        ("0 0 0 9 9\n1 0 0\n", 2, ""),
+        ("# comment\n0 0 0\n", "line 1 is not three numbers: the loader stops there"),
+        ("0 0 0\n\n1 0 0\n", "line 2 is not three numbers"),
+        ("0 0 0\n1,0,0\n", "line 2 is not three numbers"),
+        ("0 0 0\n0 1 1\n1 0 0\n", "line 2: its position does not increase: skipped"),
+        ("".join(f"{i} 0 0\n" for i in range(300)), "line 257: more than 256 points"),
+        (f"0 0 0{' ' * 260}\n1 0 0\n", "line 1 has more than 254 characters"),
     ],
 )
-def test_the_traps_of_the_loader(text: str, points: int, words: str) -> None:
-    trims = linuxcnc.load(text, 1)
-    assert len(trims.nominal) == points
-    assert words in " ".join(trims.dropped)
-    assert bool(trims.dropped) == bool(words)
+def test_the_traps_of_the_loader(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        linuxcnc.table_of(text, "X", "linear", 1)
+    assert len(linuxcnc.table_of("0 0 0 9 9\n1 0 0\n", "X", "linear", 1).positions) == 2  # what follows the three is left
 
 
 def error_table(by_direction: bool, spacing: float = 0.01) -> ErrorTable:
@@ -180,12 +179,13 @@ def test_lists_of_parameters_keep_the_old_values() -> None:
     text = sinumerik.archive([("AX1", Entry("MD32520 FRICT_COMP_CONST_MAX", 101.0, 0.0, "mm/min", "C"))])
     assert "N32520 $MA_FRICT_COMP_CONST_MAX[0,AX1]=101 ; mm/min, was 0, effective: NewConfig; grade C: check before use" in text
     assert "; N32520 $MA_FRICT_COMP_CONST_MAX[0,AX1]=0 ; mm/min" in text
-    assert sinumerik.machine_data(text) == {(32520, "AX1"): 101.0}
+    assert sinumerik.machine_data(text) == {("MD32520", "AX1"): "101"}
     listed = heidenhain.parameter_list([("X", Entry("MP750", 0.03, 0.0, "mm", "C"))])
     assert listed == "MP750 [X] : 0.03 mm ; was 0; grade C: check before use\n"
-    assert heidenhain.parameters_of(listed) == {("MP750", "X"): 0.03}
+    assert heidenhain.parameters_of(listed) == {("MP750", "X"): "0.03"}
     assert linuxcnc.ini_values(linuxcnc.ini_lines(0, {"BACKLASH": 0.015, "COMP_FILE": "x.comp"})) == {
-        0: {"BACKLASH": "0.015", "COMP_FILE": "x.comp"}
+        ("BACKLASH", "AX1"): "0.015",
+        ("COMP_FILE", "AX1"): "x.comp",
     }
 
 

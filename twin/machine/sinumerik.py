@@ -49,7 +49,7 @@ DIVISORS = (1113, 31030, GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number)
 
 _EQUAL = 1e-6
 _KEY = re.compile(r"^(?:MD)?_?(\d{4,5})(?:_\w+)?$", re.IGNORECASE)
-_ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?\s*=\s*\"?([^\s\";']+)")
+ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?\s*=\s*\"?([^\s\";']+)")
 
 
 def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, float]:
@@ -213,7 +213,7 @@ def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[
     left: list[str] = []
     found = False
     for line in text.splitlines():
-        match = _ARCHIVE_LINE.match(line)
+        match = ARCHIVE_LINE.match(line)
         if not match:
             continue
         found = True

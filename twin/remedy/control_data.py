@@ -20,7 +20,8 @@ from twin.remedy.advice import PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change, held
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
 from twin.remedy.files.entry import Entry
-from twin.remedy.files.table import PER_SI, ErrorTable
+from twin.remedy.files.table import ErrorTable
+from twin.units import AXIS_UNITS
 
 CONTROLS = ("sinumerik", "heidenhain", "linuxcnc", "isg")
 POINTS_A_WAVE, FEWEST_A_WAVE, POINTS_A_TURN = 16, 12, 72
@@ -86,7 +87,7 @@ def _pulse(change: Change, axis: Axis, control: str) -> ForControl:
         return ForControl((*(Entry(name, value, None, "", "A") for name, value in on), *_numbers(change, axis, control)))
     if knee > 0.0:
         return ForControl(refused="the pulse rises with the acceleration of the reversal; no text in reach says how this control does that")
-    unit, factor = ("mm" if axis.kind == "linear" else "deg"), PER_SI[axis.kind]
+    unit, factor = AXIS_UNITS[axis.kind].position
     if control == "heidenhain":
         # a pulse of constant speed for MP752 with the area of the decaying one
         return ForControl(

@@ -59,9 +59,9 @@ def existing(file: str, machine: Machine, kind: int = 0) -> list[Existing]:
         axis = own(f"AX{number[1]}" if number else given)
         return [Existing(axis, isg.table_of(text, axis.name, axis.kind))]
     data = {
-        "sinumerik": {(f"MD{n}", a): v for (n, a), v in sinumerik.machine_data(text).items()},
+        "sinumerik": sinumerik.machine_data(text),
         "heidenhain": heidenhain.parameters_of(text),
-        "linuxcnc": {(k, f"AX{j + 1}"): _number(v) for j, keys in linuxcnc.ini_values(text).items() for k, v in keys.items()},
+        "linuxcnc": linuxcnc.ini_values(text),
     }
     if control := next((c for c, values in data.items() if values), None):
         return _blocks(data[control], control, machine, path)
@@ -90,11 +90,11 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def _blocks(data: dict[tuple[str, str], float], control: str, machine: Machine, path: Path) -> list[Existing]:
+def _blocks(data: dict[tuple[str, str], str], control: str, machine: Machine, path: Path) -> list[Existing]:
     """The blocks of which a control's data hold numbers that are switched on."""
     held: dict[str, dict[str, float]] = {}
-    for (name, of), value in data.items():
-        own = _axis(of, machine, path).name
+    for (name, of), text in data.items():
+        own, value = _axis(of, machine, path).name, _number(text)
         if math.isfinite(value) and value != 0.0:
             held.setdefault(own, {})[name] = value
     out: dict[str, Existing] = {}

@@ -16,7 +16,8 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.remedy.files.entry import Entry
-from twin.remedy.files.table import PER_SI, ErrorTable
+from twin.remedy.files.table import ErrorTable
+from twin.units import AXIS_UNITS
 
 COARSER = 4.0 / 3.0
 """Largest distance of the lines of a file, in units of the spacing of a table with a wave: twelve of sixteen points."""
@@ -27,9 +28,9 @@ def parameter_list(parameters: Sequence[tuple[str, Entry]]) -> str:
     return "".join(f"{e.name} [{axis}] : {e.value:.9g} {e.unit} ; {e.was}{'; ' if e.graded else ''}{e.graded}\n" for axis, e in parameters)
 
 
-def parameters_of(text: str) -> dict[tuple[str, str], float]:
+def parameters_of(text: str) -> dict[tuple[str, str], str]:
     """Values of a list by (name, axis)."""
-    return {(name, axis): float(value) for name, axis, value in re.findall(r"^(\S+) \[(\w+)\] : (\S+)", text, re.M)}
+    return {(name, axis): value for name, axis, value in re.findall(r"^(\S+) \[(\w+)\] : (\S+)", text, re.M)}
 
 
 def old_table(text: str, corrected: str, over: str) -> ErrorTable:
@@ -63,7 +64,7 @@ def filled(saved: str, table: ErrorTable, kind: str) -> str:
     if not holds(saved, table.axis):
         raise InputError(f"correction file: no heading with AXISPOS and {table.axis}; save one on the control and give it")
     head = next(i for i, line in enumerate(lines) if "AXISPOS" in line)
-    per_si = PER_SI[kind]
+    per_si = AXIS_UNITS[kind].position[1]
     spans = [(m[0], m.start()) for m in re.finditer(r"\S+", lines[head])]
     columns = {name: (start, end) for (name, start), end in zip(spans, [*(s for _, s in spans[1:]), None])}
     begin, end = columns["AXISPOS"]

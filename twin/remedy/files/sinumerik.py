@@ -16,8 +16,10 @@ import re
 import numpy as np
 
 from twin.errors import InputError
+from twin.machine.sinumerik import ARCHIVE_LINE
 from twin.remedy.files.entry import Entry
-from twin.remedy.files.table import PER_SI, ErrorTable
+from twin.remedy.files.table import ErrorTable
+from twin.units import AXIS_UNITS
 
 DECIMALS = 6
 _EEC = re.compile(r"\$AA_ENC_COMP(?:_(STEP|MIN|MAX|IS_MODULO))?\[\s*(\d+)\s*,\s*(?:(\d+)\s*,\s*)?(\w+)\s*\]\s*=\s*([^\s;]+)")
@@ -39,10 +41,10 @@ def _line(axis: str, entry: Entry, value: float, comment: str) -> str:
     return f"N{number[2:]} $MA_{name}[0,{axis}]={value:.9g} ; {comment}".rstrip(" ;,")
 
 
-def machine_data(text: str) -> dict[tuple[int, str], float]:
-    """Values of archive lines by (number, axis)."""
-    line = re.compile(r"^\s*N(\d{4,5})\s+\$MA_\w+\[(?:\d+,)?\s*(\w+)\s*\]\s*=\s*([^\s;]+)", re.M)
-    return {(int(number), axis): float(value) for number, axis, value in line.findall(text)}
+def machine_data(text: str) -> dict[tuple[str, str], str]:
+    """Values of the axis data of an archive by ('MD32450', axis)."""
+    found = (ARCHIVE_LINE.match(line) for line in text.splitlines())
+    return {(f"MD{m[1]}", m[4].split(",")[-1].strip()): m[5] for m in found if m and m[2] == "A" and m[4]}
 
 
 def eec_file(table: ErrorTable, kind: str) -> str:
@@ -51,7 +53,7 @@ def eec_file(table: ErrorTable, kind: str) -> str:
         raise InputError(f"axis {table.axis}: one EEC table serves both directions; enter what differs as a backlash value")
     if not table.spacing:
         raise InputError(f"axis {table.axis}: SINUMERIK tables are equidistant; interpolate the errors to equal steps")
-    axis, per_si = table.axis, PER_SI[kind]
+    axis, per_si = table.axis, AXIS_UNITS[kind].position[1]
     lines = [f"%_N_{axis}_EEC_INI", "CHANDATA(1)"]
     lines += [f"$AA_ENC_COMP[0,{n},{axis}]={_number(value * per_si)}" for n, value in enumerate(table.forward)]
     lines += [
@@ -78,7 +80,7 @@ def eec_table(text: str, kind: str) -> ErrorTable:
     if len(axes) != 1 or not {"STEP", "MIN", "MAX"} <= head.keys():
         raise InputError("EEC archive: give $AA_ENC_COMP_STEP, _MIN and _MAX of one axis")
     count = round((head["MAX"] - head["MIN"]) / head["STEP"]) + 1
-    per_si = PER_SI[kind]
+    per_si = AXIS_UNITS[kind].position[1]
     positions = (head["MIN"] + head["STEP"] * np.arange(count)) / per_si
     errors = np.array([values.get(n, 0.0) for n in range(count)]) / per_si
     return ErrorTable(axes.pop(), positions, errors, errors, modulo=bool(head.get("IS_MODULO")))
@@ -93,7 +95,7 @@ def cec_tables(text: str, kind: str) -> list[tuple[int, ErrorTable]]:
             tables.setdefault(int(t), {})[name] = value
         elif n:
             values.setdefault(int(t), {})[int(n)] = float(value)
-    out, per_si = [], PER_SI[kind]
+    out, per_si = [], AXIS_UNITS[kind].position[1]
     for t, head in sorted(tables.items()):
         if missing := {"INPUT_AXIS", "OUTPUT_AXIS", "STEP", "MIN"} - head.keys():
             raise InputError(f"CEC archive: table {t} lacks {', '.join(f'$AN_CEC_{m}' for m in sorted(missing))}")

@@ -7,14 +7,10 @@ repeats on a modulo axis. Every format has its own sign; its module converts.
 from __future__ import annotations
 
 from dataclasses import dataclass
-import math
 
 import numpy as np
 
 from twin.errors import InputError
-
-PER_SI = {"linear": 1e3, "rotary": 180.0 / math.pi}
-"""mm or degrees, in which most controls count, per SI."""
 
 
 @dataclass(frozen=True)
