@@ -175,6 +175,13 @@ def test_a_file_that_the_control_saved_is_filled() -> None:
         heidenhain.filled("AXISPOS Y\n", table, "linear")
 
 
+def test_a_word_in_an_archive_is_no_number(tmp_path: Path, mikron: Machine) -> None:
+    file = tmp_path / "data.arc"
+    file.write_text("N30350 $MA_SIMU_AX_VDI_OUTPUT[AX1]=FALSE\nN32450 $MA_BACKLASH[0,AX1]=0.01 ; mm\n")
+    [found] = existing(str(file), mikron)
+    assert found.blocks[BACKLASH]["width"] == pytest.approx(1e-5)
+
+
 def test_lists_of_parameters_keep_the_old_values() -> None:
     text = sinumerik.archive([("AX1", Entry("MD32520 FRICT_COMP_CONST_MAX", 101.0, 0.0, "mm/min", "C"))])
     assert "N32520 $MA_FRICT_COMP_CONST_MAX[0,AX1]=101 ; mm/min, was 0, effective: NewConfig; grade C: check before use" in text
