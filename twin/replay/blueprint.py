@@ -9,13 +9,13 @@
     |                  | key of the lines                              |
     +------------------+-----------------------------------------------+
 
-`layout` gets a description of the recording's content and refers only to that.
+`layout` refers only to the content of the recording that it is given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -68,55 +68,54 @@ class PathView:
     also: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Content:
-    """Content of a recording, as far as the layout needs it."""
-
-    scene_root: str
-    part_frame: str
-    scene_bounds: np.ndarray
-    curves: Sequence[Curve]
-    axes: tuple[str, ...]
-    keys: Mapping[str, str] = field(default_factory=dict)
-    paths: Sequence[PathView] = ()
-    first_axis: str = ""
-    legend: str = ""
-    legend_title: str = ""
-    has_events: bool = False
-    states: Sequence[str] = field(default=())
-    steps: Sequence[Curve] = ()
-    stretch: tuple[float, float] | None = None  # start and end [s] of a part to play in a loop
-
-
-def layout(content: Content) -> rrb.Blueprint:
-    """The blueprint of a recording."""
-    top: list[rrb.View | rrb.Container] = [_machine_view(content)]
+def layout(
+    scene_root: str,
+    part_frame: str,
+    scene_bounds: np.ndarray,
+    curves: Sequence[Curve],
+    axes: tuple[str, ...],
+    keys: Mapping[str, str],
+    paths: Sequence[PathView],
+    *,
+    first_axis: str = "",
+    legend: str = "",
+    legend_title: str = "",
+    has_events: bool = False,
+    states: Sequence[str] = (),
+    steps: Sequence[Curve] = (),
+    stretch: tuple[float, float] | None = None,
+) -> rrb.Blueprint:
+    """The blueprint of a recording with this content; `stretch` is start and end [s] of a part to play in a loop."""
+    hidden = [f"- {path.root}/**" for path in paths[1:]]
+    growing = paths[0].growing if paths else ()
+    contents = [f"+ {scene_root}/**", *hidden]
+    top: list[rrb.View | rrb.Container] = [scene_view("Machine", scene_root, contents, scene_bounds, growing=growing, floor=True)]
     shares = [5.0]
-    if content.paths:
-        views = [path_view(path, content.paths, content.scene_root, content.part_frame) for path in content.paths]
+    if paths:
+        views = [path_view(path, paths, scene_root, part_frame) for path in paths]
         column: list[rrb.View | rrb.Container] = [views[0]]
         if len(views) > 1:
             column.append(rrb.Tabs(*views[1:], active_tab=len(views) - 2, name="Deviation"))
         heights = [3.0, 3.0][: len(column)]
-        if content.legend:
-            column.append(colour_bar_view(content.legend, content.legend_title))
+        if legend:
+            column.append(colour_bar_view(legend, legend_title))
             heights.append(0.9)
         top.append(rrb.Vertical(*column, row_shares=heights) if len(column) > 1 else column[0])
         shares.append(4.0)
     texts: list[rrb.View] = [rrb.TextDocumentView(origin=SUMMARY, name="Summary")]
-    if content.has_events:
+    if has_events:
         texts.append(rrb.TextLogView(origin=EVENTS, name="Events"))
     top.append(rrb.Tabs(*texts, active_tab=0))
     shares.append(3.0)
     curves = (
-        contour_view(content.curves, content.states, content.keys),
-        axis_tabs(content.curves, content.axes, content.keys, content.first_axis, content.steps),
+        contour_view(curves, states, keys),
+        axis_tabs(curves, axes, keys, first_axis, steps),
     )
     below = [view for view in curves if view is not None]
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*top, column_shares=shares)]
     if below:
         rows.append(rrb.Horizontal(*below, column_shares=[1.0, 3.2][-len(below) :]))
-    return whole_window(rrb.Vertical(*rows, row_shares=[3.4, 2.0][: len(rows)]), content.stretch)
+    return whole_window(rrb.Vertical(*rows, row_shares=[3.4, 2.0][: len(rows)]), stretch)
 
 
 def whole_window(views: rrb.Container, stretch: tuple[float, float] | None = None) -> rrb.Blueprint:
@@ -130,14 +129,6 @@ def whole_window(views: rrb.Container, stretch: tuple[float, float] | None = Non
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", **loop),
         auto_views=False,
         auto_layout=False,
-    )
-
-
-def _machine_view(content: Content) -> rrb.View:
-    hidden = [f"- {path.root}/**" for path in content.paths[1:]]
-    growing = content.paths[0].growing if content.paths else ()
-    return scene_view(
-        "Machine", content.scene_root, [f"+ {content.scene_root}/**", *hidden], content.scene_bounds, growing=growing, floor=True
     )
 
 

@@ -16,7 +16,7 @@ from twin.files import beside
 from twin.geometry.body_poses import local_poses
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.replay.blueprint import Content, layout
+from twin.replay.blueprint import layout
 from twin.replay.curves import Curve, axis_curves, contour_curve, following_error, line_width
 from twin.replay.decimate import decimate
 from twin.replay.events import MOST_EVENTS, Event, find_events
@@ -80,14 +80,14 @@ def write_recording(
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
         log_text(recording, summary_text(machine, runs, paths, found, summary))
         axes = tuple(axis.name for axis in machine.axes if any(axis.name in t.axes for t in runs.values()))
-        content = Content(
-            scene_root=scene.body_paths[0],
-            part_frame=scene.part_path,
-            scene_bounds=bounds_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()}),
-            curves=curves,
-            axes=axes,
-            keys=keys,
-            paths=views,
+        blueprint = layout(
+            scene.body_paths[0],
+            scene.part_path,
+            bounds_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()}),
+            curves,
+            axes,
+            keys,
+            views,
             first_axis=also[0].axis if also else busiest_axis(machine, trace),
             stretch=(also[0].start, also[0].end) if also and also[0].end > also[0].start else None,
             steps=steps,
@@ -96,7 +96,7 @@ def write_recording(
             has_events=bool(found),
             states=marks,
         )
-        recording.send_blueprint(layout(content))
+        recording.send_blueprint(blueprint)
     return Written(Path(path).stat().st_size, float(paths.contours[main].error.max()) if paths else 0.0)
 
 
@@ -111,16 +111,8 @@ def write_motion(
         log_curves(recording, curves, full)
         text = f"# {scene.name}\n\n{len(scene.joints)} joints, {len(scene.shapes)} shapes, {time[-1] - time[0]:.3f} s\n\n{summary}\n"
         log_text(recording, text)
-        content = Content(
-            scene_root=scene.body_paths[0],
-            part_frame=scene.part_path,
-            scene_bounds=bounds_with_tip(scene, {"motion": joints}),
-            curves=curves,
-            axes=tuple(joints),
-            keys=log_keys(recording, curves),
-            paths=views,
-        )
-        recording.send_blueprint(layout(content))
+        bounds, keys = bounds_with_tip(scene, {"motion": joints}), log_keys(recording, curves)
+        recording.send_blueprint(layout(scene.body_paths[0], scene.part_path, bounds, curves, tuple(joints), keys, views))
     return Path(path).stat().st_size
 
 
