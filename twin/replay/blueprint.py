@@ -107,11 +107,11 @@ def layout(
         texts.append(rrb.TextLogView(origin=EVENTS, name="Events"))
     top.append(rrb.Tabs(*texts, active_tab=0))
     shares.append(3.0)
-    curves = (
+    plots = (
         contour_view(curves, states, keys),
         axis_tabs(curves, axes, keys, first_axis, steps),
     )
-    below = [view for view in curves if view is not None]
+    below = [view for view in plots if view is not None]
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*top, column_shares=shares)]
     if below:
         rows.append(rrb.Horizontal(*below, column_shares=[1.0, 3.2][-len(below) :]))
