@@ -78,42 +78,31 @@ def great_circle_rows(program: mv.Program, starts: np.ndarray) -> np.ndarray:
     way = np.abs(m.target[:, 3:] - starts[:, 3:]).max(axis=1)
     wide = np.flatnonzero(m.traori & m.workpiece_orientation & (way > 1e-3) & (m.kind != mv.RAPID))
     if wide.size:
-        axes = np.zeros((len(wide), 5))
-        directions = []
-        for angles in (starts[wide, 3:], m.target[wide, 3:], 0.5 * (starts[wide, 3:] + m.target[wide, 3:])):
-            axes[:, 3:] = angles
-            directions.append(program.kinematics.forward(axes)[1])
-        middle = directions[0] + directions[1]
+        axes, (start, end) = np.zeros((3, len(wide), 5)), (starts[wide, 3:], m.target[wide, 3:])
+        axes[..., 3:] = start, end, 0.5 * (start + end)
+        first, last, on_the_way = program.kinematics.forward(axes.reshape(-1, 5))[1].reshape(3, -1, 3)
+        middle = first + last
         size = np.linalg.norm(middle, axis=1, keepdims=True)
         # opposite directions have no plane: A and C stay linear
-        off = np.where(size[:, 0] > 1e-6, np.linalg.norm(middle / np.maximum(size, 1e-12) - directions[2], axis=1), 0.0)
+        off = np.where(size[:, 0] > 1e-6, np.linalg.norm(middle / np.maximum(size, 1e-12) - on_the_way, axis=1), 0.0)
         out[wide[off > GREAT_CIRCLE_ERROR]] = True
     return out
 
 
 def _divided(program: mv.Program, fields: list[np.ndarray], great_circle: np.ndarray) -> list[np.ndarray]:
     """Elements with the great circles divided into parts."""
-    base, step, radius1, radius2, angle, _, row = fields
-    out: list[list[np.ndarray]] = [[] for _ in fields]
-    for i in range(len(row)):
-        parts, values = 1, [v[i : i + 1] for v in fields]
-        divided = great_circle[row[i]] and angle[i] == 0.0
-        if divided and (angles := _great_circle(program, int(row[i]), base[i, 3:], base[i, 3:] + step[i, 3:])) is not None:
-            parts = len(angles) - 1
-            share = np.linspace(0.0, 1.0, parts + 1)[:, None]
-            points = np.hstack([base[i, :3] + share * step[i, :3], angles])
-            tip = np.linalg.norm(step[i, :3]) / parts
-            lengths = np.hypot(tip, el.REFERENCE_RADIUS * np.linalg.norm(np.diff(angles, axis=0), axis=1))
-            values = [
-                points[:-1],
-                np.diff(points, axis=0),
-                *(np.repeat(v, parts, axis=0) for v in values[2:5]),
-                lengths,
-                np.repeat(values[6], parts),
-            ]
-        for column, value in zip(out, values):
-            column.append(value)
-    return [np.concatenate(column) for column in out]
+    base, step, radius1, radius2, angle, length, row = fields
+    parts, ways = np.ones(len(row), int), {}
+    for i in np.flatnonzero(great_circle[row] & (angle == 0.0)):
+        if (angles := _great_circle(program, int(row[i]), base[i, 3:], base[i, 3:] + step[i, 3:])) is not None:
+            parts[i], ways[i] = len(angles) - 1, angles
+    of, first = np.repeat(np.arange(len(row)), parts), np.cumsum(parts) - parts
+    share = (np.arange(len(of)) - first[of]) / parts[of]
+    base, step = base[of] + share[:, None] * step[of], step[of] / parts[of, None]
+    for i, angles in ways.items():
+        base[first[i] : first[i] + parts[i], 3:], step[first[i] : first[i] + parts[i], 3:] = angles[:-1], np.diff(angles, axis=0)
+    ways_of_parts = np.hypot(np.linalg.norm(step[:, :3], axis=1), el.REFERENCE_RADIUS * np.linalg.norm(step[:, 3:], axis=1))
+    return [base, step, radius1[of], radius2[of], angle[of], np.where(parts[of] > 1, ways_of_parts, length[of]), row[of]]
 
 
 def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
