@@ -11,7 +11,7 @@ from pathlib import Path
 from twin.program.iso import ISO_G, ISO_M
 from twin.program.klartext import KLARTEXT, KLARTEXT_M
 from twin.program.sinumerik import SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
-from twin.program.tables import ACTS, NOTE, REFUSED
+from twin.program.state import ACTS, NOTE, REFUSED
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "programs.md"
 BEGIN, END = "<!-- words: python devtools/words_table.py --write -->\n", "<!-- end of words -->\n"

@@ -16,7 +16,7 @@ from twin.program import check, read_program
 from twin.program.klartext import KLARTEXT, KLARTEXT_M
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
-from twin.program.tables import ACTS, NOTE, REFUSED
+from twin.program.state import ACTS, NOTE, REFUSED
 
 ROOT2 = math.sqrt(0.5)
 DRILL = "CYCL DEF {} ~\n Q200=2 ;CLEARANCE ~\n Q201=-10 ;DEPTH ~\n Q206=200 ;FEED ~\n Q202=4 ~\n Q210=0 ~\n Q203=+1 ~\n Q204=20 ~\n Q211=0.5 {}\n"

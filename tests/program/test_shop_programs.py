@@ -16,7 +16,7 @@ from twin.program.iso import ISO_G, ISO_M, iso
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
 from twin.program.sinumerik import SINUMERIK_G, SINUMERIK_NAMES, sinumerik
-from twin.program.tables import ACTS, NOTE, REFUSED
+from twin.program.state import ACTS, NOTE, REFUSED
 
 LINUXCNC = Path(__file__).resolve().parents[3] / "shared" / "data" / "linuxcnc" / "interp"
 

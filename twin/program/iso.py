@@ -16,8 +16,7 @@ from twin.program.iso_blocks import Iso
 from twin.program.iso_calls import call_block, other_statement
 from twin.program.reader import set_mode
 from twin.program.source import Unit
-from twin.program.state import INCH, Block
-from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word
+from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Block, Word
 
 LENGTH_ON = {43, 43.4, 43.5, 44, 234}
 """G codes that switch a tool length on."""

@@ -10,8 +10,7 @@ from twin.program import klartext_path as path
 from twin.program import moves as mv
 from twin.program.expressions import WordError, needed
 from twin.program.klartext_blocks import FORMULA, VALUE, Block, Handler, Klartext
-from twin.program.state import INCH
-from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word, named
+from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, named
 
 _PLANE_OF = {"Z": 17, "Y": 18, "X": 19}
 

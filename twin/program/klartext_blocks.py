@@ -19,9 +19,8 @@ from twin.program.flow import Frame as Call
 from twin.program.flow import Statement
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader
 from twin.program.source import Unit
+from twin.program.state import NOTE, UNKNOWN, Item, Word
 from twin.program.state import Block as Words
-from twin.program.state import Item
-from twin.program.tables import NOTE, UNKNOWN, Word
 
 VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+|Q[LR]?\d+)"
 """A number or a parameter with its sign, as it stands behind a letter."""

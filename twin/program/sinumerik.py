@@ -19,8 +19,7 @@ from twin.program.sinumerik_calls import call, modal_call, other_statement
 from twin.program.sinumerik_values import Word as Written
 from twin.program.sinumerik_values import split_arguments
 from twin.program.source import Unit, plain_name
-from twin.program.state import INCH
-from twin.program.tables import ACTS, NOTE, NOTHING, REFUSED, STOPS, Word, named
+from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, named
 
 Handler = Callable[[Sinumerik, Block, float], None]
 """Carries out a G code."""

@@ -16,10 +16,9 @@ from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
 from twin.program.sinumerik_values import SinumerikValues, Word, split_words
 from twin.program.source import Unit, plain_name
+from twin.program.state import REFUSED, Item
 from twin.program.state import Block as Words
-from twin.program.state import Item
-from twin.program.tables import REFUSED
-from twin.program.tables import Word as Meaning
+from twin.program.state import Word as Meaning
 
 SINUMERIK_FRAMES = ("basic", "settable", "fine", "program", "plane")
 """Outermost first; `fine` is G59."""

@@ -14,7 +14,7 @@ from twin.program.expressions import WordError
 from twin.program.frames import Frame, rotation, shifted
 from twin.program.sinumerik_blocks import Block, Sinumerik
 from twin.program.sinumerik_values import Word, split_arguments
-from twin.program.tables import ACTS
+from twin.program.state import ACTS
 
 PITCHES = {
     1: 0.25, 1.2: 0.25, 1.6: 0.35, 2: 0.4, 2.5: 0.45, 3: 0.5, 4: 0.7, 5: 0.8, 6: 1.0, 8: 1.25, 10: 1.5, 12: 1.75, 14: 2.0, 16: 2.0, 18: 2.5, 20: 2.5,

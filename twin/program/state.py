@@ -1,7 +1,10 @@
-"""The modal state of the control, for all languages: frame, modes, units, tools.
+"""The modal state of the control, for all languages: frame, modes, units, tools; and the words of their tables, printed in docs/programs.md.
 
 Program coordinates x become machine coordinates by the frame: M x + offset (`matrix`, `offset`; the matrix turns, mirrors and
 scales). Lengths are in m and rad; a front end converts the programmed values.
+
+A word ACTS: it changes the motion or the meaning of later words. NOTE: understood, without effect on the simulation, noted once.
+REFUSED: known but not simulated; the text says what to do.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,7 +24,6 @@ from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Col
 from twin.program.compensation import Compensation
 from twin.program.expressions import WordError
 from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame
-from twin.program.tables import NOTE, REFUSED, STOPS, UNKNOWN, Word
 from twin.program.tools import Tools
 from twin.units import rad_from_deg
 
@@ -31,6 +33,29 @@ MODES = (
     "motion", "plane", "absolute", "centre_absolute", "rounding", "tolerance", "angle_tolerance", "adis", "adispos", "retract_to_start",
 )  # fmt: skip
 """Modes that are kept and brought back as they are."""
+
+
+Handler = TypeVar("Handler")
+
+
+class Word(NamedTuple, Generic[Handler]):
+    """A word of a language: kind, meaning, what carries it out, and its modal group: a block takes one word of a group."""
+
+    kind: str
+    meaning: str
+    handler: Handler | None = None
+    group: str = ""
+
+
+ACTS, NOTE, REFUSED = "acts", "note", "refused"
+NOTHING = "understood, no effect on the motion"
+STOPS: Word = Word(ACTS, "exact stop, then on")
+UNKNOWN = "not known: what it does is set by the builder of the machine; here it changes nothing"
+
+
+def named(kind: str, meaning: str, names: str, handler: Handler | None = None, group: str = "") -> dict[str, Word[Handler]]:
+    """Words with one meaning; names of several words are separated by commas."""
+    return dict.fromkeys(names.split(", ") if "," in names else names.split(), Word(kind, meaning, handler, group))
 
 
 class Item(NamedTuple):
