@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+import functools
 import os
 from pathlib import Path
 import re
 import shutil
+import sys
 import warnings
 
+import mujoco
 import pytest
 
 from tests.builders.other_structures import MJCF, machine_text, write_slides
@@ -374,3 +378,19 @@ def test_a_urdf_that_every_reader_refuses(tmp_path: Path, case: str) -> None:
     for read in (check_urdf, shown_urdf):
         with pytest.raises(InputError, match=words):
             read(tmp_path / "r.urdf")
+
+
+def test_threads_that_compile_together_print_no_warning(request: pytest.FixtureRequest) -> None:
+    """The filter of warnings belongs to the process."""
+    light, heavy = (f'<inertial pos="0 0 0" mass="{m}" diaginertia="{m} {m} {m}"/><joint type="slide"/>' for m in (1e-14, 1e3))
+    singular = f"<mujoco><worldbody><body>{light}<body>{heavy}</body></body></worldbody></mujoco>"
+    request.addfinalizer(functools.partial(sys.setswitchinterval, sys.getswitchinterval()))
+    sys.setswitchinterval(1e-6)
+
+    def compiled(_: int) -> None:
+        model_limits.compiled_spec(mujoco.MjSpec.from_string(singular), "singular")
+
+    with warnings.catch_warnings(record=True) as printed, ThreadPoolExecutor(8) as pool:
+        warnings.simplefilter("always")
+        list(pool.map(compiled, range(200)))
+    assert printed == []

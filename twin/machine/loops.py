@@ -69,7 +69,8 @@ def margins_of(loop: Loop, count: int = GRID) -> Margins:
     gains = [(1.0 / size, x) for x in crossings if (size := abs(loop.open_response(x)[0])) > ZERO_GAIN]
     phase, crossover = min(phases, key=lambda p: abs(p[0])) if phases else (math.inf, math.inf)
     gain, phase_crossing = min(gains, key=lambda g: abs(math.log(g[0]))) if gains else (math.inf, math.inf)
-    gains_closed = np.abs(response / (1.0 + response))
+    # a loop gain beyond all numbers closes to 1
+    gains_closed = np.abs(np.divide(response, 1.0 + response, out=np.ones_like(response), where=np.isfinite(response)))
     return Margins(
         float(gain),
         float(phase_crossing),

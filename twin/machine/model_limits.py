@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from pathlib import Path
+import threading
 from typing import TYPE_CHECKING
 import warnings
 
@@ -57,12 +58,16 @@ def quiet_engine() -> None:
     mujoco.MjLogConfig.set(config)
 
 
+_COMPILING = threading.Lock()
+"""The filter of warnings belongs to the process: threads that compile at the same time would restore each other's."""
+
+
 def compiled_spec(spec: mujoco.MjSpec, where: str) -> mujoco.MjModel:
     """Compile a spec. Raises InputError in one line. Warnings about masses are ignored here; `refuse_singular` names the joint."""
     import mujoco
 
     try:
-        with warnings.catch_warnings(action="ignore"):
+        with _COMPILING, warnings.catch_warnings(action="ignore"):
             return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise InputError(f"{where}: MuJoCo cannot compile the model: {' '.join(str(error).split())}; correct the file") from None
