@@ -18,7 +18,7 @@ import numpy as np
 from .compiled import compiled
 from .parameters import Settings
 
-RESTS = 1e-11  # change of a set point in a cycle below which an axis rests [m, rad]
+RESTS = 1e-11  # an axis whose set point changes by less in a cycle rests [m, rad]
 
 
 class Compensation(NamedTuple):
