@@ -113,10 +113,8 @@ def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun 
             turning = [np.cos(run.axis_position), np.sin(run.axis_position)]
             pressed += turning
             if partners:
-                there, its_acceleration = (
-                    np.interp(run.middle, other.middle, x) if other is not None else np.zeros(n)  # type: ignore[arg-type]
-                    for x in ((other.axis_position, other.acceleration) if other is not None else (None, None))
-                )
+                its = (other.axis_position, other.acceleration) if other is not None else ()
+                there, its_acceleration = [np.interp(run.middle, other.middle, x) for x in its] or [np.zeros(n)] * 2  # type: ignore[union-attr]
                 pressed += [t * u for t in turning for u in (np.cos(there), np.sin(there))]
                 pressed.append(its_acceleration)
         if any(r.known_load is not None for r in runs):

@@ -220,11 +220,9 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     delay = max(lag - ASSUMED_LAG_S, 0.0)
     delayed = Law(ASSUMED_GAIN, delay, 1.0, delay, measured=False, lag=ASSUMED_LAG_S)
     by_gain = Law(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=max(min(2e-3, 0.1 * lag), LEAST_LAG_S))
-    size = (
-        f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
-        if shown.known
-        else f"below {1e3 * (abs(shown.value) + shown.half):.2g} ms"
-    )
+    size = f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
+    if not shown.known:
+        size = f"below {1e3 * (abs(shown.value) + shown.half):.2g} ms"
     note = (
         "no speed set point that follows a position controller is recorded: gain and delays cannot be separated, only their sum is known, "
         f"the lag of the position, {size if math.isfinite(shown.half) else 'unknown here'}; the gain is assumed"

@@ -19,6 +19,7 @@ from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.axis import Axis
 from twin.machine.parameters import typed_from_file
+from twin.tables import is_number
 
 TABLES = ("name", "structure", "model", "axis_order", "driven_axes", "control", "geometry", "axis", "body", "measurement", "effect", "frame", "tool", "identified", "variables", "program")  # fmt: skip
 """Keys and tables of a machine file besides `keys.TOP`."""
@@ -53,17 +54,22 @@ def check_document(document: Mapping[str, Any], where: str) -> None:
         raise InputError(f"{where}: driven_axes = {driven}; name axes of this machine: {', '.join(axes)}")
     if not isinstance(document.get("effect", []), list):
         raise InputError(f"{where}: 'effect' must be a list of tables; write [[effect]]")
-    tools = document.get("tool", {})
-    if not isinstance(tools, dict) or not all(isinstance(tool, dict) for tool in tools.values()):
-        raise InputError(f"{where}: 'tool' must hold one table for each tool; write [tool.T1] and below it length_m")
-    for name, tool in tools.items():
-        keys.check_table(tool, keys.TOOL, f"{where}: [tool.{name}]")
+    for table, known, example in (
+        ("tool", keys.TOOL, "[tool.T1] and below it length_m"),
+        ("body", keys.BODY, "[body.NAME] and below it mass_kg"),
+    ):
+        entries = document.get(table, {})
+        if not isinstance(entries, dict) or not all(isinstance(entry, dict) for entry in entries.values()):
+            raise InputError(f"{where}: '{table}' must hold one table for each {table}; write {example}")
+        for name, entry in entries.items():
+            keys.check_table(entry, known, f"{where}: [{table}.{name}]")
+    for name, body in document.get("body", {}).items():
+        i = np.array(body["inertia_kg_m2"], float)
+        if np.any(i > i.sum() - i + 1e-12):
+            raise InputError(
+                f"{where}: [body.{name}]: inertia_kg_m2 = {body['inertia_kg_m2']}: a principal inertia cannot exceed the sum of the other two; correct it"
+            )
     _check_for_programs(document, where)
-    bodies = document.get("body", {})
-    if not isinstance(bodies, dict):
-        raise InputError(f"{where}: 'body' must hold one table for each body; write [body.NAME] and below it mass_kg")
-    for name, table in bodies.items():
-        _check_body(table, f"{where}: [body.{name}]")
 
 
 def _check_for_programs(document: Mapping[str, Any], where: str) -> None:
@@ -72,11 +78,9 @@ def _check_for_programs(document: Mapping[str, Any], where: str) -> None:
     if not isinstance(variables, dict) or not all(isinstance(v, int | float | str) for v in variables.values()):
         raise InputError(f'{where}: each variable in [variables] must be a number or a text; write "$MC_EXAMPLE" = 1.0')
     program = document.get("program", {})
-    if not isinstance(program, dict):
-        raise InputError(f"{where}: 'program' must be a table; write [program] and below it calls_without_motion")
     keys.check_table(program, {}, f"{where}: [program]", ("calls_without_motion", "axes", "feed_mm_min"))
     feed = program.get("feed_mm_min", 1.0)
-    if isinstance(feed, bool) or not isinstance(feed, int | float) or not feed > 0:
+    if not is_number(feed) or not feed > 0:
         raise InputError(f"{where}: [program]: feed_mm_min must be a number above 0; write the feed before the first F")
     calls = program.get("calls_without_motion", [])
     if not isinstance(calls, list) or not all(isinstance(name, str) for name in calls):
@@ -118,17 +122,6 @@ def cycles_of(document: Mapping[str, Any]) -> dict[str, float]:
         "position_cycle": position,
         "interpolation_cycle": control.get("interpolation_cycle_us", position),
     }
-
-
-def _check_body(table: Any, where: str) -> None:
-    if not isinstance(table, dict):
-        raise InputError(f"{where}: must be a table")
-    keys.check_table(table, keys.BODY, where)
-    i = np.array(table["inertia_kg_m2"], float)
-    if np.any(i > i.sum() - i + 1e-12):
-        raise InputError(
-            f"{where}: inertia_kg_m2 = {table['inertia_kg_m2']}: a principal inertia cannot exceed the sum of the other two; correct it"
-        )
 
 
 def changed(document: Mapping[str, Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
