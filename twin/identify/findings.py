@@ -22,6 +22,7 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.force_sign import recorded_sign
 from twin.recordings.plausible import contradictions
 from twin.recordings.profile_speed import PROFILE
+from twin.recordings.skew import Skew
 
 SIGNALS = {
     "position": "position gain and delays",
@@ -121,22 +122,12 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     return float(t @ left) / power if np.sqrt(power / len(t)) > 0.2 * axis.commissioned_torque_constant else None
 
 
-@dataclass(frozen=True)
-class ChannelSkew:
-    """Delay [s] of a channel against the scale (of the current: against the motion), with its standard deviation."""
-
-    axis: str
-    signal: str
-    seconds: float
-    deviation: float
-
-
 LEAST_SKEW_S = {"motor_position": 5e-5, "velocity": 1e-4, "velocity_setpoint": 1e-3, "current": 4e-4}
 """A smaller skew [s] is not corrected. An elastic drive train, or a current loop that differs from the file, causes as much (current: 0.1 ms)."""
 
 
-def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[ChannelSkew]:
-    """Skew of motor position, speed and current in one run; empty if the axis does not move enough."""
+def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[Skew]:
+    """Skew of motor position and speed against the scale, of the current against the motion, in one run; empty if the axis does not move enough."""
     if seen is None or np.ptp(seen.axis_position) < 1e-3 * (axis.max_velocity / 0.5) or seen.sliding.sum() < 100:
         return []
     out = []
@@ -152,7 +143,7 @@ def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[Ch
             return
         if fit.seen[0] and (per is None or (fit.seen[1] and fit.values[1] > 0.0)):
             scale = -1.0 if per is None else -1.0 / fit.values[1]
-            out.append(ChannelSkew(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
+            out.append(Skew(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
 
     speed, acceleration = f(seen.speed)[rows], f(seen.acceleration)[rows]
     ones, sign = np.ones(len(speed)), np.sign(speed)

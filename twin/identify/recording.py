@@ -11,7 +11,6 @@ from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.findings import (
     LEAST_SKEW_S,
-    ChannelSkew,
     Finding,
     channel_skews,
     checked_flags,
@@ -22,6 +21,7 @@ from twin.identify.findings import (
 )
 from twin.machine.machine import Machine
 from twin.recordings.campaign import COPY, Campaign, MeasuredRun, without_copies
+from twin.recordings.skew import Skew
 
 SHORT_S = 0.5
 """A shorter run has no usable content below 20 Hz and is not used."""
@@ -34,7 +34,7 @@ class Recording:
     runs: list[MeasuredRun]
     axis_runs: dict[str, list[AxisRun | None]]
     findings: list[Finding]
-    skews: list[ChannelSkew]
+    skews: list[Skew]
 
     def without_current(self, axes: Iterable[str]) -> Recording:
         """The recording without the current of these axes."""
@@ -49,7 +49,7 @@ def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
     runs = usable
     correct: dict[str, dict[str, float]] = {}
     axis_runs = _axis_runs(machine, runs, {})
-    skews: list[ChannelSkew] | None = None
+    skews: list[Skew] | None = None
     said: list[Finding] = []
     for _ in range(FLAG_ROUNDS):
         flags, said = checked_flags(machine, usable, axis_runs)
@@ -96,10 +96,10 @@ def _axis_runs(machine: Machine, runs: Sequence[MeasuredRun], lateness: dict[str
 
 def _without_skew(
     machine: Machine, runs: Sequence[MeasuredRun]
-) -> tuple[list[ChannelSkew], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
+) -> tuple[list[Skew], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
     """Skew of each channel, applied correction by axis and signal [s], and the corrected axis runs."""
     correct: dict[str, dict[str, float]] = {}
-    skews: dict[tuple[str, str], ChannelSkew] = {}
+    skews: dict[tuple[str, str], Skew] = {}
     axis_runs = _axis_runs(machine, runs, {})
     for _ in range(SKEW_ROUNDS):
         # A current that is late by an odd number of samples has another phase of the saw-tooth, and a late motor angle makes all other
@@ -124,17 +124,17 @@ NEAR_SAMPLE = 0.2
 """A skew within this fraction of a period from a whole number of samples is rounded to it: recorders delay by whole samples."""
 
 
-def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) -> list[ChannelSkew]:
+def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) -> list[Skew]:
     """Skew of each channel: weighted mean over the runs, its standard deviation from their scatter."""
     out = []
     for axis in machine.axes:
-        items: dict[str, list[ChannelSkew]] = {}
+        items: dict[str, list[Skew]] = {}
         for seen in axis_runs[axis.name]:
             for skew in channel_skews(machine, axis, seen):
                 items.setdefault(skew.signal, []).append(skew)
             if seen is not None and np.ptp(seen.axis_position) > 0.01 * axis.max_velocity:
                 shift = setpoint_shift(axis, seen)
-                items.setdefault("velocity_setpoint", []).append(ChannelSkew(axis.name, "velocity_setpoint", shift, seen.cycle / 20.0))
+                items.setdefault("velocity_setpoint", []).append(Skew(axis.name, "velocity_setpoint", shift, seen.cycle / 20.0))
         for signal, several in items.items():
             values = np.array([s.seconds for s in several])
             weights = 1.0 / np.array([max(s.deviation, 1e-6) for s in several]) ** 2
@@ -142,5 +142,5 @@ def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) ->
             if signal == "velocity_setpoint":
                 mean = float(np.median(values))
             scatter = float(np.sqrt(np.average((values - mean) ** 2, weights=weights) / max(len(values) - 1, 1)))
-            out.append(ChannelSkew(axis.name, signal, mean, max(scatter, float(weights.sum() ** -0.5))))
+            out.append(Skew(axis.name, signal, mean, max(scatter, float(weights.sum() ** -0.5))))
     return out

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from twin.identify.findings import ChannelSkew, Finding
+from twin.identify.findings import Finding
 from twin.identify.regressions import Regressions
 from twin.machine.machine import Machine
+from twin.recordings.skew import Skew
 
 SYMMETRIC = 0.2
 """Largest distance of a value from the middle of its interval, as a fraction of the half width, for an interval that counts as symmetric."""
@@ -72,7 +73,7 @@ class Identification:
     machine: Machine
     parameters: tuple[Parameter, ...]
     findings: tuple[Finding, ...]
-    skews: tuple[ChannelSkew, ...]
+    skews: tuple[Skew, ...]
     direct: Regressions
     training: tuple[str, ...]
     held_out: tuple[str, ...]
