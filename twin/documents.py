@@ -7,7 +7,7 @@ folder of the file that names it, also through a symbolic link. `reading` turns 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 import contextlib
 import json
 import math
@@ -182,12 +182,13 @@ def _check(document: Any, where: str, largest: float = math.inf) -> None:
             )
 
 
-def flat(content: Any, path: str = "", nested: tuple[type, ...] = (Mapping, list, tuple)) -> dict[str, Any]:
+def flat(content: Any, path: str = "", nested: Any = (Mapping, list, tuple)) -> dict[str, Any]:
     """Values of nested tables and lists by path: 'axis.X.travel_m.0'."""
     if not isinstance(content, nested):
         return {path: content}
     out: dict[str, Any] = {}
-    for key, inner in content.items() if isinstance(content, Mapping) else enumerate(content):
+    parts: Iterable[tuple[Any, Any]] = content.items() if isinstance(content, Mapping) else enumerate(content)
+    for key, inner in parts:
         out |= flat(inner, f"{path}.{key}" if path else str(key), nested)
     return out
 

@@ -214,7 +214,8 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     s = [setpoint(np.clip(start - k * cycle, 0.0, setpoint.x[-1])) for k in range(3)]
     fed = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
     pushed = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
-    added = recorded_forces.injected(trace, machine)[:, machine.axis_names.index(axis.name)] if trace.injections(axis.name) else None
+    torques = recorded_forces.injected(trace, machine) if trace.injections(axis.name) else None
+    added = torques[:, machine.axis_names.index(axis.name)] if torques is not None else None
     return AxisRun(
         run=run.name,
         feedforward=run.feedforward,

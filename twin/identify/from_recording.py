@@ -160,7 +160,8 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
     out = {}
     for name, parts in rows.items():
         off, error, force_off, command = np.concatenate(parts).T
-        out[name] = Reproduction(*(float(np.sqrt(np.mean(v**2))) for v in (off, error, force_off)), float(np.ptp(command)))
+        gap, following, effort_gap = (float(np.sqrt(np.mean(v**2))) for v in (off, error, force_off))
+        out[name] = Reproduction(gap, following, effort_gap, float(np.ptp(command)))
     return out
 
 

@@ -54,7 +54,9 @@ def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Para
     """Position and speed controller of one axis."""
     for table in (direct.position, direct.speed, direct.drive_loop):
         block = table.get(axis.name)
-        for name, value in block.values.items() if block is not None else ():
+        if block is None:
+            continue
+        for name, value in block.values.items():
             if not math.isfinite(block.deviations[name]):
                 continue
             estimate = Range.around(value, block.deviations[name] * block.quantile)

@@ -121,7 +121,8 @@ def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
     columns = [np.concatenate(column) for column in zip(*parts)]
     if len(columns[0]) < LEAST_SAMPLES:
         return None
-    return Strokes(*columns, np.abs(columns[4]) < 0.1 * np.abs(columns[4]).max())
+    columns.append(np.abs(columns[4]) < 0.1 * np.abs(columns[4]).max())
+    return Strokes(*columns)
 
 
 def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndarray]) -> np.ndarray:

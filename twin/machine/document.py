@@ -135,7 +135,7 @@ def changed(document: Mapping[str, Any], values: Mapping[str, Any], where: str) 
         table: Any = out
         for i, name in enumerate(tables):
             # tables of the file and tables below an axis may be added; their keys are checked with the whole document
-            new = {} if (i == 0 and name in TABLES) or (i > 1 and tables[0] == "axis") else None
+            new: dict[str, Any] | None = {} if (i == 0 and name in TABLES) or (i > 1 and tables[0] == "axis") else None
             if not isinstance(inner := table.get(name, new), dict):
                 raise InputError(f"machine {where}: no '{'.'.join(tables[: i + 1])}'; {nearest(name, table)}")
             table[name] = table = dict(inner)

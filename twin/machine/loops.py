@@ -57,16 +57,16 @@ def margins_of(loop: Loop, count: int = GRID) -> Margins:
     f = loop.grid(count)
     response = loop.open_response(f)
     crossovers = [
-        _refined(lambda x: math.log(abs(loop.open_response(x)[0])), f[i], f[i + 1])
+        _refined(lambda x: math.log(abs(_open(loop, x))), f[i], f[i + 1])
         for i in _sign_changes(np.log(np.maximum(np.abs(response), ZERO_GAIN)))
     ]
     # the imaginary part changes sign on the negative real axis
     turns = [i for i in _sign_changes(response.imag) if response[i].real < 0.0 and response[i + 1].real < 0.0]
-    crossings = [_refined(lambda x: loop.open_response(x)[0].imag, f[i], f[i + 1]) for i in turns]
+    crossings = [_refined(lambda x: _open(loop, x).imag, f[i], f[i + 1]) for i in turns]
     if response[-1].real < 0.0:
         crossings.append(0.5 / loop.period)  # at half the sampling rate L is real
-    phases = [(math.degrees(np.angle(-loop.open_response(x)[0])), x) for x in crossovers]
-    gains = [(1.0 / size, x) for x in crossings if (size := abs(loop.open_response(x)[0])) > ZERO_GAIN]
+    phases = [(math.degrees(np.angle(-_open(loop, x))), x) for x in crossovers]
+    gains = [(1.0 / size, x) for x in crossings if (size := abs(_open(loop, x))) > ZERO_GAIN]
     phase, crossover = min(phases, key=lambda p: abs(p[0])) if phases else (math.inf, math.inf)
     gain, phase_crossing = min(gains, key=lambda g: abs(math.log(g[0]))) if gains else (math.inf, math.inf)
     # a loop gain beyond all numbers closes to 1
@@ -170,6 +170,11 @@ def _mechanics(machine: Machine, axis: Axis, inertia: float) -> tuple[np.ndarray
     return a, np.array([[1.0 / rotor], [0.0], [0.0], [0.0]]), rows[0], rows[2], rows[3]
 
 
+def _open(loop: Loop, frequency: float) -> complex:
+    """L at one frequency [Hz]."""
+    return complex(loop.open_response(np.array([frequency]))[0])
+
+
 def _bandwidth(loop: Loop, f: np.ndarray, closed: np.ndarray) -> float:
     """Frequency [Hz] where the closed loop, with these gains on a grid, first falls to -3 dB; inf if it never does."""
     level = math.sqrt(0.5)
@@ -178,7 +183,7 @@ def _bandwidth(loop: Loop, f: np.ndarray, closed: np.ndarray) -> float:
         return math.inf
     fallen = np.flatnonzero(closed[above[0] :] < level) + above[0]
     end = int(fallen[0]) if fallen.size else len(f) - 1
-    return _refined(lambda x: abs(loop.closed_response(x)[0]) - level, f[end - 1], f[end]) if fallen.size else math.inf
+    return _refined(lambda x: abs(loop.closed_response(np.array([x]))[0]) - level, f[end - 1], f[end]) if fallen.size else math.inf
 
 
 def _sign_changes(values: np.ndarray) -> np.ndarray:

@@ -126,7 +126,7 @@ class _Evidence:
 
     def __init__(self, period: float, kind: str, timed: bool, strange: float) -> None:
         self.period, self.kind, self.timed, self.strange = period, kind, timed, strange
-        self._known: dict[tuple[str | int, ...], Relation] = {}
+        self._known: dict[tuple[object, ...], Relation] = {}
         self._kept: list[object] = []  # so that no array is freed and its id used again
 
     def relation(self, find: Callable[..., Relation], a: np.ndarray, b: np.ndarray, *more: object) -> Relation:
@@ -173,7 +173,7 @@ class _Evidence:
             ]
             named = next((c.values for c in rest if c.means("motor_position") and relations.moves(c.values)), None)
             summed = [np.cumsum(c.values - (c.values[0] if c.meaning is None else 0.0)) * self.period for c in speeds]
-            motions = [named] if named is not None else summed
+            motions = [named] if named is not None else [*summed]
         best = max((self._assigned(rest, s, x, motion) for motion in motions if motion is not None), key=lambda r: r[0], default=None)
         if best is None:
             return -np.inf, {}

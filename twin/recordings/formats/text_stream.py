@@ -252,9 +252,9 @@ def _why(layout: Layout, error: Exception) -> InputError:
         return InputError(f"{path}: line {line} {found[1]}; the file is cut off or damaged there, remove the line")
     if match := re.search(r"column #(\d+)(?:.*?Row #(\d+))?.*?invalid value '(.*?)'", text, re.DOTALL):
         name = layout.names[int(match[1])] if int(match[1]) < len(layout.names) else f"column {int(match[1]) + 1}"
-        line = f"line {layout.rows.first + int(match[2])} of " if match[2] else ""
+        where = f"line {layout.rows.first + int(match[2])} of " if match[2] else ""
         return InputError(
-            f"{path}: {line}column '{name}' holds '{match[3][:40]}', which is not a number; repair it or leave the column out of the map"
+            f"{path}: {where}column '{name}' holds '{match[3][:40]}', which is not a number; repair it or leave the column out of the map"
         )
     return InputError(f"{path}: the rows from line {layout.rows.first + 1} on are no even table of numbers; export the recording again")
 
