@@ -121,7 +121,7 @@ WRITES = {
     "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 1},  # its own scratch files
     "recordings/imported.py": {"TemporaryDirectory": 1, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/proposed.py": {"TemporaryDirectory": 1},  # scratch files
-    "recordings/write.py": {"write_table": 1, "unlink": 1},  # a piece of a file that `beside` opened; an output of an earlier call
+    "recordings/write.py": {"unlink": 1},  # an output of an earlier call
     "regress/golden.py": {"unlink": 1},  # an output of an earlier call
     "regress/runners.py": {"TemporaryDirectory": 4},  # scratch files
     "study/row_file.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
