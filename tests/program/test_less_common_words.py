@@ -147,6 +147,24 @@ def test_values_of_the_control_from_the_machine_file(read, mikron) -> None:
         read("G0 X0\nX#1004\n", "part.nc")
 
 
+@pytest.mark.parametrize("name", ["part.nc", "part.ngc"])
+def test_a_second_g92_counts_from_the_machine(read, name: str) -> None:
+    """Each G92 gives the place of the tool its coordinates, whatever the one before did."""
+    assert places(read("G90 G1 X0 Y0 F100\nG92 X5\nX8\nG92 X0 Y1\nX3 Y2\n", name))[1:] == [[3, 0], [6, 1]]
+
+
+@pytest.mark.parametrize("sense", [2, 3])
+def test_arc_by_its_angle(read, sense: int) -> None:
+    """AR= with the end: a quarter circle about (5, 5), or (5, -5) clockwise; with the centre (10, 0): to (10, -10), or (10, 10) clockwise."""
+    up = 1 if sense == 3 else -1
+    moves = read(f"G0 X0 Y0\nG{sense} X10 Y0 AR=90 F100\n").moves
+    np.testing.assert_allclose(moves.centre[0, :2], [5e-3, up * 5e-3], atol=1e-12)
+    np.testing.assert_allclose([moves.angle[0], moves.normal[0, 2]], [np.pi / 2, up], atol=1e-12)
+    moves = read(f"G0 X0 Y0\nG{sense} I10 J0 AR=90 F100\n").moves
+    np.testing.assert_allclose(moves.target[0, :2], [10e-3, -up * 10e-3], atol=1e-12)
+    np.testing.assert_allclose(moves.angle[0], np.pi / 2, atol=1e-12)
+
+
 @pytest.mark.parametrize("name", ["part.mpf", "part.nc", "part.ngc"])
 def test_plunge_before_the_approach(read, name: str) -> None:
     """A move of Z alone between G41 and the first move in the plane is made where the tool stands, not on the way to the contour."""
