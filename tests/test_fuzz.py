@@ -40,7 +40,7 @@ def test_an_uncorrupted_sample_is_valid(kind: str, tmp_path: Path) -> None:
 FORMER_FAULTS = [
     ("study", 742159), ("suite", 743452), ("positions", 740768), ("model_new", 741066), ("model", 743275), ("urdf", 740200), ("model_new", 742817),
     ("study_folder", 11), ("study_folder", 32000072), ("golden", 3), ("exam", 7), ("iso", 33002978), ("plan", 33008920), ("identify", 2), ("machine", 9102514), ("sinumerik", 9102713), ("model", 9300075),
-    ("height", 62000021), ("height", 62000693), ("events", 65000278), ("study_cells", 48), ("study_cells", 1193), ("mikron", 91003667),
+    ("height", 62000021), ("height", 62000693), ("events", 65000278), ("study_cells", 48), ("study_cells", 1193), ("mikron", 91003667), ("table", 91014843),
 ]  # fmt: skip
 
 

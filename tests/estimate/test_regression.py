@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.estimate.regression import RELATED, _enough_clusters, regress, whiteness
+from twin.estimate.regression import RELATED, _enough_clusters, regress, solved, whiteness
 
 
 def coloured(rng: np.random.Generator, n: int, memory: float) -> np.ndarray:
@@ -96,3 +96,14 @@ def test_columns_that_are_barely_apart_are_uncertain() -> None:
     fit = regress(np.column_stack([t, t + 2e-8 * np.sin(40.0 * t)]), 2.0 * t + noise, np.arange(len(t)) // 10)
     assert fit.values.sum() == pytest.approx(2.0, abs=0.01)
     assert fit.deviations.min() > 100.0
+
+
+def test_a_column_of_zeros_has_no_coefficient() -> None:
+    """Rounding over its length of zero would be a number without bounds, which predicts the other rows."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        columns = rng.standard_normal((50, 7)) * [1.0, 1e-5, 1e3, 0.0, 1.0, 1e-9, 0.0]
+        columns[:, 4] = columns[:, 0] + 1e-3 * columns[:, 4]
+        found = solved(columns, columns @ np.arange(1.0, 8.0))
+        assert np.allclose(found, [1.0, 2.0, 3.0, 0.0, 5.0, 6.0, 0.0], rtol=0.01)
+        assert found[3] == found[6] == 0.0

@@ -104,8 +104,9 @@ def sandwich(bread: np.ndarray, scores: np.ndarray, clusters: np.ndarray) -> np.
 
 
 def solved(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Least-squares coefficients (k,) of columns (row, k), scaled so that their units do not matter."""
-    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    """Least-squares coefficients (k,) of columns (row, k), scaled so that their units do not matter; 0 for a column of zeros."""
+    norm = np.linalg.norm(columns, axis=0)
+    scale = np.where(norm > 1e-300, norm, np.inf)
     return np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
 
 

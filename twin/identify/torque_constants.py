@@ -67,7 +67,7 @@ def split_products(machine: Machine, direct: Regressions, torque_constant_tolera
         prior = np.array([max(kt_sd, 1e-6) if "torque_constant" in p else own * _share(machine, p) for p in paths])
         x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
         misfit = np.abs((predicted(x) - values[:k]) / scale)[use]
-        holds = bool(np.all(np.abs(x) < CONTRADICTS * prior)) and bool(np.sqrt(np.mean(misfit**2)) < 2.0 * CONTRADICTS)
+        holds = bool(np.all(np.abs(x) < CONTRADICTS * prior)) and float(misfit @ misfit) < (2.0 * CONTRADICTS) ** 2 * len(misfit)
         if not holds:
             prior = np.array([min(max(kt_sd, 1e-6), 1e-2) if "torque_constant" in p else WIDE for p in paths])
             x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
