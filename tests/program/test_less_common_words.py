@@ -147,6 +147,11 @@ def test_values_of_the_control_from_the_machine_file(read, mikron) -> None:
         read("G0 X0\nX#1004\n", "part.nc")
 
 
+def test_a_label_that_occurs_twice(read) -> None:
+    """GOTOB goes to the last one before, GOTOF to the next one behind."""
+    assert places(read("G1 X0 F100\nAA: R1=R1+1\nX=R1\nIF R1<2 GOTOB AA\nGOTOF AA\nX99\nAA: X=R1+10\n"), 1)[1:] == [[1], [2], [12]]
+
+
 @pytest.mark.parametrize("name", ["part.nc", "part.ngc"])
 def test_a_second_g92_counts_from_the_machine(read, name: str) -> None:
     """Each G92 gives the place of the tool its coordinates, whatever the one before did."""
