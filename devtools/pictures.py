@@ -95,15 +95,16 @@ RECIPES = (
     Recipe(("emps_*.png",), ("python examples/emps/run.py DATA_EMPS.mat --out out/emps",), needs=DATA),
     Recipe(("import_sinumerik_edge.png",), ("python examples/real/sinumerik/run.py recording.json --out out/edge",), needs=DATA),
     copied(
-        ["python -m devtools.versus --data ../shared/data --out out/versus"],
+        ["python -m devtools.versus --data ../shared/data --out out/versus --quick"],
         needs=f"the extra 'versus' and {DATA}",
         versus="out/versus/versus.png",
     ),
     Recipe(("watch.png",), ("python examples/watch/run.py --out out/watch", "python -m devtools.pictures watch")),
     Recipe(
         ("histories.png",),
-        (f"python -m devtools.histories --count 100 --seed 2019228167 --out out/histories --picture {PICTURES}/histories.png",),
+        (f"python -m devtools.histories --count 100 --seed 731840225 --out out/histories --picture {PICTURES}/histories.png",),
     ),
+    Recipe(("growth.png",), (f"python -m devtools.measure_growth --out out/growth --picture {PICTURES}/growth.png",)),
     Recipe(("exam_*.svg",), ("python -m devtools.pictures exam DIR",), needs="the folder of an examination"),
 )
 """Every picture of the pages is made by the first recipe that names it."""
