@@ -16,7 +16,7 @@ from twin.effects.readable import interval_text
 from twin.history.change import Forecast
 from twin.history.columns import Direction, is_watched
 from twin.history.judge import ALARM, FALSE_ALARM_WEEKS, Cause, Change, Judgement, causes_of, sizes_over_time
-from twin.history.series import LOAD, SCATTER
+from twin.history.series import is_load
 from twin.machine.machine import Machine
 from twin.simulation.summary import listed
 
@@ -42,7 +42,7 @@ def history_document(history: Judgement, machine: Machine, notes: list[str], fol
         "changes": changes,
         "axes": _axes(history, machine, causes),
         "not_seen": _not_seen(history),
-        "not_watched": sorted(name for name, effect in EFFECTS.items() if not is_watched(effect) or SCATTER.get(name) == LOAD),
+        "not_watched": sorted(name for name, effect in EFFECTS.items() if not is_watched(effect) or is_load(name)),
         "notes": [
             *notes,
             *([] if several else ["one axis only: a season or a warm day cannot be told from a change of its friction"]),
@@ -167,7 +167,7 @@ def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, l
 def _not_seen(history: Judgement) -> list[dict[str, str]]:
     """Causes that these recordings do not show at a fifth of their usual size, whatever its wave."""
     seen = {*causes_of(history.series), *(c.cause for c in history.changes)}
-    all_of = {d.cause for one in history.series for d in one.directions if SCATTER.get(d.setting.effect.name) != LOAD}
+    all_of = {d.cause for one in history.series for d in one.directions if not is_load(d.cause[0])}
     return [cause_entry(cause) for cause in sorted(all_of) if cause not in seen]
 
 

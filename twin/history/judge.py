@@ -16,7 +16,7 @@ import numpy as np
 from twin.history.change import LONGEST, Forecast, Level, evidence, forecast, level
 from twin.history.columns import Direction, amplitude, waves_of
 from twin.history.limits import USUAL, Limit, LimitOf
-from twin.history.series import LEAST_SCATTER, LOAD, RIVAL, SCATTER, Series, constants_of, programs_of, series_of, thermometers
+from twin.history.series import LEAST_SCATTER, RIVAL, Series, constants_of, is_load, programs_of, series_of, thermometers
 from twin.history.store import Row
 
 FALSE_ALARM_WEEKS, ALARM = 1000.0, 3000.0
@@ -66,7 +66,7 @@ class Change:
     @property
     def is_load(self) -> bool:
         """Is it what the axis carries? That is no fault of the machine; it stands without an alarm."""
-        return is_load(self.direction)
+        return is_load(self.cause[0])
 
 
 @dataclass(frozen=True)
@@ -97,17 +97,12 @@ class Judgement:
         return np.column_stack(columns)
 
 
-def is_load(direction: Direction) -> bool:
-    """Is a direction what the axis carries, such as a tool or a workpiece?"""
-    return SCATTER.get(direction.cause[0]) == LOAD
-
-
 def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
     """Causes that the recordings show: index of the series, and the directions of each. What an axis carries is no fault of the machine."""
     found: dict[Cause, tuple[int, list[int]]] = {}
     for g, one in enumerate(series):
         for k, direction in enumerate(one.directions):
-            if one.seen[k] and not is_load(direction):
+            if one.seen[k] and not is_load(direction.cause[0]):
                 found.setdefault(direction.cause, (g, []))[1].append(k)
     return found
 
@@ -195,7 +190,7 @@ def _change(history: Judgement, group: int, standing: Sequence[Change], onset: i
     best: dict[Cause, tuple[float, int, float, float]] = {}
     for block, (gain, theta) in zip(blocks, explained):
         cause = one.directions[block[0]].cause
-        if not is_load(one.directions[block[0]]) and abs(amplitude(theta)) > PLAUSIBLE * one.directions[block[0]].most:
+        if not is_load(cause[0]) and abs(amplitude(theta)) > PLAUSIBLE * one.directions[block[0]].most:
             continue
         if gain > best.get(cause, (0.0, 0, 0.0, 0.0))[0] and cause not in {change.cause for change in standing}:
             best[cause] = gain, block[0], amplitude(theta), amplitude([levels[k].size for k in block])

@@ -97,6 +97,11 @@ def seen(gram: np.ndarray, scatter: np.ndarray) -> np.ndarray:
     return own / np.maximum(1.0 - scatter**2 * own, 1e-12) > (2.0 / 0.2) ** 2
 
 
+def is_load(effect: str) -> bool:
+    """Is an effect what the axis carries, such as a tool or a workpiece? That is no fault of the machine."""
+    return SCATTER.get(effect) == LOAD
+
+
 def scatter_of(directions: Sequence[Direction]) -> np.ndarray:
     """Normal scatter between recordings [usual sizes] (direction,)."""
     return np.array([SCATTER.get(d.setting.effect.name, ELSE) for d in directions])
@@ -112,6 +117,13 @@ def information(gram: np.ndarray, scatter: np.ndarray) -> np.ndarray:
     return gram @ filters(gram, scatter)
 
 
+def sizes(gram: np.ndarray, right: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    """y of all directions (direction,) from G and b; 0 for a direction that the recording does not show."""
+    w = filters(gram, scatter)
+    own = np.diag(gram @ w)
+    return np.asarray(w.T @ right / np.where(own > 0.0, own, np.inf))
+
+
 def series_of(rows: Sequence[Row], axes: tuple[str, ...], directions: Sequence[Direction], programs: np.ndarray) -> Series | None:
     """The series of a group of axes; None if no recording moves it. `programs` (row,) numbers the program of each."""
     at = np.array([i for i, row in enumerate(rows) if axes in row.projections])
@@ -120,14 +132,7 @@ def series_of(rows: Sequence[Row], axes: tuple[str, ...], directions: Sequence[D
     projections = [rows[i].projections[axes] for i in at]
     scatter = _with_learnt_load(scatter_of(directions), directions, projections[:FIRST], programs[at[:FIRST]])
     gram = np.mean([p.gram for p in projections], axis=0)
-    return Series(axes, directions, at, np.array([_sizes(p, scatter) for p in projections]), gram, scatter)
-
-
-def _sizes(p: Projection, scatter: np.ndarray) -> np.ndarray:
-    """y of all directions in one recording (direction,)."""
-    w = filters(p.gram, scatter)
-    own = np.diag(p.gram @ w)
-    return np.asarray(w.T @ p.right / np.where(own > 0.0, own, np.inf))
+    return Series(axes, directions, at, np.array([sizes(p.gram, p.right, scatter) for p in projections]), gram, scatter)
 
 
 def _with_learnt_load(
@@ -141,9 +146,9 @@ def _with_learnt_load(
     if free < LEAST_KNOWN:
         return scatter
     learnt = scatter.copy()
-    for k in [k for k, d in enumerate(directions) if SCATTER.get(d.cause[0]) == LOAD]:
+    for k in [k for k, d in enumerate(directions) if is_load(d.cause[0])]:
         none = np.where(np.arange(len(scatter)) == k, 0.0, scatter)
-        y = np.array([_sizes(p, none)[k] for p in first])
+        y = np.array([sizes(p.gram, p.right, none)[k] for p in first])
         left = y - constants @ np.linalg.lstsq(constants, y, rcond=None)[0]
         learnt[k] = min(scatter[k], max(ROOM * float(np.sqrt(left @ left / free)), LEAST_SCATTER))
     return learnt

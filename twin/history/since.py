@@ -23,7 +23,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.history.columns import Direction, amplitude, changed, waves_of
 from twin.history.projection import Linearised, Noise, Reference
-from twin.history.series import RIVAL, filters, information, same_program, seen
+from twin.history.series import RIVAL, filters, same_program, seen, sizes
 from twin.history.watch import program_of
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
@@ -190,13 +190,13 @@ def contrast_of(present: Campaign, baselines: Sequence[Campaign], about: Referen
         changes = [now[i][2].right - np.mean([p.right for p in twins[i]], axis=0) for i in used]
         repeats = min(len(twins[i]) for i in used)
         gram = np.sum([now[i][2].gram for i in used], axis=0)
-        repeated = [_sizes(gram, np.sum([twins[i][r].right - twins[i][0].right for i in used], axis=0), default) for r in range(repeats)]
+        repeated = [sizes(gram, np.sum([twins[i][r].right - twins[i][0].right for i in used], axis=0), default) for r in range(repeats)]
         noise = 1.0 + 1.0 / repeats
     else:
         used, total = list(range(len(now))), np.sum([p.gram for p in then], axis=0)
         offset = np.linalg.solve(total + np.eye(len(total)) / OFFSET**2, np.sum([p.right for p in then], axis=0))
         changes = [p.right - p.gram @ offset for *_, p in now]
-        repeated = [_sizes(p.gram, p.right - p.gram @ offset, default) for p in then]
+        repeated = [sizes(p.gram, p.right - p.gram @ offset, default) for p in then]
         noise = 1.0
         notes.append(
             f"axes {name}: other programs than in the baseline; a change shows only beyond what differs between the runs of the baseline"
@@ -214,11 +214,6 @@ def _shown(
     noise = [next((p.noise for p in then if same_program(p.program, program)), {}) for program in programs]
     for run, own in about.linearised(runs, axes, noise):
         yield run.name, own, _Shown(run.feedforward, program_of([run]), own.noise, own.gram, own.right(run.trace))
-
-
-def _sizes(gram: np.ndarray, right: np.ndarray, scatter: np.ndarray) -> np.ndarray:
-    own = np.diag(information(gram, scatter))
-    return np.asarray(filters(gram, scatter).T @ right / np.where(own > 0.0, own, np.inf))
 
 
 def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:

@@ -150,7 +150,7 @@ Vector = tuple[Number, Number, Number]
 
 
 class SurfaceTable(Table, frozen=True, kw_only=True):
-    """The keys that every table [[surface]] has."""
+    """The keys that every table [[surface]] has. Each kind makes its checked shape of a folder, which its file paths are relative to."""
 
     kind: str
     name: Text | None = None
@@ -160,10 +160,6 @@ class SurfaceTable(Table, frozen=True, kw_only=True):
     zone_along_mm: Ends | None = None
     zone_across_mm: Ends | None = None
     zone_feed_m_per_min: Positive = 1.0
-
-    def shape(self, folder: Path, where: str) -> Profile | Plane | Sphere | MeshFile:
-        """The checked shape; file paths are relative to `folder`."""
-        raise NotImplementedError
 
 
 class _SegmentTable(Table, frozen=True):
@@ -236,7 +232,8 @@ class _MeshTable(SurfaceTable, frozen=True, kw_only=True):
         return MeshFile(outer_file(self.file, folder, f"{where}: file"), self.unit)
 
 
-TABLES: dict[str, type[SurfaceTable]] = {"profile": _ProfileTable, "plane": _PlaneTable, "sphere": _SphereTable, "mesh": _MeshTable}
+_AnyTable = _ProfileTable | _PlaneTable | _SphereTable | _MeshTable
+TABLES: dict[str, type[_AnyTable]] = {"profile": _ProfileTable, "plane": _PlaneTable, "sphere": _SphereTable, "mesh": _MeshTable}
 """Models of the tables [[surface]] by their kind."""
 
 
