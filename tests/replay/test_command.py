@@ -325,9 +325,9 @@ def test_the_web_viewer_answers_on_this_computer_only_and_ends(run: Path) -> Non
         assert process.stdout is not None
         assert f"http://127.0.0.1:{port}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A" in process.stdout.readline()
         page = b""
-        for _ in range(100):
+        for _ in range(600):
             try:
-                page = urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5.0).read()
+                page = urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=60.0).read()
                 break
             except OSError:
                 clock.sleep(0.1)
