@@ -146,7 +146,7 @@ MUTILATIONS = (
 )
 
 READ = MUTILATIONS[:11]
-"""Mutilations after which a recording can usually be read."""
+"""A recording can usually be read after these mutilations."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ Key = tuple[str, str]
 PERIOD_S = 1e-3
 LEAD_MM = 10.0
 WITHIN = 0.02
-"""Relative RMS difference below which a signal arrived as it was simulated."""
+"""Largest relative RMS difference between a signal as simulated and as imported."""
 OUTCOMES = ("right", "part", "asked", "said", "wrong", "fault")
 SIGNALS = ("setpoint", "position", "velocity", "current", "motor_position", "velocity_setpoint")
 NAMES = {

@@ -43,7 +43,7 @@ PANELS: dict[str, tuple[str, tuple[dict[str, float], ...]]] = {
 PAPER = {"part 1 fast": 20.0, "part 2 fast": 30.0, "part 2 slow": 5.0}
 """Depths of the paper, against the programmed cut [um]."""
 AGREES = 0.10
-"""Relative difference within which a depth agrees with the paper."""
+"""A depth agrees with the paper if it differs by less than this share."""
 LINEAR = ("X", "Y", "Z")
 BRIEF = 900.0
 """Feed of the slow pass if only the fast one is evaluated [mm/min]: still slow for the zone, but short."""

@@ -49,7 +49,7 @@ PLACED = ("lead_error", "cyclic_error")
 
 
 class Kind(NamedTuple):
-    """Share of the machines, effects of which one is drawn (empty: any), and how: see `Stratum`. ANOTHER closes most loops on motor encoders."""
+    """Share of the machines, the effects to draw from (empty: any), and how: see `Stratum`. ANOTHER closes most loops on motor encoders."""
 
     share: float
     stratum: Stratum

@@ -46,7 +46,7 @@ FACTORS = (2.0 / 3.0, 4.0 / 3.0)
 DEFAULT = replace(T)
 
 SIZE, GAP = 0.02, 0.05
-"""Relative changes of a size and of the remaining gap above which an answer counts as changed."""
+"""An answer counts as changed if a size or the remaining gap changes by more than these shares."""
 
 GROUP = 6
 """Moves that are made at once at first."""
@@ -104,7 +104,7 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
 
 @dataclass(frozen=True)
 class Answers:
-    """Answers of all cases, kept in a file; `until` is the time [s, monotonic] after which no diagnosis begins."""
+    """Answers of all cases, kept in a file; no diagnosis begins later than `until` [s, monotonic]."""
 
     folder: Path
     kept: dict[str, dict[str, Any]]
@@ -201,7 +201,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for cases and answers")
     parser.add_argument("--seed", type=int, default=700)
     parser.add_argument("--quick", action="store_true", help="quick looks instead of whole diagnoses")
-    parser.add_argument("--minutes", type=float, default=600.0, help="time after which no further diagnosis begins")
+    parser.add_argument("--minutes", type=float, default=600.0, help="begin no further diagnosis after this time")
     parser.add_argument("--only", nargs="*", help="only these thresholds")
     parser.add_argument("--write", type=Path, metavar="FILE.csv", help="write the table")
     parser.add_argument("--list", action="store_true", help="print every threshold with unit, meaning and provenance")

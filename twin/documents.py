@@ -89,7 +89,7 @@ def toml_key(name: str) -> str:
 
 @contextlib.contextmanager
 def reading(path: Path, kind: str, remedy: str = "export it again") -> Iterator[None]:
-    """Context in which a library reads `path`: any error of the library becomes an InputError, whatever its class.
+    """Context around a library that reads `path`: any error of the library becomes an InputError, whatever its class.
 
     Raises:
         InputError: `path` is not a readable `kind`, with `remedy`. The library's own words mean nothing to the user and are left out;

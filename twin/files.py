@@ -77,7 +77,7 @@ _made: list[Path] | None = None
 
 @contextlib.contextmanager
 def all_or_none() -> Iterator[None]:
-    """Context in which several files are written together: if it raises, the new ones among them are removed."""
+    """Context around several files that are written together: if it raises, the new ones among them are removed."""
     global _made
     _made = []
     try:

@@ -33,7 +33,7 @@ def raised_by() -> float:
 
 @contextlib.contextmanager
 def raised(factor: float) -> Iterator[None]:
-    """Context in which all limits are multiplied by this factor, also in child processes."""
+    """Context: all limits are multiplied by this factor, also in child processes."""
     before = os.environ.get(RAISED_BY)
     os.environ[RAISED_BY] = repr(factor)
     try:

@@ -80,7 +80,7 @@ def deg_from_rad(angle_rad: float) -> float:
 
 
 class AxisUnits:
-    """Units in which people read the quantities of one kind of axis, each as (name, factor from SI)."""
+    """People's units of the quantities of one kind of axis, each as (name, factor from SI)."""
 
     def __init__(self, position: str, speed: str, error: str, error_per_si: float) -> None:
         self.position = (position, 1.0 / UNITS[position][1])

@@ -36,7 +36,7 @@ PYTHON_TICKS = 2_000
 """Ticks of the Python loop over MuJoCo; its time is scaled to the whole run."""
 
 SMOOTH_M_PER_S = 1e-5
-"""Speed over which the friction of `solve_ivp` changes its sign; a jump would stop the integrator."""
+"""The friction of `solve_ivp` changes its sign within this speed; a jump would stop the integrator."""
 
 CHORDS, FEED = 1_000, 3_000.0
 

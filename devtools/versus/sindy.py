@@ -21,7 +21,7 @@ SLOW = 4e-3
 """Speed [m/s, rad/s] at which the Stribeck term fades."""
 BAGS = 20
 THRESHOLDS = (0.02, 0.05, 0.1, 0.2)
-"""Share of the largest normalised term below which a term is dropped; the second half of the record chooses."""
+"""A term is dropped if it is smaller than this share of the largest normalised term; the second half of the record chooses."""
 
 CAUSES = {
     "|v|": "viscous_asymmetry",

@@ -135,7 +135,7 @@ def _empty_in(arguments: Sequence[str]) -> str | None:
 
 
 def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:
-    """Context in which the library also has the effects of the `--effects` files."""
+    """Context: the library also has the effects of the `--effects` files."""
     if not getattr(args, "effects", None):
         return contextlib.nullcontext()
     from twin.effects.user_files import effects_of

@@ -15,7 +15,7 @@ from twin.progress import Progress
 ARGUMENTS = (
     arg("source", "DIAGNOSIS|MACHINE", "folder of a diagnosis, its diagnosis.json, or a machine file with effects (default: the Mikron UCP 710)", nargs="?"),
     EFFECT,
-    arg("--program", "INPUT", "part program or trace on which the error is judged (default: a circle of two axes)"),
+    arg("--program", "INPUT", "part program or trace that judges the error (default: a circle of two axes)"),
     arg("--target-um", "T", "RMS error at the tool point to reach [um] (default 5)", type=positive, default=5.0),
     arg("--tolerance-um", "W", "tolerance of the part: largest error at the tool point to stay within [um]", type=positive),
     *MARGINS,

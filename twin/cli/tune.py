@@ -12,7 +12,7 @@ from twin.progress import Progress
 ARGUMENTS = (
     GIVEN_MACHINE,
     EFFECT,
-    arg("--program", "INPUT", "part program or trace on which delays are fitted (default: a circle of two axes)"),
+    arg("--program", "INPUT", "part program or trace for the fit of delays (default: a circle of two axes)"),
     *MARGINS,
     out_argument("folder for machine.toml and report.html"),
     PLACE,

@@ -89,7 +89,7 @@ class Block:
 
     name       table below `[axis.N.block]`
     numbers    its numbers
-    stage      stage of the loop at which `law` is called (`loop_terms`: SETPOINT, SPEED, DRIVE, CURRENT, VOLTAGE)
+    stage      stage of the loop that calls `law` (`loop_terms`: SETPOINT, SPEED, DRIVE, CURRENT, VOLTAGE)
     law        compiled term with its own state; None for a set point filter
     constants  parameters of the term from the numbers, the cycles and the position gain [1/s]
     kernel     weights of a set point filter at the last position cycles, newest first, with the sum 1
@@ -153,7 +153,7 @@ def keys_of(name: str, kind: str) -> dict[str, Key]:
 
 
 def named_blocks(tables: Any, where: str) -> list[Block]:
-    """The blocks of `[axis.N.block]` in the order in which they act. Raises InputError for an unknown one."""
+    """The blocks of `[axis.N.block]` in the order of their action. Raises InputError for an unknown one."""
     if not isinstance(tables, Mapping) or not all(isinstance(table, Mapping) for table in tables.values()):
         raise InputError(f"{where}: must hold one table for each block; write [axis.N.block.NAME]")
     for name in tables:

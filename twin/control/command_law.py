@@ -22,7 +22,7 @@ from twin.estimate.evidence import held_out, is_better, pieces_of
 from twin.estimate.regression import solved
 
 LONGEST_DIFFERENCE = 6
-"""Most cycles over which the control differentiates the position."""
+"""The control differentiates the position over at most this many cycles."""
 
 AHEAD, BEHIND = 1, 2
 """Steps of the set point before and after the present cycle that the feedforward uses; a profile's own speed is a cycle ahead of its steps."""
@@ -59,7 +59,7 @@ class CommandRun:
 class CommandLaw:
     """Position gain [1/s], speed gain [command per m/s or rad/s], integral time [s] (inf: P), feedforward weight, delay of the set point [s].
 
-    `mean_cycles`: cycles over which the position is differentiated, 0 if the recorded speed is used. `left`: share of the command (RMS)
+    `mean_cycles`: the position is differentiated over so many cycles, 0 if the recorded speed is used. `left`: share of the command (RMS)
     that the law leaves on held-out pieces.
     """
 

@@ -1,4 +1,4 @@
-"""Sampled linear systems, of which the margins of the loops are made: x(k+1) = a x(k) + b u(k), y(k) = c x(k)."""
+"""Sampled linear systems; the margins of the loops are computed with them: x(k+1) = a x(k) + b u(k), y(k) = c x(k)."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from twin.control.linear import padded
 from twin.control.number import Key, positive, same_key
 
 MOST_MEAN_CYCLES = 16
-"""Most speed cycles over which a position may be differentiated."""
+"""A position may be differentiated over at most this many speed cycles."""
 
 DRIVE_FEEDFORWARD = "drive_torque_feedforward"
 

@@ -24,7 +24,7 @@ Residuals = Mapping[str, Mapping[str, np.ndarray]]
 
 @dataclass(frozen=True)
 class Free:
-    """A free number in the units of the search, in which a change of 1 is large.
+    """A free number in the units of the search: a change of 1 is large there.
 
     `step`: of the difference quotient; `part`: the one that it moves; `low`, `high`: bounds.
     """

@@ -1,4 +1,4 @@
-"""Detectability: which effects a campaign can show, down to which size, given its runs, signals and noise. No truth is needed.
+"""Detectability: the effects that a campaign can show, and the smallest size of each, given its runs, signals and noise. No truth is needed.
 
 The twin simulates how each effect of usual size changes the signals of this campaign: the response d, in multiples of noise and with
 the toleranced parameters projected out. Its log likelihood against noise is s = |d|^2 / 2. Against the nearest rival, whose size is
@@ -273,7 +273,7 @@ def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Out
         f"The further run that would help most: {helps[4:]}." if helps else ""
     )
     sections = [
-        Section("Down to which size", tables=[effects_table(own)]),
+        Section("Smallest visible sizes", tables=[effects_table(own)]),
         Section("Other sensors, further runs", tables=[campaigns_table(outlooks_of)]),
     ]
     write_page(path, f"What {campaign.path.name} could show", lead, sections)

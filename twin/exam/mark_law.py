@@ -20,16 +20,16 @@ SIMILAR = 0.95
 """Least correlation with the true law of a right shape."""
 
 FREQUENCIES_HZ = np.linspace(1.0, 200.0, 400)
-"""Frequencies at which a filter is compared."""
+"""A filter is compared at these frequencies."""
 
 POINTS = 400
 """Number of points over the range of a variable."""
 
 STROKE = 5.0
-"""Stroke over which a play is compared, as a multiple of its width."""
+"""A play is compared over this stroke, as a multiple of its width."""
 
 TOLERANCED = ("mechanics", "transmission")
-"""Blocks in which toleranced parameters explain a part of a curve: friction and stiffness. In the others a constant is removed."""
+"""Toleranced parameters explain a part of a curve in these blocks (friction and stiffness). In the others a constant is removed."""
 
 
 def laws_of_fault(fault: Mapping[str, Any], answer: Mapping[str, Any]) -> list[Mapping[str, Any]]:

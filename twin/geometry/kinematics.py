@@ -161,7 +161,7 @@ class Kinematics:
         half = np.arccos(np.clip(r / size, -1.0, 1.0))
         for k, sign in enumerate((1.0, -1.0)):
             tilt = _wrapped(np.arctan2(q, p) + sign * half)
-            # direction into which C must turn the tool axis, after A is undone
+            # C must turn the tool axis into this direction, after A is undone
             goal = np.einsum("nij,j->ni", rotation(a, -tilt), z)
             pairs[k, :, 0] = tilt
             pairs[k, :, 1] = _turn_between(axis, goal, c)

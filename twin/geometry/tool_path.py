@@ -109,7 +109,7 @@ def tool_path_of(trace: Trace, signal: str, machine: Machine, *, kinematics: Kin
 
 
 def search_window(machine: Machine) -> float:
-    """Time [s] around a sample in which its nearest reference point is searched."""
+    """The nearest reference point of a sample is searched within this time [s] around it."""
     gains = [axis.loops.position_gain_per_s for axis in machine.axes if axis.loops.position_gain_per_s > 0]
     return max(SHORTEST_WINDOW, LAGS / min(gains)) if gains else SHORTEST_WINDOW
 

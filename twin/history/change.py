@@ -1,4 +1,4 @@
-"""A change in a series of sizes: one test with a stated rate of false alarms, the onset, the size, and the date at which a limit is reached.
+"""A change in a series of sizes: one test with a stated rate of false alarms, the onset, the size, and the date when a limit is reached.
 
 The size y(t) of a direction in recording t is compared with two laws,
 
@@ -26,7 +26,7 @@ SIZES = (1.5, 4.0, 12.0)
 """Sizes of a change that the test is made for, in standard deviations of the scatter between recordings."""
 
 RAMP = 8.0
-"""Recordings in which a growing change reaches such a size."""
+"""A growing change reaches such a size within so many recordings."""
 
 LONGEST = 120
 """Recordings that the test looks back."""
@@ -123,7 +123,7 @@ def level(y: np.ndarray, nuisance: np.ndarray, onset: int) -> Level:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Day at which a growing size reaches a limit, with the earliest and the latest day of its 95 % interval (inf: never)."""
+    """Day when a growing size reaches a limit, with the earliest and the latest day of its 95 % interval (inf: never)."""
 
     day: float
     earliest: float

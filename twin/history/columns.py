@@ -1,4 +1,4 @@
-"""Unit effects: the directions in which a machine can change, each at a usual size.
+"""Unit effects: every way that a machine can change, each at a usual size.
 
 A change of size is a multiple theta of a unit effect: d parameter = theta x unit. For a spring it is its compliance that is multiplied. A
 sinusoidal effect has two directions, sine and cosine; an effect whose wave is unknown has directions at several of its usual ones. Effects

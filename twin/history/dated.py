@@ -1,4 +1,4 @@
-"""Dated campaigns in a folder: campaigns, or single traces, each with the day on which it was recorded.
+"""Dated campaigns in a folder: campaigns, or single traces, each with the day of its recording.
 
 The day stands in `campaign.toml` (`recorded = 2026-05-03`), or in the name of the folder or the file (2026-05-03, 2026-05-03_06-30, 20260503).
 Where none has a day, the order of the names counts, one week apart, and this is said.

@@ -212,7 +212,7 @@ def _resized(history: Judgement, change: Change, standing: Sequence[Change], now
 
 
 def _until_now(history: Judgement, change: Change, standing: Sequence[Change], limit_of: LimitOf, size_of: SizeOf) -> Change:
-    """The change with its size by all recordings, and the day at which it reaches its limit, from its last recordings."""
+    """The change with its size by all recordings, and the day when it reaches its limit, from its last recordings."""
     one = history.series[change.group]
     nuisance = history.nuisance(change.group, bool(one.warms[change.k]), standing)[one.at]
     alike = [k for k, d in enumerate(one.directions) if (d.cause, d.wave) == (change.cause, change.direction.wave)]

@@ -1,4 +1,4 @@
-"""A recording projected onto the directions in which its machine can change.
+"""A recording projected onto every way that its machine can change.
 
 Residual r (recording minus the reference twin) and responses J (row, direction) to the unit effects, both weighted by noise, enter as
 
@@ -39,7 +39,7 @@ ANSWERS = (
     "acceleration",
     "load_position",
 )
-"""Signals by which the machine answers; all others are its inputs."""
+"""Signals of the machine's answer; all others are its inputs."""
 
 TOGETHER = 32
 """Directions that are simulated together: more need more memory and are no faster."""
@@ -115,14 +115,14 @@ class Reference:
         self._known: dict[tuple[int, tuple[str, ...]], Linearised] = {}
 
     def groups_of(self, runs: Sequence[MeasuredRun]) -> list[tuple[str, ...]]:
-        """Coupled axes of which something moves in these runs."""
+        """Coupled axes with a motion in these runs."""
         moving = sorted({axis for run in runs for axis in run.trace.axes if run.trace.moves(axis)})
         return axis_groups(with_effects(self.machine, []), moving)
 
     def linearised(
         self, runs: Sequence[MeasuredRun], axes: tuple[str, ...], noise: Sequence[Noise] = ()
     ) -> Iterator[tuple[MeasuredRun, Linearised]]:
-        """Each run in which some of these axes were recorded, with `noise` of its channels instead of its own."""
+        """Each run that recorded some of these axes, with `noise` of its channels instead of its own."""
         for i, run in enumerate(runs):
             known = self._known.get((i, axes))
             if known is None or not known.fits(run):

@@ -41,10 +41,10 @@ LEAST_SCATTER = 0.01
 """Smallest scatter between recordings in usual sizes: load and friction act on the rest too, in ways that are not linear."""
 
 WARMS = ("coulomb_friction", "viscous_friction", "viscous_asymmetry", "stribeck", "thermal_drift", "lead_error", "frame_vibration")
-"""Effects that temperature acts on, frame vibration by the moment at which an axis breaks away."""
+"""Effects that temperature acts on; frame vibration through the moment of break-away."""
 
 THERMOMETERS = ("viscous_friction", "coulomb_friction", "lead_error")
-"""Effects by which the other axes show temperature and season."""
+"""Effects that show temperature and season on the other axes."""
 
 RIVAL = 0.8
 """Another cause is named beside the best one if it explains at least this share of what that one explains."""

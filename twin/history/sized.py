@@ -17,7 +17,7 @@ from twin.history.projection import Linearised
 from twin.history.series import Series, filters
 
 STEPS, CLOSE, FACTOR = 8, 0.002, 4.0
-"""Most simulations of a change, the relative difference at which its size is found, and the largest factor on the slope's size."""
+"""Most simulations of a change, the relative accuracy of its size, and the largest factor on the slope's size."""
 
 
 def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> SizeOf:

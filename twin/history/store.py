@@ -52,7 +52,7 @@ class Store(RowFile):
         self.insert((row.name, row.digest, content), instead=True)
 
     def rows(self) -> list[Row]:
-        """All campaigns in the order in which they were judged."""
+        """All campaigns in the order of their judgement."""
         found = []
         for name, digest, content in self.select("name, digest, content"):
             with self.said():

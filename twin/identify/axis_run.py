@@ -35,7 +35,7 @@ REACH_S = 0.06
 """Half length of the filter window."""
 
 SLIDING_RAD_PER_S, SLIDING_M_PER_S = 5.0, 8e-3
-"""Speed above which friction is linear in speed: motor speed of a screw drive (8 mm/s with a 10 mm screw) and speed of a direct drive.
+"""Friction is linear in speed at higher speeds: motor speed of a screw drive (8 mm/s with a 10 mm screw) and speed of a direct drive.
 The Stribeck excess has decayed at 4 mm/s. A slow axis slides above SLIDING_SHARE of its highest speed."""
 
 SLIDING_SHARE = 0.1
@@ -72,9 +72,9 @@ class AxisRun:
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
     known_load: np.ndarray | None  # recorded outside load, mean of the cycle, as torque at the motor towards +q [Nm]
     injected: np.ndarray | None  # command that a test rig adds, mean of the cycle, as torque at the motor [Nm]
-    slides_above: float  # speed above which friction is linear in speed [rad/s]
+    slides_above: float  # friction is linear in speed at higher speeds [rad/s]
     limited: np.ndarray  # True where the current is at its limit or a channel is clipped
-    clipped: dict[str, float]  # signal -> seconds for which its recording is clipped
+    clipped: dict[str, float]  # signal -> seconds of clipped recording
 
     def filtered(self, values: np.ndarray) -> np.ndarray:
         """Zero-phase low-pass of (cycle,) values, padded with the end values."""
@@ -118,7 +118,7 @@ def low_pass_window(cycle: float) -> np.ndarray:
 
 
 def slides_above(axis: Axis) -> float:
-    """Motor speed above which friction is linear in speed [rad/s; m/s of a direct drive]."""
+    """Friction is linear in speed above this motor speed [rad/s; m/s of a direct drive]."""
     if axis.drive == "direct":
         return min(SLIDING_M_PER_S, SLIDING_SHARE * axis.max_velocity)
     return min(SLIDING_RAD_PER_S, SLIDING_SHARE * axis.max_velocity / axis.ratio)
@@ -153,7 +153,7 @@ class _Signals:
 
 @dataclass(frozen=True)
 class _Cycles:
-    """Position cycles of a record of which each has the same number of samples; `first` is the first sample of the first cycle."""
+    """Position cycles of a record, each with the same number of samples; `first` is the first sample of the first cycle."""
 
     samples: int
     first: int
@@ -267,7 +267,7 @@ def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals) -> _Cycles
 
 
 def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[np.ndarray, dict[str, float]]:
-    """(cycle,) True where the current is at its limit or a channel is clipped; signal -> seconds for which its recording is clipped."""
+    """(cycle,) True where the current is at its limit or a channel is clipped; signal -> seconds of clipped recording."""
     axis, time = signals.axis, setpoint.x
     limited, clipped = np.zeros(cycles.count, bool), {}
     if signals.has(axis.effort):
@@ -284,7 +284,7 @@ def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[
 
 
 def _phase(speed_setpoint: np.ndarray, samples_per_cycle: int) -> int:
-    """Index of the sample within a cycle at which the speed set point changes; 0 if it cannot be determined."""
+    """Index of the sample within a cycle where the speed set point changes; 0 if it cannot be determined."""
     changes = [np.count_nonzero(np.diff(speed_setpoint)[k::samples_per_cycle]) for k in range(samples_per_cycle)]
     most = int(np.argmax(changes))
     return (most + 1) % samples_per_cycle if changes[most] > 2 * sorted(changes)[-2:][0] and samples_per_cycle > 1 else 0

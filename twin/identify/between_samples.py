@@ -80,7 +80,7 @@ def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
 
 
 DIVERGED = 1e100
-"""Current [A] or speed [rad/s] after a unit step beyond which the loop is unstable."""
+"""The loop is unstable if its current [A] or speed [rad/s] after a unit step exceeds this."""
 
 
 def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -173,7 +173,7 @@ def sawtooth_of(
     """Condense the ripple of several runs.
 
     Per run: `steps` (speed and torque set point steps, (cycle,)), ripple (cycle,) of current [A] and motor speed [rad/s], and `use`
-    (cycle,) bool, the cycles in which the axis slides; a sticking load vibrates differently. `noise`: standard deviation of one sample of
+    (cycle,) bool, the cycles of sliding; a sticking load vibrates differently. `noise`: standard deviation of one sample of
     current and of speed; a ripple is one sample minus half of two others.
     """
     gram = np.zeros((2 * SETTLED_CYCLES, 2 * SETTLED_CYCLES))

@@ -157,7 +157,7 @@ class MeanCurrent:
     ) -> MeanCurrent:
         """Start with the machine file's gains and winding, and the drive train from motor and scale (`partners`: see drive_train).
 
-        `torque_weight` multiplies the torque feedforward of runs in which it is on.
+        `torque_weight` multiplies the torque feedforward of the runs that use it.
         """
         train = drive_train(axis, runs, partners)
         loop = replace(fast_loop_of(machine, axis, inertia), mode=train.mode, load=train.load)
@@ -196,7 +196,7 @@ class MeanCurrent:
 
 
 def simulated_torque_weight(axis: Axis, run: AxisRun) -> float:
-    """Weight of the torque feedforward with which `Machine.with_feedforward` simulates a run in which it is on."""
+    """Weight of the torque feedforward where `Machine.with_feedforward` switches it on."""
     return axis.loops.torque_feedforward or float(run.feedforward == "velocity+torque")
 
 

@@ -36,7 +36,7 @@ PASS_HZ, REACH_S = 50.0, 0.02
 PIECE_S = 0.05
 LEAST_PIECES = 4
 MOVES = 0.05
-"""Pieces in which the axis moves slower than this share of its highest speed are not used."""
+"""Pieces slower than this share of the axis' highest speed are not used."""
 
 MOST_PIECES_READ = 32
 """Largest number of pieces, evenly spread over the motion; more cost time without changing the result."""
@@ -48,7 +48,7 @@ CLEARER = 1.3
 """On held-out pieces the residual of the drive-side law must be smaller than that of the NC-side law by this factor."""
 
 MOST_PIECES = 0.75
-"""Share of these pieces on which the drive-side law must be better."""
+"""The drive-side law must be better on this share of these pieces."""
 
 
 @dataclass(frozen=True)

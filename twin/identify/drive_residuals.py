@@ -54,7 +54,7 @@ RANGES = {"mode_frequency_hz": (5.0, 200.0), "mode_mass_share": (1e-3, MOST_MODE
 """Bounds of the search for a structural mode."""
 
 SETTLING_S = 0.1
-"""Time after a motion in which the position still counts [s]; later vibration has other causes."""
+"""The position still counts for this time after a motion [s]; later vibration has other causes."""
 
 
 @dataclass(frozen=True)

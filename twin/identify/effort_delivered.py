@@ -1,6 +1,6 @@
 """Compare the commanded with the delivered effort (torque or current) of a drive: gain, delay, offset and limit.
 
-    delivered(t) = g commanded(t - d) + o        below a limit, at which the delivered effort stays while the command grows
+    delivered(t) = g commanded(t - d) + o        below a limit; there the delivered effort stays while the command grows
 
 A drive that records both (torque set point and torque, or current set point and current) shows inverter, torque constant and saturation
 separately from the mechanics. g and o are fitted by least squares on samples away from the limit; d is searched on a grid and refined. SI.

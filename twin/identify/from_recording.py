@@ -28,7 +28,7 @@ from twin.simulation.gap import predict
 from twin.units import AXIS_UNITS
 
 LONGEST_TRIED_S = 8.0
-"""Longest recorded time on which speed controllers are tried [s]."""
+"""Speed controllers are tried on at most this much recorded time [s]."""
 LAG_FACTORS = (0.6, 0.8, 1.25, 1.6)
 INTEGRAL_TIMES_S = (0.004, 0.01, 0.03, 0.1, 0.4)
 DELAY_STEPS_S = (-1.5e-3, -0.5e-3, 0.5e-3, 1.5e-3, 4e-3)

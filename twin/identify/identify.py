@@ -53,7 +53,7 @@ def identify(
     """Friction, inertia, gravity, gains and delays of a machine from its own traces, each with a 95 % interval.
 
     `campaign` is a campaign or its folder; `machine` the machine to start from. `refine` fits in closed loop what the regression leaves open.
-    `torque_constant_tolerance`: relative half width within which the torque constants are known (default: the machine file's
+    `torque_constant_tolerance`: relative half width of the known interval of the torque constants (default: the machine file's
     parameter_tolerance). `progress` is called with the name of each step when it begins. With `gaps` the result is judged on the held-out
     motion; its `refused` then gives the reason if no machine file may be written. Without `gaps` the result is the machine of the regression,
     even after a fit in closed loop. In the result, `parameters` are in SI and `machine` is the identified machine. Raises InputError if the

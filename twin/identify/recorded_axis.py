@@ -24,11 +24,11 @@ from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise, roughness,
 BAND_HZ = 40.0
 """Band of the speeds and accelerations, and of the efforts that belong to them [Hz]."""
 MOVING = 0.02
-"""Share of the highest speed of the recording above which an axis moves."""
+"""An axis moves if it exceeds this share of the highest speed of the recording."""
 LEAST_SAMPLES = 16
 """Fewest samples of a run, and fewest samples in motion: twice the numbers of the largest regression and some more."""
 LEAST_TURN_RAD = 0.5
-"""Least travel of a rotary axis on which a weight that turns with it shows."""
+"""A weight that turns with a rotary axis shows on no smaller travel."""
 EFFORTS = ("current", "voltage", "torque")
 LEAST_SPREAD = 2.5
 """Below this ratio of the 97th to the 10th percentile of its speeds an axis has one speed. Ramps are a small share of such motion, and their
@@ -146,7 +146,7 @@ def value_of(fit: Fit, weights: Sequence[float]) -> Value | None:
 
 
 def one_speed(speeds: np.ndarray) -> float | None:
-    """The single speed at which an axis slides, from its speeds (sample,) while it moves; None if it has several.
+    """The single sliding speed of an axis, from its speeds (sample,) while it moves; None if it has several.
 
     Coulomb and viscous friction are separated only by several speeds.
     """

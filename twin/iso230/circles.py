@@ -25,7 +25,7 @@ from twin.errors import InputError
 DIRECTIONS = ("ccw", "cw")
 """Counter-clockwise: from the first axis to the second."""
 GRID = 3600
-"""Number of angles at which two paths are compared."""
+"""Two paths are compared at so many angles."""
 SPIKE_WINDOW = math.radians(8.0)
 """Half width of the window for a reversal spike around its quadrant."""
 BESIDE = (math.radians(10.0), math.radians(16.0))

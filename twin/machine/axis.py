@@ -96,12 +96,12 @@ class Axis:
 
     drive                         screw, gear or direct: what turns the motor into motion of the axis (keys of `twin.machine.parameters`)
     ratio                         axis units per motor radian: lead / 2 pi (screw), 1 / gear ratio (gear), 1 (direct)
-    commissioned_torque_constant  [Nm/A] by which the control divides torques; the motor's own if the file omits it
+    commissioned_torque_constant  [Nm/A] the control divides torques by it; the motor's own if the file omits it
     constant_torque_nm            steady load against +q: counterbalance, hoses, cable drag
     commissioned_inertia          [kg m2 at the motor] of the torque feedforward; None: that of the model in the home pose
     effort                        signal that the speed controller commands: current, voltage or torque
     encoder                       measuring system that closes the position loop: scale (at the load) or motor
-    blocks                        blocks of its control that the file lists beside the structure, in the order in which they act
+    blocks                        blocks of its control that the file lists beside the structure, in the order of their action
     friction_side                 where friction acts if an elastic drive train separates motor and load: load (guideways) or motor (gear of a robot)
     presliding_stiffness          [N/m or Nm/rad at the axis] of friction below break-away, as in the effect of that name, which takes its place; 0: rigid
     mode_frequency_hz             natural frequency of a structural mode in the axis' direction with the axis held (bed on its mounts, carried part)

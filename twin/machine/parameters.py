@@ -69,7 +69,7 @@ PARAMETERS = (
     *speed_controller.PARAMETERS,
     *current_controller.PARAMETERS,
     *drive_position_loop.PARAMETERS,
-    # values with which the control was commissioned; they do not change with motor and load
+    # values of the commissioning; they do not change with motor and load
     same_key(
         "commissioned.torque_constant_nm_per_a",
         positive(required=False),

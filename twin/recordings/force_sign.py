@@ -20,12 +20,12 @@ BAND_HZ = 30.0
 CLEAR = 0.25
 """Share of the force's variance that the balance must explain; below, the sign is not judged."""
 BETTER = 1.2
-"""Factor by which the residual of |balance| must be smaller than that of the signed balance to count as unsigned."""
+"""A force is unsigned if the residual of |balance| is smaller than that of the signed balance by this factor."""
 
 MOST = 0.5
-"""Share by which negative parts of the balance must outweigh positive ones before a sign is reversed: they are three times as large."""
+"""A sign is reversed if negative parts of the balance outweigh positive ones by this share: they are three times as large."""
 LEAST = 20
-"""Fewest samples on which a balance is fitted."""
+"""Fewest samples for the fit of a balance."""
 
 
 @dataclass(frozen=True)

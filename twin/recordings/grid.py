@@ -53,7 +53,7 @@ class Piece:
 
 
 def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: float, fill: bool) -> list[Piece]:
-    """Grids over the times at which all signals have samples. Unless gaps are filled, a grid ends at a gap of any signal."""
+    """Grids over the times with samples of all signals. Unless gaps are filled, a grid ends at a gap of any signal."""
     spans = [(begin_s, end_s)]
     bridged = 0
     for source in sources:
@@ -112,7 +112,7 @@ def _samples(signal: Signal, own: Stretch, times: np.ndarray) -> tuple[np.ndarra
 
 
 def block_with_most_travel(source: Source, piece: Piece, fill: bool) -> tuple[int, int]:
-    """Rows (first, last) of the block of a piece in which the signal travels farthest; the whole piece if it is short."""
+    """Rows (first, last) of the block of a piece with the farthest travel of the signal; the whole piece if it is short."""
     best, most = (0, min(piece.count, BLOCK)), -1.0
     for first in range(0, piece.count, BLOCK):
         last = min(first + BLOCK, piece.count)

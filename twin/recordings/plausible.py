@@ -16,9 +16,9 @@ from twin.recordings.relations import multiple, slope
 from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
 
 TOLERANCE = 0.08
-"""Relative tolerance within which a ratio counts as 1, or as another known factor."""
+"""Relative tolerance of a ratio that counts as 1, or as another known factor."""
 UNLIKE, SHARP = 0.5, 0.1
-"""Unexplained share of the variance above which a ratio means nothing, and below which any ratio other than 1 is reported."""
+"""A ratio means nothing if the unexplained share of the variance is above the first number; below the second, any ratio other than 1 is reported."""
 
 _SWAPPED = {
     "both": ((60.0, "", "per minute", "per second"), (60e3, "in ", "mm/min", "m/s")),

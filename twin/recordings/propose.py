@@ -175,7 +175,7 @@ def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str | 
 
 
 def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[str]) -> list[Signal]:
-    """The signals of an axis from the recording with most of them, of equals the one in which they change most; missing ones from another."""
+    """The signals of an axis from the recording with most of them (of equals, where they change most); missing signals from another."""
 
     def motion(recording: Recording) -> tuple[int, float]:
         own = [recording.signals[n] for n in names if n in recording.signals and _timed(recording.signals[n])]

@@ -28,7 +28,7 @@ APART = 0.02
 CLEAR, UNLIKE = 0.02, 0.5
 """Unexplained share of the variance: a ratio of two positions is clear below the first; above the second, one does not follow the other."""
 COUNTED = 0.2
-"""Share by which counts per second may differ from the slope of counts: few samples and whole numbers are coarse."""
+"""Counts per second may differ from the slope of counts by this share: few samples and whole numbers are coarse."""
 POSITIONS = ("setpoint", "position", "motor_position", "following_error")
 SPEEDS = ("velocity", "velocity_setpoint", "velocity_feedforward")
 FORCES = ("current", "torque", "voltage")

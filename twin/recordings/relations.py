@@ -19,7 +19,7 @@ from twin.recordings.force_sign import force_balance
 
 TINY = 1e-300
 WINDOWS = (1, 4, 16, 64)
-"""Samples over which a slope is averaged; the best one counts, so that neither noise nor few digits hide a slope."""
+"""A slope is averaged over these numbers of samples; the best average counts, so that neither noise nor few digits hide a slope."""
 TRIMMED = 0.98
 """Share of the samples that count for the roughness: a step of a set point is no noise."""
 
@@ -64,7 +64,7 @@ def follows(x: np.ndarray, s: np.ndarray, reach: int | None = None) -> Relation:
 
 
 def follows_in_part(x: np.ndarray, s: np.ndarray) -> Relation:
-    """The same for the part of the record in which x follows s best: an axis follows slow motion even where it cannot follow the rest."""
+    """The same for the part of the record where x follows s best: an axis follows slow motion even where it cannot follow the rest."""
     size = len(x) // PARTS
     parts = [slice(i * size, (i + 1) * size) for i in range(PARTS)] if size >= LEAST_OF_PART else []
     wide = [p for p in parts if np.ptp(s[p]) > 0.3 * np.ptp(s)]

@@ -29,7 +29,7 @@ FOURTH_DIFFERENCE = (1.0, -4.0, 6.0, -4.0, 1.0)
 """Weights of a fourth difference. It suppresses motion of a tenth of the sampling rate 50 times as strongly as white noise."""
 
 WINDOW = 100
-"""Samples of one stretch in which the level of white noise is measured."""
+"""The level of white noise is measured in stretches of so many samples."""
 
 QUIET = 0.25
 """Share of quiet stretches. Their loudest one gives the level, since a motion, an event or a fault is loud only elsewhere."""
@@ -49,7 +49,7 @@ def roughness(values: np.ndarray) -> float:
 
 
 def step_of(values: np.ndarray) -> float:
-    """Step of the grid on which all values (sample,) lie, as in a record with few digits; 0 if there is none."""
+    """Step of the grid of all values (sample,), as in a record with few digits; 0 if there is none."""
     levels = np.unique(values)
     gaps = np.diff(levels)
     gaps = gaps[gaps > SAME_LEVEL * np.abs(levels).max(initial=0.0)]

@@ -51,7 +51,7 @@ class Skew:
         return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), 4.0 * self.deviation)
 
     def differenced(self, period: float) -> int:
-        """Samples over which a speed is a difference of positions, if its lateness is half of that many samples; else 0."""
+        """A speed is a difference of positions over this many samples if it is late by half of them; else 0."""
         samples = 2.0 * self.seconds / period
         whole = round(samples)
         return whole if self.signal == "velocity" and 0 < whole <= MOST_DIFFERENCE and abs(samples - whole) < HALF_OFF else 0

@@ -1,4 +1,4 @@
-"""Time of a format that keeps it in a column: which column, in which unit, or none.
+"""Time of a format that keeps it in a column: the column and its unit, or none.
 
 The unit is, in this order, that of the user, that of the file, that of a count since 1970, or assumed: steps of 0.5 and more are ms, smaller ones s,
 because no control records slower than every half second. An assumed unit and a missing time are said in `TimeSource.text`.

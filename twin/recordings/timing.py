@@ -30,7 +30,7 @@ PAUSE_S = 1.0
 RUNS_ON = 3.0
 """After a true restart the next step forwards is at most this many intervals; after a damaged row it leads back to where the time was."""
 WINDOW = 50
-"""Samples over which an interval is averaged when single steps are rounded or jitter."""
+"""An interval is averaged over this many samples when single steps are rounded or jitter."""
 
 
 @dataclass(frozen=True)

@@ -142,7 +142,7 @@ class Trace:
         return replace(self, time=self.time[::every], signals={k: v[::every] for k, v in self.signals.items()})
 
     def unit(self, axis: str, signal: str) -> str:
-        """Unit in which a signal of an axis is written."""
+        """Written unit of a signal of an axis."""
         if axis == PROGRAM:
             return "1"
         unit = unit_of(signal, self.kinds.get(axis, "linear"))  # without a kind no signal depends on it
@@ -198,7 +198,7 @@ def quantity_of(unit: str) -> tuple[str, str | None]:
 
 
 def unit_of(signal: str, kind: str) -> str:
-    """Unit in which a signal is written: mm, mm/s, deg, deg/s, A, Nm."""
+    """Written unit of a signal: mm, mm/s, deg, deg/s, A, Nm."""
     quantity = QUANTITY.get(signal, "")
     return str(getattr(AXIS_UNITS[kind], quantity)[0]) if quantity in MOTION else OTHER_UNITS.get(signal, "1")
 

@@ -58,7 +58,7 @@ class Understood:
     """Position minus motor position [m or rad] by piece and axis, if both are recorded."""
     centred: bool = False  # offsets are removed from the positions
     made: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    """Signals that are not recorded -> what they are made from: a set point without which no run can be simulated."""
+    """Signals that are not recorded -> what they are made from: a set point, because no run can be simulated without."""
 
     def block(self, piece: Piece, first: int, last: int) -> dict[tuple[str, str], np.ndarray]:
         """Signals of rows first .. last of a piece, SI."""
@@ -102,7 +102,7 @@ def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Un
     begin = min(s.begin for c in channels for s in c.source.timing.stretches)
 
     def pieces_in_common(channels: Sequence[Channel]) -> tuple[Piece, ...]:
-        """Pieces of sufficient length in which all channels have samples."""
+        """Pieces of sufficient length with samples of all channels."""
         sources = [c.source for c in sorted(channels, key=lambda c: c.key != lead.key)]
         pieces = pieces_of(sources, period, begin + run.from_s, begin + run.to_s, fill)
         return tuple(p for p in pieces if p.count * period >= min(SHORTEST_S, 20 * period))

@@ -24,7 +24,7 @@ _SPEEDS = {
 }
 """Units of a speed beside a position in a unit, with their surprise: the negative logarithm of how usual they are. rev: turns of the axis."""
 TOLERANCE = {"velocity": 0.05, "velocity_feedforward": 0.4, "velocity_setpoint": 1.0}
-"""Share by which a speed may differ from the slope: a feedforward has a weight, and a set point leads (1.17 to 1.5 with a position loop in the drive)."""
+"""A speed may differ from the slope by this share: a feedforward has a weight, and a set point leads (1.17 to 1.5 with a position loop in the drive)."""
 _ROUND = [m * 10.0**e for e in range(-5, 0) for m in (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)]
 """Usual intervals of recordings [s]."""
 _TURNS = sorted({float(2**k) for k in range(8, 25)} | {m * 10.0**e for e in range(2, 8) for m in (1.0, 2.0, 2.5, 4.0, 5.0, 8.0)})
@@ -104,7 +104,7 @@ ON_TRAVEL = 0.01
 
 
 def interval_of_rows(position: str, factor_per_row: float) -> tuple[float, str] | None:
-    """Interval [s] at which a speed is the slope of a position per row, and the unit of this speed; None if no usual interval explains it."""
+    """Interval [s] that makes a speed the slope of a position per row, and the unit of this speed; None if no usual interval explains it."""
     found = []
     for unit, surprise in _SPEEDS[position].items():
         period = slope_factor(position, unit) / abs(factor_per_row)

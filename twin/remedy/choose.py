@@ -29,7 +29,7 @@ from twin.remedy.tune_change import tuned
 WORTH = 0.02
 """Smallest share of the error that a further change must take away."""
 FRICTIONS = (0.8, 1.2)
-"""Friction of the machine at which a change is tried beside its own."""
+"""A change is also tried with these multiples of the machine's friction."""
 NO_WORSE = 1.02
 """Largest error with a change over that without it, elsewhere; below is chance of the simulation."""
 

@@ -12,7 +12,7 @@ from twin.machine.loops import loops_of, margins_of
 from twin.machine.machine import Machine
 
 GRID = 600
-"""Frequencies on which margins are located while a gain is sought."""
+"""Margins are located on so many frequencies while a gain is sought."""
 
 
 @dataclass(frozen=True)

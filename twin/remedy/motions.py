@@ -1,4 +1,4 @@
-"""Motions on which a remedy is judged: the program that was asked for, and standard circles at three feeds and radii."""
+"""Motions that judge a remedy: the program of the command, and standard circles at three feeds and radii."""
 
 from __future__ import annotations
 

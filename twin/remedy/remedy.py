@@ -59,7 +59,7 @@ class Remedy:
 
     @property
     def override(self) -> tuple[float, ToolError] | None:
-        """The largest share of the feed with which the goal is reached after the changes; None if none of those tried does."""
+        """The largest share of the feed that reaches the goal after the changes; None if no tried share does."""
         return next(((share, error) for share, error in self.slower if self.goal.met(error)), None)
 
 

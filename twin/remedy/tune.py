@@ -109,7 +109,7 @@ def small_times(machine: Machine, axis: Axis) -> float:
 
 
 def mode_needed(machine: Machine, axis: Axis, asked: Asked) -> float | None:
-    """The lowest first mode [Hz] with which the loops of an axis keep half of the margins, to STEP; None if the file has a spring."""
+    """The lowest first mode [Hz] that leaves the loops of an axis half of the margins, to STEP; None if the file has a spring."""
     settings = settings_of(machine)
     if any(s.axis == axis.name for s in settings):
         return None
@@ -159,7 +159,7 @@ def _with_feedforward(machine: Machine) -> Machine:
 
 
 def _fastest(machine: Machine, axis: Axis, small: Mapping[str, float], asked: Asked) -> float:
-    """The smallest a with which the speed loop of an axis keeps the margins."""
+    """The smallest a that keeps the margins of the speed loop of an axis."""
 
     def keeps(a: float) -> bool:
         own = _with_speed_loops(machine, small, {**dict.fromkeys(small, TEXTBOOK), axis.name: a})
@@ -169,7 +169,7 @@ def _fastest(machine: Machine, axis: Axis, small: Mapping[str, float], asked: As
 
 
 def _largest_gain(machine: Machine, axis: str, asked: Asked) -> float:
-    """The largest Kv [1/s] with which the position loop of an axis keeps the margins."""
+    """The largest Kv [1/s] that keeps the margins of the position loop of an axis."""
 
     def keeps(slowness: float) -> bool:
         own = machine.with_values({f"axis.{axis}.loops.position_gain_per_s": 1.0 / slowness})

@@ -41,7 +41,7 @@ SETPOINT_MOVES = 3.0
 SHORTEST = 0.002
 """Shorter limits and sticking count as noise [s]."""
 SPEED_SPAN = 0.002
-"""Time over which speeds are differenced [s]."""
+"""Speeds are differences over this time [s]."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def _blocks(trace: Trace) -> Iterator[Event]:
 
 
 def stretches(time: np.ndarray, holds: np.ndarray) -> list[tuple[float, float]]:
-    """Start and end [s] of each stretch of at least SHORTEST in which a condition (sample,) holds."""
+    """Start and end [s] of each stretch of at least SHORTEST where a condition (sample,) holds."""
     edges = np.flatnonzero(np.diff(np.r_[False, holds, False].astype(np.int8)))
     found = [(float(time[a]), float(time[b - 1])) for a, b in zip(edges[::2], edges[1::2])]
     return [(start, end) for start, end in found if end - start >= SHORTEST - 1e-9]

@@ -31,7 +31,7 @@ from twin.simulation.errors_of_run import error_without_delay
 from twin.stopping import leave_behind
 
 POSES_PER_SECOND = 50.0
-"""Rate at which poses of the bodies are logged [1/s]."""
+"""Logged poses of the bodies a second [1/s]."""
 CURVE_POINTS_PER_MINUTE = 100_000
 """Points of all curves together; at 25 bytes each, half of the 5 MB allowed per minute."""
 LEAST_CURVE_POINTS = 100_000

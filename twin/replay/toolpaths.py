@@ -39,7 +39,7 @@ VISIBLE = (0.01, 0.5)
 PATH_TOLERANCE = 2e-6
 """Largest distance of a dropped point from the drawn path [m], also where the deviation is magnified."""
 DRAW_STEP = 0.05
-"""Step in which the followed path grows [s]; longer in runs with more than DRAW_STEPS steps."""
+"""Growth step of the followed path [s]; longer in runs with more than DRAW_STEPS steps."""
 DRAW_STEPS = 3000
 POINTS_PER_MINUTE = 6000
 """Most points of a path per minute; beyond it the tolerance grows."""
@@ -147,7 +147,7 @@ class ToolPaths:
     contours: Mapping[str, Contour]
     end: float
     magnifications: tuple[int, ...] = (1,)
-    """1 and the factors at which the deviation is visible."""
+    """1 and the factors that make the deviation visible."""
 
 
 def followed_joints(trace: Trace) -> dict[str, np.ndarray]:

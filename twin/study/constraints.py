@@ -1,6 +1,6 @@
 """Constraints of a design: bounds on responses, by name or pattern. A variant that breaks one records the reason.
 
-Two constraints always apply: a least phase margin of every loop, and a largest share of a run for which an axis may be at its
+Two constraints always apply: a least phase margin of every loop, and a largest share of a run that an axis may spend at its
 current or voltage limit (half a millisecond of clipped voltage at a corner is acceptable).
 """
 

@@ -17,7 +17,7 @@ from twin.tables import Number, Table, Text, asks
 INERTIA = "inertia."
 
 READ_IN = {"m": ("mm", 1e3), "m/rev": ("mm/rev", 1e3), "s": ("ms", 1e3), "H": ("mH", 1e3)}
-"""Unit of a machine file -> the unit in which people read it, and the factor."""
+"""Unit of a machine file -> people's unit, and the factor."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Factor:
 
     @property
     def read_in(self) -> tuple[str, float]:
-        """Unit in which people read its values, and the factor to it: 'mm/rev', 1000; ('', 1) for catalogue entries and numbers without a unit."""
+        """People's unit of its values, and the factor to it: 'mm/rev', 1000; ('', 1) for catalogue entries and numbers without a unit."""
         if self.choices:
             return "", 1.0
         unit = "times nominal" if self.relative else unit_at(self.paths[0])
@@ -53,7 +53,7 @@ class Factor:
 
     @property
     def unit(self) -> str:
-        """Unit in which people read its values: 'kg', 'mm/rev', 'times nominal'."""
+        """People's unit of its values: 'kg', 'mm/rev', 'times nominal'."""
         return self.read_in[0]
 
     def shown(self, value: float) -> str:

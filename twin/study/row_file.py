@@ -44,7 +44,7 @@ class RowFile:
 
     @contextlib.contextmanager
     def said(self) -> Iterator[None]:
-        """Context in which an error of the file becomes a message of one line."""
+        """Context: an error of the file becomes a message of one line."""
         try:
             yield
         except sqlite3.IntegrityError:  # the same row twice is a defect of the caller

@@ -8,7 +8,7 @@ recommission = true                  # optional: commission the control with eac
 retune = "same margins"              # optional: scale speed gains with the inertia and current gains with the winding; default: keep the gains
 pareto = [["a_um", "b_s"]]           # optional: trade-offs between pairs of responses; default: the first two of `answer`
 least_phase_margin_deg = 30          # optional: a variant with a loop below it is marked and cannot be the best
-most_time_at_limit = 0.001           # optional: share of a run for which an axis may be at its current or voltage limit
+most_time_at_limit = 0.001           # optional: largest share of a run that an axis may spend at its current or voltage limit
 
 [fixed]                              # optional: numbers of all variants, by path
 "axis.*.loops.torque_feedforward" = 0.0

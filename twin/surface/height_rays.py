@@ -1,4 +1,4 @@
-"""Height rays (an N-buffer): rays along the normals of the nominal surface, each with the height at which the material ends.
+"""Height rays (an N-buffer): rays along the normals of the nominal surface, each with the height of the material's end.
 
 Ray i starts at point (i, 3) with the outward unit direction (i, 3). Material fills it from -depth to `height` (ray,). Height 0 is the
 nominal surface, so the height of a cut ray is the deviation. Rays of a surface with two parameters form a grid (row, column).

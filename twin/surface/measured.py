@@ -144,7 +144,7 @@ def _levelled(height: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 
 def _best_shift(moved: np.ndarray, still: np.ndarray) -> np.ndarray:
-    """Rows and columns by which `moved` must be shifted onto `still`, from the largest correlation."""
+    """Shift of `moved` onto `still` in rows and columns, from the largest correlation."""
     from scipy.signal import correlate
 
     found = correlate(still, moved, mode="same", method="fft")

@@ -85,7 +85,7 @@ def mesh_rays(name: str, file: MeshFile, spacing: float, placed: Placed, allowan
 
 
 def stock_heights(rays: HeightRays, stock: MeshFile, placed: Placed) -> np.ndarray:
-    """Height (ray,) at which each ray leaves the stock mesh, seen from the nominal surface; -depth if it is never inside.
+    """Height (ray,) where each ray leaves the stock mesh, seen from the nominal surface; -depth if it is never inside.
 
     Material beyond the first gap above the nominal surface (the opposite wall of a pocket) is ignored.
     """

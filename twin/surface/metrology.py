@@ -99,7 +99,7 @@ def scallop_height(profile: np.ndarray) -> float:
 
 
 def _width(x: np.ndarray, y: np.ndarray, at: int, level: float) -> float:
-    """Length of the interval around index `at` in which y exceeds the level, with interpolated ends."""
+    """Length of the interval around index `at` where y exceeds the level, with interpolated ends."""
     if level <= 0.0:
         return 0.0
     ends = []

@@ -30,7 +30,7 @@ GROUP = 32
 BOUND_MARGIN = 1e-9
 """Subtracted from the computed bound of a ray to cover rounding [m]."""
 UNDER = 1e-9
-"""Depth below its lower plane [m] up to which a rounded element is skipped; the element with that plane cuts there."""
+"""A rounded element is skipped down to this depth below its lower plane [m]; the element with that plane cuts there."""
 REORDERED = {"contract", "nsz", "arcp"}
 """Floating-point changes allowed in the vectorised loop over rays."""
 TILES_AT_ONCE = 64
@@ -127,7 +127,7 @@ def segments_apart(a, b, p, q):  # type: ignore[no-untyped-def]
 
 @compiled(ieee_division=True, allocates=True)
 def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-untyped-def]
-    """Lowest t at which ray p + t n lies in an element during the step m (a row of `moves`); results above `top` may be inf."""
+    """Lowest t where ray p + t n lies in an element during the step m (a row of `moves`); results above `top` may be inf."""
     tip, way = (m[0], m[1], m[2]), (m[3], m[4], m[5])
     axis, turn = (m[6], m[7], m[8]), (m[9], m[10], m[11])
     if kind == FRUSTUM:

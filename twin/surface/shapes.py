@@ -23,7 +23,7 @@ from twin.tables import LARGEST, Number, Positive, Table, Text, asks
 from twin.units import UNITS, rad_from_deg
 
 EDGE_WIDTH = 0.5e-3
-"""Width beside a sharp edge over which the rays tilt towards its bisector [m]; deviations there are up to 1 / cos(turn / 2) larger."""
+"""The rays tilt towards the bisector of a sharp edge within this width beside it [m]; deviations there are up to 1 / cos(turn / 2) larger."""
 PLANES = {"xz": (0, 2, 1), "xy": (0, 1, 2), "yz": (1, 2, 0)}
 """Axes of a profile's plane, and its normal axis."""
 FLATTEST = 1e-6

@@ -22,11 +22,11 @@ from twin.compiled_functions import compiled
 
 SPHERE, FRUSTUM, ROUNDED = 0, 1, 2
 TINY = 1e-30
-"""Squared length of a step [m2] below which the tool is at rest."""
+"""The tool is at rest if the squared length of a step [m2] is smaller."""
 PARALLEL = 1e-6
-"""Squared sine between ray and motion below which the ends of the step are also tested."""
+"""The ends of the step are also tested if the squared sine between ray and motion is smaller."""
 SETTLED = 1e-8
-"""Change of t below which the contact point has converged [m]."""
+"""The contact point has converged if t changes by less [m]."""
 SLAB_MARGIN = 2e-8
 """Least distance of a ray from the end faces of a turning tool to count as clear [m], besides their motion within the step."""
 MOST_REPEATS = 12
@@ -248,7 +248,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
     if not turning:
         t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, 0.0, 1.0, top)
         return t
-    # start at the ray's own point in the middle of the step (not at `top`, on which the result must not depend)
+    # start at the ray's own point in the middle of the step (not at `top`: the result must not depend on it)
     s, t = 0.5, 0.0
     last, hit = math.inf, False
     for _ in range(MOST_REPEATS):

@@ -1,7 +1,7 @@
 """Compensations that a control can switch on, at its position cycle: friction pulse, backlash value, table of position errors.
 
     table      x_c = x + E(x) - E(x_0)          E: points with linear interpolation, held at the ends, or repeated on a turning table
-    backlash   x_c = x - c,  c works towards (b / 2) d in steps of b / n;   d: direction in which the set point last moved
+    backlash   x_c = x - c,  c works towards (b / 2) d in steps of b / n;   d: direction of the last motion of the set point
     pulse      when set point and speed command go one way that differs from that of the last pulse:  p = A(a) in that direction;
                it falls as exp(-t / T) and is added to the speed command.  A(a) = A min(a / a1, 1), up to a2; falls to A_low at a3
 x is the encoder in the loop, x_0 where the run starts. Written from the manuals of SINUMERIK (K3: EEC, MD32450, MD32490 ff), not from the twin.

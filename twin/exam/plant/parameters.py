@@ -142,7 +142,7 @@ def settings_of(machine: dict, factors: dict) -> Settings:
         return np.array([t[key] for t in tables], dtype=float)
 
     def commissioned(key: str, nominal: np.ndarray) -> np.ndarray:
-        """Value with which the control was commissioned, if the file has one."""
+        """Value of the commissioning, if the file has one."""
         return np.array([a.get("commissioned", {}).get(key, n) for a, n in zip(axis, nominal)])
 
     def spread(key: str) -> np.ndarray:

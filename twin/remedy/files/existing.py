@@ -91,7 +91,7 @@ def _number(text: str) -> float:
 
 
 def _blocks(data: dict[tuple[str, str], str], control: str, machine: Machine, path: Path) -> list[Existing]:
-    """The blocks of which a control's data hold numbers that are switched on."""
+    """The blocks whose numbers stand in a control's data and are switched on."""
     held: dict[str, dict[str, float]] = {}
     for (name, of), text in data.items():
         own, value = _axis(of, machine, path).name, _number(text)
