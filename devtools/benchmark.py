@@ -2,6 +2,9 @@
 
 Loop and engine alternate in blocks of a tenth of a second or less, and medians are compared, to cancel other loads on the computer.
 The loop's time is that of the whole `simulate`: set points, control, engine, recording.
+
+    scripts/benchmark                         the figures, once
+    scripts/benchmark --runs 5 --page README.md    median and spread of five runs into README, with day, computer and load; minutes, on an idle computer
 """
 
 from __future__ import annotations
@@ -9,9 +12,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from datetime import date
 import json
 import os
 from pathlib import Path
+import platform
 import statistics
 import subprocess
 import sys
@@ -22,6 +27,7 @@ import mujoco
 from numba import njit
 import numpy as np
 
+from devtools.pages import put_between
 from tests.reference.cascade_reference import ReferenceSimulation
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.engine_calls import call_address_2, engine_function_address
@@ -160,32 +166,58 @@ def startup_seconds() -> tuple[float, float]:
     return times[0], min(times[1:])
 
 
+TEXTS = {
+    "loop_over_engine": "the whole loop, relative to the same number of bare `mj_step` calls",
+    "counting_over_engine": "the same with drive loads counted, as in studies",
+    "python_loop_over_engine": "the same law as a Python loop, relative to bare `mj_step`",
+    "realtime_factor": "times real time",
+    "engine_us_per_step": "bare `mj_step` [us]",
+    "loop_us_per_step": "the whole loop, a step [us]",
+    "startup_cold_s": "first short `twin run`, nothing compiled yet [s]",
+    "startup_warm_s": "the next one [s]",
+}
+
+
+def page_text(runs: Sequence[dict[str, float]], load: float) -> str:
+    """The figures as a table in Markdown (median, smallest and largest), below the day, the computer and its load before the first run."""
+    cpuinfo = Path("/proc/cpuinfo")
+    names = (
+        [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        if cpuinfo.is_file()
+        else []
+    )
+    computer = f"{names[0] if names else platform.processor() or platform.machine()}, {os.cpu_count()} cores, load average {load:.1f}"
+    lines = [
+        f"{date.today()}, {computer}, Python {platform.python_version()}, MuJoCo {mujoco.__version__}:",
+        "",
+        f"| | median of {len(runs)} | range |",
+        "|---|---|---|",
+    ]
+    for key in runs[0]:
+        values = [run[key] for run in runs]
+        lines.append(f"| {TEXTS[key]} | {statistics.median(values):.3g} | {min(values):.3g} to {max(values):.3g} |")
+    return "\n".join(lines)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/benchmark", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="machine time to simulate (default: 60, at least 8)")
     parser.add_argument("--no-startup", action="store_true", help="do not measure the start-up times")
+    parser.add_argument("--runs", type=int, default=1, metavar="N", help="measure so often (default: 1)")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the table into this page, between its marks `benchmark`")
     args = parser.parse_args(arguments)
-    speed = measure(seconds=max(args.seconds, 8.0))
-    if not args.no_startup:
-        cold, warm = startup_seconds()
-        speed = Speed(**{**asdict(speed), "startup_cold_s": cold, "startup_warm_s": warm})
-    numbers = {k: round(v, 4) for k, v in asdict(speed).items() if v == v}
-    if args.json:
-        print(json.dumps(numbers))
-        return 0
-    texts = {
-        "loop_over_engine": "loop with everything, over bare mj_step",
-        "realtime_factor": "times real time, five axes, 125 us, one core",
-        "python_loop_over_engine": "the same law as a Python loop, over bare mj_step",
-        "engine_us_per_step": "us a step, bare mj_step",
-        "loop_us_per_step": "us a step, loop",
-        "counting_over_engine": "loop with drive loads (studies), over bare mj_step",
-        "startup_cold_s": "s for the first short `twin run`, nothing compiled yet",
-        "startup_warm_s": "s for the next one",
-    }
-    for key, value in numbers.items():
-        print(f"{value:8.2f}  {texts[key]}")
+    load = os.getloadavg()[0]
+    runs = []
+    for _ in range(max(args.runs, 1)):
+        found = asdict(measure(seconds=max(args.seconds, 8.0)))
+        if not args.no_startup:
+            found["startup_cold_s"], found["startup_warm_s"] = startup_seconds()
+        runs.append({key: round(found[key], 4) for key in TEXTS if found[key] == found[key]})
+    if args.page:
+        put_between(args.page, "benchmark", page_text(runs, load))
+    for run in runs:
+        print(json.dumps(run) if args.json else "\n".join(f"{value:8.2f}  {TEXTS[key]}" for key, value in run.items()))
     return 0
 
 

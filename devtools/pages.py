@@ -145,6 +145,12 @@ def _in_paragraph(page: str, claim: Claim, number: str) -> Iterator[re.Match[str
     return (m for m in NUMBER.finditer(page, *claim.repeats) if m[0].lstrip("+") == number.lstrip("+"))
 
 
+def put_between(page: Path, name: str, text: str) -> None:
+    """Write a text into a page, between `<!-- name -->` and `<!-- end name -->`. A page without them raises ValueError."""
+    before, rest = page.read_text(encoding="utf-8").split(f"<!-- {name} -->\n")
+    page.write_text(f"{before}<!-- {name} -->\n\n{text}\n\n<!-- end {name} -->{rest.split(f'<!-- end {name} -->')[1]}", encoding="utf-8")
+
+
 def corrected(page: str, changes: Sequence[tuple[int, int, str]]) -> str:
     """The page with all corrections."""
     for start, end, text in sorted(set(changes), reverse=True):

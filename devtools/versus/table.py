@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from devtools.pages import put_between
+
 NOT_RESULTS = ("peers",)
 
 
@@ -90,12 +92,9 @@ def table_text(folder: Path) -> str:
 
 
 def put_into(page: Path, folder: Path) -> None:
-    """Write the tables into a page, each between `<!-- name -->` and `<!-- end name -->`."""
-    text = page.read_text(encoding="utf-8")
+    """Write the tables into a page, each at its place."""
     for name, table in TABLES.items():
-        before, rest = text.split(f"<!-- {name} -->\n")
-        text = f"{before}<!-- {name} -->\n\n{table(results_in(folder))}\n\n<!-- end {name} -->{rest.split(f'<!-- end {name} -->')[1]}"
-    page.write_text(text, encoding="utf-8")
+        put_between(page, name, table(results_in(folder)))
 
 
 TABLES = {"gaps": gaps_table, "answers": answers_table, "says": says_table}

@@ -143,12 +143,17 @@ def test_the_example_holds_the_set_points_of_the_demo() -> None:
     np.testing.assert_allclose(made.get("X", "setpoint"), kept.get("X", "setpoint"), rtol=0, atol=1e-15)
 
 
-def test_benchmark_prints_its_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert benchmark.main(["--json", "--seconds", "8", "--no-startup"]) == 0
+def test_benchmark_prints_its_json_and_fills_the_table_of_the_readme(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    readme = (EXAMPLE.parents[1] / "README.md").read_text(encoding="utf-8")
+    (tmp_path / "README.md").write_text(readme, encoding="utf-8")
+    assert benchmark.main(["--json", "--seconds", "8", "--no-startup", "--page", str(tmp_path / "README.md")]) == 0
     numbers = json.loads(capsys.readouterr().out)
     # no bounds: times on a loaded computer say nothing; the figures themselves come from scripts/benchmark
     assert {"loop_over_engine", "realtime_factor", "python_loop_over_engine"} <= numbers.keys()
     assert all(value > 0.0 for value in numbers.values())
+    page = (tmp_path / "README.md").read_text(encoding="utf-8")
+    assert f"| times real time | {numbers['realtime_factor']:.3g} |" in page
+    assert page.partition("<!-- benchmark -->")[0] == readme.partition("<!-- benchmark -->")[0]
 
 
 def test_quiet_and_verbose(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
