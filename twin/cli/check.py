@@ -44,7 +44,7 @@ def carry_out(args: argparse.Namespace) -> None:
     count = sum(one.understood for one in found)
     fits = sum(one.fits for one in found)
     print(
-        f"\n{len(found)} programs on {machine.name}: {count} understood, {fits} fit, {sum(one.verdict == 'ok' for one in found)} within limits"
+        f"\n{len(found)} program{'s' * (len(found) > 1)} on {machine.name}: {count} understood, {fits} fit, {sum(one.verdict == 'ok' for one in found)} within limits"
     )
     for reason, times, first in reasons(found)[:SHOWN]:
         print(f"  {times} x {reason[:120]}" + (f"\n      first in {first[:140]}" if len(found) > 1 else ""))

@@ -89,7 +89,7 @@ def carry_out(args: argparse.Namespace) -> None:
     print(f"{machine.name}, {source.name}: {setpoints.duration:.3f} s")
     print(f"effects: {effects}; feedforward: {feedforward}")
     print(summary_table(summary))
-    if contour is not None:
+    if contour is not None and not program:  # a program has its budget
         print(f"contour error of the tool tip: {contour['max_um']:.2f} um max, {contour['rms_um']:.2f} um RMS")
     save_png(run.plot(title=f"{source.name} on {machine.name}; effects: {effects}"), out / "run.png")
     if program:

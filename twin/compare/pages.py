@@ -40,7 +40,7 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
     rows = gap.rows()
     cells = gap_cells(rows)
     marked = frozenset(i for i, row in enumerate(rows) if row.times_noise > AS_EXPECTED)
-    picture = Figure(figure_svg(gap.plot()), "Gap as a multiple of noise alone. Grey: as it should be.")
+    picture = Figure(figure_svg(gap.plot()), "Gap as a multiple of noise alone. Grey: as it should be; blank: not recorded, or at rest.")
     outliers = [Table(GAP_HEADING, cells[: len(marked)], left=3, marked=marked)] if marked else []
     every = Table(GAP_HEADING, cells, left=3, marked=marked, folded=f"{len(cells)} signals, largest first")
     sections = [

@@ -58,7 +58,7 @@ def summary_text(document: dict[str, Any]) -> str:
         lines.append(f"  calibrated, because the machine file had only assumed or tried it: {calibration_text(document)}")
     lines += [f"  where: {where_text(place)}" for place in document["where"][:3]]
     lines.append(
-        f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning alone closes {gap['retuning_share']:.0%}"
+        f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning within tolerance closes {100.0 * gap['retuning_share']:.0f} % of it"
     )
     for rival in document["ambiguous_with"]:
         lines.append(f"  could also be: {rival['effect']} on {place_text(rival)} instead of {rival['instead_of']}")

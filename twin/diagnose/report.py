@@ -82,7 +82,7 @@ def sections_of(diagnosis: Diagnosis, document: Document, folder: Path) -> list[
         *(_stretch(diagnosis, s, "Evidence: ") for s in shown[1:]),
         _gap_by_signal(document),
         _gap_by_run(diagnosis),
-        _candidates(document),
+        *([_candidates(document)] if document["candidates"] else []),
         *([_not_separated(document)] if document["ambiguous_with"] else []),
         *([_retuned(diagnosis, document)] if retuned_values(diagnosis) else []),
         Section("How to read this page", _HOW_TO_READ),
@@ -193,7 +193,7 @@ def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -
 
 
 def _stretch(diagnosis: Diagnosis, s: Stretch, words: str) -> Section:
-    title = f"{words}axis {s.axis}, {s.block}, run {_plain(s.run)}, {s.start:.2f} to {s.stop:.2f} s"
+    title = f"{words}axis {s.axis}{s.block and f', {s.block}'}, run {_plain(s.run)}, {s.start:.2f} to {s.stop:.2f} s"
     return Section(title, figures=[image(stretch_figure(diagnosis, s), "Measured, nominal and corrected.")])
 
 

@@ -8,7 +8,7 @@ import math
 from twin.machine.check import AxisCheck, Finding
 from twin.machine.machine import Axis, Machine
 from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data, with_plain_keys
-from twin.simulation.summary import table
+from twin.simulation.summary import listed, table
 from twin.units import AXIS_UNITS, deg_from_rad
 
 
@@ -115,12 +115,19 @@ def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
     ]
     parts = [
         table(["axis", "loop", "crossover [Hz]", "phase margin", "gain margin", "bandwidth [Hz]", "peak", "stable"], rows, left=2),
-        table(["axis", "inertia at the motor", "load/rotor", "holding", "full acceleration", "highest speed", "first mode"], drives),
+        table(
+            ["axis", "inertia at the motor [kg m2, kg]", "load/rotor", "holding", "full acceleration", "highest speed", "first mode"],
+            drives,
+        ),
     ]
-    if findings:
-        parts.append("\n".join(f"{f.level}: {f'axis {f.axis}: ' if f.axis else ''}{f.text}" for f in findings))
-    else:
-        parts.append("nothing is missing, impossible or unusual")
+    alike: dict[tuple[str, str], list[str]] = {}
+    for f in findings:
+        alike.setdefault((f.level, f.text), []).append(f.axis)
+    lines = []
+    for (level, text), axes in alike.items():
+        where = f"{'axis' if len(axes) == 1 else 'axes'} {listed(axes)}: " if axes[0] else ""
+        lines.append(f"{level}: {where}{text}")
+    parts.append("\n".join(lines) or "nothing is missing, impossible or unusual")
     return "\n\n".join(parts)
 
 

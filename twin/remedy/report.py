@@ -14,8 +14,8 @@ import numpy as np
 from twin.effects import settings_of
 from twin.errors import InputError
 from twin.remedy.remedy import Remedy, refusals, sentence
-from twin.report import Figure, Section, Table, address, figure_svg, link_from, new_figure, write_page
-from twin.report.figure import BLUE, RED, SOFT
+from twin.report import Figure, Section, Table, address, figure_svg, link_from, write_page
+from twin.report.curves import SETPOINT, Curve, Panel, curves_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -103,18 +103,18 @@ def write_remedy_report(
             "In short",
             items=[cause_of(found, diagnosis), *(f"{text[0].upper()}{text[1:]}." for text in more), surety(found, diagnosis), costs],
             links=links,
-            figures=[Figure(figure_svg(remedy_figure(found)), "Contour error over the path, before and after. The measured circle can refute this picture.")],
+            figures=[Figure(figure_svg(remedy_figure(found)), "Contour error, before and after. Measure the motion again after the change: the record shows whether the prediction holds.")],
         ),
         Section(
-            f"What to set ({document['control']})",
+            f"What to set in the control ({document['control']})",
             tables=[Table(("axis", "change", "datum", "unit", "old", "new"), rows, left=4)] if rows else [],
             paragraphs=[] if rows or steps else ["No change of the control brings the error down further."],
             items=[*document["by_hand"], *(f"control/{name}" for name in document["files"])],
         ),
         Section("What each change brings", tables=[Table(("change", "before [um]", "after [um]", "alone [um]"), steps)] if steps else []),
-        Section("Largest error after a reversal", tables=[Table(("axis", "before", "after", "unit"), peaks)]),
+        Section("Largest error of an axis after a reversal", tables=[Table(("axis", "before", "after", "unit"), peaks)]),
         Section("At the machine", items=[f"{one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}" for one in document["at_the_machine"]]),
-        Section("What no setting cures", items=refusals(found.chosen.refused) or ["Nothing was refused."]),
+        Section("What no setting cures", items=refusals(found.chosen.refused) or ["Nothing: no change was refused."]),
         Section("What gets worse", items=[f"{e['axis']} {e['function'].replace('_', ' ')}: {w}" for e in document["changes"] for w in e["worse"]] or ["Nothing is known."]),
         Section("Replay", paragraphs=[f"{REPLAY} holds the motion before and after; if a click does not open it: twin replay {shlex.quote(str(folder))}"]),
     ]  # fmt: skip
@@ -126,13 +126,8 @@ def write_remedy_report(
 
 def remedy_figure(found: Remedy) -> MplFigure:
     """Contour error over the motion, before and after."""
-    figure, [[panel]] = new_figure(1, 1, height=3.2)
-    share = np.linspace(0.0, 100.0, len(found.before.contour))
-    panel.plot(share, 1e6 * found.before.contour, color=RED, lw=1.0, label="before")
-    panel.plot(share, 1e6 * found.after.contour, color=BLUE, lw=1.0, label="after")
+    time = np.linspace(0.0, found.duration, len(found.before.contour))
+    curves = [Curve("before", 1e6 * found.before.contour, SETPOINT), Curve("after", 1e6 * found.after.contour, "after")]
     if math.isfinite(found.goal.largest):
-        panel.axhline(1e6 * found.goal.largest, color=SOFT, lw=1.0, ls="--", label="tolerance")
-    panel.set_xlabel("share of the motion [%]")
-    panel.set_ylabel("contour error [um]")
-    panel.legend(loc="upper right")
-    return figure
+        curves.append(Curve("tolerance", np.full(len(time), 1e6 * found.goal.largest), "tolerance", "--"))
+    return curves_figure(time, [Panel("contour error, um", curves, peaks="um")], found.motion)

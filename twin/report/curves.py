@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from twin.report.colours import AXIS_COLOURS, SETPOINT_COLOUR, axis_colour, hexadecimal
 from twin.report.figure import SOFT, new_figure
@@ -24,8 +25,8 @@ THIN = 1.2
 LABEL_WIDTH, LABEL_HEIGHT = 0.1, 0.12
 """Share of a panel that a peak label takes; labels of closer peaks are moved apart."""
 
-COLUMNS = 700
-"""A line is not resolved within one of so many columns of a panel."""
+COLUMNS, MEAN = 700, 4
+"""A line is not resolved within one of so many columns of a panel. The mean of a band is that of so many columns, or its ripple would beat with them."""
 
 LEAST_IN_COLUMN, LEAST_BAND, LEAST_BANDS = 3, 0.03, 0.1
 """A curve is drawn as a band if so many samples fall into a column, and so large a share of its columns swings by this share of its range."""
@@ -109,5 +110,5 @@ def _draw(axes: Axes, time: np.ndarray, curve: Curve, colour: str, width: float)
         low, high, middle = columns.min(axis=1), columns.max(axis=1), time[:whole].reshape(-1, each).mean(axis=1)
         if float(np.mean(high - low > LEAST_BAND * np.ptp(values))) > LEAST_BANDS:
             axes.fill_between(middle, low, high, color=colour, alpha=0.3, linewidth=0)
-            time, values = middle, columns.mean(axis=1)
+            time, values = middle, uniform_filter1d(columns.mean(axis=1), MEAN, mode="nearest")
     axes.plot(time, values, curve.dashes, color=colour, linewidth=width, label=curve.label or None)

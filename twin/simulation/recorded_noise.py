@@ -30,7 +30,7 @@ from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.recorded_times import as_recorded, simulated_period
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import recorded_setpoints
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, plain
 
 UNIT = {"position": 1e-8, "motor": 1e-8, "speed": 1e-5, "current": 1e-2}
 """Noise of a sensor in a simulated run, SI: so small that a sticking axis keeps sticking."""
@@ -187,7 +187,7 @@ def _notes(machine: Machine, found: Mapping[str, Noise]) -> list[str]:
                 continue
             units = AXIS_UNITS[axis.kind]
             unit, factor = {"speed": units.speed, "current": (axis.effort_unit, 1.0)}.get(sensor, units.error)
-            parts.append(f"{axis.name} {seen * factor:.2g} {unit}" + (f" (file {given * factor:.2g})" if given else ""))
+            parts.append(f"{axis.name} {plain(seen * factor, 2)} {unit}" + (f" (file: {plain(given * factor, 2)})" if given else ""))
         if parts:
             notes.append(f"noise of the {word} from the record, not from the machine file: {', '.join(parts)}")
     return notes
