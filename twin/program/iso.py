@@ -13,7 +13,6 @@ from twin.program import iso_moves as moves
 from twin.program.expressions import WordError
 from twin.program.frames import AXES
 from twin.program.iso_blocks import Iso
-from twin.program.iso_calls import call_block, other_statement
 from twin.program.reader import set_mode
 from twin.program.source import Unit
 from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Block, Word
@@ -40,7 +39,7 @@ Handler = Callable[[Iso, Block, float], None]
 def iso(path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> Iso:
     """The reader of one program."""
     m = Iso(path, machine, unit, linuxcnc)
-    m.carry_out, m.other = partial(execute, m), partial(other_statement, m)
+    m.carry_out = partial(execute, m)
     return m
 
 
@@ -56,7 +55,7 @@ def execute(m: Iso, b: Block) -> None:
             s.check_code("M", number, ISO_M[number], 1)
     if m.corners.held is not None and (not b.w.keys() & set("XYZ") or codes - {1, 2, 3} or b.m):
         m.corners.release()
-    if call_block(m, b):
+    if m.call_block(b):
         return
     if 100 in codes and "T" in b.w:
         _change_and_move(m, b)

@@ -1,4 +1,4 @@
-"""The reader of ISO programs (Fanuc and similar controls, LinuxCNC): lines, the words of a block, and what the dialect keeps from block to block.
+"""The reader of ISO programs (Fanuc and similar controls, LinuxCNC): lines, words, subprograms, and what it keeps from block to block.
 
 Some words mean different things on LinuxCNC and Fanuc. `linuxcnc` selects the dialect: a file .ngc, or one with O-words or named
 parameters. Where the dialects differ, a note gives the chosen meaning.
@@ -10,15 +10,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 import re
+from typing import Any
 
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.program.expressions import FANUC, ISO, NUMBER, Expression, Null, WordError, as_number
-from twin.program.flow import Statement
+from twin.program.expressions import FANUC, ISO, NUMBER, Expression, Null, WordError, as_number, needed
+from twin.program.flow import Frame, Statement
 from twin.program.frames import AXES
 from twin.program.iso_values import IsoValues
-from twin.program.reader import NO_GROUP, Reader
+from twin.program.reader import ADD_CALL, NO_GROUP, Reader
 from twin.program.source import Unit
 from twin.program.state import Block, Item
 
@@ -47,6 +48,9 @@ _LOG = re.compile(r"\s*(LOGOPEN|LOGAPPEND|LOGCLOSE|LOG|PROBEOPEN|PROBECLOSE|PY|A
 LINUXCNC = re.compile(r"^\s*(?:N\d+\s*)?O[ \t]*(?:<[^>]*>|\d+[ \t]*(?:SUB|IF|WHILE|DO|REPEAT|CALL)\b)|#[ \t]*<", re.I | re.M)
 _OUTPUT = re.compile(r"(?:N\d+\s*)?(?:[BD]P(?:RNT)?\s*\[|PO(?:PEN)?\b\s*$|PC(?:LOS)?\b\s*$)", re.A)
 """Commands of a macro that print to a file or an interface."""
+MACRO = dict(zip("ABCIJKDEFHMQRSTUVWXYZ", (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26)))
+"""Letter of G65 -> variable that it sets."""
+MOST_REPEATS = 10_000
 SEPARATOR = "\x01"
 _IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 
@@ -82,11 +86,9 @@ class Iso(Reader):
         letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{3 * NO_GROUP}(?:F({NUMBER})\s*)?;?\s*$", re.A)
         self.out.set_modes(replace(self.out.modes, feed_of_all=not linuxcnc))
-        self.out.mixed_feed = (
-            "F beside X Y Z with A or C: it counts X Y Z alone, as on LinuxCNC"
-            if linuxcnc
-            else "F beside X Y Z with A or C: it counts all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
-        )
+        counts = "all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
+        counts = "X Y Z alone, as on LinuxCNC" if linuxcnc else counts
+        self.out.mixed_feed = f"F beside X Y Z with A or C: it counts {counts}"
 
     def expression(self, text: str, column: int = 1) -> Expression:
         if not self.linuxcnc and ("AND" in text or "OR" in text):
@@ -228,13 +230,138 @@ class Iso(Reader):
                 self.state.note(f"{name}: a word whose variable was never set is ignored")
             elif name == "T" and name in words and fanuc:
                 self.state.note("T twice in a block: the second prepares the tool of the next change")
-            elif name in words:
-                raise WordError(f"{name} occurs twice in the block; keep one", column)
             else:
-                words[name] = Item(float(value), "", column)
+                block.put(name, Item(float(value), "", column))
         for key, number, column in later:
             self.values.write(key, number, column)
         return block
+
+    # ------------------------------------------------------------------ subprograms
+
+    def other(self, s: Statement, frame: Frame) -> None:
+        """O-words of calls, program numbers, IF .. THEN."""
+        if s.kind == "then":
+            if self.number_of(s.text, s.column):
+                self.words(" " * s.rest[0] + s.key)
+        elif s.kind == "words_goto":
+            self.words(s.key)
+            self.flow.jump_to(frame, s)
+        elif s.kind == "program":  # the name of the program, or the start of the next one
+            if frame.style == "m98" or (self.main_seen and len(self.flow.frames) == 1):
+                raise WordError(f"the program runs on into O{s.key}; end it with M30 or M99 before")
+            self.main_seen = self.main_seen or len(self.flow.frames) == 1
+        elif s.kind == "call":
+            self._call_oword(s)
+        elif s.kind in ("return", "endsub"):
+            if s.kind == "return" and len(self.flow.frames) == 1:
+                raise WordError("RETURN is outside a subprogram; remove it", s.column)
+            if frame.style == "m98":
+                raise WordError("a subprogram called by M98 ends with M99, not with endsub", s.column)
+            self.values.returned_value = (self.number_of(s.text, s.column), 1.0) if s.text.strip() else (0.0, 0.0)
+            self.flow.back()
+        else:
+            raise WordError(f"O.. {s.kind} does not fit here; correct the O-words", s.column)
+
+    def call_block(self, b: Block) -> bool:
+        """M97 to M99, G65 and G66; True if the block is done."""
+        codes = b.codes
+        if codes & {65, 66}:
+            p = b.need("P", "G65 and G66 need P, the number of the macro")
+            times, variables = int(b.take("L", 1.0)), dict[Any, float]()
+            for name, item in b.w.items():
+                if name not in MACRO:
+                    raise WordError(f"{name} passes nothing to a macro", item.column)
+                variables[MACRO[name]] = item.value
+            place = self._program_place(int(p.value), p.column)
+            if place is not None and 66 in codes:
+                self.modal_macro = *place, variables
+            elif place is not None:
+                self.flow.call(*place, variables, f"O{p.value:g}", times=min(times, MOST_REPEATS), style="macro", column=p.column)
+            return True
+        if 67 in codes:
+            self.modal_macro = None
+        own = 97 in b.m
+        if own or 98 in b.m or (198 in b.m and not self.linuxcnc):
+            if own and self.linuxcnc:
+                raise WordError("M97 is no word of LinuxCNC; use M98 and O")
+            p, times = b.need("P", f"M{97 if own else 98} needs P, the number of the {'block' if own else 'subprogram'}"), 1
+            number = int(p.value)
+            if "L" in b.w or "K" in b.w:
+                word = b.w.pop("L" if "L" in b.w else "K")
+                times = int(word.value)
+                if times != word.value:
+                    raise WordError(f"M98 repeats {word.value:g} times; give a whole number", word.column)
+            elif not self.linuxcnc and not own and number > 9999:
+                times, number = divmod(number, 10000)
+            if b.w or b.g:
+                self.carry_out(Block(b.g, [n for n in b.m if n not in (97, 98, 198)], b.w))
+            if times > MOST_REPEATS:
+                raise WordError(f"M98 repeats more than {MOST_REPEATS} times", p.column)
+            frame = self.flow.frame
+            if own:
+                found = self.flow.labels(frame.unit).get(f"N{number}")
+                place = frame.unit, needed(found, f"M97 P{number}: this program has no block N{number}; add it", p.column)[0]
+            elif (program := self._program_place(number, p.column)) is not None:
+                place = program
+            else:
+                return True
+            self.flow.call(*place, frame.variables, f"{'N' if own else 'O'}{number}", times=times, style="m98", column=p.column)
+            return True
+        if 99 not in b.m:
+            return False
+        if len(self.flow.frames) == 1:
+            self.state.note("M99 ends the main program here, which the control would run again without end")
+            self.flow.ended = True
+            return True
+        if self.flow.frame.style not in ("m98", "macro"):
+            raise WordError("M99 ends a subprogram that O.. sub began; end it with endsub")
+        target = f"N{int(b.take('P'))}" if "P" in b.w else ""
+        if b.w:
+            self.carry_out(Block(b.g, [n for n in b.m if n != 99], b.w))
+        self.flow.back(target)
+        return True
+
+    def _program_place(self, number: int, column: int) -> tuple[Unit, int] | None:
+        """Unit and line of program O.., in this file or in the folder; None if the machine file lists it as a call without motion."""
+        units = dict.fromkeys((self.flow.frame.unit, self.unit_read))
+        for unit in units:
+            if lines := self.flow.labels(unit).get(f"O{number}"):
+                return unit, lines[0] + 1
+        if any(f"SUB {number}" in self.flow.labels(unit) for unit in units):
+            raise WordError(f"O{number} is a subprogram 'O{number} sub' and is called by 'O{number} call', not by M98", column)
+        beside = self.folder.find(f"O{number:04d}", f"O{number}", f"{number:04d}", str(number))
+        if beside is None:
+            if self.moves_nothing(f"O{number}", f"O{number:04d}"):
+                return None
+            raise WordError(f"subprogram O{number} is neither in this file nor beside it (O{number:04d}.nc); {ADD_CALL}", column)
+        beside = between_percents(beside)
+        return beside, next((lines[0] + 1 for name, lines in self.flow.labels(beside).items() if name.startswith("O")), 0)
+
+    def _call_oword(self, s: Statement) -> None:
+        """O.. call with its arguments in brackets."""
+        name = str(int(self.number_of(s.key, s.column))) if s.key.startswith(("[", "#")) else s.key
+        e, arguments = self.expression(s.text, s.column), dict[int, float]()
+        while e.peek():
+            if e.peek() != "[" or len(arguments) == 30:
+                raise e.fail("a call takes up to 30 arguments in brackets, e.g. O100 call [1] [2]")
+            arguments[len(arguments) + 1] = as_number(e.atom(), e.column + e.at)
+        calling, found, at = self.flow.frame, None, None
+        for unit in dict.fromkeys((calling.unit, self.unit_read)):
+            at = self.flow.labels(unit).get(f"SUB {name}", [None])[0]
+            if at is not None and not (name.isdigit() and unit is not self.unit_read and at > calling.at):
+                found = unit  # a numbered subprogram of another file must stand before its call
+                break
+        else:
+            found = self.folder.find(name.strip("<>"))
+            at = None if found is None else self.flow.labels(found).get(f"SUB {name}", [None])[0]
+        if found is None or at is None:
+            fanuc = f"O{name}" in self.flow.labels(self.unit_read)
+            where = f"subprogram O{name.lower()} is neither in this file nor beside it; add it"
+            raise WordError(f"O{name} is called by M98 P{name}" if fanuc else where, s.column)
+        if self.flow.table(found).get(at, (at,))[0] < 0:
+            raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
+        self.values.returned_value = (0.0, 0.0)
+        self.flow.call(found, at + 1, arguments, name, style="oword", column=s.column)
 
 
 def _target(text: str) -> str:

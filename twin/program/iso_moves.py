@@ -12,13 +12,12 @@ from twin.program import moves as mv
 from twin.program.cycles import ASIDE, BACK, DWELL, FEED, RAPID, Drilling, levels, pecks
 from twin.program.expressions import WordError
 from twin.program.frames import AXES, INDEX, LINEAR, OTHER, ROTARY
-from twin.program.iso_blocks import POLAR, Iso
+from twin.program.iso_blocks import MOST_REPEATS, POLAR, Iso
 from twin.program.state import Block, Item
 
 CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89}
 USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 87, 88, 89}, "Q": {73, 76, 83, 87}, "I": {76, 87}, "J": {76, 87}}
 """Word -> cycles that use it; its value is modal."""
-MOST_REPEATS = 10_000
 CHIP_BREAK = 0.254e-3
 """Retract of G73, and distance above the last depth at which G83 resumes feed [m]; LinuxCNC's value, a parameter on other controls."""
 REFERENCES = {27, 28, 29, 30}

@@ -243,11 +243,9 @@ class Klartext(Reader):
                 raise WordError("F occurs twice in the block; keep one", place)
             elif match["feed"]:
                 block.rapid, block.feed = match["feed"] == "MAX", match["feed"]
-            elif match["name"] in block.w:
-                raise WordError(f"{match['name']} occurs twice in the block; keep one", place)
             else:
                 name = self.state.slot_of.get(str(match["name"]), str(match["name"]))
-                block.w[name] = Item(self.number_of(match["value"], place), "IC" if match["inc"] else "", place)
+                block.put(name, Item(self.number_of(match["value"], place), "IC" if match["inc"] else "", place))
 
     def only_words(self, block: Block, names: str, hint: str = "", added: bool = False) -> dict[str, Item]:
         """The words of a block that takes these names alone, and in addition (I) if `added`."""

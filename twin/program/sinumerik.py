@@ -15,7 +15,6 @@ from twin.program.expressions import WordError
 from twin.program.frames import AXES, ROTARY
 from twin.program.reader import set_mode
 from twin.program.sinumerik_blocks import Block, Sinumerik
-from twin.program.sinumerik_calls import call, modal_call, other_statement
 from twin.program.sinumerik_values import Word as Written
 from twin.program.sinumerik_values import split_arguments
 from twin.program.source import Unit, plain_name
@@ -30,7 +29,7 @@ NameHandler = Callable[[Sinumerik, Block, Written], None]
 def sinumerik(path: Path, machine: Machine, units: list[Unit]) -> Sinumerik:
     """The reader of one program."""
     m = Sinumerik(path, machine, units, SINUMERIK_NAMES)
-    m.carry_out, m.other = partial(carry_out, m), partial(other_statement, m)
+    m.carry_out = partial(carry_out, m)
     return m
 
 
@@ -83,7 +82,7 @@ def carry_out(m: Sinumerik, b: Block) -> None:
     if len(b.calls) > 1:
         raise WordError(f"'{b.calls[1].name}' is a second call in the block; write it in the next one", b.calls[1].column)
     for word in b.calls:
-        call(m, word, times)
+        m.call(word, times)
     if returns := b.has("RET", "ENDPROC"):
         m.corners.release()
     if returns or 17 in b.m:
@@ -244,7 +243,7 @@ def _modal(m: Sinumerik, b: Block, word: Written) -> None:
     if cycle is not None:
         m.modal = cycles.drilling(m, cycle)
     else:
-        m.modal = modal_call(m, b.calls.pop(0)) if b.calls else None
+        m.modal = m.modal_call(b.calls.pop(0)) if b.calls else None
 
 
 SINUMERIK_G: dict[float, Word[Handler]] = {

@@ -1,4 +1,4 @@
-"""The reader of SINUMERIK programs: lines, the words of a block by their use, and what the dialect keeps from block to block."""
+"""The reader of SINUMERIK programs: lines, the words of a block by their use, subprograms, and what the dialect keeps from block to block."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import re
 
 import numpy as np
 
+from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.expressions import NUMBER, SINUMERIK, Value, WordError, needed, outside_quotes
-from twin.program.flow import Statement
+from twin.program.flow import Frame, Statement
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
-from twin.program.sinumerik_values import SinumerikValues, Word, split_words
+from twin.program.sinumerik_values import SinumerikValues, Store, Word, split_arguments, split_words
 from twin.program.source import Unit, plain_name
 from twin.program.state import REFUSED, Item
 from twin.program.state import Block as Words
@@ -49,6 +50,15 @@ _FOR = (
 )
 _PARTS = {"REPEAT": _REPEAT, "REPEATB": _REPEAT, "FOR": _FOR}
 """Statements of several parts: their pattern, their kind, and what to do where it does not fit."""
+ADD_FILE = "add the file, or list it in [program] calls_without_motion of the machine file if it moves no axis"
+_DEFINE = re.compile(r"\s*DEFINE\s+([A-Z_][A-Z0-9_]*)\s+AS\s+(.+?)\s*\Z", re.A)
+_QUIET = re.compile(
+    r"\s*(?:M\d*=?\d+|H\d*=?\d+|(?:\$A_OUTA?|\$AC_MARKER|\$AC_PARAM|\$AC_TIMER|\$R|\$A_DB\w+|\$A_DLB|\$AC_FIFO\d*)\s*(?:\[[^\]]*\])?\s*=\s*[^ ]+|SETAL\([^)]*\))",
+    re.A,
+)
+_CASE = re.compile(r"\s*CASE\s*(.+?)\s+OF\b(.*)\Z", re.A)
+_CASE_PART = re.compile(r"\s*(DEFAULT|[^\s].*?)\s+(GOTO[FBC]?)\s+([A-Z0-9_]+)", re.A)
+_PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
 _ALONE = ("ELSE", "ENDIF", "ENDWHILE", "ENDFOR", "LOOP", "ENDLOOP")
 _INDEXED_AXES = {"POS", "POSA", "AX"}
 _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
@@ -197,7 +207,7 @@ class Sinumerik(Reader):
         elif name in INDEX or name in OTHER or name in _MACHINE_AXES or (name in _INDEXED_AXES and word.index):
             self._axis(block, word, name)
         elif name in ("I", "J", "K", "F", "S", "P") or (meaning is not None and meaning.group == "value"):
-            self._once(block, name, word)
+            block.put(name, self.values.item(word))
         elif name == "M" and with_number:
             block.m.append(int(values.value(word)))
         elif name in ("T", "D", "H") and with_number:
@@ -205,7 +215,7 @@ class Sinumerik(Reader):
         elif name == "L" and word.value is not None:
             block.calls.append(word)
         elif name == "S1" and word.assigned and "S" not in block.w:
-            self._once(block, "S", word)
+            block.put("S", self.values.item(word))
         elif re.fullmatch(r"[SMHTD]\d+", name) and word.assigned:
             self.state.note(f"{name}=: a word of another spindle or tool, understood, no effect on the motion")
         elif name == "R":
@@ -221,12 +231,6 @@ class Sinumerik(Reader):
         else:
             block.calls.append(word)
 
-    def _once(self, block: Block, name: str, word: Word) -> None:
-        """Put a word with a number into the block."""
-        if name in block.w:
-            raise WordError(f"{name} occurs twice in the block; keep one", word.column)
-        block.w[name] = self.values.item(word)
-
     def _axis(self, block: Block, word: Word, name: str) -> None:
         """A coordinate: X, X1, AX[..], POS[..]."""
         if word.index and name not in _INDEXED_AXES:
@@ -235,7 +239,128 @@ class Sinumerik(Reader):
         axis = self.state.slot_of.get(axis, axis) if axis != name else axis
         if axis not in INDEX and axis not in OTHER:
             raise WordError(f"{name}[{axis}]: this machine has {self.out.own_axes}", word.column)
-        self._once(block, axis, word)
+        block.put(axis, self.values.item(word))
         if name.startswith("POS"):
             self.state.note("POS, POSA: the axis moves with the others of the block, and at rapid if it is alone")
             block.w["POS"] = Item(1.0, "", word.column)
+
+    # ------------------------------------------------------------------ subprograms
+
+    def other(self, s: Statement, frame: Frame) -> None:
+        """CASE, DEF, PROC and the like."""
+        if s.kind == "case":
+            self._case(s, frame)
+        elif s.kind in ("def", "redef"):
+            self.values.define(s, frame)
+        elif s.kind == "define":
+            macro = needed(_DEFINE.match(s.text), "DEFINE needs a name and its words, e.g. DEFINE COOLANT AS M8", s.column)
+            self.macros[macro[1]] = macro[2]
+            frame.unit.statements.clear()
+            frame.unit.partners = None
+        elif s.kind == "synchronised":
+            if _QUIET.sub("", s.text).strip() or not s.text.strip():
+                raise WordError(f"DO{s.text[:30]}: {self.known['DO'].meaning}", s.column)
+            self.state.note("DO: a synchronised action that sets outputs or marks, without effect on the motion")
+        elif s.kind == "proc" and len(self.flow.frames) == 1:
+            match = _PROC.match(s.text)
+            for part, _ in split_arguments(match[2] or "") if match else []:
+                self.values.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
+        elif s.kind == "extern":
+            self.state.note("EXTERN: a declaration, without effect on the motion")
+
+    def _case(self, s: Statement, frame: Frame) -> None:
+        """CASE: the jump of the first value that fits."""
+        match = needed(_CASE.match(s.text), "CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
+        value = self.value_of(match[1], s.column)
+        for part in _CASE_PART.finditer(match[2]):
+            if part[1] == "DEFAULT" or self.value_of(part[1], s.column) == value:
+                self.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
+                return
+
+    def call(self, word: Word, times: int) -> None:
+        """A subprogram by its name or L number."""
+        name, unit = self._unit_of(word)
+        if unit is None and name == "L":
+            raise WordError("L needs a number", word.column)
+        if unit is None:
+            if word.index is not None or (word.value is not None and word.name != "L"):
+                raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
+            if self.moves_nothing(name):
+                return
+            hint = nearest(name, self.known) if len(name) > 2 else ""
+            hint = f"{hint}; or " if hint.startswith("did you") else ""
+            what = f"word '{name}' is not known and there is no subprogram {name}.SPF beside the program"
+            raise WordError(f"{what}; {hint}{ADD_FILE}", word.column)
+        self.corners.release()
+        variables, first, written = self.arguments(unit, word)
+        kept = self._kept_modes() if first and re.search(r"\)?[^)]*\bSAVE\b", self.clean(unit.lines[first - 1])) else None
+
+        def restore() -> None:
+            if kept:
+                kept()
+            for target, store, column in written:
+                self.values.assign(target, store[()], column)
+
+        self.flow.call(unit, first, variables, name, times=times, column=word.column, on_return=restore)
+
+    def _unit_of(self, word: Word) -> tuple[str, Unit | None]:
+        """The name of a subprogram, and its program."""
+        name = word.name if word.name != "L" or word.value is None else f"L{word.value:g}"
+        return name, self.find(name)
+
+    def _kept_modes(self) -> Callable[[], None]:
+        """What PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
+        kept, side, chosen = (
+            self.state.kept((self, ("corners_meet", "angles_are_rpy")), frames=("program", "fine")),
+            self.state.comp,
+            self.values.chosen,
+        )
+
+        def restore() -> None:
+            self.corners.release()
+            if (self.state.comp is None) != (side is None):
+                raise WordError("SAVE with a change of G40, G41 or G42 in the subprogram is not supported; change it in the caller")
+            kept()
+            self.values.choose(chosen)
+
+        return restore
+
+    def arguments(self, unit: Unit, word: Word) -> tuple[dict[str, Store], int, list[tuple[str, Store, int]]]:
+        """The values of a call: the variables of its PROC, the line that it begins at, and the VAR values to write back to their targets."""
+        values = [(t, word.text_column + c) for t, c in split_arguments(word.text or "")]
+        bodies = ((at, self.body(self.clean(line))[0].strip()) for at, line in enumerate(unit.lines))
+        at, body = next(((at, body) for at, body in bodies if body and not body.startswith("EXTERN")), (0, ""))
+        if not (match := _PROC.match(body)):
+            if any(t for t, _ in values):
+                raise WordError(f"{unit.name} takes no values (it has no PROC line); remove the brackets", word.column)
+            return {}, 0, []
+        variables: dict[str, Store] = {}
+        written: list[tuple[str, Store, int]] = []
+        for k, (part, _) in enumerate(split_arguments(match[2] or "")):
+            declared, _, default = part.partition("=")
+            words = re.sub(r"\[[^\]]*\]", " ", declared).split()
+            if not words:
+                continue
+            start: Value = "" if any(w in declared for w in ("STRING", "CHAR", "AXIS")) else 0.0
+            text, column = values[k] if k < len(values) and values[k][0] else (default.strip(), 1)
+            store = self.values.store_of(text) if words[0] == "VAR" else None
+            if store is not None:  # the variable of the caller itself
+                store.setdefault(("default",), start)
+            else:
+                by_name = "AXIS" in declared and words[0] != "VAR"
+                store = {(): start if not text else text if by_name else self.value_of(text, column), ("default",): start}
+                if words[0] == "VAR" and text:
+                    written.append((text, store, column))
+            variables[words[-1]] = store
+        if len(values) > len(split_arguments(match[2] or "")):
+            raise WordError(f"{unit.name} takes {len(variables)} values; the call gives {len(values)}", word.column)
+        return variables, at + 1, written
+
+    def modal_call(self, word: Word) -> Callable[[], None]:
+        """The subprogram of MCALL, which is called behind each block with motion."""
+        _, unit = self._unit_of(word)
+        if unit is None:
+            raise WordError(f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
+        variables, first, _ = self.arguments(unit, word)
+
+        return lambda: self.flow.call(unit, first, {k: dict(v) for k, v in variables.items()}, unit.name, column=word.column)

@@ -80,6 +80,12 @@ class Block:
         """The G codes."""
         return {number for number, _ in self.g}
 
+    def put(self, name: str, item: Item) -> None:
+        """Add a word."""
+        if name in self.w:
+            raise WordError(f"{name} occurs twice in the block; keep one", item.column)
+        self.w[name] = item
+
     def take(self, name: str, default: float = 0.0) -> float:
         """Take a word away; its value."""
         return self.w.pop(name).value if name in self.w else default
