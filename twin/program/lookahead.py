@@ -15,7 +15,7 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.errors import TwinError
 from twin.program import axis_path, elements, timelaw
-from twin.program.newton_step import Bounds, node_values
+from twin.program.newton_step import node_values, rows_of
 from twin.program.nodes import Way, along, grid, run_ups
 from twin.system import cores
 
@@ -38,7 +38,7 @@ class Law(NamedTuple):
 
 
 Span = tuple[int, int, int]
-"""First and last node of a window, and the node from which on it replaces the previous window."""
+"""First and last node of a window, and the first node where it replaces the previous window."""
 
 Windows = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 """First and last node of each window planned so far -> the factors on its limits, its coefficients."""
@@ -102,7 +102,8 @@ def _window(way: Way, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray) ->
     limit_a = ACCELERATION_MARGIN * np.outer(at_node, way.limits.acceleration[moving])
     h, most, limit_j = np.diff(nodes), top.copy(), JERK_MARGIN * way.limits.jerk[moving]
     keep_rest(q1, q2, q3, h, limit_j, most)
-    c, started = timelaw.time_law(Bounds(h, q1, q2, q3, most, top, limit_a, limit_j, np.ascontiguousarray(ease[1])))
+    rows = rows_of(h, q1, q2, q3, most, top, limit_a, limit_j, np.ascontiguousarray(ease[1]))
+    c, started = timelaw.time_law(h, timelaw.first_guess(h, q1, q2, q3, top, limit_a, limit_j), rows)
     if not started:
         raise TwinError("interpolator: no feasible start was found for the time law; report this program")
     return c
@@ -135,8 +136,8 @@ def plan(
 def felt_to(nodes, piece, run_up, first, last):
     """The last node before `last` that a stop at `last` does not affect (-1: none after `first`).
 
-    The effect ends after FELT run-ups of a stretch in which no run-up is longer. A rapid move close to the stop does not count
-    if such a stretch of slow moves precedes it.
+    The effect ends after FELT times the longest run-up on the way. A rapid move close to the stop does not count if slow moves
+    over such a way precede it.
     """
     from_node = last  # end of the stretch that is looked at
     longest = -1.0  # nothing of it yet

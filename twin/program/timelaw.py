@@ -13,7 +13,7 @@ steps on the optimality conditions. Every iterate is strictly inside all limits 
 Hessian has five diagonals, so a step takes linear time. In the first and last interval the jerk is constant, a = alpha u^(4/3).
 The speed-squared formulation is that of Verscheure et al. 2009, extended by jerk.
 
-Nodes are n = 0 .. N, intervals i = 0 .. N - 1; `twin.program.newton_step.Bounds` has the limits at them.
+Nodes are n = 0 .. N, intervals i = 0 .. N - 1; `twin.program.newton_step.rows_of` has the limits at them.
 Coefficient i of the spline belongs to the middle of interval i - 1: node i lies between the coefficients i and i + 1.
 """
 
@@ -24,7 +24,7 @@ import math
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.program.newton_step import Equations, Multipliers, assemble, dual_steps, least_slack, node_values, solve_band, tie_ends
+from twin.program.newton_step import assemble, dual_steps, least_slack, node_values, solve_band
 
 GAP = 0.001
 """The iteration ends when limits times multipliers (the duality gap) fall below this fraction of the time."""
@@ -36,9 +36,8 @@ TO_THE_WALL = 0.98  # share of the way to the nearest limit that a step may go
 
 
 @compiled(allocates=True)
-def first_guess(b):
+def first_guess(h, q1, q2, q3, top, limit_a, limit_j):
     """Approximately reachable node values of a: local limits, then growth from every minimum as under constant jerk."""
-    h, q1, q2, q3, _, top, limit_a, limit_j, _ = b
     intervals = h.shape[0]
     a, growth = top.copy(), np.empty(intervals)
     for n in range(intervals + 1):
@@ -66,67 +65,48 @@ def first_guess(b):
 
 
 @compiled(allocates=True)
-def _multipliers(intervals, axes):
-    shape = (intervals + 1, axes, 2)
-    return Multipliers(np.zeros(intervals + 1), np.zeros(intervals), np.zeros(shape), np.zeros((intervals, 2, axes, 2)))
+def time_law(h, guess, rows):
+    """Coefficients c (interval + 2,) of a(u) within `rows_of` at least four intervals, and whether a feasible start was found.
 
-
-@compiled(allocates=True)
-def _add(to, share, change):
-    """Add a share of one array to another in place."""
-    one, other = to.ravel(), change.ravel()
-    for i in range(one.shape[0]):
-        one[i] += share * other[i]
-
-
-@compiled(allocates=True)
-def time_law(b):
-    """Coefficients c (interval + 2,) of a(u) within `Bounds` b of at least four intervals, and whether a feasible start was found."""
-    h, intervals, axes = b.h, b.h.shape[0], b.q1.shape[1]
+    `guess`: node values of a. The second and the last but one coefficient are tied to their neighbours (`node_values`) and not set.
+    """
+    intervals, axes = h.shape[0], rows[1].shape[2]
     n = intervals + 2
-    ties = np.empty(2)
-    ties[0] = (h[0] / 3.0) / (h[0] / 3.0 + 2.0 / 3.0 * (h[0] + h[1]))
-    ties[1] = (h[-1] / 3.0) / (h[-1] / 3.0 + 2.0 / 3.0 * (h[-1] + h[-2]))
-    guess, c = first_guess(b), np.zeros(n)
+    c = np.zeros(n)
     for i in range(2, n - 2):
         # a(u) lies between its neighbouring coefficients, so it stays below the guess at any change of feed
         c[i] = min(guess[i - 1], guess[i])
-    c[1], c[n - 2] = ties[0] * c[2], ties[1] * c[n - 3]
     # shrink until strictly inside; a motion that is slow enough keeps every limit
     for _ in range(200):
-        if least_slack(c, b) > 0.0:
+        if least_slack(c, rows) > 0.0:
             break
         c *= 0.6
     else:
         return c, False
     c *= 0.8
-    equations = Equations(np.empty(n), np.empty(n), np.empty(n), np.empty(n))
-    dual, move = _multipliers(intervals, axes), _multipliers(intervals, axes)
-    rows = (intervals - 1.0) * (2.0 + 2.0 * axes) + (intervals - 2.0) * 4.0 * axes
-    mu = 0.3 / rows * np.sum(0.5 * (h[:-1] + h[1:]) / np.sqrt(node_values(h, c)[0][1:-1]))
+    gradient, diagonal, beside, apart = equations = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    dual, move = np.zeros((intervals, 4, axes + 1, 2)), np.zeros((intervals, 4, axes + 1, 2))
+    all_dual, all_moves = dual.ravel(), move.ravel()
+    count = (intervals - 1.0) * (2.0 + 2.0 * axes) + (intervals - 2.0) * 4.0 * axes
+    mu = 0.3 / count * np.sum(0.5 * (h[:-1] + h[1:]) / np.sqrt(node_values(h, c)[0][1:-1]))
     settled = False
     for steps in range(MAX_STEPS):
-        time, gap = assemble(c, b, mu, steps == 0, dual, equations)
+        time, gap = assemble(c, rows, mu, steps == 0, dual, equations)
         if gap < GAP * time and settled:
             break
-        tie_ends(ties, equations)
-        step = -equations.gradient
-        solve_band(2, n - 3, equations.diagonal, equations.beside, equations.apart, step)
-        step[1], step[n - 2] = ties[0] * step[2], ties[1] * step[n - 3]
-        step[0] = step[n - 1] = 0.0
-        primal, falls = dual_steps(c, step, b, mu, dual, move)
+        step = -gradient
+        solve_band(2, n - 3, diagonal, beside, apart, step)
+        primal, falls = dual_steps(c, step, rows, mu, dual, move)
         go_primal = min(1.0, TO_THE_WALL / primal) if primal > 0.0 else 1.0
         go_dual = min(1.0, TO_THE_WALL / falls) if falls > 0.0 else 1.0
         grown = 0.0
         for i in range(2, n - 2):
             grown = max(grown, step[i] / c[i])
         c += go_primal * step
-        _add(dual.top, go_dual, move.top)
-        _add(dual.middle, go_dual, move.middle)
-        _add(dual.a, go_dual, move.a)
-        _add(dual.j, go_dual, move.j)
+        for i in range(all_dual.shape[0]):
+            all_dual[i] += go_dual * all_moves[i]
         worse = min(go_primal, go_dual)
         settled = worse > 0.6 and grown < STILL_GROWING
         # the larger the last step, the more the multipliers are reduced
-        mu = gap / rows * max(0.3, 1.0 - worse) if steps else mu
+        mu = gap / count * max(0.3, 1.0 - worse) if steps else mu
     return c, True
