@@ -50,7 +50,7 @@ class Modes:
     spindle: float = 0.0
     brisk: bool = False
     feedforward: bool = True
-    tool_length: float = 0.0  # that TRAORI works with
+    tool_length: float = 0.0  # of TRAORI
     spindle_tool_length: float = 0.0  # of the tool in the spindle, whose tip moves where TRAORI is off
 
 
@@ -231,12 +231,7 @@ class Collector:
         moves = program.moves
         starts = program.starts()
         way = moves.target - starts
-        tip = np.linalg.norm(way[:, :3], axis=1)
-        arc = moves.kind == mv.ARC
-        if arc.any():
-            radius = np.linalg.norm(moves.centre - starts[:, :3], axis=1)
-            along = np.einsum("ni,ni->n", way[:, :3], moves.normal)
-            tip[arc] = np.hypot(moves.angle * radius, along)[arc]
+        tip = moves.curves(np.arange(len(moves)), starts)[-1]
         turn, whole = np.linalg.norm(way[:, 3:], axis=1), np.linalg.norm(way, axis=1)
         # exact reversals are exact stops, because no curve can round them within a tolerance
         straight = ((moves.kind == mv.LINE) | (moves.kind == mv.RAPID)) & (whole > 0.0) & np.isfinite(whole)

@@ -18,9 +18,9 @@ MOST_POINTS = 20_000  # per move
 
 
 class Curve(NamedTuple):
-    """Points (P, 3) [m] in the part frame, length along them (P,), and the move that leads to each point (P,)."""
+    """Poses (P, 5): points [m] in the part frame, A and C [rad]; length along them (P,) [m], the move that leads to each (P,)."""
 
-    points: np.ndarray
+    poses: np.ndarray
     length: np.ndarray
     row: np.ndarray
 
@@ -48,38 +48,33 @@ def programmed_curve(program: Program) -> Curve:
             pieces.append(_in_part(program, m.target[index], row))
             rows.append(index)
         row = end
-    points = np.concatenate(pieces)
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return Curve(points, np.concatenate([[0.0], np.cumsum(steps)]), np.concatenate(rows))
+    poses = np.concatenate(pieces)
+    steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    return Curve(poses, np.concatenate([[0.0], np.cumsum(steps)]), np.concatenate(rows))
 
 
 def _in_part(program: Program, points: np.ndarray, row: int) -> np.ndarray:
-    """Tips (n, 3) in the part frame from coordinates of move `row`."""
+    """Poses (n, 5) in the part frame from coordinates of move `row`."""
     length = np.full(len(points), program.moves.tool_length[row])
-    return points[:, :3] if program.moves.traori[row] else mv.tips_at(program.kinematics, points, length)[:, :3]
+    return points if program.moves.traori[row] else mv.tips_at(program.kinematics, points, length)
 
 
 def _bent_points(program: Program, start: np.ndarray, row: int) -> np.ndarray:
     """Points (n, 5) of an arc or of a move with rotary axes, without its start."""
     m = program.moves
-    end = m.target[row]
-    parts = np.abs(end[3:] - start[3:]).max() / TURN_STEP if not m.traori[row] else 1.0
-    arc = m.kind[row] == mv.ARC
-    centre, radius1, radius2 = m.circles(np.array(row), start[:3])
-    if arc:
+    base, step, radius1, radius2, _ = m.curves(np.array(row), start)
+    parts = np.abs(step[3:]).max() / TURN_STEP if not m.traori[row] else 1.0
+    if m.kind[row] == mv.ARC:
         parts = max(parts, m.angle[row] / np.sqrt(8.0 * SAGITTA / max(float(np.linalg.norm(radius1)), 1e-6)))
     share = np.linspace(0.0, 1.0, int(min(MOST_POINTS, np.ceil(parts))) + 1)[1:, None]
-    points = start + share * (end - start)
-    if arc:
-        phi = m.angle[row]
-        pitch = end[:3] - centre - np.cos(phi) * radius1 - np.sin(phi) * radius2
-        points[:, :3] = centre + np.cos(share * phi) * radius1 + np.sin(share * phi) * radius2 + share * pitch
+    points, phi = base + share * step, share * m.angle[row]
+    points[:, :3] += np.cos(phi) * radius1 + np.sin(phi) * radius2
     return points
 
 
 @compiled(allocates=True)
 def nearest_along(points, length, at, hint, back, ahead):
-    """Distance (n,) of points `at` (n, 3) to a polyline and the length (n,) at which the nearest point lies.
+    """Distance (n,) of points `at` (n, 3) to a polyline of points or poses, and the length (n,) of the polyline up to the nearest point.
 
     Each is searched between hint - back and hint + ahead along the polyline; a hint of NaN means the foot of the point before.
     """

@@ -54,12 +54,20 @@ class Moves:
         """These rows only."""
         return Moves(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
-    def circles(self, rows: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Arcs from `start` (row, 3) as centre + cos(phi) e1 + sin(phi) e2, the centre at the height of the start; e1 = e2 = 0 on lines."""
-        normal, arm = self.normal[rows], start - self.centre[rows]
-        flat = arm - normal * np.sum(arm * normal, axis=-1, keepdims=True)
-        radius = np.where((self.angle[rows] > 0.0)[..., None], flat, 0.0)
-        return start - radius, radius, np.cross(normal, radius)
+    def curves(self, rows: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Moves from `start` (row, 5) as base + s step + cos(s angle) e1 + sin(s angle) e2, s = 0 .. 1 (e1 = e2 = 0 on lines), and their ways.
+
+        Base and step (row, 5), e1 and e2 (row, 3), from the centre at the height of the start; way of the tip (row,) [m].
+        """
+        normal, angle, arm = self.normal[rows], self.angle[rows][..., None], start[..., :3] - self.centre[rows]
+        radius1 = np.where(angle > 0.0, arm - normal * np.sum(arm * normal, axis=-1, keepdims=True), 0.0)
+        radius2, base = np.cross(normal, radius1), start.copy()
+        base[..., :3] -= radius1
+        step = self.target[rows] - base
+        step[..., :3] -= np.cos(angle) * radius1 + np.sin(angle) * radius2
+        rise = np.sum(np.where(angle > 0.0, step[..., :3], 0.0) * normal, axis=-1)
+        way = np.hypot(angle[..., 0] * np.linalg.norm(radius1, axis=-1), rise)
+        return base, step, radius1, radius2, np.where(angle[..., 0] > 0.0, way, np.linalg.norm(step[..., :3], axis=-1))
 
 
 def place_of(path: Path, line: int, block: int, column: int | None = None) -> str:

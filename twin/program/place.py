@@ -75,7 +75,7 @@ def axes_of(program: Program) -> np.ndarray:
 def _along_arcs(program: Program) -> tuple[np.ndarray, np.ndarray]:
     """Points along all arcs, each from the end of its arc (point, 3) [m] in the frame of its move, and the moves that they belong to."""
     rows = np.flatnonzero(program.moves.kind == ARC)
-    _, radius1, radius2 = program.moves.circles(rows, program.moves.target[rows, :3])
+    _, _, radius1, radius2, _ = program.moves.curves(rows, program.moves.target[rows])
     back = np.minimum(program.moves.angle[rows], 2.0 * np.pi)[:, None, None] * (np.arange(1, ALONG_ARC) / ALONG_ARC)[:, None]
     points = (np.cos(back) - 1.0) * radius1[:, None] - np.sin(back) * radius2[:, None]
     return points.reshape(-1, 3), np.repeat(rows, ALONG_ARC - 1)

@@ -45,19 +45,12 @@ def stretches(program: mv.Program) -> list[tuple[int, int]]:
 def stretch_of(program: mv.Program, starts: np.ndarray, first: int, last: int, great_circle: np.ndarray) -> Stretch | None:
     """The elements of rows first .. last; None if nothing moves (a dwell, or moves of no length)."""
     m, rows = program.moves, np.arange(first, last + 1)
-    start, end = starts[rows], m.target[rows]
-    base, step, angle = start.copy(), end - start, m.angle[rows]
-    arc, length = angle > 0.0, np.linalg.norm(step[:, :3], axis=1)
-    base[:, :3], radius1, radius2 = m.circles(rows, start[:, :3])
-    if arc.any():
-        rise = np.einsum("ni,ni->n", step[:, :3], m.normal[rows])
-        length = np.where(arc, np.hypot(angle * np.linalg.norm(radius1, axis=1), rise), length)
-        step[:, :3] = end[:, :3] - base[:, :3] - np.cos(angle)[:, None] * radius1 - np.sin(angle)[:, None] * radius2
-    length = np.hypot(length, el.REFERENCE_RADIUS * np.linalg.norm(step[:, 3:], axis=1))
+    base, step, radius1, radius2, way = m.curves(rows, starts[rows])
+    length = np.hypot(way, el.REFERENCE_RADIUS * np.linalg.norm(step[:, 3:], axis=1))
     kept = length > 1e-10
     if not kept.any():
         return None
-    fields = [v[kept] for v in (base, step, radius1, radius2, angle, length, rows)]
+    fields = [v[kept] for v in (base, step, radius1, radius2, m.angle[rows], length, rows)]
     if great_circle[rows].any():
         fields = _divided(program, fields, great_circle)
     *curve, length, row = fields

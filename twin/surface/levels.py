@@ -135,12 +135,8 @@ def programmed_path(program: Any) -> ToolPath:
     from twin.program import moves as mv
     from twin.program.curve import TURN_STEP, programmed_curve
 
-    curve, moves, starts = programmed_curve(program), program.moves, program.starts()
-    # the points of a move are evenly spaced; the very first point is the start
-    row = curve.row[1:]
-    share = np.concatenate([np.arange(1, n + 1) / n for n in np.unique(row, return_counts=True)[1]])
-    angles = starts[row, 3:] + share[:, None] * (moves.target[row] - starts[row])[:, 3:]
-    poses = np.hstack([curve.points, np.vstack([program.start[3:], angles])])
+    curve, moves = programmed_curve(program), program.moves
+    poses, row = curve.poses, curve.row[1:]
     # the curve has no points within straight moves
     undivided = moves.traori & (moves.kind != mv.ARC) & ~(moves.workpiece_orientation & (moves.kind != mv.RAPID))
     turn = np.abs(np.diff(poses[:, 3:], axis=0)).max(axis=1)
