@@ -341,6 +341,10 @@ BAD = {
     "open bracket": ("G1 X=(1+2 F100", "bracket"),
     "number missing": ("G1 X1 F100\nG1 X2 Y", "line 2, column 7: 'Y' needs a number"),
     "far too large": ("G1 X" + "9" * 400 + " F100", "travel|finite"),
+    "frame and axis": ("DEF FRAME FA\n$P_PFRAME=FA:A", r"line 2, column 13: :\(frame, A\) has no value"),
+    "sum of frames": ("R1=CTRANS(X,1)+CTRANS(X,2)", "frame, frame"),
+    "length of a frame": ("R1=STRLEN(CTRANS(X,1))", "frame"),
+    "capitals of a number": ("R1=TOUPPER(5)", r"TOUPPER\(5\) has no value"),
     "no text": ("G1 X1\x00\x01 F100", "no text"),
     "endless line": ("G1 X" + "1" * 100_000, "longer than"),
 }

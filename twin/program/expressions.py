@@ -141,8 +141,8 @@ SINUMERIK = Grammar(
     | {
         "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)), "POT": lambda x: x * x, "TRUNC": math.trunc, "ROUNDUP": math.ceil,
         "MINVAL": min, "MAXVAL": max, "BOUND": lambda low, high, x: min(max(low, x), high), "NUMBER": float,
-        "STRLEN": lambda text: float(len(text)), "TOUPPER": lambda text: text.upper(), "TOLOWER": lambda text: text.lower(),
-        "SUBSTR": lambda text, at, n=200.0: text[int(at) : int(at) + int(n)], "INDEX": lambda text, char: float(text.find(char)),
+        "STRLEN": lambda text: float(str.__len__(text)), "TOUPPER": str.upper, "TOLOWER": str.lower,
+        "SUBSTR": lambda text, at, n=200.0: text[int(at) : int(at) + int(n)], "INDEX": lambda text, char: float(str.find(text, char)),
     },
     {"PI": math.pi, "$PI": math.pi, "TRUE": 1.0, "FALSE": 0.0},
 )  # fmt: skip
@@ -233,14 +233,15 @@ class Expression:
             return 0.0
         try:
             result = work(*arguments)
+            if isinstance(result, str | Frame):
+                return result
+            finite = math.isfinite(result)
         except ZeroDivisionError:
             raise self.fail("division by zero", at) from None
         except (ValueError, TypeError, OverflowError):
             shown = ", ".join(as_text(a) for a in arguments)
             raise self.fail(f"{name}({shown}) has no value", at) from None
-        if isinstance(result, str | Frame):
-            return result
-        if not math.isfinite(result):
+        if not finite:
             raise self.fail("expression gives no finite number", at)
         return float(result)
 

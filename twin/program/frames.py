@@ -41,7 +41,9 @@ class Frame(NamedTuple):
     matrix: np.ndarray
     shift: np.ndarray
 
-    def __matmul__(self, inner: Frame) -> Frame:
+    def __matmul__(self, inner: object) -> Frame:
+        if not isinstance(inner, Frame):
+            return NotImplemented
         shift = np.concatenate([self.shift[:3] + self.matrix @ inner.shift[:3], self.shift[3:] + inner.shift[3:]])
         return Frame(self.matrix @ inner.matrix, shift)
 
