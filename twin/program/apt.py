@@ -124,7 +124,7 @@ class AptReader:
         self.state.set_unit(UNITS[values.strip()], feed=True)
 
     def _machine_system(self, word: str, values: str) -> None:
-        """MSYS/ origin, x axis, y axis of the frame in which the following points stand (NX)."""
+        """MSYS/ origin, x axis, y axis of the frame of the following points (NX)."""
         n = words.numbers_of(values, word, (9,))
         self._frame(word, np.array(n[3:6]), np.array(n[6:9]), np.array(n[:3]))
 
@@ -191,16 +191,16 @@ class AptReader:
         if parts == ["RAPID"]:
             self.rapid_feed = True
             return
-        self.turn_feed = (parts, word) if set(parts) & words.PER_REVOLUTION.keys() else None
+        self.turn_feed = (parts, word) if set(parts) & words.PER_REVOLUTION else None
         self.state.feed = math.nan if self.turn_feed and math.isnan(self.spindle) else self._feed_of(parts, word)
         self.rapid = self.rapid_feed = False
 
     def _feed_of(self, parts: list[str], word: str) -> float:
         """A feed in units of the file per minute, as the collector wants it."""
-        units = [v for v in parts if v in words.PER_MINUTE or v in words.PER_REVOLUTION]
+        units = [v for v in parts if v in words.FEED_UNITS]
         value = words.numbers_of(",".join(v for v in parts if v not in units), word, (1,))[0]
         unit = units[0] if units else "PERMIN"
-        metres = {**words.PER_MINUTE, **words.PER_REVOLUTION}[unit]
+        metres = words.FEED_UNITS[unit]
         if unit in words.PER_REVOLUTION:
             if math.isnan(self.spindle):
                 raise WordError("a feed per revolution needs a spindle speed; give SPINDL/ in RPM before it, or a feed per minute", 0)
@@ -262,7 +262,7 @@ class AptReader:
 
     def _driven(self, word: str, values: str) -> None:
         if self.direction is None:
-            raise WordError(f"{word}/ needs the direction in which the tool leaves; give INDIRV/ before it", 0)
+            raise WordError(f"{word}/ needs the direction of its start; give INDIRV/ before it", 0)
         kind, given = self.direction
         start = self.state.here()
         direction = given if kind == "INDIRV" else given * self.state.unit - start

@@ -4,7 +4,7 @@ The words are those of the CL data standard (ISO 4343) and additional ones of CA
 
 CIRCLE/ x,y,z,i,j,k[,r]          arc to the next GOTO, right-handed about its axis (NX, Creo; RhinoCAM without radius)
 MOVARC/ x,y,z,i,j,k,r,ANGLE,a    the same; of the two senses the one that the angle fits (Fusion)
-INDIRV/ i,j,k                    direction in which the tool leaves (CATIA); INDIRP/ x,y,z: the point it leaves towards
+INDIRV/ i,j,k                    direction of the start (CATIA); INDIRP/ x,y,z: a point in that direction
 TLON,GOFWD/ (CIRCLE/ x,y,z,r),ON,[n,INTOF,](LINE/ x1,y1,z1,x2,y2,z2)
                                  along the circle about the tool axis to its first (n-th) meeting with the line;
                                  CIRCLE/CANON,x,y,z,i,j,k,r gives another axis, (PLANE/ i,j,k,d) replaces the line
@@ -93,9 +93,9 @@ def is_number(text: str) -> bool:
         return False
 
 
-PER_MINUTE = {"MMPM": 1e-3, "IPM": INCH, "PERMIN": None}
-PER_REVOLUTION = {"MMPR": 1e-3, "IPR": INCH, "PERREV": None}
+FEED_UNITS = {"MMPM": 1e-3, "IPM": INCH, "PERMIN": None, "MMPR": 1e-3, "IPR": INCH, "PERREV": None}
 """Feed units -> metre; None: the unit of the file."""
+PER_REVOLUTION = {"MMPR", "IPR", "PERREV"}
 
 _KINDS = "DRILL DEEP DEEP2 DEEPHL CBORE SPOT BRKCHP BRKCH2 FACE CSINK BORE BORE2 REAM SPDRL THRU TAP TAPR"
 CYCLES = frozenset(_KINDS.split())
@@ -111,7 +111,6 @@ def cycle_of(kind: str, parts: list[str], unit: float, feed: float, feed_of: Cal
 
     `feed`: the active one; `feed_of` reads a value with its unit.
     """
-    feed_units = {**PER_MINUTE, **PER_REVOLUTION}
     named: dict[str, float] = {}
     plain: list[float] = []
     at = 1
@@ -119,12 +118,12 @@ def cycle_of(kind: str, parts: list[str], unit: float, feed: float, feed_of: Cal
         text, after = parts[at], parts[at + 1] if at + 1 < len(parts) else ""
         if is_number(text):
             plain.append(float(text))
-            if after in feed_units:
+            if after in FEED_UNITS:
                 named["FEED"] = feed_of([text, after])
                 plain.pop()
                 at += 1
         elif is_number(after):
-            named["FEED" if text in feed_units else text] = feed_of([after, text]) if text in feed_units else float(after)
+            named["FEED" if text in FEED_UNITS else text] = feed_of([after, text]) if text in FEED_UNITS else float(after)
             at += 1
         at += 1
     depth = abs(named.get("FEDTO", named.get("DEPTH", plain[0] if plain else math.nan)))

@@ -40,23 +40,9 @@ class Frames(NamedTuple):
 def frames_of(kinematics: Kinematics, active: bool) -> Frames:
     """Arrays of a machine's transformation."""
     k = kinematics
-
-    def cross(axis: np.ndarray) -> np.ndarray:
-        x, y, z = axis
-        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-    arrays = (
-        np.linalg.inv(k.slides),
-        k.part_axes,
-        k.part_origin,
-        k.tool_tip,
-        k.turn_anchor,
-        np.outer(k.turn_axis, k.turn_axis),
-        cross(k.turn_axis),
-        k.tilt_anchor,
-        np.outer(k.tilt_axis, k.tilt_axis),
-        cross(k.tilt_axis),
-    )
+    turns = ((k.turn_anchor, k.turn_axis), (k.tilt_anchor, k.tilt_axis))
+    swings = [v for anchor, axis in turns for v in (anchor, np.outer(axis, axis), np.cross(np.eye(3), axis))]
+    arrays = [np.linalg.inv(k.slides), k.part_axes, k.part_origin, k.tool_tip, *swings]
     return Frames(bool(active), k.tilt_on_table, k.turn_on_table, *(np.ascontiguousarray(a, float) for a in arrays))
 
 

@@ -26,7 +26,7 @@ from twin.program.axis_path import spline_jet
 
 GROWTH = 0.3
 LONGEST_SHARE = 0.45  # of the shorter block beside a corner: two blends never meet
-CORNER = 0.3  # slope step above which a corner is always a corner, never a facet
+CORNER = 0.3  # a larger slope step is always a corner, never a facet
 WITHIN = 0.9  # share of the tolerance used in planning; the rest covers neglected terms
 ARC_STEP = 0.06  # knot distance on an arc in rad
 END_ERROR = 5e-8  # m, error of an arc near an exact stop

@@ -32,7 +32,7 @@ Vector = tuple[float, float, float]
 class Move(NamedTuple):
     """One move to a point in program coordinates (machine coordinates if `machine`), by a line or an arc.
 
-    Feed (with its override), place in the program and modes are those with which it was programmed; `mode` is the number of the modes.
+    Feed (with its override), place in the program and modes are those of its block; `mode` is the number of the modes.
     """
 
     kind: int
@@ -172,6 +172,10 @@ class Control:
         clockwise = self.state.motion == 2
         if radius is not None and words:
             raise WordError("the circle is given twice, by its centre (I J K) and by its radius; keep one")
+        if radius is None and not words:
+            raise WordError(
+                f"a circle needs its centre (I J K) or radius {'R' if self.state.iso else '(CR=, in .ngc files R)'}; add it to the block"
+            )
         if radius is not None:
             return arcs.centre_from_radius(start, point, radius, self.state.plane, clockwise)
         a, b, across = arcs.PLANES[self.state.plane]

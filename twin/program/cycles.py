@@ -33,7 +33,7 @@ class Drilling:
     """One drilling cycle: heights and depths in program units, dwells in s.
 
     `retract`: final height (RTP, or the R plane); `safe`: start of the feed; `depth`: bottom. `pecks`: the infeeds above the bottom.
-    `out`: how the tool leaves the hole at the end; `between`: share of the feed at which it leaves before, 0 for rapid.
+    `out`: how the tool leaves the hole at the end; `between`: share of the feed of the ways out before, 0 for rapid.
     """
 
     safe: float

@@ -194,7 +194,7 @@ class Flow:
         return True
 
     def _structure(self, frame: Frame, at: int, s: Statement) -> int:
-        """The line behind which the program goes on: it enters or skips a loop or branch, and goes on or back at the end of a loop."""
+        """The program goes on behind this line: it enters or skips a loop or branch, and goes on or back at the end of a loop."""
         kind, opens, statements = s.kind, self.table(frame.unit).get(at, (at,))[0] == at, frame.unit.statements
         if opens and kind in ("while", "for", "times") and self._enters(frame, at, s):
             return at

@@ -238,7 +238,7 @@ class _Motion:
 
 
 def _excess(start: np.ndarray, blocks: Iterable[np.ndarray], period: float, limits: Limits) -> float:
-    """Factor by which the motion must be slower for the differences of the set points to keep every limit."""
+    """The motion must be slower by this factor, so that the differences of the set points keep every limit."""
     worst = 1.0
     before = np.tile(start, (3, 1))  # at rest before and behind
     for axes in itertools.chain(blocks, (None,)):

@@ -24,7 +24,7 @@ from twin.program.source import Unit
 from twin.program.state import Block, Item
 
 ISO_FRAMES = ("system", "shift", "local", "mirror", "scale", "turn", "plane")
-"""Zero offset, G92, G52, then G51.1, G51 and G68 in the order in which a Fanuc nests them, and G68.2."""
+"""Zero offset, G92, G52, then G51.1, G51 and G68 in the order of a Fanuc, and G68.2."""
 POLAR = ("@", "^")
 """Words of a radius and an angle (LinuxCNC)."""
 
@@ -69,14 +69,14 @@ class Iso(Reader):
         self.cycle: int | None = None  # G73 to G89 in force
         self.sticky: dict[str, float] = {}  # words of the cycles
         self.given_absolute: dict[str, bool] = {}  # of the words in `sticky`: under G90
-        self.initial = 0.0  # height at which the cycles began [m]
+        self.initial = 0.0  # height where the cycles began [m]
         self.polar = False  # G16
         self.polar_place: tuple[float, float] | None = None  # radius and angle [deg] that G16 keeps
         self.any_motion = False  # a Fanuc takes coordinates before any G0 or G1 as rapid
         self.modal_macro: tuple[Unit, int, dict] | None = None  # G66
         self.edge: Item | None = None  # D, which a Fanuc keeps
         self.spline_arm = 0.0, 0.0  # P and Q of the last G5 [m]
-        self.between: tuple[np.ndarray, tuple[float, float]] | None = None  # the point of G28 or G30, through which G29 returns
+        self.between: tuple[np.ndarray, tuple[float, float]] | None = None  # the point of G28 or G30; G29 returns through it
         self.parameter_lines = False  # behind G10 L50, up to G11
         self.stored_modes: dict[int, Callable[[], None]] = {}
         self.main_seen = False

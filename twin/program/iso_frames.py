@@ -32,36 +32,33 @@ def choose_system(m: Iso, b: Block, number: float) -> None:
 
 
 def _g10_tool(m: Iso, b: Block, what: int) -> None:
-    """G10 L10 to L13 of Fanuc (length, its wear, radius, its wear), L1 of LinuxCNC (Z, R)."""
+    """G10 L10 to L13 of Fanuc (length, its wear, radius, its wear), L1 of LinuxCNC (Z, R).
+
+    Without L (`what` 0): a Fanuc whose offsets are one list, where the same number serves as length and as radius.
+    """
     s = m.state
     if what in (50, 51, 52) and not m.linuxcnc:
         s.note("G10 L50 .. G11: parameters of the control, understood, no effect on the motion")
         m.parameter_lines = True
         return
-    given = {1: "ZR"} if m.linuxcnc else {10: "R", 11: "R", 12: "R", 13: "R"}
-    if what not in given or "P" not in b.w:
+    length, radius = ("length",), ("radius",)
+    of_r = {0: length + radius, 10: length, 11: length, 12: radius, 13: radius}
+    given = {1: {"Z": length, "R": radius}} if m.linuxcnc else {number: {"R": quantities} for number, quantities in of_r.items()}
+    if what not in given:
         raise WordError(f"G10 L{what} is not supported: it writes what is not simulated; give [tool] in the machine file", b.column)
-    name = f"{b.take('P'):g}"
+    name, wear = f"{b.need('P', 'G10 needs P, the number of the tool or offset; add it', b.column).value:g}", what in (11, 13)
     for letter, item in b.pick(*given[what]).items():
-        value, wear = item.value * s.unit, what in (11, 13)
-        quantity = "radius" if what in (12, 13) or (what == 1 and letter == "R") else "length"
-        if not s.absolute and not m.linuxcnc:  # G91 adds on a Fanuc
-            value += s.tools.value(name, quantity, wear=wear) or 0.0
-        s.tools.set_value(name, quantity, value, wear=wear)
+        for quantity in given[what][letter]:
+            adds = not s.absolute and not m.linuxcnc  # G91 adds on a Fanuc
+            old = (s.tools.value(name, quantity, wear=wear) or 0.0) if adds else 0.0
+            s.tools.set_value(name, quantity, old + item.value * s.unit, wear=wear)
 
 
 def g10(m: Iso, b: Block, _: float) -> None:
     """G10: zero offsets (L2, L20) and tools."""
     s = m.state
-    if "L" not in b.w and not m.linuxcnc and "R" in b.w and not b.w.keys() & set(AXES):
-        # a Fanuc whose offsets are one list: the same number serves as length and as radius
-        name = f"{b.need('P', 'G10 R needs P, the number of the offset; add it', b.w['R'].column).value:g}"
-        value = b.take("R") * s.unit
-        for quantity in ("length", "radius"):
-            old = 0.0 if s.absolute else s.tools.value(name, quantity) or 0.0
-            s.tools.set_value(name, quantity, old + value)
-        return
-    what = int(b.take("L", 2.0))
+    tool_alone = "L" not in b.w and not m.linuxcnc and "R" in b.w and not b.w.keys() & set(AXES)
+    what = 0 if tool_alone else int(b.take("L", 2.0))
     if what not in (2, 20):
         _g10_tool(m, b, what)
         return

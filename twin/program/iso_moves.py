@@ -19,7 +19,7 @@ CYCLES = {73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89}
 USED_BY = {"P": {73, 74, 76, 82, 83, 84, 86, 87, 88, 89}, "Q": {73, 76, 83, 87}, "I": {76, 87}, "J": {76, 87}}
 """Word -> cycles that use it; its value is modal."""
 CHIP_BREAK = 0.254e-3
-"""Retract of G73, and distance above the last depth at which G83 resumes feed [m]; LinuxCNC's value, a parameter on other controls."""
+"""Retract of G73; G83 resumes feed this far above the last depth [m]; LinuxCNC's value, a parameter on other controls."""
 REFERENCES = {27, 28, 29, 30}
 """G codes of the reference point."""
 
@@ -83,8 +83,6 @@ def _arc(m: Iso, b: Block, start: np.ndarray, point: np.ndarray, centre: dict[st
         turns, _, column = b.w.pop("P")
         if turns != int(turns) or not 1 <= turns <= 10_000:
             raise WordError(f"P{turns:g}: the number of turns of an arc is a whole number from 1", column)
-    if radius is None and not centre:
-        raise WordError("a circle needs its centre (I J K) or radius R; add it to the block")
     in_plane = [n for n in centre if "IJK".index(n) in arcs.PLANES[s.plane][:2]]
     if s.centre_absolute and centre and len(in_plane) < 2:
         raise WordError("under G90.1 a circle needs both words of its centre; add the other")

@@ -19,7 +19,7 @@ LETTERS = "XYZABCUVW"
 
 
 SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
-"""Zero offsets in the order in which G10 P and the variables count them; additional ones are G54.1P1 and so on."""
+"""Zero offsets in the order of G10 P and of the variables; additional ones are G54.1P1 and so on."""
 
 
 class Offsets:

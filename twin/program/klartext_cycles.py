@@ -28,7 +28,7 @@ NEEDS = {
 }  # fmt: skip
 """Parameters that a cycle cannot do without."""
 ADVANCED_STOP = 0.2
-"""Distance above the last depth at which feed begins again in cycle 200, and the step off the wall in cycle 202 [mm]."""
+"""Cycle 200 begins feed again this far above the last depth, cycle 202 steps off the wall by it [mm]."""
 DIRECTIONS = {0: (0.0, 0.0), 1: (-1.0, 0.0), 2: (0.0, -1.0), 3: (1.0, 0.0), 4: (0.0, 1.0)}
 
 Parameters = Callable[..., float]

@@ -242,7 +242,7 @@ def depart(m: Klartext, block: Block) -> None:
 def _way(
     m: Klartext, kind: str, start: np.ndarray, to: np.ndarray, t: np.ndarray, side: int, radius: float, words: dict[str, Item]
 ) -> tuple[np.ndarray, Arc | None]:
-    """Auxiliary point (3,) from which the tool comes to the contour at `to` (3,) in the direction `t`, and the arc from it.
+    """Auxiliary point (3,) beside the contour, which begins at `to` (3,) in the direction `t`, and the arc between them.
 
     `side` 1: the tool is to the left of the contour (RL), -1 to the right; `radius` of the tool [m].
     """

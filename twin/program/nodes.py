@@ -21,7 +21,7 @@ SHORTEST = 1e-4  # of a piece of the spline: an interval at least
 CLOSE = 1e-6  # of a piece of the spline: a change of feed nearer to its end counts as there
 NEAR = 0.1  # of a piece of the spline: on a straight, a break nearer to a change of feed moves onto it
 STRAIGHT = 1e-12  # m or rad, bend of a piece that counts as straight
-AT_EASE = 0.5  # share of its limits below which an axis does not make the path slower
+AT_EASE = 0.5  # an axis below this share of its limits does not make the path slower
 
 
 class Limits(NamedTuple):

@@ -88,13 +88,24 @@ def unreachable_text(kinematics: Kinematics, tool_axis: np.ndarray, status: int)
 
 
 @compiled(allocates=True)
+def _within(angle, near, travel):
+    """The angle by whole turns next to `near`, by more of them if that lies outside the travel (2,); NaN if no place fits."""
+    whole, (low, high) = 2.0 * np.pi, (travel[0] - TRAVEL_TOLERANCE, travel[1] + TRAVEL_TOLERANCE)
+    angle += whole * np.round((near - angle) / whole)
+    if angle < low:
+        angle += whole * np.ceil((low - angle) / whole)
+    if angle > high:
+        angle -= whole * np.ceil((angle - high) / whole)
+    return angle if low <= angle <= high else np.nan
+
+
+@compiled(allocates=True)
 def _choose(pairs, reachable, free, fixed, start, travel):
     n = pairs.shape[1]
     angles = np.empty((n, 2))
     status = np.zeros(n, np.int8)
     rewound = np.zeros(n, np.bool_)
     tilt, turn = start[0], start[1]
-    whole = 2.0 * np.pi
     for i in range(n):
         best, best_tilt, best_turn = np.inf, tilt, turn
         if free[i]:
@@ -104,23 +115,9 @@ def _choose(pairs, reachable, free, fixed, start, travel):
             status[i] = UNREACHABLE
         else:
             for k in range(2):
-                new_tilt = pairs[k, i, 0]
-                # the tilt within its travel, nearest to where it is
-                new_tilt += whole * np.round((tilt - new_tilt) / whole)
-                if new_tilt < travel[0, 0] - TRAVEL_TOLERANCE:
-                    new_tilt += whole
-                if new_tilt > travel[0, 1] + TRAVEL_TOLERANCE:
-                    new_tilt -= whole
-                if new_tilt < travel[0, 0] - TRAVEL_TOLERANCE or new_tilt > travel[0, 1] + TRAVEL_TOLERANCE:
-                    continue
-                # the turn by the shortest way, by whole turns back if there are stops
-                new_turn = turn if np.isnan(pairs[k, i, 1]) else pairs[k, i, 1]
-                new_turn += whole * np.round((turn - new_turn) / whole)
-                if new_turn < travel[1, 0] - TRAVEL_TOLERANCE:
-                    new_turn += whole * np.ceil((travel[1, 0] - TRAVEL_TOLERANCE - new_turn) / whole)
-                if new_turn > travel[1, 1] + TRAVEL_TOLERANCE:
-                    new_turn -= whole * np.ceil((new_turn - travel[1, 1] - TRAVEL_TOLERANCE) / whole)
-                if new_turn < travel[1, 0] - TRAVEL_TOLERANCE or new_turn > travel[1, 1] + TRAVEL_TOLERANCE:
+                new_tilt = _within(pairs[k, i, 0], tilt, travel[0])
+                new_turn = _within(turn if np.isnan(pairs[k, i, 1]) else pairs[k, i, 1], turn, travel[1])
+                if np.isnan(new_tilt) or np.isnan(new_turn):
                     continue
                 distance = max(abs(new_tilt - tilt), abs(new_turn - turn))
                 # of two equal ways the one with the smaller tilt step, then the first

@@ -69,8 +69,6 @@ _OTHER = (
     (re.compile(r"^\s*(?:MODULE\s+\w|PROC\s+main\(\)|MoveL\s|&ACCESS\b)", re.M), "a robot program"),
     (re.compile(r"^\s*(?:<\?xml|<html|\{\s*\")", re.I), "no part program but a data file"),
     (re.compile(r"^\s*(?:ISO-10303-21|solid\s+\w)", re.I), "a model, not a program"),
-)
-_BOTH = (
     (re.compile(r"^%\d", re.M), re.compile(r"\bG7[79]\s*[HN]|\bER-?\d|\bG0*[01]\s+G52\s*[XYZ]"), "a NUM program"),
     (re.compile(r"^\s*M1(?:04|09|40)\s+S\d", re.M), re.compile(r"^\s*G[01]\b[^\n;]*\bE-?[\d.]", re.M), "a program of a 3-D printer"),
     (
@@ -78,10 +76,14 @@ _BOTH = (
         re.compile(r"^\s*(?:N\d+\s*)?I[+-][\d.]+\s*J[+-][\d.]+\s*\*?\s*$|\bM13\b|\bG98\s*L\d|\bD0?0\s*Q\d", re.M),
         DIN_ISO,
     ),
+    # a length of the tool that is called without G43
+    (
+        re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M),
+        re.compile(r"\A(?!(?s:.*)G43)(?s:.*)\bE\d\b"),
+        "a FADAL program",
+    ),
 )
-"""Languages recognised by two marks together."""
-_FADAL = re.compile(r"^[ \t]*(?:N\d+[ \t]*)?(?:G90[ \t]*)?H\d+[ \t]+Z[-\d.]+[ \t]*$", re.M)
-"""A length of the tool that is called without G43."""
+"""Languages that are not read, by one mark or by several together."""
 
 
 def dialect(source: Source) -> str:
@@ -92,10 +94,7 @@ def dialect(source: Source) -> str:
     """
     ending = source.path.suffix.lower()
     text = "\n".join(source.lines[:SNIFFED_LINES])
-    found = [name for pattern, name in _OTHER if pattern.search(text)]
-    found += [name for first, second, name in _BOTH if first.search(text) and second.search(text)]
-    if "G43" not in text and _FADAL.search(text) and re.search(r"\bE\d\b", text):
-        found.append("a FADAL program")
+    found = [name for *marks, name in _OTHER if all(mark.search(text) for mark in marks)]
     if ending == ".h" or _KLARTEXT.search(text):
         return "klartext"
     if found:

@@ -16,12 +16,12 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.program import axis_path
 
-SMALL = 1e-4  # |k| t^2 below which the series is used
+SMALL = 1e-4  # the series is used for a smaller |k| t^2
 
 
 @compiled(allocates=True)
 def _moved(x0, y0, k, t):
-    """Distance, speed and acceleration after the time t in an interval."""
+    """Distance and speed after the time t in an interval."""
     z = k * t * t
     if abs(z) < SMALL:
         s1 = t * (1.0 + z / 6.0 * (1.0 + z / 20.0 * (1.0 + z / 42.0)))
@@ -39,7 +39,7 @@ def _moved(x0, y0, k, t):
         c = math.cos(r * t)
         half = math.sin(0.5 * r * t)
         s2 = 2.0 * half * half / -k
-    return x0 * s1 + y0 * s2, x0 * c + y0 * s1, y0 * c + k * x0 * s1
+    return x0 * s1 + y0 * s2, x0 * c + y0 * s1
 
 
 @compiled(allocates=True)
@@ -64,15 +64,13 @@ def _interval_time(x0, x1, y0, y1, h):
 
 @compiled(allocates=True)
 def node_times(nodes, a, slope):
-    """Time (node,) [s] at which each node is passed, from rest at the first to rest at the last."""
+    """Time (node,) [s] of each node, from rest at the first to rest at the last."""
     n = nodes.shape[0] - 1
     times = np.zeros(n + 1)
     for i in range(n):
         h = nodes[i + 1] - nodes[i]
-        if i == 0:
-            t = 3.0 * h / math.sqrt(a[1])  # u = j t^3 / 6, speed 3 u / t
-        elif i == n - 1:
-            t = 3.0 * h / math.sqrt(a[n - 1])
+        if i == 0 or i == n - 1:
+            t = 3.0 * h / math.sqrt(max(a[i], a[i + 1]))  # u = j t^3 / 6, speed 3 u / t; a is 0 at rest
         else:
             t = _interval_time(math.sqrt(a[i]), math.sqrt(a[i + 1]), 0.5 * slope[i], 0.5 * slope[i + 1], h)
         times[i + 1] = times[i] + t
@@ -110,10 +108,10 @@ def sample(s, f, law, times, stretch, begin, period, out):
                 k = 0.5 * (slope[i + 1] - slope[i]) / h
                 # from the slower end: rounding errors grow with sinh towards it
                 if a[i] <= a[i + 1]:
-                    way, x, _ = _moved(math.sqrt(a[i]), 0.5 * slope[i], k, t - times[i])
+                    way, x = _moved(math.sqrt(a[i]), 0.5 * slope[i], k, t - times[i])
                     at = nodes[i] + min(max(way, 0.0), h)
                 else:
-                    way, x, _ = _moved(math.sqrt(a[i + 1]), -0.5 * slope[i + 1], k, times[i + 1] - t)
+                    way, x = _moved(math.sqrt(a[i + 1]), -0.5 * slope[i + 1], k, times[i + 1] - t)
                     at = nodes[i + 1] - min(max(way, 0.0), h)
         axis_path.spline_jet(s, piece[i], at, w)
         axis_path.axis_jet(f, w, work, q)

@@ -90,8 +90,6 @@ def _arc(m: Sinumerik, b: Block, start: np.ndarray, point: np.ndarray, centre: d
         middle = _by_angle(m, b, start, point, centre, clockwise)
         return m.control.arc_about(start, point, middle, clockwise, turns)
     radius = b.take("CR") * s.unit if "CR" in b.w else None
-    if radius is None and not centre:
-        raise WordError("a circle needs its centre (I J K) or radius (CR=, in .ngc files R); add it to the block")
     return m.control.arc_about(start, point, m.control.arc_centre(start, point, centre, radius), clockwise, turns)
 
 

@@ -40,7 +40,7 @@ G_GROUPS = {
     1: (0, 1, 2, 3), 6: (17, 18, 19), 7: (40, 41, 42), 8: (500, 54, 55, 56, 57), 10: (60, 64, 641, 642, 643, 644, 645),
     12: (601, 602, 603), 13: (70, 71, 700, 710), 14: (90, 91), 15: (93, 94, 95),
 }  # fmt: skip
-"""G codes by group, in the order in which G[group]=number and $P_GG[group] count them."""
+"""G codes by group, in the order of G[group]=number and $P_GG[group]."""
 
 Store = dict[tuple, Value]
 """The elements of a variable by their index, () of a plain one; ("default",) is that of the others."""
