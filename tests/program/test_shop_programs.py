@@ -11,7 +11,7 @@ from devtools import fuzz_programs, words_table
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.program import flow, interpolate, read_program
-from twin.program.apt_words import WITHOUT_EFFECT
+from twin.program.apt_words import WORDS
 from twin.program.iso import ISO_G, ISO_M, iso
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
@@ -586,7 +586,7 @@ def letter_of_no_axis(word: str) -> bool:
     return word[0] not in "BUVW"
 
 
-@pytest.mark.parametrize("word", sorted(WITHOUT_EFFECT))
+@pytest.mark.parametrize("word", sorted(word for word, entry in WORDS.items() if entry.kind == NOTE))
 def test_each_statement_of_cl_data_without_effect_is_noted(write, mikron, word: str) -> None:
     program = "UNITS/MM\nFEDRAT/500\nGOTO/0,0,150\n{}GOTO/5,0,150\n"
     without, now = (meaning(write(program.format(w), "part.apt"), mikron) for w in ("", f"{word}/1\n"))

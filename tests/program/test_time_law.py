@@ -114,7 +114,7 @@ def test_the_time_of_an_interval_ends_on_its_node(start: float, end: float, midd
     x0, x1, y0, y1 = math.sqrt(a0), math.sqrt(a1), (b - a0) / h, (a1 - b) / h
     time = sampling._interval_time(x0, x1, y0, y1, h)
     # from the slower end, as the samples are taken
-    moved, speed, _ = sampling._moved(*((x0, y0) if x0 < x1 else (x1, -y1)), (y1 - y0) / h, time)
+    moved, speed = sampling._moved(*((x0, y0) if x0 < x1 else (x1, -y1)), (y1 - y0) / h, time)
     assert moved == pytest.approx(h, rel=1e-9)
     assert speed == pytest.approx(max(x0, x1), rel=1e-9)
 

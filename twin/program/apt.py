@@ -22,7 +22,7 @@ from twin.program.control import KEPT, Control
 from twin.program.expressions import WordError, needed
 from twin.program.frames import Frame
 from twin.program.source import Source
-from twin.program.state import INCH, State
+from twin.program.state import INCH, REFUSED, State
 
 UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
 LONGEST_STATEMENT = 20_000
@@ -104,14 +104,14 @@ class AptReader:
             self.words[word](word, values)
         elif words.moves_nothing(word, values):
             self.state.note(f"{word}/0,0,0: a shift by zero")
-        elif word in words.NOT_SIMULATED or first in words.NOT_SIMULATED:
-            raise WordError(f"{word}/ is not simulated: {words.NOT_SIMULATED.get(word) or words.NOT_SIMULATED[first]}", 0)
-        elif word in words.WITHOUT_EFFECT or first in words.WITHOUT_EFFECT or word in words.FREE_TEXT:
-            self.state.note(f"{word}: understood, no effect on the motion")
+        elif (entry := words.WORDS.get(word, words.WORDS.get(first))) is not None:
+            if entry.kind == REFUSED:
+                raise WordError(f"{word}/ is not simulated: {entry.meaning}", 0)
+            self.state.note(f"{word}: {entry.meaning}")
         elif "_" in word:
             self.state.note(f"{word}: a word of the CAM system outside the standard of CL data, assumed to have no effect on the motion")
         else:
-            hint = nearest(word, {*words.WITHOUT_EFFECT, *self.words, "RAPID", "FINI", "TLAXIS"})
+            hint = nearest(word, {*words.WORDS, *self.words, "RAPID", "FINI", "TLAXIS"})
             if not hint.startswith("did you"):
                 hint = "let the CAM system output points (GOTO) instead, or remove it if it moves nothing"
             raise WordError(f"statement '{word}' is not known; {hint}", 0)

@@ -21,34 +21,26 @@ import numpy as np
 from twin.program import moves as mv
 from twin.program.arcs import CLOSING_TOLERANCE, Arc, ArcError, angle_between
 from twin.program.expressions import WordError
-from twin.program.state import INCH
+from twin.program.state import INCH, NOTE, NOTHING, REFUSED, Word, named
 
 FREE_TEXT = ("PARTNO", "PPRINT", "PPWORD", "COMMENT", "TPRINT", "INSERT", "REMARK", "LETTER", "TITLES", "DISPLY", "PROGRAM")
 """Statements followed by text for the operator."""
 
-WITHOUT_EFFECT = frozenset({
-    "AIR", "ARCSLP", "AUTOPS", "AUXFUN", "BREAK", "CHECK", "CLAMP", "CLEARP", "CLRSRF", "COOLNT", "COUPLE", "CUTTER", "DEBUG", "DELETE",
-    "END", "END-OF-PATH", "HEAD", "INTOL", "LEADER", "LINTOL", "LOAD", "LOADTL", "MACHIN", "MAXDPM", "MAXVEL", "MCHTOL", "MODE", "MULTAX",
-    "OPSKIP", "OPSTOP", "OUTTOL", "OUTOL", "PAINT", "PIVOTZ", "PLABEL", "PLOT", "PSIS", "POSTN", "PPFUN", "PREFUN", "REWIND", "SAFETY", "SELCTL", "SELECT",
-    "SELECTL", "SEQNO", "SET", "SLOWDN", "STOP", "SYN", "TDATA", "TLCOM", "TLDATA", "TMARK", "TOLER", "TOOL PATH", "TOOLNO", "TURRET",
-    "UNCLMP", "UNLOAD", "VERIFY", "ZERO", "CONTRL", "TAPKUL", "SWITCH", "BEGIN", "MATERL", "OPNAME", "APPLY", "TCP", "TCPCTL",
-    "OFSTNO", "OSETNO", "PARTID", "CATCHR", "BARFED", "TLSTCK", "OVRIDE", "ADJUST", "LIMIT", "OPTION", "PRINT", "PUNCH", "CHUCK", "BLANK",
-    "TOOL", "STOCK", "FIXTUR", "REGEN", "NOPOST", "TOOLST", "TLSPEC", "RESET", "TYPE", "MODEL",
-})  # fmt: skip
-"""Statements that have no effect here; each gives a note."""
-
-_DRIVEN = "GOFWD GOBACK GOLFT GORGT GOUP GODOWN GO TLLFT TLRGT TLON PROFIL POCKET PCKET SCON THRUST"
-NOT_SIMULATED = {
-    **dict.fromkeys(_DRIVEN.split(), "let the CAM system output points (GOTO) instead"),
-    **dict.fromkeys(
-        ("TRACUT", "COPY", "TRANS", "ORIGIN", "ROTABL", "ROTATE", "ROTHED", "TRANTO"),
-        "let the CAM system output the transformed points",
-    ),
-    **dict.fromkeys(("RETRCT", "RETURN"), "give the place as a GOTO"),
-    **dict.fromkeys(("CALSUB", "CALLSUB"), "it calls a subprogram that this file does not hold; put its points out here"),
-    "THREAD": "threads cut with a turning spindle are not simulated",
-}
-"""Statements with a motion that is not simulated -> what to do instead."""
+WORDS: dict[str, Word] = {
+    **named(NOTE, NOTHING, " ".join(FREE_TEXT)), "TOOL PATH": Word(NOTE, NOTHING),
+    **named(NOTE, NOTHING, (
+        "AIR ARCSLP AUTOPS AUXFUN BREAK CHECK CLAMP CLEARP CLRSRF COOLNT COUPLE CUTTER DEBUG DELETE END END-OF-PATH HEAD INTOL LEADER "
+        "LINTOL LOAD LOADTL MACHIN MAXDPM MAXVEL MCHTOL MODE MULTAX OPSKIP OPSTOP OUTTOL OUTOL PAINT PIVOTZ PLABEL PLOT PSIS POSTN "
+        "PPFUN PREFUN REWIND SAFETY SELCTL SELECT SELECTL SEQNO SET SLOWDN STOP SYN TDATA TLCOM TLDATA TMARK TOLER TOOLNO TURRET "
+        "UNCLMP UNLOAD VERIFY ZERO CONTRL TAPKUL SWITCH BEGIN MATERL OPNAME APPLY TCP TCPCTL OFSTNO OSETNO PARTID CATCHR BARFED "
+        "TLSTCK OVRIDE ADJUST LIMIT OPTION PRINT PUNCH CHUCK BLANK TOOL STOCK FIXTUR REGEN NOPOST TOOLST TLSPEC RESET TYPE MODEL")),
+    **named(REFUSED, "let the CAM system output points (GOTO) instead", "GOFWD GOBACK GOLFT GORGT GOUP GODOWN GO TLLFT TLRGT TLON PROFIL POCKET PCKET SCON THRUST"),
+    **named(REFUSED, "let the CAM system output the transformed points", "TRACUT COPY TRANS ORIGIN ROTABL ROTATE ROTHED TRANTO"),
+    **named(REFUSED, "give the place as a GOTO", "RETRCT RETURN"),
+    **named(REFUSED, "it calls a subprogram that this file does not hold; put its points out here", "CALSUB CALLSUB"),
+    **named(REFUSED, "threads cut with a turning spindle are not simulated", "THREAD"),
+}  # fmt: skip
+"""Statements without effect here, or with a motion that is not simulated; `twin.program.apt` has those that it carries out."""
 
 _PART = re.compile(r"\(?\s*(CIRCLE|LINE|PLANE)\s*/\s*([^()]*?)\s*\)?\s*(?=,\s*(?:ON|TO|PAST|TANTO|\d+\s*,\s*INTOF)\b|\s*\Z|,\s*\()", re.S)
 _ORDINAL = re.compile(r",\s*(\d+)\s*,\s*INTOF")
