@@ -24,7 +24,6 @@ from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
 from twin.diagnose.setup import Setup
-from twin.diagnose.simulations import on_threads
 from twin.diagnose.verdict import final_state
 from twin.diagnose.view import view_of
 from twin.exam.draw import SINGLES, draw_case, truth_of, write_campaign
@@ -50,7 +49,7 @@ def main() -> None:
     rng = random.Random(args.seed)
     rows, right, first = [], 0, 0
     with ThreadPoolExecutor() as pool, threadpool_limits(limits=1, user_api="blas"):
-        mapper = on_threads(pool)
+        mapper = pool.map
 
         for i, (effect, axes) in enumerate(sorted(axes_of.items())):
             axis = rng.choice(axes)

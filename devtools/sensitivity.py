@@ -21,17 +21,17 @@ import argparse
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
 import csv
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 import io
 import json
 from pathlib import Path
 import time
 import tomllib
-from typing import Any
+from typing import Any, NamedTuple
 
 from devtools.watched import Move, watched
 from twin.diagnose import diagnose
-from twin.diagnose.settings import T, Thresholds, listed
+from twin.diagnose.settings import T, Thresholds
 from twin.errors import TwinError
 from twin.exam.draw import Case, write_campaign
 from twin.exam.questions import questions_of
@@ -52,6 +52,22 @@ GROUP = 6
 """Moves that are made at once at first."""
 
 HEADER = ("threshold", "value", "unit", "cases that reach it", "moves", "cannot change", "made", "not made", "changes")
+
+
+class Listed(NamedTuple):
+    """One threshold as it is listed."""
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+    provenance: str
+
+
+def listed() -> Iterator[Listed]:
+    """All thresholds with value, unit, meaning and provenance."""
+    for f in fields(T):
+        yield Listed(f.name, getattr(T, f.name), f.metadata["unit"], f.metadata["meaning"], f.metadata["provenance"])
 
 
 def moved_value(name: str, factor: float) -> Any:

@@ -77,7 +77,7 @@ def test_a_size_that_may_be_zero_or_tolerance_is_removed(effect: str, size: floa
     free = [f for f in free_parameters((setting,), MACHINE) if f.parameter is parameter]
     scale = free[0].unit * (size if free[0].logarithmic else 1.0)
     fit = Fit((setting,), free, 1.0, np.zeros(0), np.zeros(group.size), columns_of(np.ones((group.size, 1))), no_tuning(group.size))
-    steep = float(np.sqrt(fit.sizes().covariance()[0, 0])) * scale / known
+    steep = next(iter(fit.sizes().deviations().values()))[1] * scale / known
     fit = replace(fit, columns=fit.columns.scaled(np.full(group.size, steep)))
     rest = without_implausible(found_of(group, fit=fit))
     assert (rest.fit.settings == (setting,)) == kept

@@ -21,18 +21,18 @@ def spring(mikron, stiffness):
 def test_a_spring_that_a_law_leaves_normal_is_no_longer_an_effect(mikron, stiffness, named):
     _, found = spring(mikron, 3e8)
     corrected, _ = spring(mikron, stiffness)
-    kept = effects_beside_laws(Laws((), (), corrected, {}), [(found, None, 0.98)])
+    kept = effects_beside_laws(Laws((), (), corrected), [(found, None, 0.98)])
     assert [setting.parameters["stiffness"] for setting, _, _ in kept] == named
 
 
 def test_an_effect_that_a_law_replaced_is_no_longer_named(mikron):
     _, found = spring(mikron, 3e8)
-    assert effects_beside_laws(Laws((), (), with_effects(mikron, []), {}), [(found, None, 0.98)]) == []
+    assert effects_beside_laws(Laws((), (), with_effects(mikron, [])), [(found, None, 0.98)]) == []
 
 
 def test_an_effect_beside_a_law_is_as_probable_as_what_its_removal_costs_there(mikron):
     corrected, found = spring(mikron, 3e8)
-    ((_, _, p),) = effects_beside_laws(Laws((), (), corrected, {}, {found.key: 0.5}), [(found, None, 0.98)])
+    ((_, _, p),) = effects_beside_laws(Laws((), (), corrected, {found.key: 0.5}), [(found, None, 0.98)])
     assert p == pytest.approx(0.49)
 
 
@@ -47,4 +47,4 @@ def test_an_effect_beside_something_unknown_is_as_probable_as_the_gap_of_its_axi
 
 def test_the_spring_of_a_law_is_a_part_of_it(mikron):
     corrected, found = spring(mikron, 3e8)
-    assert effects_beside_laws(Laws((), (), corrected, {}, {found.key: 0.0}), [(found, None, 0.98)]) == []
+    assert effects_beside_laws(Laws((), (), corrected, {found.key: 0.0}), [(found, None, 0.98)]) == []

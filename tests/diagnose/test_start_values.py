@@ -5,14 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete
 
 from twin.diagnose.candidates import Start, combine
-from twin.diagnose.start_values import StartValues, swing_filter
+from twin.diagnose.start_values import StartValues
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
-
-DAMPING = 0.05
 
 
 def delay_of(time_constant_s, cycle):
@@ -37,17 +34,6 @@ def test_a_scaled_lag_has_the_scaled_delay(effect, cycle, share):
 def test_other_sizes_are_scaled_by_their_deviation_from_neutral():
     first = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.5})
     assert combine(Start((first,)), [0.2], load_machine()).parameters["factor"] == pytest.approx(1.1)
-
-
-@pytest.mark.parametrize("period", [1e-4, 1e-3, 4e-3, 0.04, 0.1])
-def test_the_swing_filter_is_exact_at_every_sampling_period(period):
-    for frequency_hz in (12.0, 40.0, 90.0):
-        w = 2.0 * math.pi * frequency_hz
-        exact = cont2discrete(([1.0], [1.0, 2.0 * DAMPING * w, w * w]), period, "zoh")
-        b, a = swing_filter(frequency_hz, DAMPING, period)
-        np.testing.assert_allclose(b, exact[0].ravel(), rtol=1e-6, atol=1e-15)
-        np.testing.assert_allclose(a, exact[1], rtol=1e-9)
-        assert np.abs(np.roots(a)).max() < 1.0
 
 
 def record_of(position, current):

@@ -89,7 +89,7 @@ def test_bounded_tuning_is_the_optimum_within_its_bounds(drawn):
     for tolerance in (1e-4, 0.01, 0.05, 10.0):
         found = bounded(tuning, 30.0 * residual, np.zeros(4), tolerance)
         bound = np.array([tolerance / SPREAD] * 2 + [np.inf] * 2)
-        slope = (tuning.project(30.0 * residual) - tuning.normal @ found) / np.sqrt(np.diag(tuning.normal))
+        slope = (tuning.jacobian.onto(30.0 * residual) - tuning.normal @ found) / np.sqrt(np.diag(tuning.normal))
         assert np.all(np.abs(found) <= bound * (1.0 + 1e-9))
         inside = np.abs(found) < bound * (1.0 - 1e-9)
         np.testing.assert_allclose(slope[inside], 0.0, atol=1e-6 * np.linalg.norm(30.0 * residual))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from devtools.histories import machine_tables, program
-from twin.diagnose.simulations import in_turn
 from twin.exam.plant.parameters import AXES
 from twin.history.columns import changed, directions_of
 from twin.history.projection import Reference
@@ -23,7 +22,7 @@ def test_the_size_is_the_one_that_was_put_in(mikron: Machine, effect: str, theta
     direction = next(d for d in directions_of(machine, ("X",)) if d.cause[0] == effect)
     trace = simulate(changed(machine, [(direction, theta)]), Setpoints(points, 1e-3)).trace
     run = MeasuredRun("production", trace, "velocity+torque", 0.0)
-    [(_, own)] = Reference(machine, in_turn).linearised([run], ("X",))
+    [(_, own)] = Reference(machine, map).linearised([run], ("X",))
     directions = directions_of(machine, ("X",))
     k = [d.name for d in directions].index(direction.name)
     series = Series(("X",), directions, np.array([0]), np.zeros((1, len(directions))), own.gram, scatter_of(directions))

@@ -14,9 +14,7 @@ from twin.diagnose import diagnose
 from twin.diagnose.observe import observe
 from twin.diagnose.output import summary_text
 from twin.diagnose.search import search
-from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
-from twin.diagnose.simulations import in_turn
 from twin.diagnose.sizes import without_implausible
 from twin.diagnose.verdict import named
 from twin.diagnose.view import view_of
@@ -63,7 +61,7 @@ def test_a_machine_without_tolerance_is_searched(tmp_path):
     campaign, _ = campaign_of(tmp_path, "single", "backlash", "X", [*short_runs("X"), travel("X")])
     machine = load_machine().with_values({"parameter_tolerance": 0.0})
     group = observe([view_of(machine, run) for run in campaign.runs], ("X",))
-    found = search(group, Setup(machine, machine, FOLDS, in_turn, lambda _: None))
+    found = search(group, Setup(machine, machine, FOLDS, map, lambda _: None))
     assert found.fit.settings[0].effect.name == "backlash"
 
 
@@ -82,7 +80,7 @@ def test_each_of_two_effects_keeps_its_own_place():
     listed = [{"axis": "X", "block": b, "_share": e} for b, e in (("transmission", 100.0), ("mechanics", 20.0), ("speed controller", 10.0))]
     for name, parameters in (("backlash", {"clearance": 1e-5}), ("coulomb_friction", {"factor": 1.3})):
         _assign_effect(listed, Setting(EFFECTS[name], "X", parameters), load_machine(), {})
-    _merge_echoes(listed, T.echo)
+    _merge_echoes(listed)
     assert {p["block"]: p["_share"] for p in listed} == pytest.approx({"transmission": 109.5, "mechanics": 20.0, "speed controller": 0.5})
     by_block = {p["block"]: p for p in listed}
     assert by_block["transmission"]["effect"] == "backlash"

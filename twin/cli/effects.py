@@ -22,9 +22,10 @@ ARGUMENTS = (
 
 def _law_page(machine: Machine, picture: str | None) -> None:
     """Print the variables, outputs and formulas of laws, and the laws of the machine."""
-    from twin.effects.law import OUTPUTS, VARIABLES
+    from twin.effects import settings_of
+    from twin.effects.law import OUTPUTS, VARIABLES, laws_in
     from twin.effects.law_shapes import SHAPES
-    from twin.simulation.law_picture import draw_laws, laws_in
+    from twin.simulation.law_picture import draw_laws
     from twin.simulation.summary import table
 
     print("law (any block; any axis)\n\nThe output of a block as a function of one variable, y = f(x), that no other effect describes.\n")
@@ -38,7 +39,7 @@ def _law_page(machine: Machine, picture: str | None) -> None:
             left=3,
         )
     )
-    for setting in laws_in(machine):
+    for setting in laws_in(settings_of(machine)):
         print(f"\non axis {setting.axis}: {setting.effect.summary}\n  {setting.table()}")
     if picture:
         print(f"written: {draw_laws(machine, picture_file(picture))}")

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import mujoco
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from twin.effects import with_effects
 from twin.machine.machine import Machine
@@ -29,12 +30,6 @@ def axis_groups(machine: Machine, measured: Sequence[str], seen_together: Iterab
         coupled |= np.abs(inertia) / np.outer(scale, scale) > 1e-9
     for first, second in seen_together:
         coupled[machine.axis_names.index(first), machine.axis_names.index(second)] = True
-    groups: list[set[int]] = []
-    for a in range(n):
-        joined = {a, *np.flatnonzero(coupled[a]).tolist()}
-        for group in [g for g in groups if g & joined]:
-            joined |= group
-            groups.remove(group)
-        groups.append(joined)
-    names = [tuple(machine.axis_names[a] for a in sorted(g)) for g in groups]
-    return [g for g in sorted(names, key=lambda g: machine.axis_names.index(g[0])) if any(a in measured for a in g)]
+    count, group = connected_components(coupled, directed=False)  # numbered in the order of their first axes
+    groups = [tuple(machine.axis_names[a] for a in np.flatnonzero(group == g)) for g in range(count)]
+    return [g for g in groups if any(a in measured for a in g)]

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import functools
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from twin.compiled_functions import compiled
 from twin.control.current_controller import current_controller, winding
@@ -243,6 +244,5 @@ def scaling(view: RunView, name: str, index: np.ndarray, others: Sequence[str]) 
 
 
 def moving_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """Centred moving mean over `window` samples (sample,)."""
-    window = max(1, min(window | 1, len(values) - 1 + len(values) % 2))
-    return np.convolve(np.pad(values, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(values)]
+    """Centred moving mean over `window` samples (sample, ...)."""
+    return np.asarray(uniform_filter1d(values, window | 1, axis=0, mode="nearest"))

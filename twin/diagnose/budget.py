@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.diagnose.corrected import limited_deviations, normal_imperfections
-from twin.diagnose.simulations import Mapper, Result, SimulationRequest, in_turn, simulate_groups
+from twin.diagnose.simulations import Mapper, SimulationRequest, simulate_groups
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, tuned
 from twin.diagnose.tool_point import LOAD, ToolPoint
@@ -124,7 +124,7 @@ def budget_over(
     views: Sequence[RunView],
     residual: Sequence[Trace | None],
     noise: Mapping[tuple[str, str], float],
-    mapper: Mapper = in_turn,
+    mapper: Mapper = map,
 ) -> Budget:
     """The budget of these differences between two machines over the motion of `views`.
 
@@ -161,29 +161,15 @@ def budget_over(
 def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState]) -> Iterable[Part]:
     """All differences between the corrected and the nominal machine."""
     rotary = tuple(a.name for a in machine.axes if a.kind == "rotary")
-    settings = list(settings_of(corrected))
-    for f in states:
-        for setting in f.fit.settings:
-            others = [s for s in settings if s.key != setting.key]
-            moved = rotary if setting.effect.edits_bodies else (setting.axis,)
-            own = next((s for s in settings if s.key == setting.key), None)
-            if own is None:
-                continue
-            yield Part(
-                "effect", setting.effect.name, setting.axis, moved, with_effects(corrected, others), with_effects(machine, [own]), setting
-            )
-    effects = {s.key for f in states for s in f.fit.settings}
-    normal = normal_imperfections(machine, states)
-    listed = effects | {s.key for s in normal}
-    for own in settings:  # unlisted laws
-        if own.key not in listed:
-            others = [s for s in settings if s is not own]
-            yield Part("law", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), own)
-    for own in normal:
-        if own.key in effects:
-            continue  # in series with the effect of the same name, in one row
-        others = [s for s in settings if s.key != own.key]
-        yield Part("normal", own.effect.name, own.axis, (own.axis,), with_effects(corrected, others), with_effects(machine, [own]), None)
+    settings = settings_of(corrected)
+    effects = {s.key: s for f in states for s in f.fit.settings}
+    normal = {s.key for s in normal_imperfections(machine, states)}
+    for own in settings:  # an imperfection in series with an effect of the same name is in its row
+        kind = "effect" if own.key in effects else "normal" if own.key in normal else "law"
+        moved = rotary if own.effect.edits_bodies else (own.axis,)
+        without = with_effects(corrected, [s for s in settings if s is not own])
+        named = None if kind == "normal" else effects.get(own.key, own)
+        yield Part(kind, own.effect.name, own.axis, moved, without, with_effects(machine, [own]), named)
     for f in states:
         nuisances, deviations = f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)
         retuned = [i for i, n in enumerate(nuisances) if n.quantity not in NORMAL and deviations[i]]
@@ -195,8 +181,8 @@ def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState])
 
 
 def simulated_each(
-    requested: Sequence[tuple[RunView, Machine, Sequence[str]]], mapper: Mapper, of: Callable[[int, Trace | None], Result]
-) -> list[Result]:
+    requested: Sequence[tuple[RunView, Machine, Sequence[str]]], mapper: Mapper, of: Callable[[int, Trace | None], Any]
+) -> list[Any]:
     """Result of `of` for the noise-free simulation of each request (view, machine, axes); `of` gets None if the simulation fails.
 
     Axes at rest are simulated too: their screws grow, and they are the lever of a rotary axis.

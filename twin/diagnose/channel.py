@@ -50,7 +50,7 @@ class Channel:
         n = len(u)
         if self.name == "controller":  # rounding, not noise: bounded, and constant over many samples at constant speed
             means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
-            return bool(float(np.mean(u**2)) < T.clean_law_square and np.abs(means).max() < T.clean_law_mean)
+            return bool(float(np.mean(u**2)) < T.clean_mean_square and np.abs(means).max() < T.clean_law_mean)
         if float(np.mean(u**2)) > T.clean_square + T.clean_spread * np.sqrt(2.0 / n):
             return False
         for width in (25, 400):

@@ -25,6 +25,7 @@ from twin.effects import Setting
 from twin.effects.law import NAME as LAW
 from twin.effects.law import law_in
 from twin.machine.machine import Axis
+from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import Trace
 from twin.simulation.drive_setpoints import closed_on
 from twin.simulation.recorded_times import SAME_PERIOD
@@ -76,11 +77,11 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     if not _shows_command(view, axis):
         return None
     u = trace.get(name, axis.effort)
-    error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (
-        wanted - _differentiated(position, view, axis)
-    )
+    n = axis.loops.speed_mean_cycles
+    differentiated = (position - np.concatenate([np.full(n, position[0]), position[:-n]])) / (n * view.machine.speed_cycle)
+    error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (wanted - differentiated)
     error[np.abs(u) > T.clipped * axis.motor.peak_current_a] = 0.0  # a saturated command does not follow the law
-    error[: axis.loops.speed_mean_cycles + 1] = 0.0  # the position before the first samples is unknown
+    error[: n + 1] = 0.0  # the position before the first samples is unknown
     return error
 
 
@@ -89,7 +90,9 @@ def law_sigma(view: RunView, axis: Axis) -> float:
     noise = view.machine.noise(axis)
     least = T.law_floor * noise.speed or 1e-9
     if view.trace.has(axis.name, "velocity_setpoint"):
-        return max(_rounding(view.trace, axis) / np.sqrt(12.0), least)
+        factor = AXIS_UNITS[axis.kind].speed[1]
+        step = decimal_place(view.trace.get(axis.name, "velocity_setpoint") * factor, coarsest=1, off=1e-4) / factor
+        return max(step / np.sqrt(12.0), least)
     # the controller may have read one encoder count more or less than recorded
     resolution = max(noise.motor_resolution if closed_on(view.trace, axis) == "motor_position" else noise.position_resolution, 1e-12)
     return max(resolution / (max(axis.loops.speed_mean_cycles, 1) * view.machine.speed_cycle), least)
@@ -151,19 +154,3 @@ def _shows_command(view: RunView, axis: Axis) -> bool:
         and view.trace.has(axis.name, axis.effort)
         and all(abs(cycle / period - 1.0) < SAME_PERIOD for cycle in cycles)
     )
-
-
-def _differentiated(position: np.ndarray, view: RunView, axis: Axis) -> np.ndarray:
-    n = axis.loops.speed_mean_cycles
-    before = np.concatenate([np.full(n, position[0]), position[:-n]])
-    return (position - before) / (n * view.machine.speed_cycle)
-
-
-def _rounding(trace: Trace, axis: Axis) -> float:
-    """Step of the decimal grid of the recorded speed set point, SI; 0 if it is not rounded."""
-    factor = AXIS_UNITS[axis.kind].speed[1]
-    values = trace.get(axis.name, "velocity_setpoint") * factor
-    for digits in range(1, 7):
-        if np.all(np.abs(values * 10**digits - np.rint(values * 10**digits)) < 1e-4):
-            return 10.0**-digits / factor
-    return 0.0

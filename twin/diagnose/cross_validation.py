@@ -60,7 +60,7 @@ def _inside(tuning: Tuning, residual: np.ndarray, bound: np.ndarray, weight: flo
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, SINGULAR * values[-1]))
-    target = vectors.T @ (scale * tuning.project(residual)) / root
+    target = vectors.T @ (scale * tuning.jacobian.onto(residual)) / root
     reach = np.maximum(bound, 1e-12) / scale
     return np.asarray(scale * lsq_linear(root[:, None] * vectors.T, target, (-reach, reach), method="bvls", max_iter=10 * len(bound)).x)
 
@@ -107,7 +107,7 @@ def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -
     """
     group = state.group
     linear = linear_in(group, fit)
-    known = [len(folds) > 1 and linear.knows_alone(fold, T.information_in_fold) for fold in folds]
+    known = [len(folds) > 1 and linear.knows_alone(fold) for fold in folds]
     moved = [fold for fold, alone in zip(folds, known) if len(folds) > 1 and not alone]
     left = linear.held_out(moved, T.information_in_fold)
     robust = np.minimum(left**2, T.outlier * np.maximum(1.0, left**2) ** 0.5)
@@ -118,8 +118,7 @@ def leave_out(state: GroupState, fold: Sequence[int]) -> tuple[np.ndarray, np.nd
     """Shift of free parameters and tuning if the runs of a fold are held out."""
     fit, group = state.fit, state.group
     linear = linear_in(group, fit)
-    alone = T.information_in_fold
-    shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold, alone) else linear.shift(fold, alone)
+    shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold) else linear.shift(fold, T.information_in_fold)
     return shift[: linear.own], shift[linear.own :]
 
 
@@ -156,7 +155,7 @@ class Linear:
         information = share * self.products[self.of(fold)].sum(axis=0)
         return -solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0))
 
-    def knows_alone(self, fold: Sequence[int], alone: float) -> bool:
+    def knows_alone(self, fold: Sequence[int]) -> bool:
         """Is a direction of the fit's own parameters p determined by these parts alone?
 
         Information about p with the other columns q eliminated: S = N_pp - N_pq N_qq^-1 N_qp, of all runs compared with that of the others.
@@ -165,7 +164,7 @@ class Linear:
             return False
         information = self.products[self.of(fold)].sum(axis=0)
         of_all, of_others = (_information(n, self.own) for n in (self.normal, self.normal - information))
-        return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - alone
+        return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - T.information_in_fold
 
 
 def linear_in(group: Group, fit: Fit, rows: Sequence[Sequence[slice]] | None = None) -> Linear:

@@ -27,6 +27,7 @@ from twin.effects import Setting
 from twin.machine.commented import GUESSED, assumed_values
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
+from twin.simulation.campaign_gap import AS_EXPECTED
 from twin.simulation.gap import COMPARED, Prediction
 from twin.simulation.gap_level import Gaps, levels, overall
 
@@ -116,7 +117,7 @@ class Diagnosis:
         for found in self.found:
             for axis in found.group.axes:
                 level = self.levels["after"].get(axis, 1.0)
-                if level > T.unexplained_gap and self.budget is not None:
+                if level > AS_EXPECTED and self.budget is not None:
                     block, law = largest_remaining_block(found, axis)
                     tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
@@ -167,9 +168,7 @@ class Diagnosis:
         shown_by = state.group.axes if setting.effect.edits_bodies else (setting.axis,)
         axes = [a for a in self.axes if a in shown_by]
         return {
-            "effect": setting.effect.name,
-            "axis": setting.axis,
-            **({"from_axis": setting.from_axis} if setting.from_axis else {}),
+            **_head(setting.effect.name, setting.axis, setting.from_axis),
             "block": setting.effect.block,
             "probability": probability,
             "explained": self.explained(axes),
@@ -183,22 +182,17 @@ class Diagnosis:
         """
         axis = self.machine.axis(setting.axis)
         of = state.fit.sizes() if setting.key in state.keys else sizes if sizes is not None and setting in sizes.settings else None
-        index = [s.key for s in of.settings].index(setting.key) if of is not None else None
+        deviations = of.deviations(state.inflation) if of is not None else {}
         out = {}
-        covariance = of.covariance(state.inflation) if of is not None else np.zeros((0, 0))
         for parameter in setting.effect.parameters:
             if parameter.name not in setting.parameters:
                 continue
             value = setting.parameters[parameter.name]
             low = high = value
-            free_of = of.free if of is not None else ()
-            i = next((i for i, f in enumerate(free_of) if (f.setting, f.parameter.name) == (index, parameter.name)), None)
-            if i is not None:
-                free = free_of[i]
-                step = free.unit * (abs(value) if free.logarithmic else 1.0)
-                fitted = math.sqrt(max(float(covariance[i, i]), 0.0)) * step
+            if (fitted := deviations.get((setting.key, parameter.name))) is not None:
+                free, deviation = fitted
                 law = T.model_error * (abs(value) if free.logarithmic else parameter.deviation(value))
-                half = 1.96 * max(math.hypot(fitted, law), normal_spread(setting, parameter, self.machine))
+                half = 1.96 * max(math.hypot(deviation * free.step(value), law), normal_spread(setting, parameter, self.machine))
                 if free.logarithmic:
                     half /= abs(value)
                     low, high = value * math.exp(-half), value * math.exp(min(half, 50.0))
@@ -219,24 +213,24 @@ class Diagnosis:
                         continue
                     seen.add(candidate.key)
                     setting, p = chosen.get(candidate.key, (candidate.setting, probability))
-                    row = self._candidate(setting, p, candidate.closes, self._parameters(setting, found, candidate.sizes))
-                    if candidate.sizes.settings[:-1]:
-                        row["beside"] = [f"{s.effect.name} {s.axis}" for s in candidate.sizes.settings[:-1]]
+                    row = self._candidate(setting, found, p, candidate.closes, candidate.sizes)
+                    if others := candidate.sizes.settings[:-1]:
+                        row["beside"] = [f"{s.effect.name} {s.axis}" for s in others]
                     rows.append(((candidate.key in chosen, p, candidate.evidence), row))
             for key, gain, setting, closes in found.screened:
                 if key not in seen:
-                    rows.append(((False, -1.0, gain), self._candidate(setting, 0.0, closes, self._parameters(setting, found))))
+                    rows.append(((False, -1.0, gain), self._candidate(setting, found, 0.0, closes)))
         rows.sort(key=lambda row: row[0], reverse=True)
         return [row for _, row in rows]
 
-    def _candidate(self, setting: Setting, probability: float, explained: float, parameters: dict[str, Any]) -> dict[str, Any]:
+    def _candidate(
+        self, setting: Setting, state: GroupState, probability: float, explained: float, sizes: Sizes | None = None
+    ) -> dict[str, Any]:
         return {
-            "effect": setting.effect.name,
-            "axis": setting.axis,
-            **({"from_axis": setting.from_axis} if setting.from_axis else {}),
+            **_head(setting.effect.name, setting.axis, setting.from_axis),
             "probability": float(probability),
             "explained": explained,
-            "parameters": parameters,
+            "parameters": self._parameters(setting, state, sizes),
         }
 
     def _not_visible(self) -> list[dict[str, Any]] | None:
@@ -248,12 +242,7 @@ class Diagnosis:
             return None
         named = {setting.key for setting, _, _ in self.settings}
         return [
-            {
-                "effect": effect,
-                "axis": axis,
-                **({"from_axis": source} if source else {}),
-                "usual_sizes": sizes if math.isfinite(sizes) else None,
-            }
+            {**_head(effect, axis, source), "usual_sizes": sizes if math.isfinite(sizes) else None}
             for found in self.found
             for (effect, axis, source), sizes in sorted((found.not_visible or {}).items(), key=lambda item: str(item[0]))
             if (effect, axis, source) not in named
@@ -268,15 +257,13 @@ class Diagnosis:
                 if best is None or (best.setting.effect.name, best.setting.axis) != (setting.effect.name, setting.axis):
                     continue
                 for rival in candidates[1:]:
-                    if rival.plausible and best.evidence - rival.evidence < T.ambiguous:
-                        out.append(
-                            {
-                                "effect": rival.setting.effect.name,
-                                "axis": rival.setting.axis,
-                                **({"from_axis": rival.setting.from_axis} if rival.setting.from_axis else {}),
-                                "instead_of": setting.effect.name,
-                                "instead_of_axis": setting.axis,
-                                "evidence_behind": best.evidence - rival.evidence,
-                            }
-                        )
+                    if rival.plausible and (behind := best.evidence - rival.evidence) < T.evidence:
+                        head = _head(rival.setting.effect.name, rival.setting.axis, rival.setting.from_axis)
+                        named = {"instead_of": setting.effect.name, "instead_of_axis": setting.axis}
+                        out.append({**head, **named, "evidence_behind": behind})
         return out
+
+
+def _head(effect: str, axis: str, from_axis: str | None) -> dict[str, Any]:
+    """First entries of an effect in the document."""
+    return {"effect": effect, "axis": axis, **({"from_axis": from_axis} if from_axis else {})}

@@ -76,14 +76,7 @@ def responses_of(group: Group, axis: str, points: Sequence[Point]) -> list[np.nd
     return group.responses([Variation(functools.partial(with_train, at=at), axes=(axis,)) for at in points])
 
 
-def with_drive_train(
-    tuning: Tuning,
-    group: Group,
-    axis: str,
-    linear: Trial,
-    residual: np.ndarray,
-    largest: float,
-) -> Tuning:
+def with_drive_train(tuning: Tuning, group: Group, axis: str, linear: Trial, residual: np.ndarray, largest: float) -> Tuning:
     """The tuning with the elasticity of an axis' drive train, and its damping if that has enough evidence; each linear about its size.
 
     `linear` is the estimate for a linear response, `largest` the largest share of the normal elasticity that is no effect. The tuning is

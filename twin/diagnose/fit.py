@@ -25,6 +25,7 @@ from twin.diagnose.tuning import Tuning, moved_by
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.effects.law import NAME
+from twin.effects.scan import Waves
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.run import all_or_raise
@@ -47,6 +48,10 @@ class Free:
     def value(self, settings: Sequence[Setting]) -> float:
         return settings[self.setting].parameters[self.parameter.name]
 
+    def step(self, value: float) -> float:
+        """The scale unit at a value of the parameter."""
+        return self.unit * (abs(value) if self.logarithmic else 1.0)
+
     def moved(self, settings: Sequence[Setting], step: float) -> tuple[Setting, ...]:
         """The settings with this parameter moved by `step` scale units, within its bounds."""
         old = self.value(settings)
@@ -67,7 +72,7 @@ def relative_step(parameter: Parameter, value: float, axis: Axis, most: float) -
 
     The step of a wavelength or frequency shifts the end of the record by a small part of a wave, or the slope would not be valid.
     """
-    waves = parameter.scan.waves(value, axis, T.wave_run_s) if parameter.scan else 0.0
+    waves = parameter.scan.waves(value, axis) if isinstance(parameter.scan, Waves) else 0.0
     return min(most, T.wave_step / max(waves, 1e-9))
 
 
@@ -129,13 +134,14 @@ class Sizes(NamedTuple):
     information: np.ndarray
     prior_weight: float
 
-    def covariance(self, inflation: float = 1.0) -> np.ndarray:
-        """Covariance of the free parameters in scale units.
+    def deviations(self, inflation: float = 1.0) -> dict[Slope, tuple[Free, float]]:
+        """Each free parameter with its standard deviation in scale units.
 
         The prior weight keeps it from shrinking with the number of samples, because model error is the same in all of them. `inflation` is the
         loss of the fit over that of noise.
         """
-        return np.linalg.pinv(self.information) * self.prior_weight * inflation
+        variances = np.diag(np.linalg.pinv(self.information)) * self.prior_weight * inflation
+        return {_name(f, self.settings): (f, math.sqrt(max(float(v), 0.0))) for f, v in zip(self.free, variances)}
 
 
 @dataclass(frozen=True)
@@ -153,16 +159,11 @@ class Fit:
     @property
     def slopes(self) -> dict[Slope, np.ndarray]:
         """Columns by effect and parameter, as starting slopes for another fit."""
-        return {(self.settings[f.setting].key, f.parameter.name): self.columns.each[i] for i, f in enumerate(self.free)}
-
-    @property
-    def retuning(self) -> np.ndarray:
-        """Response to the tuning (row,)."""
-        return self.about.jacobian.times(self.tuning)
+        return {_name(f, self.settings): column for f, column in zip(self.free, self.columns.each)}
 
     def residual(self, group: Group) -> np.ndarray:
         """Residual of a group after effects and tuning (row,), weighted."""
-        return group.residual - self.response - self.retuning
+        return group.residual - self.response - self.about.jacobian.times(self.tuning)
 
     def reweighted(self, scale: np.ndarray, about: Tuning, residual: np.ndarray) -> Fit:
         """The same settings with each row weight multiplied by `scale` (row,); `about` and `residual` (row,) are already reweighted."""
@@ -171,11 +172,6 @@ class Fit:
         tuning, loss = about.solve(left), about.loss(left)
         return replace(self, response=response, columns=self.columns.scaled(scale), about=about, tuning=tuning, loss=loss)
 
-    @property
-    def linear_effect_slopes(self) -> dict[Slope, np.ndarray]:
-        """Slopes of the linear effects only."""
-        return slopes_of_linear_effects(self.slopes, self.settings)
-
     def sizes(self) -> Sizes:
         """The free parameters with their information, without the rows."""
         return Sizes(self.settings, tuple(self.free), self.information, self.about.prior_weight)
@@ -183,7 +179,7 @@ class Fit:
     @functools.cached_property
     def information(self) -> np.ndarray:
         """Information matrix of the free parameters (free, free) in scale units, tuning eliminated."""
-        projected = self.about.project(self.columns)
+        projected = self.about.jacobian.onto(self.columns)
         return self.about.inner(self.columns, self.columns, projected, projected) + 1e-9 * np.eye(len(self.free))
 
 
@@ -240,7 +236,7 @@ def fit_effects(
             return None
         columns = Columns((new.get(i, column) for i, column in enumerate(columns.each)), group.size)
         if outdated or projected is None or information is None:
-            projected = tuning.project(columns)
+            projected = tuning.jacobian.onto(columns)
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
         gradient = tuning.inner(columns, here.left, projected, here.projected)
         move = np.clip(np.linalg.solve(information, gradient), -farthest, farthest)
@@ -266,7 +262,7 @@ def fit_effects(
             if _predicted_gain(gradient, information, move) < T.price:
                 break
             outdated = list(range(len(free)))  # the known slopes did not reduce the loss
-        elif here.loss < T.above_noise * group.expected_loss or np.all(step_sizes <= narrowest):
+        elif here.loss < (1.0 + T.near_noise) * group.expected_loss or np.all(step_sizes <= narrowest):
             break
         else:
             step_sizes = np.full(len(free), narrowest)
@@ -283,7 +279,7 @@ class _Point(NamedTuple):
     loss: float
 
     def as_fit(self, free: list[Free], columns: Columns, tuning: Tuning) -> Fit:
-        return Fit(self.settings, free, self.loss, tuning.solve_projected(self.projected), self.response, columns, tuning)
+        return Fit(self.settings, free, self.loss, tuning.inverse @ self.projected, self.response, columns, tuning)
 
 
 def _point(group: Group, tuning: Tuning, residual: np.ndarray, settings: tuple[Setting, ...]) -> _Point | None:
@@ -293,7 +289,7 @@ def _point(group: Group, tuning: Tuning, residual: np.ndarray, settings: tuple[S
     except TwinError:
         return None
     left = residual - response
-    projected = tuning.project(left)
+    projected = tuning.jacobian.onto(left)
     return _Point(settings, response, left, projected, tuning.loss(left, projected))
 
 

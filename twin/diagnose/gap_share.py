@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import math
 
 import numpy as np
+from scipy.signal import lfilter
 
 from twin.diagnose.blocks import BlockResidual
 from twin.diagnose.observe import Group
@@ -37,21 +38,15 @@ def share_of_gap(group: Group, name: str, block: str, parts: Sequence[BlockResid
             made += weight * float(np.mean((part.residual * axis.ratio / axis.motor.torque_constant_nm_per_a) ** 2))
             gap += weight * square.get("current", 0.0)
         else:
-            speed = part.residual if block == "position controller" else _speed_error(part.residual, axis)
+            kp = axis.loops.speed_gain_nm_s_per_rad
+            speed = part.residual * (1.0 if block == "position controller" else axis.commissioned_torque_constant * axis.ratio / kp)
             made += weight * float(np.mean(_position_error(speed, part, view, axis) ** 2))
             gap += weight * square.get("position", 0.0)
     return min(1.0, made / gap) if gap > 0.0 else 1.0
 
 
-def _speed_error(current: np.ndarray, axis: Axis) -> np.ndarray:
-    """Error of the speed set point that causes this current error (sample,) [axis units per second]."""
-    return current * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad
-
-
 def _position_error(speed: np.ndarray, part: BlockResidual, view: RunView, axis: Axis) -> np.ndarray:
     """Position error (sample,) that an error of the speed set point causes in closed loop: x' = e - Kv x, e held over a sample."""
-    from scipy.signal import lfilter
-
     step = float(np.median(np.diff(part.index))) * view.trace.period if len(part.index) > 1 else view.trace.period
     gain = axis.loops.position_gain_per_s
     decay = math.exp(-gain * step)

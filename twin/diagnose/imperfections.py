@@ -34,14 +34,6 @@ def shows_slip(dirty: Collection[tuple[str, str]], axis: str) -> bool:
     return any((axis, name) in dirty for name in ("position", "velocity", "current"))
 
 
-def largest_normal(group: Group, quantity: str) -> float:
-    """Largest normal size of an imperfection, in units of the largest normal one.
-
-    A ballbar does not separate an elastic drive train from friction, so its elasticity may be larger by the factor `widest`.
-    """
-    return T.widest if quantity == "elasticity" and group.by_radius else 1.0
-
-
 def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tuning:
     """The tuning with the normal imperfections that `residual` (row,) contains, each linear about its size.
 
@@ -62,7 +54,8 @@ def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tu
     for nuisance in tried:
         trials = functools.partial(_at_shares, current, group, nuisance, residual)
         best = max(trials(SHARES), key=lambda trial: trial.gain, default=None)
-        largest = largest_normal(group, nuisance.quantity)
+        # a ballbar does not separate an elastic drive train from friction, so its elasticity may be larger
+        largest = T.widest if nuisance.quantity == "elasticity" and group.by_radius else 1.0
         if best is None or not 0.0 < best.size < largest or best.gain < T.evidence:
             continue
         if nuisance.quantity == "elasticity":

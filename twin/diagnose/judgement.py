@@ -14,9 +14,6 @@ from twin.simulation.gap_level import overall
 Levels = Mapping[str, float]
 SignalLevels = Mapping[tuple[str, str], float]
 
-ALL_BUT = 0.1
-"""Largest unexplained fraction of the gap for the verdict 'law'."""
-
 LOUD = 3.0
 """A law is sought for a louder axis although effects explain most of its gap."""
 
@@ -53,7 +50,7 @@ def explained(before: Levels, after: Levels, axes: Collection[str]) -> float:
 def gap_remains(before: float, after: float) -> bool:
     """Whether a considerable gap of an axis remains: above LOUD with more than a tenth of it left, or above HARDLY_LOUD with more than half."""
     left = unexplained_share(before, after)
-    return (after > LOUD and left > ALL_BUT) or (after > HARDLY_LOUD and left > 0.5)
+    return (after > LOUD and left > T.remaining) or (after > HARDLY_LOUD and left > 0.5)
 
 
 def is_worse(axes: Collection[str], before: Levels, after: Levels) -> bool:
@@ -101,10 +98,10 @@ def worse_signals(before: SignalLevels, after: SignalLevels) -> list[tuple[str, 
 def final_verdict(found: str, before: Levels, after: Levels, has_laws: bool) -> str:
     """The verdict that the held-out gaps allow; `found` is that of the search: 'effect', 'none' or 'unknown'.
 
-    'law' if laws are part of the correction and all but ALL_BUT is explained. 'unknown' if too much remains, or beside a law that explains less:
+    'law' if laws are part of the correction and all but `remaining` of the gap is explained. 'unknown' if too much remains, or beside a law that explains less:
     a machine with a law is not without a fault.
     """
-    if has_laws and explained(before, after, after.keys()) >= 1.0 - ALL_BUT:
+    if has_laws and explained(before, after, after.keys()) >= 1.0 - T.remaining:
         return "law"
     if found == "none" and (has_laws or max(after.values(), default=1.0) > T.undecided):
         return "unknown"

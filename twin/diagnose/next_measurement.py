@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from twin.diagnose.state import GroupState, Key
+from twin.diagnose.state import GroupState, Key, excess_of
 from twin.effects.effect import SeparatingMove
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
@@ -45,21 +45,12 @@ def propose(machine: Machine, states: Sequence[GroupState], verdict: str, named:
     if not pairs and laws_on:
         return _proposal("accelerations", machine.axis(laws_on[0]), "confirms the law on a new run")
     if not pairs:
-        return _proposal("constant speeds", machine.axis(_most_left(states)), "no known effect explains the residual")
+        left = {axis: excess for f in states for axis, excess in excess_of(f.group, f.fit).items()}
+        return _proposal("constant speeds", machine.axis(max(left, key=lambda axis: left[axis])), "no known effect explains the residual")
     _, best, rival = min(pairs, key=lambda p: p[0])
     name = best.setting.effect.name.replace("_", " ")
     reason = f"separates {name} from {rival.setting.effect.name.replace('_', ' ')}" if rival else f"confirms {name} on a new run"
     return _proposal((rival or best).setting.effect.separating_move, machine.axis(best.setting.axis), reason)
-
-
-def _most_left(states: Sequence[GroupState]) -> str:
-    """The axis with the largest squared residual above noise."""
-    residual: dict[str, float] = {}
-    for f in states:
-        rows = f.group.in_noise(f.fit.residual(f.group))
-        for c in f.group.channels:
-            residual[c.axis] = residual.get(c.axis, 0.0) + float(np.sum(rows[c.rows] ** 2 - 1.0))
-    return max(residual, key=lambda axis: residual[axis])
 
 
 def move_of(kind: str, axes: Sequence[Axis]) -> Trace:
@@ -71,13 +62,11 @@ def move_of(kind: str, axes: Sequence[Axis]) -> Trace:
 
 
 def _proposal(kind: str, axis: Axis, reason: str) -> Proposal:
-    time, position = _move(kind, axis)
-    trace = Trace(time, {(axis.name, "setpoint"): position}, {axis.name: axis.kind})
     by = ", with the measuring function of the drive, because it exceeds the jerk limit of programs" if kind == "chirp" else ""
     return Proposal(
         f"axis {axis.name}: {kind} ({reason}){by}; set points in next_measurement.csv; simulate them on the corrected machine with: "
         "twin run next_measurement.csv --machine machine.toml",
-        trace,
+        move_of(kind, [axis]),
     )
 
 

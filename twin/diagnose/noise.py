@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import math
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from twin.recordings.roughness import SECOND_DIFFERENCE, roughness, step_of
 from twin.simulation.gap import REALISATIONS
@@ -19,8 +20,7 @@ def sigma_of(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, n
     faults do not change sample-to-sample differences. With `noisier` None (no sensor noise in the machine file) all roughness counts as noise.
     """
     square = np.mean(deviations**2, axis=0) + 2.0 / REALISATIONS * jitter
-    window = min(51, len(square) | 1)
-    smooth = np.convolve(np.pad(square, window // 2, mode="edge"), np.ones(window) / window, mode="valid")[: len(square)]
+    smooth = uniform_filter1d(square, min(51, len(square) | 1), mode="nearest")
     level = float(np.mean(square))
     if len(residual) < 3:  # no second difference
         return np.sqrt(np.maximum(smooth, 0.5 * level))

@@ -25,7 +25,7 @@ from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
 from twin.diagnose.noise import correlation_of, sigma_of, sigma_of_steps
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, in_turn, simulate_group, simulate_groups
+from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, simulate_group, simulate_groups
 from twin.diagnose.tolerance import normal_slip
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of
@@ -57,7 +57,7 @@ class Group:
     shaken: list[dict[tuple[str, str], np.ndarray]]  # the same with one realisation of the noise in the loop
     seed: int
     shakes: bool = False  # all responses are simulated with noise in the loop
-    mapper: Mapper = field(default=in_turn, repr=False, compare=False)  # maps over batches of simulations
+    mapper: Mapper = field(default=map, repr=False, compare=False)  # maps over batches of simulations
     answers: dict[Hashable, np.ndarray | TwinError] = field(init=False, default_factory=dict, repr=False, compare=False)
     """Remembered responses (row,), not weighted, in single precision."""
 
@@ -100,22 +100,13 @@ class Group:
         return np.concatenate([c.expected for c in self.channels] or [np.zeros(0)])
 
     def response(
-        self,
-        machine_of: Variant | None,
-        settings: Sequence[Setting] = (),
-        axes: Sequence[str] = (),
-        *,
-        shaken: bool = False,
+        self, machine_of: Variant | None, settings: Sequence[Setting] = (), axes: Sequence[str] = (), *, shaken: bool = False
     ) -> np.ndarray:
         """Response to one variation, see `responses`. Raises TwinError if it cannot be simulated."""
         return all_or_raise(self.responses([Variation(machine_of, settings, axes)], shaken=shaken))[0]
 
     def responses(
-        self,
-        variations: Sequence[Variation],
-        *,
-        shaken: bool = False,
-        keys: Sequence[Hashable | None] = (),
+        self, variations: Sequence[Variation], *, shaken: bool = False, keys: Sequence[Hashable | None] = ()
     ) -> list[np.ndarray | TwinError]:
         """Response (row,), weighted, to each variation: its simulation minus the nominal one, or the error of the simulation.
 
@@ -137,9 +128,8 @@ class Group:
     def _simulated(self, variations: Sequence[Variation], shaken: bool) -> list[np.ndarray | TwinError]:
         """Response (row,) to each variation, not weighted."""
         requests: list[SimulationRequest] = []
-        of_request: list[
-            tuple[int, int, Mapping[str, Characteristic]]
-        ] = []  # variation, run, what its controllers have beyond the machine file
+        # variation, run, what its controllers have beyond the machine file
+        of_request: list[tuple[int, int, Mapping[str, Characteristic]]] = []
         machine_of_runs = self.views[0].machine
         out: list[np.ndarray | TwinError] = []
         for v, (machine_of, settings, axes) in enumerate(variations):
@@ -162,9 +152,8 @@ class Group:
         def channels(i: int, simulation: Run) -> dict[tuple[str, str], np.ndarray]:
             view, moving, added = requests[i].view, requests[i].axes, of_request[i][2]
             values_of = channels_of(simulation.without_noise, view, moving, added)
-            for a in (
-                moving if shaken else ()
-            ):  # the control law is compared at the inputs that the controller read, with noise and rounding
+            # the control law is compared at the inputs that the controller read, with noise and rounding
+            for a in moving if shaken else ():
                 if (a, "controller") in values_of:
                     seen = law_error(simulation.trace, view, view.machine.axis(a), added.get(a))
                     assert seen is not None
@@ -186,10 +175,6 @@ class Group:
                     of_nominal = 0.0 if shaken and channel.name == "controller" else nominal[run][key]
                     rows[channel.rows] = values[key] - of_nominal
         return out
-
-    def without_doubt(self) -> Group:
-        """The group without the model error of effects."""
-        return replace(self, channels=[replace(c, doubt=0.0) for c in self.channels])
 
     def doubted(self, change: np.ndarray, residual: np.ndarray) -> Group:
         """The group with the model error of effects whose response is `change` (row,) added to the noise, and more where `residual` (row,) exceeds
@@ -347,12 +332,10 @@ def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[
         if c.scatter is not None:
             key = (c.axis, c.name)
             rings = (group.shaken[c.run][key] - group.nominal[c.run][key]) - (rigid.shaken[c.run][key] - rigid.nominal[c.run][key])
-            scatter = {
-                "position": c.scatter,
-                "motor_minus_scale": Scatter(
-                    c.scatter.deviations + rings, np.zeros(len(rings))
-                ),  # a rigid drive train has sensor noise only
-            }.get(c.name, Scatter(c.scatter.deviations + rings, c.scatter.jitter))
+            jitter = (
+                c.scatter.jitter if c.name != "motor_minus_scale" else np.zeros(len(rings))
+            )  # a rigid drive train has sensor noise only
+            scatter = c.scatter if c.name == "position" else Scatter(c.scatter.deviations + rings, jitter)
             c = _with_noise(c, scatter, residual[c.rows] / c.weight, group.views[c.run])
         seen.append(c)
     plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]

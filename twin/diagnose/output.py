@@ -11,7 +11,7 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
-from twin.diagnose.wording import calibration_text, parameters_of, place_text, unseen_text, verdict_sentence, where_text
+from twin.diagnose.wording import calibration_text, parameters_text, place_text, unseen_text, verdict_sentence, where_text
 from twin.files import output_folder, write_json
 from twin.machine.machine import write_machine
 from twin.recordings.trace import write_trace
@@ -45,10 +45,8 @@ def summary_text(document: dict[str, Any]) -> str:
     gap = document["gap"]
     lines = [verdict_sentence(document)]
     for e in document["effects"]:
-        values = ", ".join(f"{p['name']} {p['value']}" + (f" ({p['interval']})" if p["interval"] else "") for p in parameters_of(e))
-        lines.append(
-            f"  {e['effect']} on {place_text(e)} ({e['block']}): {values}; probability {e['probability']:.2f}, explains {e['explained']:.0%}"
-        )
+        certain = f"probability {e['probability']:.2f}, explains {e['explained']:.0%}"
+        lines.append(f"  {e['effect']} on {place_text(e)} ({e['block']}): {parameters_text(e)}; {certain}")
     for law in document.get("laws", ()):
         lines.append(
             f"  law on {law['axis']} ({law['block']}): {law['sentence']}; {law['formula']}; probability {law['probability']:.2f}, "

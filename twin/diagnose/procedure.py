@@ -19,7 +19,6 @@ from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import observe
 from twin.diagnose.search import search
 from twin.diagnose.setup import Setup
-from twin.diagnose.simulations import on_threads
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import is_normal
 from twin.diagnose.validation import Validated, validated, with_laws
@@ -64,7 +63,7 @@ def diagnose(
     folds = folds_of(len(campaign.runs))
     count = threads or cores()
     with ThreadPoolExecutor(count) as workers:
-        setup = Setup(machine, nominal, folds, on_threads(workers), progress or (lambda _: None), quick, seed, count)
+        setup = Setup(machine, nominal, folds, workers.map, progress or (lambda _: None), quick, seed, count)
         views, states = _searched(setup, campaign)
         motions = [view.motion for view in views]
         correction = with_laws(setup, runs, motions, validated(setup, runs, motions, states))
@@ -91,7 +90,7 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
         group = replace(observe(views, axes, setup.seed), mapper=mapper)
         return final_state(search(group, setup), setup.quick) if group.size else None
 
-    views = mapper(lambda run: view_of(nominal, run), campaign.runs)
+    views = list(mapper(lambda run: view_of(nominal, run), campaign.runs))
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
     groups = axis_groups(nominal, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
     largest_first = sorted(groups, key=len, reverse=True)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from twin.diagnose.budget import simulated_each
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.report_contents import stretches
-from twin.diagnose.simulations import in_turn
 from twin.diagnose.state import Key
 from twin.diagnose.view import view_of
 from twin.diagnose.wording import effect_title, verdict_sentence
@@ -57,7 +56,7 @@ def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list
         return []
     view = view_of(with_effects(diagnosis.machine, []), run)
     machines = one_by_one(diagnosis, name)
-    traces = simulated_each([(view, machine, (name,)) for machine in machines.values()], in_turn, lambda i, trace: trace)
+    traces = simulated_each([(view, machine, (name,)) for machine in machines.values()], map, lambda i, trace: trace)
     residual = {label: run.trace.get(name, signal) - trace.get(name, signal) for label, trace in zip(machines, traces) if trace is not None}
     if len(residual) < len(machines):
         return []

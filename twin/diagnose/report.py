@@ -15,6 +15,7 @@ from twin.diagnose.wording import (
     calibration_text,
     effect_title,
     parameters_of,
+    parameters_text,
     percent,
     sentence_case,
     times,
@@ -119,7 +120,7 @@ def _which(document: Document) -> Section:
         words += [
             sentence_case(effect_title(effect)),
             EFFECTS[effect["effect"]].summary,
-            f"{_parameters(effect)}. Probability {percent(effect['probability'])}; explains {percent(effect['explained'])} of the axis' gap.",
+            f"{parameters_text(effect)}. Probability {percent(effect['probability'])}; explains {percent(effect['explained'])} of the axis' gap.",
         ]
     if not effects:
         words = [{"none": "No effect", "law": "An unlisted law"}.get(document["verdict"], "None of the known effects")]
@@ -284,7 +285,7 @@ def _candidates(document: Document) -> Section:
             c["axis"] + (f" from {c['from_axis']}" if "from_axis" in c else ""),
             percent(c["probability"]),
             percent(c["explained"]) if document["verdict"] != "none" else "-",
-            _parameters(c),
+            parameters_text(c),
         ]
         for c in shown
     ]
@@ -316,10 +317,6 @@ def _retuned(diagnosis: Diagnosis, document: Document) -> Section:
         said = [f"{kinds[EFFECTS[n['name']].normal]} on axis {n['axis']} ({_stiffness(diagnosis, n)})" for n in document["normal"]]
         words.append(f"Normal imperfections of the corrected machine, too small to count as effects: {listed(said)}.")
     return Section("Re-tuned parameters, deviation from the machine file", words, tables=[Table(("", *quantities), rows)])
-
-
-def _parameters(effect: Document) -> str:
-    return ", ".join(f"{p['name']} {p['value']}" + (f" ({p['interval']})" if p["interval"] else "") for p in parameters_of(effect))
 
 
 def _band(place: Document) -> str:

@@ -95,7 +95,6 @@ def stretches(diagnosis: Diagnosis, document: dict[str, Any]) -> list[Stretch]:
 
 def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list[Stretch]:
     """The half second with the largest position gap of one of the axes to the nominal twin."""
-    stretch_s = T.stretch_s
     best: tuple[float, Stretch] | None = None
     for run in diagnosis.campaign.runs:
         prediction = diagnosis.predictions["before"][run.name].trace
@@ -107,7 +106,7 @@ def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list
             if signal is None or gap is None or gap.noise <= 0.0:
                 continue
             square = (run.trace.get(axis, signal) - prediction.get(axis, signal)) ** 2
-            width = min(len(square), max(2, round(stretch_s / run.trace.period)))
+            width = min(len(square), max(2, round(T.stretch_s / run.trace.period)))
             energy = np.convolve(square, np.ones(width), mode="valid")
             at = int(np.argmax(energy))
             if best is None or gap.times_noise > best[0]:

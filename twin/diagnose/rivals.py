@@ -124,7 +124,7 @@ def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, setup: Se
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
     """
     group, fixed = state.group, base.fit
-    steps, nonlinear = T.few_steps if setup.quick else T.fit_steps, base.nonlinear
+    steps, nonlinear = T.refit_steps if setup.quick else T.fit_steps, base.nonlinear
     partial = fit_effects(group, fixed.about, [*nonlinear, setting], steps, moving={len(nonlinear)}, residual=base.residual)
     if partial is None or len(nonlinear) == len(fixed.settings):
         return partial

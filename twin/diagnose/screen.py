@@ -73,9 +73,9 @@ class Screening:
         return combine(start, gain.sizes, machine) if start.effect.size.is_scaled else start.settings[0]
 
 
-def screening(state: GroupState, starts: Sequence[Start], residual: np.ndarray) -> Screening:
-    """All starts that can be simulated, next to the tuning and the effects of the last fit; `residual` (row,) weighted."""
-
+def screening(state: GroupState, starts: Sequence[Start]) -> Screening:
+    """All starts that can be simulated, next to the tuning and the effects of the last fit."""
+    residual = state.group.residual - state.fit.response
     answered = iter(state.cached_responses([s for start in starts for s in start.settings]))
     both = [(start, [next(answered) for _ in start.settings]) for start in starts]
     simulated = [(start, [c for c in of_start if isinstance(c, np.ndarray)]) for start, of_start in both]

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import Start, starts_of
+from twin.diagnose.candidates import starts_of
 from twin.diagnose.cross_validation import evidence_needed, residual_within
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response, slopes_of_linear_effects
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
@@ -28,7 +28,7 @@ from twin.diagnose.not_visible import effects_not_visible
 from twin.diagnose.observe import Group, with_noise_about
 from twin.diagnose.plausible import is_plausible, is_ruled_out
 from twin.diagnose.rivals import Fitted, fit_picks, picks_of
-from twin.diagnose.screen import Screening, screening
+from twin.diagnose.screen import screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_refitted_slip
@@ -69,7 +69,7 @@ def _search_rounds(state: GroupState, setup: Setup) -> GroupState:
     axes_of_group = set(state.group.axes)
     times_fitted: Counter[Key] = Counter()
     refitted = False
-    for _ in range(T.rounds):
+    while True:
         if not refitted and _imperfections_need_refit(state):
             state, refitted = _refit_imperfections(state), True
         axes = axes_above_noise_within_tolerance(state) if quick else axes_of_group
@@ -91,9 +91,11 @@ def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key],
     label = "+".join(state.group.axes)
     setup.progress(f"{label}: screening next to {len(state.fit.settings)} effects")
     starts = [s for s in starts_of(state.group, state.fit.residual(state.group)) if s.axis in axes and s.key not in state.keys]
-    screened = _screened(state, starts)
+    screened = screening(state, [s for s in starts if not is_ruled_out(state.group, s)])
     if not state.screened:
-        state = replace(state, screened=_screened_effects(state, screened))
+        order = sorted(screened.best().items(), key=lambda item: -item[1][1].gain)
+        shown = [(key, g.gain, screened.setting(i, g, state.group.machine), closed_share(state, g.gain)) for key, (i, g) in order]
+        state = replace(state, screened=tuple(Screened(*one) for one in shown))
         if not setup.quick:
             not_visible = effects_not_visible(state, starts, len(setup.folds))
             state = replace(state, not_visible=not_visible)
@@ -135,7 +137,7 @@ def _imperfections_need_refit(state: GroupState) -> bool:
 
 def _refit_imperfections(state: GroupState) -> GroupState:
     """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them."""
-    for _ in range(T.joint_refits):
+    while True:
         before = state.fit.loss
         try:
             tuning = linearised(state.fit.about, state.group, state.fit.settings, state.fit.response)
@@ -153,16 +155,6 @@ def _refit_imperfections(state: GroupState) -> GroupState:
         if before - state.fit.loss < T.evidence:
             break
     return state.with_fit(state.fit).inflated()
-
-
-def _screened(state: GroupState, starts: Sequence[Start]) -> Screening:
-    return screening(state, [s for s in starts if not is_ruled_out(state.group, s)], state.group.residual - state.fit.response)
-
-
-def _screened_effects(state: GroupState, screened: Screening) -> tuple[Screened, ...]:
-    """All effects with their gain in the screening, best first."""
-    order = sorted(screened.best().items(), key=lambda item: -item[1][1].gain)
-    return tuple(Screened(key, g.gain, screened.setting(i, g, state.group.machine), closed_share(state, g.gain)) for key, (i, g) in order)
 
 
 def _with_accepted(state: GroupState, winners: Sequence[Fitted]) -> GroupState:
@@ -256,6 +248,5 @@ def response_without(state: GroupState, i: int) -> np.ndarray | None:
 
 def axes_above_noise_within_tolerance(state: GroupState) -> set[str]:
     """Axes whose residual exceeds the noise for every machine near the tolerance."""
-    return axes_above_noise(
-        state.group, residual_within(state, state.fit, T.widest * state.group.machine.parameter_tolerance, normal=False)
-    )
+    tolerance = T.widest * state.group.machine.parameter_tolerance
+    return axes_above_noise(state.group, residual_within(state, state.fit, tolerance, normal=False))

@@ -7,9 +7,8 @@ thresholds; they are constants of the module that uses them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any
 
 JUDGEMENT = "engineering judgement"
 IMITATION = "devtools/measure_imitation.py"
@@ -28,7 +27,7 @@ class Thresholds:
     # the campaign
     off_set_point: float = _of(0.2, "share of the motion", "smallest position gap of a record of another machine")
     off_lag: float = _of(3.0, "1", "position gap over the lag of the loop that is possible on any machine")
-    enough_samples: int = _of(50, "samples", "smallest number of moving samples of a channel")
+    enough_samples: int = _of(50, "samples", "smallest number of moving samples of a channel or block")
 
     # noise of a channel
     noise_correlation: int = _of(150, "samples", "longest correlation of the noise, set by the closed loop")
@@ -51,10 +50,11 @@ class Thresholds:
     # a channel without a fault
     clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel")
     clean_spread: float = _of(6.0, "1", "standard deviations of that mean square that are allowed as chance")
-    clean_mean_square: float = _of(1.5, "1", "mean square of the moving averages of a clean channel")
     clean_mean: float = _of(6.5, "1", "largest moving average of a clean channel")
-    clean_law_square: float = _of(1.5, "1", "mean square of the error of a control law that holds")
-    clean_law_mean: float = _of(2.0, "1", "largest mean over 25 samples of that error")
+    clean_mean_square: float = _of(
+        1.5, "1", "mean square of the moving averages of a clean channel, and of the error of a control law that holds"
+    )
+    clean_law_mean: float = _of(2.0, "1", "largest mean over 25 samples of the error of a control law that holds")
 
     # model error of the twin
     shapes: float = _of(60.0, "1", "independent samples of a model error in one channel, however many samples it has", PILOT)
@@ -62,7 +62,7 @@ class Thresholds:
     lag_s: float = _of(0.01, "s", "time by which the response to an effect may be early or late")
     event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
     by_chance: float = _of(1.5, "1", "mean square that noise reaches over so short a time")
-    outlier: float = _of(5.0, "1", "standard deviations beyond which the loss grows linearly")
+    outlier: float = _of(5.0, "1", "largest deviation over noise that counts with its square; a larger one counts linearly")
 
     # tolerance and normal imperfections
     prior_weight: float = _of(50.0, "1", "weight of the prior: a parameter at the edge of its tolerance costs 75 nat")
@@ -80,25 +80,21 @@ class Thresholds:
 
     # fits
     fit_steps: int = _of(8, "steps", "largest number of Gauss-Newton steps")
-    few_steps: int = _of(3, "steps", "the same in a quick look, and in the final fit after each update of the model error")
-    refit_steps: int = _of(4, "steps", "the same for a fit that starts at an earlier optimum")
+    refit_steps: int = _of(4, "steps", "the same in a quick look, and for a fit that starts at an earlier optimum")
     slope: float = _of(1.0, "scale units", "finite-difference step: wide, because a break-away moves by whole samples")
     narrow_slope: float = _of(0.1, "scale units", "the same once wide steps no longer reduce the loss")
     slopes_hold: float = _of(0.5, "share", "smallest ratio of actual to predicted gain with which slopes are reused")
-    above_noise: float = _of(1.05, "1", "loss over the loss of noise at which a fit stops")
     converged: float = _of(0.02, "nat", "largest gain of a fit that has converged")
     within_mode: float = _of(0.06, "share", "finite-difference step of a drive train's elasticity")
-    wave_run_s: float = _of(15.0, "s", "length of a run assumed for the scale of a frequency")
-    wave_step: float = _of(0.1, "waves", "phase shift at the end of that run for a step of 1")
+    wave_step: float = _of(0.1, "waves", "phase shift at the end of a run for a step of 1")
 
     # screening
     screened_largest: float = _of(4.0, "1", "largest size in screening, in multiples of the start")
+    most_fits: int = _of(2, "times", "rounds in which an effect is fitted: it may be refused at first and accepted next to others")
     screened_least: float = _of(0.02, "1", "smallest size in screening, in multiples of the start")
     screened_delay: float = _of(1e-5, "1", "the same for the delay of a lag")
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
-    rounds: int = _of(8, "rounds", "largest number of rounds")
-    most_fits: int = _of(2, "times", "rounds in which an effect is fitted: it may be refused at first and accepted next to others")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
     span: float = _of(
         0.01, "share of the best gain", "smallest gain of an effect that enters in the same round; responses are not exactly linear"
@@ -120,12 +116,15 @@ class Thresholds:
     nonlinear_rivals_within: float = _of(0.08, "share of the best gain", "the same for nonlinear effects")
 
     # acceptance of an effect
-    evidence: float = _of(14.0, "nat", "evidence that an effect needs on held-out runs, and a normal imperfection on all runs")
+    evidence: float = _of(
+        14.0,
+        "nat",
+        "evidence that an effect needs on held-out runs, and a normal imperfection on all runs; less does not separate two rivals",
+    )
     evidence_in_sample: float = _of(60.0, "nat", "the same if no run can be held out")
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that model errors of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same for a block that the signals do not isolate", IMITATION)
     price: float = _of(2.0, "nat", "cost of each further free parameter")
-    joint_refits: int = _of(3, "times", "largest number of joint refits of effects and imperfections")
     small_residual: float = _of(1.3, "1", "largest loss over the loss of noise with which imperfections are refitted")
     least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
     information_in_fold: float = _of(0.99, "share", "share of the information about a parameter that one fold may hold")
@@ -145,9 +144,7 @@ class Thresholds:
     # verdict
     worse_by_chance: float = _of(0.3, "1", "increase of gap over noise by which a correction may be worse than the machine file by chance")
     signal_worse: float = _of(
-        2.0,
-        "1",
-        "largest gap over noise of a signal, or ratio to its gap without the law, with a law that is not refused",
+        2.0, "1", "largest gap over noise of a signal, or ratio to its gap without the law, with a law that is not refused"
     )
     undecided: float = _of(
         6.0, "1", "largest held-out gap over noise with the verdict 'none'; a control that interpolates in its own way leaves 3"
@@ -155,17 +152,16 @@ class Thresholds:
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
-    unexplained_gap: float = _of(1.5, "1", "smallest gap over noise of an axis that is listed as unexplained")
-    remaining: float = _of(0.1, "share", "largest remaining share of the excess over noise without the verdict 'unknown'")
+    remaining: float = _of(0.1, "share", "largest share of the excess over noise that may stay unexplained")
     noticed_excess: float = _of(0.12, "1", "largest mean square above noise without a remaining residual", IMITATION)
     systematic: float = _of(
-        5.0, "1", "largest median mean square over the runs with a right law: true laws leave 3.3, the most similar wrong laws 60"
+        5.0,
+        "1",
+        "largest mean square with a right law, median over runs, or in one run of a control law: true laws leave 3.3, the most similar wrong ones 60",
     )
     local_samples: int = _of(1000, "samples", "smallest number of samples of a channel that is tested by itself")
-    local_law_square: float = _of(4.0, "1", "largest mean square of the error of a control law that holds")
     beyond_chance: float = _of(4.0, "1", "largest difference of the size in a run by chance")
     one_size: float = _of(0.12, "share", "relative difference of a size that is allowed between runs")
-    ambiguous: float = _of(10.0, "nat", "largest difference in evidence of a rival that is reported as ambiguous")
     model_error: float = _of(
         0.007, "share", "relative standard deviation of a size due to model error, independent of the number of samples"
     )
@@ -188,19 +184,3 @@ class Thresholds:
 
 T = Thresholds()
 """The thresholds of every diagnosis."""
-
-
-class Listed(NamedTuple):
-    """One threshold as it is listed."""
-
-    name: str
-    value: float
-    unit: str
-    meaning: str
-    provenance: str
-
-
-def listed() -> Iterator[Listed]:
-    """All thresholds with value, unit, meaning and provenance."""
-    for f in fields(T):
-        yield Listed(f.name, getattr(T, f.name), f.metadata["unit"], f.metadata["meaning"], f.metadata["provenance"])

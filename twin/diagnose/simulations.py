@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar, overload
+from typing import Any, NamedTuple
 
 from twin.diagnose.tolerance import with_added
 from twin.diagnose.view import RunView
@@ -20,20 +19,8 @@ from twin.simulation.run import Run, SimulationJob, all_or_raise, simulate_each
 Variant = Callable[[Machine], Machine]
 """Maps the machine of a run to another machine."""
 
-Result = TypeVar("Result")
-
-Mapper = Callable[..., list[Any]]
-"""Maps a function over items in order, on threads unless it is `in_turn`."""
-
-
-def in_turn(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-    """Map on the calling thread."""
-    return [function(item) for item in items]
-
-
-def on_threads(pool: ThreadPoolExecutor) -> Mapper:
-    """Map on the threads of a pool."""
-    return lambda function, items: list(pool.map(function, items))
+Mapper = Callable[..., Iterable[Any]]
+"""`map`, or that of a thread pool."""
 
 
 class SimulationRequest(NamedTuple):
@@ -48,17 +35,12 @@ class SimulationRequest(NamedTuple):
 
 def simulate_group(view: RunView, axes: Sequence[str], machine_of: Variant | None = None, *, noise_seed: int | None = None) -> Run:
     """Simulate one request, see `simulate_groups`. Raises TwinError if it cannot be simulated."""
-    return all_or_raise(simulate_groups([SimulationRequest(view, axes, machine_of, noise_seed=noise_seed)]))[0]
+    one: Run = all_or_raise(simulate_groups([SimulationRequest(view, axes, machine_of, noise_seed=noise_seed)]))[0]
+    return one
 
 
-@overload
-def simulate_groups(requests: Sequence[SimulationRequest], mapper: Mapper = in_turn) -> list[Run | TwinError]: ...
-@overload
 def simulate_groups(
-    requests: Sequence[SimulationRequest], mapper: Mapper, of: Callable[[int, Run], Result]
-) -> list[Result | TwinError]: ...
-def simulate_groups(
-    requests: Sequence[SimulationRequest], mapper: Mapper = in_turn, of: Callable[[int, Run], Any] = lambda i, run: run
+    requests: Sequence[SimulationRequest], mapper: Mapper = map, of: Callable[[int, Run], Any] = lambda i, run: run
 ) -> list[Any]:
     """Simulate each request in the decoupled plant at the sample times of its run, batched; the result or its error.
 

@@ -11,9 +11,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 
-import numpy as np
-
-from twin.diagnose.fit import fit_effects
+from twin.diagnose.fit import fit_effects, slopes_of_linear_effects
 from twin.diagnose.plausible import is_plausible, normal_deviation
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, is_cut
@@ -32,8 +30,8 @@ def with_final_sizes(state: GroupState) -> GroupState:
     change = state.fit.response / state.group.weights
     for _ in range(T.size_rounds):
         state = state.doubted(change * state.group.weights, state.fit.residual(state.group))
-        known = state.fit.linear_effect_slopes
-        fit = fit_effects(state.group, state.tuning, state.fit.settings, T.few_steps, narrowest=T.slope, known=known)
+        known = slopes_of_linear_effects(state.fit.slopes, state.fit.settings)
+        fit = fit_effects(state.group, state.tuning, state.fit.settings, T.refit_steps, narrowest=T.slope, known=known)
         if fit is None:
             break
         state = state.with_fit(fit)
@@ -51,7 +49,7 @@ def without_implausible(state: GroupState) -> GroupState:
     ]
     if len(kept) == len(state.fit.settings):
         return state
-    fit = fit_effects(state.group, state.tuning, kept, T.few_steps)
+    fit = fit_effects(state.group, state.tuning, kept, T.refit_steps)
     if fit is None:
         return state
     return replace(state, accepted=state.accepted[: len(kept)]).with_fit(fit).inflated()
@@ -59,14 +57,12 @@ def without_implausible(state: GroupState) -> GroupState:
 
 def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:
     """For each effect: is its 95 % interval beyond zero and beyond what the tolerance explains? That of a logarithmic size is taken as linear."""
-    sizes = state.fit.sizes()
-    deviations = np.sqrt(np.maximum(np.diag(sizes.covariance(state.inflation)), 0.0))
-    determined = [True] * len(sizes.settings)
-    for free, deviation in zip(sizes.free, deviations):
-        setting = sizes.settings[free.setting]
+    settings = state.fit.settings
+    determined = [True] * len(settings)
+    for free, deviation in state.fit.sizes().deviations(state.inflation).values():
+        setting = settings[free.setting]
         size = setting.effect.size
         if free.parameter is size:
-            value = size.deviation(setting.size)
-            half = 1.96 * float(deviation) * free.unit * (value if free.logarithmic else 1.0)
-            determined[free.setting] = value - half > normal_deviation(setting, machine)
+            half = 1.96 * deviation * free.step(setting.size)
+            determined[free.setting] = size.deviation(setting.size) - half > normal_deviation(setting, machine)
     return determined

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import math
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter
 
 from twin.diagnose.observe import Group
 from twin.effects.effect import Parameter
@@ -193,24 +193,13 @@ class StartValues:
             period = float(np.median(np.diff(t)))
             a = np.gradient(v, period)
             for i in np.flatnonzero(frequencies < 0.5 / period):
-                response = lfilter(*swing_filter(float(frequencies[i]), scan.damping_ratio, period), a)
+                w = 2.0 * math.pi * float(frequencies[i])  # x'' + 2 z w x' + w^2 x = a, with a held over a sample
+                b, recursion, _ = cont2discrete(([1.0], [1.0, 2.0 * scan.damping_ratio * w, w * w]), period)
+                response = lfilter(np.ravel(b), recursion, a)
                 norm = float(response @ response)
                 if norm > 0:
                     power[i] += float(response @ values) ** 2 / norm
         return frequencies, power
-
-
-def swing_filter(frequency_hz: float, damping_ratio: float, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Filter (b, a) from acceleration to the swing x of a mass, x'' + 2 z w x' + w^2 x = acceleration; exact for an acceleration held over a sample.
-
-    With r = exp(-z w T), c = r cos(w_d T), s = r sin(w_d T), q = z / sqrt(1 - z^2), w_d = w sqrt(1 - z^2):
-    b = (0, 1 - c - q s, r^2 - c + q s) / w^2,   a = (1, -2 c, r^2). Stable at every sampling period.
-    """
-    w, z = 2.0 * math.pi * frequency_hz, damping_ratio
-    root = math.sqrt(1.0 - z * z)
-    r = math.exp(-z * w * period)
-    c, s, q = r * math.cos(w * root * period), r * math.sin(w * root * period), z / root
-    return np.array([0.0, 1.0 - c - q * s, r * r - c + q * s]) / w**2, np.array([1.0, -2.0 * c, r * r])
 
 
 def _with_whole_number(chosen: list[float], waves: np.ndarray, power: np.ndarray) -> list[float]:

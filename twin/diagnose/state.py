@@ -195,7 +195,7 @@ def localised_on(state: GroupState) -> set[str]:
     for channel, u in settled_channels(state):
         if channel.name != "controller" and len(u) > T.local_samples and float(np.mean(u**2)) > T.noticed_square:
             axes.add(channel.axis)
-        if channel.name == "controller" and float(np.mean(u**2)) > T.local_law_square:
+        if channel.name == "controller" and float(np.mean(u**2)) > T.systematic:
             axes.add(channel.axis)
     return axes
 

@@ -37,16 +37,19 @@ class Tuning:
     jacobian: Columns  # weighted, per spread of a nuisance
     spread: float
     normal: np.ndarray  # J'J + w
-    inverse: np.ndarray
     base: np.ndarray  # (nuisance,) deviations about which the group is linearised, as fractions
     prior_weight: float = T.prior_weight
     further: np.ndarray = field(default_factory=lambda: np.zeros(0))  # prior weight of each further column
     _products: dict[tuple[tuple[tuple[int, int], ...], ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        # tunings share columns: a change in place would change another state
-        for array in (self.normal, self.inverse):
-            array.flags.writeable = False
+        self.normal.flags.writeable = False  # tunings share it: a change in place would change another state
+
+    @functools.cached_property
+    def inverse(self) -> np.ndarray:
+        """Inverse of `normal`, whose columns may differ in scale by many orders of magnitude."""
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
+        return np.asarray(scale[:, None] * np.linalg.pinv(self.normal * np.outer(scale, scale), rcond=1e-13, hermitian=True) * scale)
 
     def products(self, runs: Sequence[Sequence[slice]]) -> np.ndarray:
         """J'J over the rows of each run (run, column, column); cached. `runs` are the row slices of each run."""
@@ -82,8 +85,7 @@ class Tuning:
         own = columns.gram() + prior * np.eye(len(columns))
         further = np.concatenate([self.further, np.full(len(columns), prior)])
         normal = np.block([[self.normal, cross], [cross.T, own]])
-        jacobian = self.jacobian.beside(columns)
-        return Tuning(self.nuisances, jacobian, self.spread, normal, _inverse(normal), self.base, self.prior_weight, further)
+        return Tuning(self.nuisances, self.jacobian.beside(columns), self.spread, normal, self.base, self.prior_weight, further)
 
     def holding(self, columns: Sequence[int]) -> Tuning:
         """The tuning with some of its further columns, counted from the first of them, held at zero; it shares the jacobian."""
@@ -93,37 +95,29 @@ class Tuning:
         normal, further = self.normal.copy(), self.further.copy()
         normal[at, at] += weight
         further[own] += weight
-        return replace(self, normal=normal, inverse=_inverse(normal), further=further)
+        return replace(self, normal=normal, further=further)
 
     def with_prior(self, weight: float) -> Tuning:
         """The tuning with another prior weight of the nuisances; it shares the jacobian."""
         normal, n = self.normal.copy(), range(len(self.nuisances))
         normal[n, n] += weight - self.prior_weight
-        return replace(self, normal=normal, inverse=_inverse(normal), prior_weight=weight)
-
-    def project(self, columns: np.ndarray | Columns) -> np.ndarray:
-        """J' columns, used to eliminate the tuning."""
-        return self.jacobian.onto(columns)
+        return replace(self, normal=normal, prior_weight=weight)
 
     def solve(self, residual: np.ndarray) -> np.ndarray:
         """Coefficients (column,), in spreads for the nuisances, that fit a residual best."""
-        return self.solve_projected(self.project(residual))
-
-    def solve_projected(self, projected: np.ndarray) -> np.ndarray:
-        """The same from `project(residual)`."""
-        return np.asarray(self.inverse @ projected)
+        return np.asarray(self.inverse @ self.jacobian.onto(residual))
 
     def product(self, a: np.ndarray, b: np.ndarray) -> float:
         """a' P b for two vectors (row,), P the projection that eliminates the tuning."""
-        return float(a @ b - self.project(a) @ self.inverse @ self.project(b))
+        return float(a @ b - self.jacobian.onto(a) @ self.inverse @ self.jacobian.onto(b))
 
     def inner(self, a: Columns, b: np.ndarray | Columns, of_a: np.ndarray, of_b: np.ndarray) -> np.ndarray:
-        """a' P b for columns, with the tuning eliminated; `of_a` is `project(a)`, `of_b` is `project(b)`."""
+        """a' P b for columns, with the tuning eliminated; `of_a` is J'a, `of_b` is J'b."""
         return np.asarray(a.onto(b) - of_a.T @ self.inverse @ of_b)
 
     def loss(self, residual: np.ndarray, projected: np.ndarray | None = None) -> float:
-        """Half the squared residual, plus the prior, after re-tuning. `projected` is `project(residual)` if it is known."""
-        projected = self.project(residual) if projected is None else projected
+        """Half the squared residual, plus the prior, after re-tuning. `projected` is J' residual if it is known."""
+        projected = self.jacobian.onto(residual) if projected is None else projected
         return 0.5 * float(residual @ residual - projected @ self.inverse @ projected)
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
@@ -133,8 +127,7 @@ class Tuning:
     def reweighted(self, scale: np.ndarray) -> Tuning:
         """The same tuning with each row weight multiplied by `scale` (row,)."""
         return replace(
-            tuning_from(self.nuisances, self.jacobian.scaled(scale), self.spread, self.prior_weight, self.further),
-            base=self.base,
+            tuning_from(self.nuisances, self.jacobian.scaled(scale), self.spread, self.prior_weight, self.further), base=self.base
         )
 
 
@@ -217,25 +210,15 @@ def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
 
 
 def tuning_from(
-    nuisances: Sequence[Nuisance],
-    jacobian: Columns,
-    spread: float,
-    prior_weight: float = T.prior_weight,
-    further: np.ndarray | None = None,
+    nuisances: Sequence[Nuisance], jacobian: Columns, spread: float, prior_weight: float = T.prior_weight, further: np.ndarray | None = None
 ) -> Tuning:
     """A tuning from nuisances and `jacobian`, their weighted response at their spread. Columns beyond the nuisances are free."""
     further = np.zeros(0) if further is None else further
     normal = jacobian.gram() + np.diag(np.concatenate([np.full(len(nuisances), prior_weight), further]))
-    return Tuning(tuple(nuisances), jacobian, spread, normal, _inverse(normal), np.zeros(len(nuisances)), prior_weight, further)
+    return Tuning(tuple(nuisances), jacobian, spread, normal, np.zeros(len(nuisances)), prior_weight, further)
 
 
 def solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least-squares solution of normal x = right, (column,) or (column, n), with the columns scaled to equal size."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray((scale * np.linalg.lstsq(normal * np.outer(scale, scale), (scale * right.T).T, rcond=1e-12)[0].T).T)
-
-
-def _inverse(normal: np.ndarray) -> np.ndarray:
-    """Inverse of a positive definite matrix whose columns may differ in scale by many orders of magnitude."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-13, hermitian=True) * scale)

@@ -13,7 +13,6 @@ import math
 
 from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, uncorrected
 from twin.diagnose.judgement import (
-    ALL_BUT,
     QUIET,
     gap_remains,
     is_explained_to_noise,
@@ -25,6 +24,7 @@ from twin.diagnose.judgement import (
     worse_signals,
 )
 from twin.diagnose.law.laws import MOST_EFFECTS, Laws, costs_more_than_a_law, in_the_loop, laws_of
+from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.state import GroupState
 from twin.errors import TwinError
@@ -111,7 +111,7 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
         if share <= least_share:
             best, least_share = corrected, share
         # where laws leave no considerable gap, other weights of the samples find no better ones
-        if least_share < ALL_BUT or (best.laws and not best.with_law & best.remaining(setup.machine)):
+        if least_share < T.remaining or (best.laws and not best.with_law & best.remaining(setup.machine)):
             break
     return best
 

@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 import numpy as np
+from scipy.special import softmax
 
 from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
 from twin.diagnose.observe import Group
@@ -26,8 +27,7 @@ def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list
     if best is None or (best.evidence >= best.needed and best.key not in state.keys):
         return [0.0] * len(candidates)
     evidence = np.array([c.evidence if c.plausible else -math.inf for c in candidates] + [best.needed])
-    odds = np.exp((evidence - evidence.max()) / T.temperature)
-    return [state.group.confidence(c.key[1]) * float(p) for c, p in zip(candidates, odds / odds.sum())]
+    return [state.group.confidence(c.key[1]) * float(p) for c, p in zip(candidates, softmax(evidence / T.temperature))]
 
 
 def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float]]:

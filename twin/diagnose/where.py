@@ -35,7 +35,7 @@ def places(
     """
     listed: list[dict[str, Any]] = []
     levels: dict[tuple[str, str], float] = {}
-    least = max((T.place_share for f in states), default=0.0) * max(weights.values(), default=0.0)
+    least = T.place_share * max(weights.values(), default=0.0)
     for f in states:
         group = f.group
         if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
@@ -51,7 +51,7 @@ def places(
                 listed.append(_place(group, axis, block, parts, share, levels[axis, block]))
     for setting in settings:
         _assign_effect(listed, setting, machine, levels)
-    _merge_echoes(listed, T.echo if states else 0.0)
+    _merge_echoes(listed)
     # an axis has the weight of its gap, divided among its blocks by their shares
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
@@ -122,18 +122,15 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
     )
 
 
-def _merge_echoes(listed: list[dict[str, Any]], echo: float) -> None:
-    """Move most of the share of blocks without an effect to the largest block of the axis with one: their residual is mostly a consequence of it.
-
-    `echo` is the share that they keep.
-    """
+def _merge_echoes(listed: list[dict[str, Any]]) -> None:
+    """Move most of the share of blocks without an effect to the largest block of the axis with one: their residual is mostly a consequence of it."""
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         if leading := [p for p in mine if "effect" in p]:
             largest = max(leading, key=lambda p: p["_share"])
             for other in (p for p in mine if "effect" not in p):
-                largest["_share"] += (1.0 - echo) * other["_share"]
-                other["_share"] *= echo
+                largest["_share"] += (1.0 - T.echo) * other["_share"]
+                other["_share"] *= T.echo
 
 
 def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], share: float, level: float) -> dict[str, Any]:
@@ -147,7 +144,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
             break
     top = runs[0]
     view = group.views[top.run]
-    start, stop = _stretch(top, view.trace.period, T.stretch_s)
+    start, stop = _stretch(top, view.trace.period)
     return {
         "axis": axis,
         "block": block,
@@ -200,11 +197,11 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     return best
 
 
-def _stretch(part: BlockResidual, period: float, stretch_s: float) -> tuple[int, int]:
+def _stretch(part: BlockResidual, period: float) -> tuple[int, int]:
     """First and last sample of the interval with the largest excess: `stretch_s` long, at most a third of the run."""
     n = len(part.residual)
     step = float(np.median(np.diff(part.index))) * period if n > 1 else period
-    width = max(10, min(n // 3, round(stretch_s / step)))
+    width = max(10, min(n // 3, round(T.stretch_s / step)))
     # a varying residual counts more than a constant one
     ones = np.ones(width)
     energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width

@@ -24,6 +24,11 @@ def parameters_of(entry: dict[str, Any]) -> list[dict[str, str]]:
     return rows
 
 
+def parameters_text(entry: dict[str, Any]) -> str:
+    """The parameters of an effect in one line: 'clearance 12.6 um (12.4 to 12.8 um)'."""
+    return ", ".join(f"{p['name']} {p['value']}" + (f" ({p['interval']})" if p["interval"] else "") for p in parameters_of(entry))
+
+
 def _parameter(entry: dict[str, Any], name: str) -> Parameter | None:
     """The parameter of an entry's effect; None for an effect outside the library."""
     effect = EFFECTS.get(entry["effect"])

@@ -17,7 +17,7 @@ from twin.effects.structural_mode import mode_parameters, structural_mode
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, MEASURE, X_LOAD_FORCE, Term, arrays, term
-from twin.simulation.plant_spec import ModelEdit, build_plant, frames_of_model, full_inertia, remembered
+from twin.simulation.plant_spec import ModelEdit, at_home, frames_of_model
 
 FASTEST_MODE = 1.5
 """Largest natural frequency times tick of a spring. Semi-implicit Euler is unstable above 2."""
@@ -36,9 +36,8 @@ class Change:
     transmission_errors: list[tuple[Any, Axis, list[float]]] = field(default_factory=list)  # term, axis, three parameters
     scale_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
     constant_force: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    force_at_rest: list[tuple[int, Callable[[np.ndarray], float]]] = field(
-        default_factory=list
-    )  # axis index, force as a function of the start (axis,)
+    force_at_rest: list[tuple[int, Callable[[np.ndarray], float]]] = field(default_factory=list)
+    """Forces on the load towards +q that the integrators carry at the start of a run: axis index, force as a function of the start (axis,)."""
 
     def __post_init__(self) -> None:
         # the control keeps its commissioned values if an effect changes the motor
@@ -74,10 +73,6 @@ class Change:
         self.constant_force[self.index(axis)] += force
         self.add_term(constant_load_force, FORCE, axis, [force])
 
-    def add_holding_force(self, axis: Axis, force: Callable[[np.ndarray], float]) -> None:
-        """Add a holding force on the load, towards +q, as a function of the start (axis,); the integrators carry it at the start of a run."""
-        self.force_at_rest.append((self.index(axis), force))
-
     def constant_force_at(self, start: np.ndarray) -> np.ndarray:
         """Force (axis,) towards +q at rest at `start` (axis,)."""
         force = self.constant_force.copy()
@@ -93,12 +88,6 @@ class Change:
 
         self.model_edits.append(edit)
 
-    def add_structural_mode(self, axis: Axis) -> None:
-        """Add the structural mode of an axis: its share leaves the mass that feels the drive and swings behind it."""
-        mass = self.load_inertia(axis)
-        self.add_inertia(axis, -axis.mode_mass_share * mass)
-        self.add_term(structural_mode, FORCE, axis, mode_parameters(axis, mass, self.machine.base_tick))
-
     def couple(self, cause: str, axis: Axis, stiffness: float, damping: float, clearance: float = 0.0) -> None:
         """Add a spring, a damper and a dead zone between rotor and load; `cause` is the name of the effect, for messages."""
         self.couplings.setdefault(axis.name, Coupling()).add(cause, stiffness, damping, clearance)
@@ -111,10 +100,6 @@ class Change:
     def load_inertia(self, axis: Axis) -> float:
         """Mass or inertia of the load alone, without rotor, in the home pose [kg, kg m2]."""
         return load_inertia(self.machine, axis)
-
-    def reduced_mass(self, axis: Axis) -> float:
-        """Rotor and load in series [kg, kg m2], see `reduced_mass`."""
-        return reduced_mass(self.machine, axis)
 
     def rotor_offset(self, index: int, held: float) -> float:
         """Rotor minus load position of a coupled axis at rest."""
@@ -147,7 +132,7 @@ def load_inertia(machine: Machine, axis: Axis) -> float:
     Raises:
         InputError: the load is nothing beside the rotor, so that their difference is rounding.
     """
-    inertia, _ = _at_home(machine)
+    inertia, _ = at_home(machine)
     total, rotor = float(inertia[machine.axis_names.index(axis.name)]), axis.reflected_inertia
     if not total - rotor > LEAST_LOAD * rotor:
         unit = "kg" if axis.kind == "linear" else "kg m2"
@@ -159,7 +144,7 @@ def load_inertia(machine: Machine, axis: Axis) -> float:
 
 def held_force(machine: Machine, axis: Axis) -> float:
     """Force that holds an axis against gravity in the home pose [N, Nm]."""
-    _, bias = _at_home(machine)
+    _, bias = at_home(machine)
     return float(bias[machine.axis_names.index(axis.name)])
 
 
@@ -188,16 +173,6 @@ def total_inertia(machine: Machine, axis: Axis) -> float:
     return load_inertia(machine, axis) + axis.reflected_inertia
 
 
-@remembered
-def _at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
-    """Inertia with rotor and bias of every axis in the home pose (axis,)."""
-    plant = build_plant(machine)
-    plant.data.qpos[:] = 0.0
-    mujoco.mj_forward(plant.model, plant.data)
-    inertia = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof].copy()
-    return inertia, plant.data.qfrc_bias[plant.load_dof].copy()
-
-
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
     """Apply the constant loads and the effects of a machine; `started_at` [s] since the start of the campaign."""
     change = Change(machine, started_at)
@@ -205,8 +180,10 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
     for axis in machine.axes:
         if axis.constant_force:
             change.add_force(axis, -axis.constant_force)
-        if axis.mode_mass_share:
-            change.add_structural_mode(axis)
+        if axis.mode_mass_share:  # the share of the structural mode leaves the mass that feels the drive and swings behind it
+            mass = load_inertia(machine, axis)
+            change.add_inertia(axis, -axis.mode_mass_share * mass)
+            change.add_term(structural_mode, FORCE, axis, mode_parameters(axis, mass, machine.base_tick))
         if axis.presliding_stiffness and ("presliding", axis.name) not in listed:
             EFFECTS["presliding"].act(change, axis, stiffness=axis.presliding_stiffness)
     # sorted by block, then as in the library, so that the order in the machine file does not matter
@@ -217,7 +194,7 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
             setting.effect.act(change, change.machine.axis(setting.axis), **source, **setting.parameters)
     for name, c in change.couplings.items():
         axis = change.machine.axis(name)
-        mass = change.reduced_mass(axis)
+        mass = reduced_mass(change.machine, axis)
         change.check_step(axis, c.cause, c.stiffness, mass)
         h = change.machine.base_tick
         # exact decay of the relative speed over a tick, stable for any damping
@@ -245,9 +222,7 @@ def add_effects(machine: Machine, *effects: str | Setting) -> Machine:
     Raises InputError for an unknown name, axis or parameter, a value out of bounds, or a duplicate effect on an axis.
     """
     settings = [parse_setting(effect, machine) if isinstance(effect, str) else effect for effect in effects]
-    changed = with_effects(machine, [*settings_of(machine), *settings])
-    settings_of(changed)
-    return changed
+    return with_effects(machine, [*settings_of(machine), *settings])
 
 
 @term

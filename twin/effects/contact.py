@@ -12,7 +12,7 @@ from twin.simulation import loop_terms
 from twin.simulation.loop_terms import FORCE, arrays, term
 
 VANISHED = 6.1
-"""Multiple of the Stribeck speed above which exp(-x^2) is below machine precision."""
+"""At a larger multiple x of the Stribeck speed, exp(-x^2) is below machine precision."""
 
 BRISTLE_DAMPING_RATIO = 0.3
 """Default damping ratio of the bristle with the total inertia of the axis."""

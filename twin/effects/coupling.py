@@ -9,7 +9,7 @@ from twin.simulation import loop_terms
 from twin.simulation.loop_terms import arrays, term
 
 REST_FORCE = 1e-6
-"""Holding force, as a fraction of Coulomb friction, up to which the gap is centred at rest."""
+"""A smaller holding force, as a fraction of Coulomb friction, leaves the gap centred at rest."""
 
 
 @dataclass

@@ -100,7 +100,7 @@ class Parameter:
                        The lag delays by c / (exp(c / T) - 1), which is negligible below half a cycle
 
     Plausibility in a diagnosis:
-    beyond_tolerance   multiple of the machine's parameter tolerance above which a deviation is an effect
+    beyond_tolerance   largest normal deviation, in multiples of the machine's parameter tolerance; a larger one is an effect
     part_of            reference value of the tolerance for a size that is not a factor [its unit]
     normal_size        largest size that every machine may have [its unit]
     any_size           any size is plausible, even far outside the usual range

@@ -45,7 +45,7 @@ def backlash(
     m1 m2 / (m1 + m2), damping ratio 0.3). A slow reversal shows clearance + 2 Fc / contact_stiffness between motor and
     scale. Source: Nordin, Gutman 2002 (physical backlash).
     """
-    reduced = change.reduced_mass(axis)
+    reduced = reduced_mass(change.machine, axis)
     w = 2.0 * math.pi * CONTACT_FREQUENCY_HZ
     stiffness = contact_stiffness if contact_stiffness is not None else w**2 * reduced
     damping = contact_damping if contact_damping is not None else 2.0 * CONTACT_DAMPING_RATIO * math.sqrt(stiffness * reduced)

@@ -7,7 +7,7 @@ import math
 from twin.effects.change import Change, weight
 from twin.effects.effect import Parameter, Picture, effect
 from twin.effects.scan import InTime
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Axis
 from twin.simulation.loop_terms import FORCE, X_LOAD_ACCELERATION, X_LOAD_FORCE, X_STEP, X_TIME, arrays, term
 
 
@@ -30,15 +30,15 @@ def constant_force(change: Change, axis: Axis, force: float) -> None:
     change.add_force(axis, -force)
 
 
-def _usual_mass(machine: Machine, axis: Axis) -> tuple[float, float]:
-    return (0.08 * (axis.moving_mass_kg or 1.0), 0.25 * (axis.moving_mass_kg or 1.0))
-
-
 @effect(
     block="mechanics",
     axes="linear",
     from_axis=True,
-    parameters=(Parameter("mass", "mass", -1e4, 1e4, _usual_mass, neutral=0.0),),
+    parameters=(
+        Parameter(
+            "mass", "mass", -1e4, 1e4, lambda m, a: (0.08 * (a.moving_mass_kg or 1.0), 0.25 * (a.moving_mass_kg or 1.0)), neutral=0.0
+        ),
+    ),
     separating_move="accelerations",
     rivals="Inertia follows the acceleration of this axis. Moves in which only one of the two axes accelerates distinguish them.",
     picture=Picture("X moves at constant speed; each acceleration of Y disturbs it.", from_axis="Y", sizes={"mass": 170.0}),
@@ -51,15 +51,13 @@ def cross_axis_coupling(change: Change, axis: Axis, from_axis: Axis, mass: float
     change.add_term(cross_axis_force, FORCE, axis, [mass, change.index(from_axis)])
 
 
-def _usual_force(machine: Machine, axis: Axis) -> tuple[float, float]:
-    return (0.15 * axis.coulomb_friction, 0.40 * axis.coulomb_friction)
-
-
 @effect(
     block="mechanics",
     parameters=(
         Parameter("frequency_hz", "frequency", 0.1, 500.0, (7.0, 35.0), logarithmic=True, scan=InTime()),
-        Parameter("force", "force", 0.0, 1e5, _usual_force, neutral=0.0, logarithmic=True),
+        Parameter(
+            "force", "force", 0.0, 1e5, lambda m, a: (0.15 * a.coulomb_friction, 0.40 * a.coulomb_friction), neutral=0.0, logarithmic=True
+        ),
     ),
     separating_move="rest",
     rivals="The frequency of a torque ripple changes with speed; a periodic disturbance keeps its frequency and acts at rest, too.",

@@ -17,7 +17,7 @@ outputs. `from_axis` takes the variable from another axis; `memory_s` filters th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import itertools
 import math
@@ -151,10 +151,6 @@ class Law:
             **({"period": self.period} if self.period else {}),
         }
 
-    def unit(self, of: str, axis: Axis) -> str:
-        """Unit of a parameter of the shape on this axis."""
-        return _parameter(Number("", of), self).unit(axis)  # type: ignore[arg-type]
-
     def values(self, x: np.ndarray, numbers: Mapping[str, float], axis: Axis) -> np.ndarray:
         """Output (sample,) at values of the variable, without memory."""
         x = np.mod(x, self.period) if self.period else np.asarray(x, float)
@@ -198,6 +194,11 @@ def law_of(table: Mapping[str, Any], where: str) -> Law:
             raise InputError(f"{where}: law: a {shape.name} filters {pairs}; not {output} over {variable} in the {block}")
         return Law(block, output, variable, shape)
     return Law(block, output, variable, CURVE, *_points_of(table, f"{where}: law"))
+
+
+def laws_in(settings: Sequence[Setting]) -> tuple[Setting, ...]:
+    """The laws among settings."""
+    return tuple(s for s in settings if s.effect.name == NAME)
 
 
 def law_in(setting: Setting) -> Law:
@@ -321,7 +322,8 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
     )
     change.add_term(own if output.signal < 0 else law_terms.added_law, output.stage, axis, [*head, *row])
     if law.output == "force" and law.block != "transmission":
-        change.add_holding_force(axis, lambda start: _at_rest(law, numbers, source, float(start[change.index(source)]), change.started_at))
+        at = change.index(source)
+        change.force_at_rest.append((change.index(axis), lambda start: _at_rest(law, numbers, source, float(start[at]), change.started_at)))
 
 
 def _factor(law: Law, source: Axis) -> float:

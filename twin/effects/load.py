@@ -15,15 +15,20 @@ from twin.simulation.plant_spec import frames_of_model
 MILLIMETRES = {"m": ("mm", 1e3)}
 
 
-def _usual_inertia(machine: Machine, axis: Axis) -> tuple[float, float]:
-    total = total_inertia(machine, axis)
-    return (0.10 * total, 0.35 * total)
-
-
 @effect(
     block="mechanics",
     parameters=(
-        Parameter("added", "mass", -1e5, 1e5, _usual_inertia, neutral=0.0, beyond_tolerance=2.0, part_of=total_inertia, any_size=True),
+        Parameter(
+            "added",
+            "mass",
+            -1e5,
+            1e5,
+            lambda m, a: (0.10 * total_inertia(m, a), 0.35 * total_inertia(m, a)),
+            neutral=0.0,
+            beyond_tolerance=2.0,
+            part_of=total_inertia,
+            any_size=True,
+        ),
     ),
     separating_move="accelerations",
     rivals="A wrong torque feedforward acts only with feedforward on. An elastic drive train looks like a small inertia.",

@@ -32,7 +32,7 @@ def torque_constant(change: Change, axis: Axis, factor: float) -> None:
 
 
 SERVO_PEAK_NM = 20.0
-"""Peak torque above which the ripple has the usual size. Below, the usual ripple is proportional to the peak torque."""
+"""A motor of this peak torque or more has a ripple of the usual size; that of a smaller motor is proportional to its peak torque."""
 
 
 def _ripple_of_motor(machine: Machine, axis: Axis) -> tuple[float, float]:

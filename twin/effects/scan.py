@@ -10,6 +10,9 @@ import math
 
 from twin.machine.machine import Axis
 
+USUAL_RUN_S = 15.0
+"""Length of a run that the scale of a frequency assumes."""
+
 
 @dataclass(frozen=True)
 class AlongTurn:
@@ -18,7 +21,7 @@ class AlongTurn:
     low: float = 0.5
     high: float = 40.0
 
-    def waves(self, value: float, axis: Axis, seconds: float) -> float:
+    def waves(self, value: float, axis: Axis) -> float:
         """Number of waves over an axis' travel."""
         return value * _reach(axis) / (2.0 * math.pi * axis.ratio)
 
@@ -30,7 +33,7 @@ class AlongTravel:
     Wavelengths are sought from a third of the shortest usual one to four times the longest. The phase is zero at q = 0.
     """
 
-    def waves(self, value: float, axis: Axis, seconds: float) -> float:
+    def waves(self, value: float, axis: Axis) -> float:
         """Number of waves over an axis' travel."""
         return _reach(axis) / max(value, 1e-9)
 
@@ -42,9 +45,9 @@ class InTime:
     low_hz: float = 1.0
     high_hz: float = 120.0
 
-    def waves(self, value: float, axis: Axis, seconds: float) -> float:
-        """Number of periods in a run of `seconds`."""
-        return value * seconds
+    def waves(self, value: float, axis: Axis) -> float:
+        """Number of periods in a run of usual length."""
+        return value * USUAL_RUN_S
 
 
 @dataclass(frozen=True)
@@ -55,10 +58,6 @@ class Resonance:
     high_hz: float = 90.0
     damping_ratio: float = 0.05
 
-    def waves(self, value: float, axis: Axis, seconds: float) -> float:
-        """Zero: a decaying oscillation accumulates no phase error over a run."""
-        return 0.0
-
 
 @dataclass(frozen=True)
 class LargestCurrent:
@@ -66,12 +65,11 @@ class LargestCurrent:
 
     shares: tuple[float, ...] = (0.85, 0.96, 0.99, 1.02, 1.05, 1.08)
 
-    def waves(self, value: float, axis: Axis, seconds: float) -> float:
-        """Zero: a level has no periods."""
-        return 0.0
 
+Waves = AlongTurn | AlongTravel | InTime
+"""Scans whose value has a phase that an error of it shifts in the course of a record."""
 
-Scan = AlongTurn | AlongTravel | InTime | Resonance | LargestCurrent
+Scan = Waves | Resonance | LargestCurrent
 
 
 def _reach(axis: Axis) -> float:

@@ -58,17 +58,12 @@ def speed_integral_time(change: Change, axis: Axis, factor: float) -> None:
     change.scale(axis, speed_integral_time_s=factor)
 
 
-def _one_cycle(machine: Machine, axis: Axis) -> float:
-    """A drive computes and holds its voltage for about one cycle [s]; a lag of that order is no filter."""
-    return machine.current_cycle
-
-
 @effect(
     block="speed controller",
     parameters=(
         Parameter(
             "time_constant_s", "time", 0.0, 0.005, (0.5e-3, 1.5e-3), neutral=0.0, logarithmic=True, lag_cycle="current_cycle",
-            normal_size=_one_cycle,
+            normal_size=lambda m, a: m.current_cycle,  # a drive computes and holds its voltage for about that long
         ),
     ),
     separating_move="chirp",

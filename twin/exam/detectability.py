@@ -26,7 +26,7 @@ from twin.diagnose.fit import simulated_response
 from twin.diagnose.next_measurement import KINDS, move_of
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, on_threads
+from twin.diagnose.simulations import Mapper
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.errors import TwinError
@@ -193,7 +193,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
     names = [n for n, (seen, _) in CHANNEL_SETS.items() if seen == "scale" or motor] + [f"and {kind}" for kind in KINDS]
     out: dict[str, list[Outlook]] = {name: [] for name in names}
     with ThreadPoolExecutor(max_workers=cores()) as pool:
-        mapper = on_threads(pool)
+        mapper = pool.map
 
         def answers(runs: Sequence[MeasuredRun], group_axes: tuple[str, ...], actual: Machine, starts: Mapping[Key, Start]) -> Answers:
             return answers_of(observe([view_of(actual, run) for run in runs], group_axes), starts, mapper)

@@ -15,8 +15,7 @@ from twin.diagnose import diagnose
 from twin.diagnose.budget import Part, budget_over, document_of
 from twin.diagnose.check import check_campaign
 from twin.diagnose.output import write_diagnosis
-from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, on_threads
+from twin.diagnose.simulations import Mapper
 from twin.effects import Setting, settings_of
 from twin.files import output_folder, write_json
 from twin.history.columns import changed
@@ -26,6 +25,7 @@ from twin.history.since import Difference, Differences, differences
 from twin.machine.machine import Machine, write_machine
 from twin.recordings.campaign import Campaign
 from twin.report import Section, Table, write_page
+from twin.simulation.campaign_gap import AS_EXPECTED
 from twin.simulation.gap import sensor_noise
 from twin.simulation.summary import listed
 from twin.system import cores
@@ -50,10 +50,10 @@ def diagnosed_since(
         write_diagnosis(diagnosis, out / "baseline")
         reference = diagnosis.corrected
     with ThreadPoolExecutor(cores()) as pool:
-        found, today = differences(present, baselines, reference, on_threads(pool), progress)
+        found, today = differences(present, baselines, reference, pool.map, progress)
         progress("computing the budget")
         named = [(b.path.name, day) for b, day in zip(baselines, days)]
-        return since_document(found, present, named, reference, today, on_threads(pool)), today
+        return since_document(found, present, named, reference, today, pool.map), today
 
 
 def since_document(
@@ -84,7 +84,7 @@ def since_document(
             effects.append(entry)
     effects.sort(key=lambda e: -tool.get((e["effect"], e["axis"], e.get("from_axis")), 0.0))
     left = max((d.after for d in found), default=1.0)
-    unknown = left > 2.0 * T.unexplained_gap
+    unknown = left > 2.0 * AS_EXPECTED
     when = listed([name if day is None else f"{day:%Y-%m-%d}" for name, day in baselines])
     return {
         "verdict": "unknown" if unknown else "effect" if effects else "none",
@@ -143,7 +143,7 @@ def _where(found: Sequence[Differences], several: Sequence[Difference]) -> list[
     rows += [
         {"axis": d.axes[0], "block": "mechanics", "share": 0.0, "scales_with": "-", "regime": "all", "runs": list(d.held_out[:3])}
         for d in found
-        if d.after > 2.0 * T.unexplained_gap
+        if d.after > 2.0 * AS_EXPECTED
     ]
     return sorted(rows, key=lambda row: -row["share"])
 

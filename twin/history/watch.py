@@ -16,7 +16,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin.diagnose.check import check_campaign
-from twin.diagnose.simulations import on_threads
 from twin.effects import Setting
 from twin.errors import InputError, TwinError
 from twin.history.columns import directions_of
@@ -55,7 +54,7 @@ def watch(
     dated, wrong, notes = dated_campaigns(folder)
     store = Store(out, reference_of(machine))
     with ThreadPoolExecutor(cores()) as pool:
-        reference = Reference(machine, on_threads(pool))
+        reference = Reference(machine, pool.map)
         try:
             rows = {row.digest: row for row in store.rows()}
             new = [one for one in dated if one.digest not in rows]

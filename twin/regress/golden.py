@@ -36,7 +36,6 @@ class Golden:
     trace: Any
     events: tuple[Event, ...]
     versions: dict[str, str]
-    history: list[dict[str, Any]]
     case: str  # digest of its case
 
 
@@ -59,7 +58,7 @@ def golden_of(outcome: Outcome, case: Case) -> Golden:
     if outcome.trace is not None and outcome.machine is not None:
         given = case.table.get("keep_every_ms")
         trace = kept_trace(outcome.trace, float(given) * 1e-3 if given else outcome.machine.position_cycle)
-    return Golden(dict(outcome.features), trace, outcome.events, versions(), [], case.digest())
+    return Golden(dict(outcome.features), trace, outcome.events, versions(), case.digest())
 
 
 def read_golden(case: Case, of_this_case: bool = True) -> Golden:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 AS_EXPECTED = 1.5
-"""Gap over noise up to which a signal agrees with the twin. A simulated run with another noise realisation stays below it."""
+"""Largest gap over noise of a signal that agrees with the twin. A simulated run with another noise realisation stays below it."""
 
 
 class Outlier(NamedTuple):

@@ -253,7 +253,7 @@ def _independent_of_motion(plant: Plant) -> bool:
 
 
 COUPLED = 1e-9
-"""Off-diagonal inertia, as a fraction of the largest inertia, up to which axes count as uncoupled."""
+"""Largest off-diagonal inertia of uncoupled axes, as a fraction of the largest inertia."""
 
 
 def _bodies_of(model: mujoco.MjModel) -> bytes:

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
-from twin.simulation.cascade import WHOLE_CYCLE
+from twin.simulation.position_command import delay_weights
 
 
 def closed_on(trace: Trace, axis: Axis) -> str:
@@ -29,8 +29,9 @@ def speed_set_point(trace: Trace, axis: Axis, speed_cycle: float) -> np.ndarray:
     if axis.loops.dsc_delay_s <= 0.0 or not trace.has(axis.name, signal):
         return sent[:, None]
     here = _speed_cycles(trace, speed_cycle)
+    back = delay_weights(axis.loops.dsc_delay_s, speed_cycle, linear=True)
     position = CubicSpline(trace.time, trace.get(axis.name, signal))
-    before = sum(weight * position(np.maximum(here - d, trace.time[0])) for d, weight in _back(axis, speed_cycle))
+    before = sum(weight * position(np.maximum(here - d, trace.time[0])) for d, weight in back)
     return received_from_nc(sent, trace, axis, speed_cycle) - axis.loops.position_gain_per_s * (position(here) - before)
 
 
@@ -43,7 +44,8 @@ def received_from_nc(values: np.ndarray, trace: Trace, axis: Axis, speed_cycle: 
     def held(times: np.ndarray) -> np.ndarray:
         return values[np.clip(np.floor((times - trace.time[0]) / trace.period + 1e-6).astype(int), 0, len(values) - 1)]
 
-    late: np.ndarray = sum((weight * held(here - d) for d, weight in _back(axis, speed_cycle)), np.zeros(here.shape))
+    back = delay_weights(axis.loops.dsc_delay_s, speed_cycle, linear=True)
+    late: np.ndarray = sum((weight * held(here - d) for d, weight in back), np.zeros(here.shape))
     return late
 
 
@@ -52,11 +54,3 @@ def _speed_cycles(trace: Trace, speed_cycle: float) -> np.ndarray:
     inside = max(1, round(trace.period / speed_cycle))
     times: np.ndarray = trace.time[:, None] + np.arange(inside) * speed_cycle
     return times
-
-
-def _back(axis: Axis, speed_cycle: float) -> tuple[tuple[float, float], ...]:
-    """(delay [s], weight) of the two whole speed cycles that enclose Td."""
-    cycles = axis.loops.dsc_delay_s / speed_cycle
-    whole = np.floor(cycles + WHOLE_CYCLE)
-    part = max(cycles - whole, 0.0)
-    return (whole * speed_cycle, 1.0 - part), ((whole + 1.0) * speed_cycle, part)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import chirp
 
 from twin.effects import Effect, Setting, settings_of, with_effects
@@ -105,7 +106,10 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
     rows = (
         (f"speed of {moving}\n{units.speed[0]}", lambda t: units.speed[1] * np.gradient(t.get(moving, "setpoint"), t.period)),
         (f"error less delay\n{units.error[0]}", lambda t: units.error[1] * (delayed_set_point(t, axis) - t.get(axis.name, "position"))),
-        (effort, lambda t: smoothed(t.get(axis.name, axis.effort), effect.picture.smooth_s, t.period)),
+        (
+            effort,
+            lambda t: uniform_filter1d(t.get(axis.name, axis.effort), max(1, round(effect.picture.smooth_s / t.period)), mode="nearest"),
+        ),
         (f"motor − scale\n{units.error[0]}", lambda t: units.error[1] * motor_minus_scale(t, axis.name)),
     )
     grey, colour = hexadecimal(SETPOINT_COLOUR), hexadecimal(axis_colour(axis.name))
@@ -127,13 +131,6 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
     if path.suffix.lower() == ".png":
         quantised(path)
     return path
-
-
-def smoothed(values: np.ndarray, width: float, period: float) -> np.ndarray:
-    """Moving average with edge padding."""
-    count = max(1, round(width / period))
-    padded = np.pad(values, (count // 2, count - 1 - count // 2), mode="edge")
-    return np.convolve(padded, np.full(count, 1.0 / count), "valid")
 
 
 def floor(place: Any, smallest: float) -> None:

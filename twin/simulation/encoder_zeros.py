@@ -68,7 +68,12 @@ def zeros_left(runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping
     """
     zeros: dict[tuple[str, int], float] = {}
     for axis in machine.axes:
-        means = {k: _offset_left(run.trace, predicted[run.name], axis.name) for k, run in enumerate(runs) if has_both(run.trace, axis.name)}
+        apart = {
+            k: motor_minus_scale(run.trace, axis.name) - motor_minus_scale(predicted[run.name], axis.name)
+            for k, run in enumerate(runs)
+            if has_both(run.trace, axis.name)
+        }
+        means = {k: float(np.median(values)) for k, values in apart.items()}  # an axis may stick elsewhere after a motion
         moving = [k for k in means if runs[k].trace.moves(axis.name)]
         if axis.kind == "linear" and moving:
             when = np.array([runs[k].started_at for k in moving])
@@ -98,11 +103,6 @@ def notes_of_zeros(found: Mapping[str, float], machine: Machine) -> list[str]:
             " fault"
         )
     return lines
-
-
-def _offset_left(measured: Trace, predicted: Trace, name: str) -> float:
-    """Constant that a prediction leaves between the two encoders [m or rad]: the median, since an axis may stick elsewhere after a motion."""
-    return float(np.median(motor_minus_scale(measured, name) - motor_minus_scale(predicted, name)))
 
 
 def _difference(trace: Trace, name: str) -> tuple[float, float]:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.effects import Setting, check_setting, settings_of
-from twin.effects.law import EXAMPLE, NAME, OUTPUTS, VARIABLES, Law, cycle_of, law_in
+from twin.effects import check_setting, settings_of
+from twin.effects.law import EXAMPLE, OUTPUTS, VARIABLES, Law, cycle_of, law_in, laws_in
 from twin.effects.law_filters import response
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure, save_png
@@ -22,16 +22,6 @@ SHOWN_TIME_S = 600.0
 
 ACROSS = 4
 """Largest range of a curve in multiples of its width."""
-
-
-def laws_in(machine: Machine) -> list[Setting]:
-    """The laws of a machine."""
-    return [s for s in settings_of(machine) if s.effect.name == NAME]
-
-
-def laws_shown(machine: Machine) -> list[Setting]:
-    """The laws of a machine, or the example on its first axis if it has none."""
-    return laws_in(machine) or [check_setting({**EXAMPLE, "axis": machine.axis_names[0]}, machine, "twin effects law")]
 
 
 def range_of(variable: str, machine: Machine, axis: Axis) -> tuple[float, float]:
@@ -69,6 +59,12 @@ def shown_in(quantity: str, axis: Axis) -> tuple[str, float]:
     }[quantity]
 
 
+def output_in(law: Law, axis: Axis) -> tuple[str, float]:
+    """Display unit of the output of a law and factor from SI; that of an error for a displacement."""
+    quantity = OUTPUTS[law.block][law.output].quantity
+    return AXIS_UNITS[axis.kind].error if quantity == "length" else shown_in(quantity, axis)
+
+
 def draw_response(place: Any, law: Law, numbers: Mapping[str, float], machine: Machine, colour: str) -> None:
     """Draw magnitude and phase of a filter over frequency, with a second scale for the phase."""
     cycle = cycle_of(law, machine)
@@ -85,8 +81,8 @@ def draw_response(place: Any, law: Law, numbers: Mapping[str, float], machine: M
 
 
 def draw_laws(machine: Machine, path: Path) -> Path:
-    """Write the picture with one panel per law."""
-    shown = laws_shown(machine)
+    """Write the picture with one panel per law; for a machine without laws, of the example on its first axis."""
+    shown = laws_in(settings_of(machine)) or (check_setting({**EXAMPLE, "axis": machine.axis_names[0]}, machine, "twin effects law"),)
     figure, places = new_figure(len(shown), 1, 8.6, 2.8)
     for place, setting in zip(places[:, 0], shown):
         axis, law = machine.axis(setting.axis), law_in(setting)
@@ -101,8 +97,7 @@ def draw_laws(machine: Machine, path: Path) -> Path:
             low, high = max(low, -ACROSS * widths[0]), min(high, ACROSS * widths[0])
         x = np.linspace(low, high, 600)
         variable_unit, per = shown_in(VARIABLES[law.variable].quantity, source)
-        output = OUTPUTS[law.block][law.output]
-        unit, factor = AXIS_UNITS[axis.kind].error if output.quantity == "length" else shown_in(output.quantity, axis)
+        unit, factor = output_in(law, axis)
         place.plot(per * x, factor * law.values(x, setting.parameters, axis), color=hexadecimal(axis_colour(axis.name)), linewidth=1.8)
         if law.points:
             px, py = np.array(law.points).T

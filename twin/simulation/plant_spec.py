@@ -226,12 +226,17 @@ def home_inertia_at_motor(machine: Machine) -> np.ndarray:
 
     J = r^2 M_ii(q = 0); the torque feedforward is commissioned with it.
     """
+    return at_home(machine)[0] * np.array([axis.ratio for axis in machine.axes]) ** 2
+
+
+@remembered
+def at_home(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
+    """Inertia with rotor, and bias force, of every axis (axis,) with all axes at zero [kg, kg m2; N, Nm]."""
     plant = build_plant(machine)
     plant.data.qpos[:] = 0.0
     mujoco.mj_forward(plant.model, plant.data)
     refuse_singular(plant.model, plant.data, str(machine.model_path))
-    inertia = np.diag(full_inertia(plant.model, plant.data))[plant.load_dof]
-    return inertia * np.array([axis.ratio for axis in machine.axes]) ** 2
+    return np.diag(full_inertia(plant.model, plant.data))[plant.load_dof].copy(), plant.data.qfrc_bias[plant.load_dof].copy()
 
 
 def commissioned_inertia(machine: Machine) -> np.ndarray:

@@ -34,7 +34,7 @@ STRETCH_TICKS = 16_000
 """Ticks in one call of the loop. Bounds the memory of a run beside its trace, and the time between two progress reports."""
 
 DIVERGED_SPEED = 3.0
-"""Multiple of its maximum speed above which an axis has diverged."""
+"""An axis that is faster than this multiple of its maximum speed has diverged."""
 
 
 class PlantInterface(Protocol):

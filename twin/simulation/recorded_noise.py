@@ -44,7 +44,7 @@ ENOUGH = 30
 """Runs of a signal that are used: the median of a thousand is that of thirty."""
 
 AGREES = 1.5
-"""Ratio of recorded and given noise up to which a note says nothing."""
+"""Recorded and given noise that differ by a smaller factor agree: no note is given."""
 
 SILENT = Noise(*(0.0 for _ in fields(Noise)))
 
@@ -92,11 +92,6 @@ def measurement_values(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[st
     return {key: float(f"{math.sqrt(np.mean(of)) / si_from_key(key):.4g}") for key, of in squares.items()}
 
 
-def signal_of(sensor: str, axis: Axis) -> str:
-    """Recorded signal of a sensor of an axis."""
-    return {"position": "position", "motor": "motor_position", "speed": "velocity", "current": axis.effort}[sensor]
-
-
 def total(noise: Noise, sensor: str) -> float:
     """Standard deviation of one sensor with its quantisation, SI."""
     return math.hypot(getattr(noise, sensor), getattr(noise, STEP[sensor]) / math.sqrt(12.0) if sensor in STEP else 0.0)
@@ -105,7 +100,8 @@ def total(noise: Noise, sensor: str) -> float:
 def _signals(axis: Axis, run: MeasuredRun) -> dict[str, str]:
     """Recorded signals by sensor; the position that a ballbar measured is not that of the scale."""
     by_bar = run.ballbar is not None and axis.name in run.ballbar.axes
-    return {s: key for s in UNIT if run.trace.has(axis.name, key := signal_of(s, axis)) and not (by_bar and s == "position")}
+    signals = {"position": "position", "motor": "motor_position", "speed": "velocity", "current": axis.effort}
+    return {s: key for s, key in signals.items() if run.trace.has(axis.name, key) and not (by_bar and s == "position")}
 
 
 def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], float]:

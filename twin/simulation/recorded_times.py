@@ -14,7 +14,7 @@ SAME_PERIOD = 1e-4
 """Relative tolerance of the sample period, for rounded times in a record."""
 
 SAME_TIME = 0.01
-"""Tolerance, as a fraction of the period, up to which the last samples of a record and its simulation count as simultaneous."""
+"""Largest time between simultaneous last samples of a record and its simulation, as a fraction of the period."""
 
 
 def simulated_period(machine: Machine, period: float, ballbar: Ballbar | None = None) -> float:

@@ -37,7 +37,7 @@ SPLINE_SAMPLES = 20_000
 """Largest number of set points in one spline evaluation for the record."""
 
 UNSTABLE_SWINGS = 8
-"""Number of swings between the current limits, after the last set point, from which an axis counts as unstable."""
+"""An axis that swings so often between its current limits after the last set point is unstable."""
 
 SETPOINT_ROUNDING = 1e-12
 """Smallest change from sample to sample that counts as motion of the set point [m, rad]."""

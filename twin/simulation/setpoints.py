@@ -42,7 +42,7 @@ UP_TO_SPEED = 0.6
 """Shortest lead-in [s], and the fraction of it that accelerates. The transient decays in the rest."""
 
 AT_REST = {"linear": 0.2e-3, "rotary": np.deg2rad(0.2)}
-"""Set point speed up to which an axis counts as at rest [m/s, rad/s]."""
+"""Largest speed of the set point of an axis at rest [m/s, rad/s]."""
 
 
 class Command(NamedTuple):

@@ -43,10 +43,10 @@ LONGEST_REST_S = 0.3
 """Longest evaluated time from the first sample [s]."""
 
 FEWEST_SAMPLES = 20
-"""Smallest number of samples at rest from which the settled value is known."""
+"""Fewer samples at rest do not show the settled value."""
 
 CLEAR = 8.0
-"""Multiple of the scatter at rest above which the first sample is not noise."""
+"""Largest noise of the first sample, in multiples of the scatter at rest."""
 
 
 def deflection_at_start(trace: Trace, machine: Machine) -> np.ndarray | None:

@@ -12,7 +12,6 @@ from twin.diagnose.control_law import characteristic_of, law_error
 from twin.diagnose.law.measure import measured_laws
 from twin.diagnose.law.residual import CURRENT_LOOP, residuals_of
 from twin.diagnose.law.shapes import described
-from twin.diagnose.simulations import in_turn
 from twin.diagnose.view import view_of
 from twin.effects import apply_effects, settings_of, with_effects
 from twin.errors import InputError
@@ -32,7 +31,7 @@ AXIS = X.axes[0]
 def test_a_voltage_is_measured_through_the_current_loop():
     """The simulated loop makes the record; the transfer function recovers the voltage from its samples."""
     views = [view_of(X, run) for run in runs_of([INVERTER])]
-    samples = next(s for s in residuals_of(views, lambda m: m, ("X",), in_turn) if s.block == CURRENT_LOOP)
+    samples = next(s for s in residuals_of(views, lambda m: m, ("X",), map) if s.block == CURRENT_LOOP)
     curve = measured_laws(samples, AXIS)[0]
     assert (curve.candidate.output, curve.candidate.variable) == ("voltage", "current")
     best = described(samples, curve, AXIS)

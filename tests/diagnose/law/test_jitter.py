@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.diagnose.law.test_closed_loop import laws_beside
+from twin.diagnose.corrected import fitted_without
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.wording import sentence
@@ -133,7 +134,7 @@ def test_a_machine_with_jitter_gets_the_law():
     laws = laws_beside([], observe([view_of(X, run) for run in runs], ("X",)))
     (law,) = laws.laws
     assert law.setting.parameters["deviation_s"] == pytest.approx(TAU, rel=0.1)
-    assert all(len(m.effects) == 1 for m in (laws.corrected, laws.without(X, [0])))
+    assert all(len(m.effects) == 1 for m in (laws.corrected, fitted_without(X, laws.states, [0])))
     assert "too early or too late" in sentence(law, SimpleNamespace(axis=X.axis))
 
 

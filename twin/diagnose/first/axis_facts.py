@@ -33,7 +33,7 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import step_of
 
 REVERSAL_S = 0.1
-"""Time after a reversal in which its error peak is sought [s]."""
+"""Length of the search for the error peak after a reversal [s]."""
 ONE_SPEED = 1.5
 """Speeds within this factor are one speed: Coulomb and viscous friction are then one number."""
 
@@ -102,7 +102,11 @@ def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
     lags: dict[str, Value] = {}
     following, peak, turns, clear = None, None, 0, False
     friction, transmission, line = None, None, None
+    low, high, forth, back = 0.0, 0.0, 0, 0
     if rows is not None:
+        low, high = np.percentile(np.abs(rows.speed), (10.0, 90.0)).tolist()
+        started = rows.speed[np.unique(rows.stroke, return_index=True)[1]]
+        forth, back = int((started > 0).sum()), int((started < 0).sum())
         recorded = not any(run.fact(axis, "setpoint").made_from in ("position", "motor_position", "velocity") for run in own)
         if recorded and "setpoint" in signals and any(np.any(run.trace.get(axis, "setpoint") != position_of(run, axis)) for run in own):
             lags, left["error"] = lags_of(own, axis, rows)
@@ -117,7 +121,7 @@ def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
         line = None if source is None else strongest_line(source, rows.stroke, period, "position" if "error" in left else effort or "")
     return AxisFacts(
         axis, kind, signals, period, float(sum(run.trace.time[-1] - run.trace.time[0] for run in own)), (float(position.min()), float(position.max())),
-        _speeds(rows), _directions(rows), min(noise_of(position_of(run, axis)) for run in own), step_of(position[: 1 << 16]),
+        (low, high), (forth, back), min(noise_of(position_of(run, axis)) for run in own), step_of(position[: 1 << 16]),
         lags, following, peak, turns, clear, friction, transmission, line, rows, left,
     )  # fmt: skip
 
@@ -150,18 +154,3 @@ def _transmission(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> Tran
     fit = regress(columns, at_rows(runs, rows, off), rows.stroke)
     lost = value_of(fit, [2.0, 0.0, 0.0, 0.0, 0.0])
     return Transmission(min(float(o.min()) for o in off), max(float(o.max()) for o in off), lost)
-
-
-def _speeds(rows: Strokes | None) -> tuple[float, float]:
-    """Speed below which an axis moves for a tenth of its time in motion, and above which for a tenth [m/s, rad/s]; 0 for an axis at rest."""
-    if rows is None:
-        return 0.0, 0.0
-    low, high = np.percentile(np.abs(rows.speed), (10.0, 90.0))
-    return float(low), float(high)
-
-
-def _directions(rows: Strokes | None) -> tuple[int, int]:
-    if rows is None:
-        return 0, 0
-    _, first = np.unique(rows.stroke, return_index=True)
-    return int((rows.speed[first] > 0).sum()), int((rows.speed[first] < 0).sum())

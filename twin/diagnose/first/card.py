@@ -10,7 +10,7 @@ from typing import Any
 
 from twin.diagnose.first.axis_facts import AxisFacts, facts_of
 from twin.diagnose.first.odd import Odd, oddities
-from twin.diagnose.first.people import number, shown_effort, shown_error, shown_position
+from twin.diagnose.first.people import number, shown
 from twin.diagnose.first.shows import can_show, cannot_show, speed_text
 from twin.files import write_json
 from twin.identify.recorded_axis import Value
@@ -54,17 +54,15 @@ def rows_of(card: Card) -> list[list[str]]:
 
 
 def _row(one: AxisFacts, gain: str) -> list[str]:
-    error = shown_error(one.kind)
+    error = shown("error", one.kind)
     moves = "-"
     if one.rows is not None:
-        moves = (
-            f"{shown_position(one.kind).text(one.travel[1] - one.travel[0])} {speed_text(one)}, {one.strokes[0]} + {one.strokes[1]} strokes"
-        )
+        moves = f"{shown('position', one.kind).text(one.travel[1] - one.travel[0])} {speed_text(one)}, {one.strokes[0]} + {one.strokes[1]} strokes"
     lags = "; ".join(f"{_ms(lag)}{f' ({flag})' if flag else ''}" for flag, lag in one.lags.items()) or "-"
     reversal = "-" if one.reversal is None else error.text(one.reversal) + ("" if one.reversal_stands_out else " (as elsewhere)")
     line = "-"
     if one.vibration is not None:
-        size = error if one.vibration.signal == "position" else shown_effort(one.vibration.signal)
+        size = error if one.vibration.signal == "position" else shown(one.vibration.signal)
         line = f"{one.vibration.frequency:.3g} Hz, {size.text(one.vibration.amplitude)}"
     t = one.transmission
     encoders = "-" if t is None else f"{number(t.low * error.factor)} to {error.text(t.high)}"
@@ -75,9 +73,9 @@ def _row(one: AxisFacts, gain: str) -> list[str]:
 
 def _noise(one: AxisFacts) -> str:
     """Noise of single samples and the step of a record with few digits; '-' where equal neighbours show neither."""
-    error = shown_error(one.kind)
-    shown = [error.text(one.noise)] if one.noise > SMALLEST_NOISE * (one.travel[1] - one.travel[0]) else []
-    return ", ".join([*shown, *([f"step {error.text(one.step)}"] if one.step > one.noise else [])]) or "-"
+    error = shown("error", one.kind)
+    noise = [error.text(one.noise)] if one.noise > SMALLEST_NOISE * (one.travel[1] - one.travel[0]) else []
+    return ", ".join([*noise, *([f"step {error.text(one.step)}"] if one.step > one.noise else [])]) or "-"
 
 
 def _ms(lag: Value) -> str:
@@ -89,7 +87,7 @@ def _friction(one: AxisFacts) -> str:
     f = one.friction
     if f is None:
         return "-"
-    size = shown_effort(f.effort)
+    size = shown(f.effort)
     if f.coulomb is None or f.viscous is None:
         speed = AXIS_UNITS[one.kind].speed
         with_weight = "" if min(one.strokes) else ", weight included"

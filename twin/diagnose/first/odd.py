@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.first.axis_facts import AxisFacts
-from twin.diagnose.first.people import shown_effort, shown_error
+from twin.diagnose.first.people import shown
 from twin.identify.recorded_axis import Strokes
 from twin.units import AXIS_UNITS
 
@@ -48,7 +48,7 @@ def _direction(one: AxisFacts) -> Iterator[str]:
     f = one.friction
     if f is None or f.constant is None or not f.constant.known or one.kind == "rotary":
         return
-    size = shown_effort(f.effort)
+    size = shown(f.effort)
     more, less = abs(f.at_speed.value + abs(f.constant.value)), abs(f.at_speed.value - abs(f.constant.value))
     way = ("negative", "positive") if f.constant.value < 0 else ("positive", "negative")
     yield (
@@ -60,7 +60,7 @@ def _direction(one: AxisFacts) -> Iterator[str]:
 def _strokes(one: AxisFacts) -> Iterator[str]:
     """Strokes of one direction that differ in what their motion does not explain."""
     for name, values in one.left.items() if one.rows is not None else ():
-        size = shown_error(one.kind) if name == "error" else shown_effort(name)
+        size = shown("error", one.kind) if name == "error" else shown(name)
         for sign, way in ((1.0, "positive"), (-1.0, "negative")):
             assert one.rows is not None
             means, errors, numbers = _means(one.rows, values, sign)
@@ -112,7 +112,7 @@ def _starts(one: AxisFacts) -> Iterator[str]:
     for stroke in np.unique(rows.stroke):
         own = (rows.stroke == stroke) & (rows.time < rows.time[rows.stroke == stroke].min() + START_S)
         peaks.append(float(np.abs(one.left[f.effort][own]).max()))
-    size, middle = shown_effort(f.effort), float(np.median(peaks))
+    size, middle = shown(f.effort), float(np.median(peaks))
     if middle >= max(MANY_TIMES * f.at_speed.half, f.at_speed.value / MANY_TIMES):
         yield (
             f"the {f.effort} peaks at {size.text(f.peak)}; at the starts of its {len(peaks)} strokes up to {size.text(max(peaks))} "
@@ -124,7 +124,7 @@ def _encoders(one: AxisFacts) -> Iterator[str]:
     """Lost motion between motor encoder and scale."""
     found = one.transmission
     if found is not None and found.lost is not None and found.lost.known and abs(found.lost.value) >= one.noise:
-        size = shown_error(one.kind)
+        size = shown("error", one.kind)
         yield (
             f"motor encoder and scale differ by {size.interval(abs(found.lost.value), found.lost.half)} between the directions of motion: "
             "play or wind-up of the drive train"
@@ -146,7 +146,7 @@ def _axes(facts: Sequence[AxisFacts]) -> Iterator[Odd]:
         # a difference that is smaller than what the lag leaves anyway does not show on a part
         left = max(float(np.std(one.left["error"])) for one in (low, high))
         if more > half and more * at > left:
-            size, speed = shown_error(kind), AXIS_UNITS[kind].speed
+            size, speed = shown("error", kind), AXIS_UNITS[kind].speed
             with_flag = f" with feedforward {flag}" if flag else ""
             yield Odd(
                 high.name,

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnose.first.axis_facts import AxisFacts
 from twin.diagnose.first.card import HEADING, Card, rows_of
-from twin.diagnose.first.people import shown_effort, shown_error, shown_position, shown_speed
+from twin.diagnose.first.people import shown
 from twin.identify.recorded_axis import Strokes
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.colours import axis_colour, hexadecimal
@@ -55,12 +55,12 @@ def card_figure(card: Card) -> MplFigure | None:
         colour, thin = hexadecimal(axis_colour(one.name, i)), slice(None, None, max(1, len(rows.time) // MOST_POINTS))
         ends = [float(rows.time[rows.run == r].max(initial=0.0)) for r in range(int(rows.run.max()) + 1)]
         time = rows.time + np.concatenate([[0.0], np.cumsum(ends)])[rows.run]  # the runs one after the other
-        size = shown_position(one.kind)
+        size = shown("position", one.kind)
         row[0].plot(time[thin], rows.position[thin] * size.factor, ".", ms=1.5, color=colour)
         row[0].set_title(f"position in motion [{size.unit}]")
         row[0].set_ylabel(one.name, rotation=0, fontsize=13, fontweight="bold", labelpad=14)
         if "error" in one.left:
-            size = shown_error(one.kind)
+            size = shown("error", one.kind)
             row[1].plot(time[thin], one.left["error"][thin] * size.factor, ".", ms=1.5, color=colour)
             row[1].set_title(f"error beside the lag [{size.unit}]")
         else:
@@ -76,7 +76,7 @@ def _effort(one: AxisFacts, rows: Strokes, panel: Axes, colour: str, thin: slice
     if f is None:
         _empty(panel, "no friction seen")
         return
-    size, speed, v = shown_effort(f.effort), shown_speed(one.kind), rows.speed
+    size, speed, v = shown(f.effort), shown("speed", one.kind), rows.speed
     coulomb, viscous = (f.coulomb.value, f.viscous.value) if f.coulomb and f.viscous else (f.at_speed.value, 0.0)
     law = coulomb * np.sign(v) + viscous * v + (f.constant.value if f.constant else 0.0)
     panel.plot(v[thin] * speed.factor, (law + one.left[f.effort])[thin], ".", ms=1.5, color=SOFT)

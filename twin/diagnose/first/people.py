@@ -37,21 +37,6 @@ def number(value: float) -> str:
     return f"{value:.3g}" if size < -4 or size > 6 else f"{round(value, 2 - size):.{max(0, 2 - size)}f}"
 
 
-def shown_error(kind: str) -> Shown:
-    """um for linear axes, arcsec for rotary ones."""
-    return Shown(*AXIS_UNITS[kind].error)
-
-
-def shown_effort(effort: str) -> Shown:
-    """A, Nm or V."""
-    return Shown(EFFORT_UNITS[effort])
-
-
-def shown_speed(kind: str) -> Shown:
-    """mm/s or deg/s."""
-    return Shown(*AXIS_UNITS[kind].speed)
-
-
-def shown_position(kind: str) -> Shown:
-    """mm or deg."""
-    return Shown(*AXIS_UNITS[kind].position)
+def shown(quantity: str, kind: str = "linear") -> Shown:
+    """How people read a 'position', 'speed' or 'error' of an axis of this kind, or an effort."""
+    return Shown(EFFORT_UNITS[quantity]) if quantity in EFFORT_UNITS else Shown(*getattr(AXIS_UNITS[kind], quantity))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from twin.diagnose.first.axis_facts import AxisFacts
-from twin.diagnose.first.people import shown_speed
+from twin.diagnose.first.people import shown
 from twin.identify.recorded_axis import EFFORTS
 
 GAIN_S = 0.01
@@ -72,7 +72,7 @@ def cannot_show(facts: Sequence[AxisFacts], with_gain: Collection[str] = ()) -> 
 
 def speed_text(one: AxisFacts) -> str:
     """'up to 16.8 mm/s' or 'at 16.8 mm/s' for a single speed."""
-    return f"{'at' if one.one_speed else 'up to'} {shown_speed(one.kind).text(one.speed)}"
+    return f"{'at' if one.one_speed else 'up to'} {shown('speed', one.kind).text(one.speed)}"
 
 
 def _names(facts: object) -> str:

@@ -33,10 +33,6 @@ class Candidate:
     period: float = 0.0  # of a sine over the variable, in its unit
 
     @property
-    def is_friction(self) -> bool:
-        return self.output == "friction"
-
-    @property
     def wraps(self) -> float:
         """Period of the variable, in its unit; 0 if it has none."""
         return self.period or (2.0 * math.pi if self.variable == "turn" else 0.0)
@@ -99,7 +95,7 @@ def load_position(samples: Samples) -> np.ndarray:
 
 def factor_of(samples: Samples, candidate: Candidate, axis: Axis) -> np.ndarray | float:
     """Factor from the output of a law to the residual: friction acts against the motion, torque through the ratio."""
-    if candidate.is_friction:
+    if candidate.output == "friction":
         return -np.sign(samples.motion["velocity"])
     if candidate.output == "torque":
         return 1.0 / axis.ratio

@@ -25,7 +25,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.tolerance import SPRING_EFFECT
 from twin.diagnose.tuning import Tuning, tuning_of, zeros_of
 from twin.effects import Setting
-from twin.effects.law import NAME
+from twin.effects.law import laws_in
 from twin.errors import TwinError
 
 OUTSIDE = 16.0
@@ -59,13 +59,11 @@ class Fitted:
 
     def deviations(self, key: object, model_error: float = 0.0) -> dict[str, float]:
         """Standard deviations of the fitted parameters of a setting; `model_error` is a relative error that does not fall with the number of samples."""
-        variances = np.diag(np.linalg.pinv(self.fit.information)) * self.inflation
         out = {}
-        for free, variance in zip(self.fit.free, variances):
-            if self.settings[free.setting].key == key:
+        for (of, name), (free, deviation) in self.fit.sizes()._replace(prior_weight=1.0).deviations(self.inflation).items():
+            if of == key:
                 value = free.value(self.settings)
-                step = free.unit * (abs(value) if free.logarithmic else 1.0)
-                out[free.parameter.name] = math.hypot(math.sqrt(max(variance, 0.0)) * step, model_error * value)
+                out[name] = math.hypot(deviation * free.step(value), model_error * value)
         return out
 
 
@@ -210,8 +208,3 @@ def halved(parts: Parts, fold: int, left: np.ndarray) -> Parts:
 def is_between_encoders(law: Setting) -> bool:
     """Whether a law changes motor minus scale: by a displacement, or by a force over the windup."""
     return law.effect.definition.get("output") == "displacement" or law.effect.definition.get("variables") == ["windup"]
-
-
-def laws_in(settings: Sequence[Setting]) -> Settings:
-    """The laws among settings."""
-    return tuple(s for s in settings if s.effect.name == NAME)

@@ -9,11 +9,11 @@ import numpy as np
 from twin.diagnose.law.candidates import variable_of
 from twin.diagnose.law.laws import Law
 from twin.diagnose.law.wording import BAND
-from twin.effects.law import OUTPUTS, VARIABLES, law_in
+from twin.effects.law import VARIABLES, law_in
 from twin.effects.law_shapes import JITTER
 from twin.machine.machine import Machine
 from twin.report.figure import AMBER, BLUE, SOFT, new_figure
-from twin.simulation.law_picture import draw_response, shown_in
+from twin.simulation.law_picture import draw_response, output_in, shown_in
 from twin.units import AXIS_UNITS
 
 HARDLY = 0.002
@@ -36,8 +36,7 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
             draw_response(place, table, law.setting.parameters, machine, BLUE)
             place.legend(loc="lower left")
             continue
-        quantity = OUTPUTS[table.block][table.output].quantity
-        unit, factor = AXIS_UNITS[axis.kind].error if quantity == "length" else shown_in(quantity, axis)
+        unit, factor = output_in(table, axis)
         x_unit, per = shown_in(VARIABLES[table.variable].quantity, source)
         if table.variable == "following_error":
             x_unit, per = AXIS_UNITS[axis.kind].error

@@ -29,7 +29,7 @@ LEAST_EVIDENCE = 50.0
 """Smallest increase of the log likelihood of runs left out."""
 
 MOST_LIKELY = 4.5
-"""Standard deviations beyond which a sample is no scatter but an event such as a reversal."""
+"""Largest scatter of a sample in standard deviations; a larger deviation is an event such as a reversal."""
 
 EXPONENT = (0.8, 1.2)
 """Range of the exponent of the speed in the scatter of a jitter."""

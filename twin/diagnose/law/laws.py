@@ -9,9 +9,9 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
-from twin.diagnose.corrected import corrected_machine, fitted_without, limited_deviations
+from twin.diagnose.corrected import corrected_machine, limited_deviations
 from twin.diagnose.fit import fit_effects, simulated_response
-from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted, Settings, closed_loop, laws_in
+from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted, Settings, closed_loop
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.measure import excess
@@ -25,6 +25,7 @@ from twin.diagnose.state import SHOWS_IN, GroupState, Key, inflation
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting, check_setting, settings_of
+from twin.effects.law import laws_in
 from twin.machine.machine import Machine
 
 MOST_LAWS = 12
@@ -64,21 +65,15 @@ class Law:
 class Laws:
     """The laws of a machine, the states of its groups with them, and the corrected machine.
 
-    `left` is the unexplained fraction of the gap above noise on runs left out, by axis; `instead` are the axes on which a filter replaced effects
-    that explained the gap. `beside` is the probability of each effect that stays
-    beside a law: what its removal costs there.
+    `instead` are the axes on which a filter replaced effects that explained the gap. `beside` is the probability of each effect that stays beside
+    a law: what its removal costs there.
     """
 
     laws: tuple[Law, ...]
     states: tuple[GroupState, ...]
     corrected: Machine
-    left: Mapping[str, float]
     beside: Mapping[Key, float] = field(default_factory=dict)
     instead: frozenset[str] = frozenset()
-
-    def without(self, machine: Machine, fold: Sequence[int]) -> Machine:
-        """The corrected machine fitted without the runs of a fold."""
-        return fitted_without(machine, self.states, fold)
 
 
 def laws_of(
@@ -96,7 +91,6 @@ def laws_of(
     machine = found[0].group.machine
     laws: list[Law] = []
     states: list[GroupState] = []
-    left: dict[str, float] = {}
     beside: dict[Key, float] = {}
     for state in found:
         for axis in [a for a in state.group.axes if a in axes]:
@@ -104,13 +98,12 @@ def laws_of(
             if jitter := _jitter(residuals_of(state.group.views, _corrected_by(state), (axis,), state.group.mapper), axis, state):
                 laws.append(jitter)
                 state = replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting)))
-                left[axis] = 1.0 - jitter.explained
                 continue
             filters = _filters_in_place_of_effects(state, axis) if axis in explained else []
             if axis in explained and not filters:
                 continue
             settings = settings_of(corrected_machine(machine, [state]))
-            group = state.rigid if doubted else state.rigid.without_doubt()
+            group = state.rigid if doubted else replace(state.rigid, channels=[replace(c, doubt=0.0) for c in state.rigid.channels])
             slips = any(s.axis == axis and s.effect.normal == "slip" for s in settings)
             loop = closed_loop(group, axis, folds, slips)
             others = tuple(s for s in settings if s.axis != axis and not s.effect.edits_bodies)
@@ -120,15 +113,13 @@ def laws_of(
                 channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
                 loop = replace(loop, group=replace(loop.group, channels=channels))
             best = _filter_instead(loop, own, filters, progress) if axis in explained else _search_axis(loop, own, progress)
-            left[axis] = best.left if best else float(axis not in explained)
             if best and best.laws:
                 laws += _laws_in(best)
                 beside |= _probabilities_beside(best)
                 state = _state_with(closed_loop(group, axis, folds, slips), best.fitted, others) or state
         states.append(state)
-    return Laws(
-        tuple(laws), tuple(states), corrected_machine(machine, states), left, beside, frozenset(explained) & {law.axis for law in laws}
-    )
+    instead = frozenset(explained) & {law.axis for law in laws}
+    return Laws(tuple(laws), tuple(states), corrected_machine(machine, states), beside, instead)
 
 
 def _corrected_by(state: GroupState, left_out: Settings = ()) -> Variant:

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.special import huber
 
 from twin.diagnose.law.candidates import (
     LENGTH_PER_RAD,
@@ -169,12 +170,6 @@ def scale_of(values: np.ndarray, least: float) -> float:
     return max(robust_deviation(values - np.median(values)), least)
 
 
-def huber(values: np.ndarray, scale: float) -> np.ndarray:
-    """Huber loss of each value: half its square up to `HUBER` scales, linear above."""
-    u = np.abs(values) / scale
-    return np.where(u <= HUBER, 0.5 * u**2, HUBER * (u - 0.5 * HUBER))
-
-
 def cross_validated_loss(
     samples: Samples, columns: np.ndarray, scale: float, penalty: np.ndarray | None = None, weights: np.ndarray | None = None
 ) -> Loss:
@@ -202,7 +197,7 @@ def cross_validated_loss(
         without = np.linalg.solve(
             whole - own.T @ (weights[rows, None] * own) + 1e-12 * np.eye(len(ridge)), target - own.T @ (weights[rows] * samples.y[rows])
         )
-        of_part[i] = float(huber(samples.y[rows] - own @ without, scale).sum())
+        of_part[i] = float(huber(HUBER, (samples.y[rows] - own @ without) / scale).sum())
     left_all = samples.y - x @ solution
     variance = float(np.sum(weights * left_all**2)) / max(len(x) - x.shape[1], 1) * CORRELATED
     covariance = np.linalg.inv(whole) * variance

@@ -49,9 +49,6 @@ MOST_IN_A_ROW = 8000
 MOST_STRETCHES = 6
 """Largest number of stretches of a run for cross-validation."""
 
-LEAST_SAMPLES = 50
-"""Smallest number of samples of an axis in a usable run."""
-
 ONE_RUN = 0.95
 """A run with a larger fraction of the gap above noise can confirm a law only within itself."""
 
@@ -172,9 +169,8 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
         axis = actual.machine.axis(name)
         motion = _motion(view, name, axis)
         others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
-        cut = functools.cache(
-            functools.partial(_residual_of_block, actual, axis, (view.trace, twin.without_noise, noisy))
-        )  # two blocks share a law
+        # two blocks share a law
+        cut = functools.cache(functools.partial(_residual_of_block, actual, axis, (view.trace, twin.without_noise, noisy)))
         for block, law, period in (
             (MECHANICS, force_beyond_model, FORCE_PERIOD_S),
             ("transmission", _displacement, OTHER_PERIOD_S),
@@ -191,7 +187,7 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
             step = max(1, round(period / view.trace.period))
             index = keep[keep % step == 0] if period else keep
             index = np.arange(len(measured[0]))[:MOST_IN_A_ROW] if block == CURRENT_LOOP else index[:: max(1, len(index) // MOST_SAMPLES)]
-            if len(index) < LEAST_SAMPLES:
+            if len(index) < T.enough_samples:
                 continue
             difference = measured[0] - expected[0]
             noise = (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
@@ -365,6 +361,6 @@ def voltage_to_current(view: RunView, axis: Axis) -> Callable[[np.ndarray], np.n
 
     def current(voltage: np.ndarray) -> np.ndarray:
         run = lfilter(np.ravel(numerator), denominator, voltage - voltage[0], axis=0)
-        return np.column_stack([column - moving_mean(column, round(T.drift_s / period)) for column in run.T])
+        return np.asarray(run - moving_mean(run, round(T.drift_s / period)))
 
     return current

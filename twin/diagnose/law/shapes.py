@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.special import huber
 
 from twin.diagnose.law.candidates import Candidate, contribution_to_residual, variable_of
-from twin.diagnose.law.measure import Curve, Loss, cross_validated_loss, huber, loss_without_law
+from twin.diagnose.law.measure import HUBER, Curve, Loss, cross_validated_loss, loss_without_law
 from twin.diagnose.law.residual import Samples
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
@@ -72,9 +73,7 @@ class Described:
     curve: Curve
     column: np.ndarray = field(repr=False)  # (sample,) contribution to the residual
     points: tuple[tuple[float, float], ...] = ()
-    spring: float | None = (
-        None  # stiffness of the spring that a law over the windup complements [N/m, Nm/rad], if it was measured with the law
-    )
+    spring: float | None = None  # stiffness of the spring that a law over the windup complements [N/m, Nm/rad], if measured with it
 
     def table(self, axis: str) -> dict[str, Any]:
         """The law as an `[[effect]]` table of a machine file."""
@@ -128,11 +127,6 @@ class _ShapeFit:
     def is_characteristic(self) -> bool:
         """Whether the shape has no height."""
         return not any(n.of == "output" for n in self.shape.numbers)
-
-    @property
-    def is_searched(self) -> bool:
-        """Whether the parameters are searched between their start values. A sine over the turn is a harmonic of it."""
-        return self.candidate.variable != "turn"
 
     def columns(self, values: Sequence[float]) -> np.ndarray:
         """Columns (sample, n) of unit height; sine and cosine for a sine."""
@@ -227,10 +221,10 @@ def _fit_shape(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: 
             if np.any(norm < 1e-12):
                 return math.inf
             left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
-        return float(huber(left, scale).sum())
+        return float(huber(HUBER, left / scale).sum())
 
     values = min(itertools.product(*problem.starts), key=loss)
-    if problem.free and problem.is_searched:
+    if problem.free and problem.candidate.variable != "turn":  # a sine over the turn is a harmonic of it
         values = _refine(loss, values, problem.logarithmic, problem.steps(values))
     numbers = dict(zip(problem.free, values))
     driven = float(np.ptp(problem.x))

@@ -14,14 +14,15 @@ from scipy.optimize import minimize_scalar
 
 from twin.diagnose.fit import simulated_responses
 from twin.diagnose.imperfections import SHARES
-from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Settings, is_between_encoders, laws_in
+from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Settings, is_between_encoders
 from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, cross_validated_loss, nuisances_in, scale_of
-from twin.diagnose.law.residual import LEAST_SAMPLES, Samples, deflection_of, transmitted_force
+from twin.diagnose.law.residual import Samples, deflection_of, transmitted_force
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import SPRING_EFFECT, Nuisance, drive_train_of, spring_of
 from twin.diagnose.view import RunView
 from twin.effects import Setting, check_setting, settings_of
+from twin.effects.law import laws_in
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 
@@ -127,7 +128,7 @@ def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Se
     reach = float(np.quantile(np.abs(d), 1.0 - RANGE))
     found = []
     for rows in (np.abs(d) < SMALL_DEFLECTION * reach, np.abs(d) > LARGE_DEFLECTION * reach):
-        if rows.sum() > LEAST_SAMPLES:
+        if rows.sum() > T.enough_samples:
             columns = np.column_stack([d[rows], np.sign(d[rows]), np.ones(rows.sum())])
             stiffness = float(np.linalg.lstsq(columns, f[rows], rcond=None)[0][0])
             try:

@@ -9,13 +9,12 @@ import numpy as np
 
 from twin.diagnose.law.known_physics import Known, looks_like
 from twin.diagnose.law.laws import Law
-from twin.effects.law import OUTPUTS, VARIABLES, law_in
+from twin.effects.law import VARIABLES, law_in
 from twin.effects.law_shapes import TABLE
 from twin.effects.readable import display_unit, readable
 from twin.machine.axis import Axis
 from twin.machine.machine import Machine
-from twin.simulation.law_picture import shown_in
-from twin.units import AXIS_UNITS
+from twin.simulation.law_picture import output_in, shown_in
 
 PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width", "frequency_hz": "at"}
 """Prepositions of the parameters of a filter."""
@@ -49,8 +48,7 @@ def _display_unit(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, f
     described = law_in(law.setting)
     of = next((n.of for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
     if of == "output":
-        quantity = OUTPUTS[described.block][described.output].quantity
-        return AXIS_UNITS[axis.kind].error if quantity == "length" else shown_in(quantity, axis)
+        return output_in(described, axis)
     if of == "variable":
         return shown_in(VARIABLES[described.variable].quantity, source)
     if of == "time":
@@ -73,8 +71,7 @@ def sentence(law: Law, machine: Machine) -> str:
         return f"{described.shape.words} in the {late} of {law.axis}, {numbers}"
     if described.shape.code == TABLE:
         low, high = (float(f([y for _, y in described.points])) * p["scale"] for f in (min, max))
-        quantity = OUTPUTS[described.block][described.output].quantity
-        unit, factor = AXIS_UNITS[axis.kind].error if quantity == "length" else shown_in(quantity, axis)
+        unit, factor = output_in(described, axis)
         return f"{head} that varies from {factor * low:.3g} to {factor * high:.3g} {unit} with the {over}"
     if name in ("gaussian", "exponential") and described.variable == "speed" and described.output == "friction":
         width = "width" if name == "gaussian" else "scale"
