@@ -26,11 +26,12 @@ from twin.effects import EFFECTS
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.regress import run_suite
-from twin.regress.compare import Check, compare, signal_unit
+from twin.regress.compare import Check, compare
 from twin.regress.golden import Golden, read_golden
 from twin.regress.outcome import Feature, Outcome
 from twin.regress.runners import machine_of, run_case
 from twin.regress.suite import COMPARED, SIGNAL_UNITS, Case, read_suite
+from twin.simulation.gap import gap_unit
 
 HERE = Path(__file__).resolve().parents[2]
 SHIPPED = read_suite(HERE / "examples/regression")
@@ -136,7 +137,7 @@ def alone(golden: Golden, case: Case) -> Iterator[tuple[str, Outcome]]:
     axis, signal = next((a, s) for a in trace.axes for s in case.compared if trace.has(a, s))
     share = case.tolerance[signal]
     if share["rms"] < share["max"]:
-        offset = np.sqrt(share["rms"] * share["max"]) / signal_unit(machine, axis, signal)[1]
+        offset = np.sqrt(share["rms"] * share["max"]) / gap_unit(machine.axis(axis), signal)[1]
         signals = {**trace.signals, (axis, signal): trace.get(axis, signal) + offset}
         yield " RMS", outcome(Trace(trace.time, signals, trace.kinds), golden.events)
     if golden.events:
@@ -461,7 +462,7 @@ def test_usage(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_every_signal_that_a_suite_may_compare_has_a_unit(mikron: Machine) -> None:
-    assert all(signal_unit(mikron, "X", signal)[0] in units for signal, units in SIGNAL_UNITS.items())
+    assert all(gap_unit(mikron.axis("X"), signal)[0] in units for signal, units in SIGNAL_UNITS.items())
 
 
 def test_a_gap_that_became_smaller_is_a_result_to_store() -> None:

@@ -149,9 +149,7 @@ def budget_over(
     rows = [_row(machine, part, [c for c, (p, _) in zip(changes, jobs) if p is part], samples, names, noise) for part in parts]
     explained = _rms([tool.squares(plan[r], nominal[r], machine.axis_names) for r in range(len(views))], samples)
     measured = [r for r, trace in enumerate(residual) if trace is not None]
-    by_axis = {
-        axis: _rms([tool.squares_of(plan[r], residual[r], (axis,)) for r in measured], samples[measured]) for axis in machine.axis_names
-    }
+    by_axis = {a: _rms([tool.squares_of(plan[r], residual[r], (a,)) for r in measured], samples[measured]) for a in machine.axis_names}
     floor = _rms([tool.noise_squares(plan[r]) for r in range(len(views))], samples)
     whole = _rms([tool.squares_of(plan[r], residual[r], machine.axis_names) for r in measured], samples[measured])
     order = sorted(rows, key=lambda row: (-row.tool_point, row.axis, row.name))

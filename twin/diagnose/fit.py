@@ -83,7 +83,7 @@ def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]
         axis = machine.axis(setting.axis)
         own = [p for p in setting.effect.parameters if p.name in setting.parameters]
         if setting.effect.name == NAME:
-            free += [_free_of_law(i, p, setting, axis) for p in own if _is_fitted(p, setting)]
+            free += [f for p in own if (f := _free_of_law(i, p, setting, axis)) is not None]
             continue
         size = setting.effect.size
         for p in own:
@@ -109,17 +109,13 @@ def is_play(law: Setting) -> bool:
     return law.effect.definition.get("variables") == ["slack"] and "height" in law.parameters
 
 
-def _is_fitted(p: Parameter, law: Setting) -> bool:
-    """Is this a free number of a law? Zero is a number that the shape does not use; both numbers of a play are half its width."""
-    value = law.parameters[p.name]
-    unused = value == 0.0 or p.shape or not math.isfinite(value) or (is_play(law) and p.name != "length")
-    return p.periodic or not unused
-
-
-def _free_of_law(i: int, p: Parameter, law: Setting, axis: Axis) -> Free:
+def _free_of_law(i: int, p: Parameter, law: Setting, axis: Axis) -> Free | None:
+    """A number of a law. None for zero, a number that the shape does not use, and for one of the two equal numbers of a play."""
     value = law.parameters[p.name]
     if p.periodic:
         return Free(i, p, False, LAW_ANGLE)
+    if value == 0.0 or p.shape or not math.isfinite(value) or (is_play(law) and p.name != "length"):
+        return None
     unit = relative_step(p, value, axis, LAW_STEP)
     positive = value > 0.0 and (p.logarithmic or p.low >= 0.0)
     proportional = not positive and law.effect.is_linear and p is law.effect.size
@@ -313,12 +309,10 @@ def simulated_responses(group: Group, several: Sequence[Sequence[Setting]]) -> l
     return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)])
 
 
-def _slopes(
-    group: Group, settings: tuple[Setting, ...], response: np.ndarray, step_sizes: Sequence[tuple[Free, float]]
-) -> list[np.ndarray]:
+def _slopes(group: Group, settings: tuple[Setting, ...], response: np.ndarray, sizes: Sequence[tuple[Free, float]]) -> list[np.ndarray]:
     """Finite-difference slope per scale unit of each parameter for the given step, taken towards the inside of the bounds."""
     steps = []
-    for f, size in step_sizes:
+    for f, size in sizes:
         both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (size, -size))]
         steps.append(next(((moved, actual) for moved, actual in both if abs(actual) > 1e-6), None))
     changed = iter(all_or_raise(simulated_responses(group, [step[0] for step in steps if step is not None])))

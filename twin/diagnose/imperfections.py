@@ -125,9 +125,7 @@ def _at_shares(tuning: Tuning, group: Group, nuisance: Nuisance, residual: np.nd
     ]
     keys = [(nuisance, share) if share in SHARES else None for share in shares]  # each round of the search asks for SHARES again
     answers = group.responses(variations, shaken=nuisance.quantity == "slip", keys=keys)
-    return [
-        trial_of(tuning, answer * (UNIFORM / share), residual) for share, answer in zip(shares, answers) if isinstance(answer, np.ndarray)
-    ]
+    return [trial_of(tuning, a * (UNIFORM / share), residual) for share, a in zip(shares, answers) if isinstance(a, np.ndarray)]
 
 
 def rebased(group: Group, machine_of: Variant) -> Group:

@@ -32,16 +32,14 @@ class Thresholds:
     # noise of a channel
     noise_correlation: int = _of(150, "samples", "longest correlation of the noise, set by the closed loop")
     noisier: float = _of(5.0, "1", "largest ratio of measured to expected roughness that is sensor noise")
-    break_away_s: float = _of(
-        0.06, "s", "time after break-away in which the position depends on where the axis stuck; length of a reversal"
-    )
+    break_away_s: float = _of(0.06, "s", "length of a reversal; after a break-away the position depends on where the axis stuck")
     settled_s: float = _of(0.2, "s", "time after break-away until no signal depends on how the axis stuck")
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
     law_floor: float = _of(0.01, "share of the speed noise", "smallest noise of the control law")
     clipped: float = _of(0.999, "share of the limit", "smallest saturated command; it is not compared with the law")
     law_share: float = _of(
-        1e-4, "share of the speed", "model error of a control law; a law fitted by hand to a real control deviates by 3e-5 of the top speed"
+        1e-4, "share of the speed", "model error of a control law fitted by hand; that of a real control deviates by 3e-5 of the top speed"
     )
 
     followed: float = _of(0.8, "share", "share of motor minus scale that the motion of other axes explains if one of them pushes this axis")
@@ -51,9 +49,7 @@ class Thresholds:
     clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel")
     clean_spread: float = _of(6.0, "1", "standard deviations of that mean square that are allowed as chance")
     clean_mean: float = _of(6.5, "1", "largest moving average of a clean channel")
-    clean_mean_square: float = _of(
-        1.5, "1", "mean square of the moving averages of a clean channel, and of the error of a control law that holds"
-    )
+    clean_mean_square: float = _of(1.5, "1", "mean square of the moving averages of a clean channel, and of a control law's error")
     clean_law_mean: float = _of(2.0, "1", "largest mean over 25 samples of the error of a control law that holds")
 
     # model error of the twin
@@ -96,31 +92,19 @@ class Thresholds:
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
-    span: float = _of(
-        0.01, "share of the best gain", "smallest gain of an effect that enters in the same round; responses are not exactly linear"
-    )
+    span: float = _of(0.01, "share of the best gain", "smallest gain of an effect of the same round; responses are not exactly linear")
     promising: float = _of(
-        0.5,
-        "share of the evidence needed",
-        "smallest gain in screening of an effect that is fitted; its shape parameters are not optimised yet",
+        0.5, "share of the evidence needed", "least gain in screening of a fitted effect; its shape is not optimised yet"
     )
     promising_single: float = _of(0.9, "share of the evidence needed", "the same for an effect with one parameter")
-    collinear: float = _of(
-        1e-6, "share of its squares", "share of a response that re-tuning leaves; below it, effect and re-tuning are collinear"
-    )
+    collinear: float = _of(1e-6, "share of its squares", "least part of a response that re-tuning leaves; less is collinear with re-tuning")
     most_rivals: int = _of(3, "candidates", "largest number of rivals that are fitted in place of an effect")
-    same_gain: float = _of(
-        0.5, "share of its gain", "a rival explains the same if its gain falls below this share with the effect eliminated"
-    )
+    same_gain: float = _of(0.5, "share of its gain", "a rival explains the same if less of its gain is left with the effect eliminated")
     rivals_within: float = _of(0.25, "share of the best gain", "smallest gain in screening of a rival that is fitted")
     nonlinear_rivals_within: float = _of(0.08, "share of the best gain", "the same for nonlinear effects")
 
     # acceptance of an effect
-    evidence: float = _of(
-        14.0,
-        "nat",
-        "evidence that an effect needs on held-out runs, and a normal imperfection on all runs; less does not separate two rivals",
-    )
+    evidence: float = _of(14.0, "nat", "evidence of an effect on held-out runs, of an imperfection on all runs, and between two rivals")
     evidence_in_sample: float = _of(60.0, "nat", "the same if no run can be held out")
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that model errors of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same for a block that the signals do not isolate", IMITATION)
@@ -134,43 +118,29 @@ class Thresholds:
     invisible: float = _of(1e-9, "share of the evidence", "largest possible gain of an effect that is invisible at any size")
 
     smallest_size: float = _of(0.02, "smallest usual size", "a smaller effect is implausible: every machine has a little of most effects")
-    smallest_set_size: float = _of(
-        0.12, "smallest usual size", "the same for what is set or normal if small: controller laws, factors, springs, clamped masses"
-    )
+    smallest_set_size: float = _of(0.12, "smallest usual size", "the same for controller laws, factors, springs, clamped masses")
     largest_size: float = _of(4.0, "largest usual size", "a larger effect is implausible")
     usual_shape: float = _of(4.5, "1", "largest factor outside the usual range of a plausible speed, wavelength or frequency")
     imitated: float = _of(5.0, "tolerances", "largest size of an effect that a normal imperfection beside it imitates")
 
     # verdict
     worse_by_chance: float = _of(0.3, "1", "increase of gap over noise by which a correction may be worse than the machine file by chance")
-    signal_worse: float = _of(
-        2.0, "1", "largest gap over noise of a signal, or ratio to its gap without the law, with a law that is not refused"
-    )
-    undecided: float = _of(
-        6.0, "1", "largest held-out gap over noise with the verdict 'none'; a control that interpolates in its own way leaves 3"
-    )
+    signal_worse: float = _of(2.0, "1", "largest gap over noise of a signal with a law, or ratio to its gap without the law")
+    undecided: float = _of(6.0, "1", "largest held-out gap over noise with the verdict 'none'; the interpolation of a control leaves 3")
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
     remaining: float = _of(0.1, "share", "largest share of the excess over noise that may stay unexplained")
     noticed_excess: float = _of(0.12, "1", "largest mean square above noise without a remaining residual", IMITATION)
-    systematic: float = _of(
-        5.0,
-        "1",
-        "largest mean square with a right law, median over runs, or in one run of a control law: true laws leave 3.3, the most similar wrong ones 60",
-    )
+    systematic: float = _of(5.0, "1", "largest mean square with a right law (median over runs): true laws leave 3.3, similar wrong ones 60")
     local_samples: int = _of(1000, "samples", "smallest number of samples of a channel that is tested by itself")
     beyond_chance: float = _of(4.0, "1", "largest difference of the size in a run by chance")
     one_size: float = _of(0.12, "share", "relative difference of a size that is allowed between runs")
-    model_error: float = _of(
-        0.007, "share", "relative standard deviation of a size due to model error, independent of the number of samples"
-    )
+    model_error: float = _of(0.007, "share", "relative standard deviation of a size due to model error, however many samples there are")
 
     # where
     noticed_square: float = _of(1.6, "1", "largest mean square of a block, or a channel tested by itself, without a residual")
-    place_share: float = _of(
-        0.02, "share", "smallest share of its axis' gap of a block that is listed, and of the worst axis' gap of an axis"
-    )
+    place_share: float = _of(0.02, "share", "least share of a listed block in its axis' gap, and of an axis in the gap of the worst axis")
     echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with one")
     most_of_runs: float = _of(0.8, "share", "share of a block's excess that the named runs hold")
     regime_share: float = _of(0.6, "share", "smallest share of the excess of a regime that is named")

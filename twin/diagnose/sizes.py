@@ -44,9 +44,7 @@ def without_implausible(state: GroupState) -> GroupState:
         return state
     machine = state.group.machine
     determined = _sizes_are_determined(state, machine)
-    kept = [
-        s for s, is_determined in zip(state.fit.settings, determined) if is_determined and is_plausible(s, machine, is_cut(state.group, s))
-    ]
+    kept = [s for s, known in zip(state.fit.settings, determined) if known and is_plausible(s, machine, is_cut(state.group, s))]
     if len(kept) == len(state.fit.settings):
         return state
     fit = fit_effects(state.group, state.tuning, kept, T.refit_steps)

@@ -126,9 +126,8 @@ class Tuning:
 
     def reweighted(self, scale: np.ndarray) -> Tuning:
         """The same tuning with each row weight multiplied by `scale` (row,)."""
-        return replace(
-            tuning_from(self.nuisances, self.jacobian.scaled(scale), self.spread, self.prior_weight, self.further), base=self.base
-        )
+        columns = self.jacobian.scaled(scale)
+        return replace(tuning_from(self.nuisances, columns, self.spread, self.prior_weight, self.further), base=self.base)
 
 
 def tuning_of(group: Group, settings: Sequence[Setting] = (), response: np.ndarray | float = 0.0) -> Tuning:

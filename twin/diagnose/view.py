@@ -43,7 +43,7 @@ class RunView:
         if name not in self.references:
             axis = self.machine.axis(name)
             moving = np.ones(len(self.trace.time), bool) if name in self.pushed else is_moving(self.trace, axis)
-            self.references[name] = _command(self, axis), _delayed(self, axis), moving
+            self.references[name] = _command(self, axis), _set_point(self, axis, axis.loops.position_delay_s), moving
         return self.references[name]
 
     def rows_of(self, name: str, channel: str) -> np.ndarray:
@@ -86,9 +86,7 @@ def view_of(machine: Machine, run: MeasuredRun) -> RunView:
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
     motion = nominal_motion(actual, setpoints)
-    return RunView(
-        run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, run.own_zeros, run.ballbar, file=machine
-    )
+    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, run.own_zeros, run.ballbar, machine)
 
 
 def _follows_another(view: RunView, name: str) -> bool:
@@ -113,10 +111,6 @@ def _command(view: RunView, axis: Axis) -> np.ndarray:
     added = view.setpoints.part((view.machine.axis_names.index(axis.name),)).added_feedforward_at(view.trace.time - view.trace.time[0])
     slope = (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
     return axis.loops.velocity_feedforward * slope + (added[:, 0] if isinstance(added, np.ndarray) else added)
-
-
-def _delayed(view: RunView, axis: Axis) -> np.ndarray:
-    return _set_point(view, axis, axis.loops.position_delay_s)
 
 
 def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twin.effects import EFFECTS, Parameter
+from twin.effects import EFFECTS
 from twin.effects.readable import interval_text, parameter_label
 from twin.simulation.summary import listed
 
@@ -17,9 +17,10 @@ FEW = 3
 
 def parameters_of(entry: dict[str, Any]) -> list[dict[str, str]]:
     """The parameters of an effect of `diagnosis.json` as texts: name, value, interval."""
-    rows = []
+    rows, effect = [], EFFECTS.get(entry["effect"])
+    known = {p.name: p for p in effect.parameters} if effect else {}  # an effect outside the library has none
     for name, p in entry["parameters"].items():
-        value, interval = interval_text(p["unit"], p["value"], p["low"], p["high"], _parameter(entry, name))
+        value, interval = interval_text(p["unit"], p["value"], p["low"], p["high"], known.get(name))
         rows.append({"name": parameter_label(name), "value": value, "interval": interval})
     return rows
 
@@ -27,12 +28,6 @@ def parameters_of(entry: dict[str, Any]) -> list[dict[str, str]]:
 def parameters_text(entry: dict[str, Any]) -> str:
     """The parameters of an effect in one line: 'clearance 12.6 um (12.4 to 12.8 um)'."""
     return ", ".join(f"{p['name']} {p['value']}" + (f" ({p['interval']})" if p["interval"] else "") for p in parameters_of(entry))
-
-
-def _parameter(entry: dict[str, Any], name: str) -> Parameter | None:
-    """The parameter of an entry's effect; None for an effect outside the library."""
-    effect = EFFECTS.get(entry["effect"])
-    return next((p for p in effect.parameters if p.name == name), None) if effect else None
 
 
 def place_text(entry: dict[str, Any]) -> str:

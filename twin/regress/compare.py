@@ -11,12 +11,12 @@ import math
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS, Trace
+from twin.recordings.trace import Trace
 from twin.regress.golden import Golden
 from twin.regress.outcome import Outcome
 from twin.regress.suite import Case
 from twin.replay.events import Event
-from twin.units import AXIS_UNITS
+from twin.simulation.gap import gap_unit
 
 TIME_TOLERANCE_S = 1e-9
 """Largest difference between stored and new sample times, for the rounding of the file."""
@@ -86,17 +86,6 @@ def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
     return cut(golden), cut(thin), same
 
 
-def signal_unit(machine: Machine, axis: str, signal: str) -> tuple[str, float]:
-    """Printed unit of a signal's difference, and the factor from SI."""
-    units = AXIS_UNITS[machine.axis(axis).kind]
-    if signal in POSITIONS:
-        return units.error
-    if signal in SPEEDS:
-        return units.speed
-    unit = OTHER_UNITS[signal]
-    return (machine.axis(axis).motor_unit if unit == "Nm" else unit, 1.0)
-
-
 def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterator[Check]:
     before, after, same = common(golden, now)
     length, new_length = float(golden.time[-1]), float(now.time[-1])
@@ -113,7 +102,7 @@ def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterato
                     yield Check(f"{axis}.{signal} is recorded", axis, "", 1.0, 0.0, first, then)
                 continue
             tolerance = case.tolerance[signal]
-            unit, factor = signal_unit(machine, axis, signal)
+            unit, factor = gap_unit(machine.axis(axis), signal)
             difference = (after.get(axis, signal) - before.get(axis, signal)) * factor
             beyond = np.flatnonzero(~(np.abs(difference) <= tolerance["max"]))
             since = float(before.time[beyond[0]]) if beyond.size else None

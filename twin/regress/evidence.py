@@ -18,11 +18,12 @@ from typing import Any
 from twin.files import output_folder, write_json, write_whole
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.regress.compare import Check, common, signal_unit
+from twin.regress.compare import Check, common
 from twin.regress.golden import Golden, golden_of, write_small
 from twin.regress.outcome import Outcome
 from twin.regress.suite import SIGNAL_UNITS, Case
 from twin.regress.where import Place
+from twin.simulation.gap import gap_unit
 
 PLOTTED = ("setpoint", "position", "velocity", "current", "voltage", "torque")
 
@@ -64,7 +65,7 @@ def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, 
     figure, panels = new_figure(len(signals), 2, width=13.0, height=2.3, sharex=True)
     colour = hexadecimal(axis_colour(axis))
     for row, signal in zip(panels, signals):
-        unit, factor = signal_unit(machine, axis, signal)
+        unit, factor = gap_unit(machine.axis(axis), signal)
         shown, scale = ("mm", 1e-3) if unit == "um" else ("deg", 1.0 / 3600.0) if unit == "arcsec" else (unit, 1.0)
         old, new = before.get(axis, signal) * factor, after.get(axis, signal) * factor
         row[0].plot(before.time, old * scale, color=SOFT, linewidth=2.6, label="golden")

@@ -49,9 +49,9 @@ def added_feedforward(trace: Trace, machine: Machine, set_points: Callable[[np.n
     """
     if trace.period > machine.position_cycle * 1.001:
         return None
-    recorded = [
-        a for a in machine.axes if trace.has(a.name, "velocity_feedforward") and a.loops.velocity_feedforward != 0.0 and not _made(a)
-    ]
+    # not where a block of the control makes the added signals itself
+    fed = [a for a in machine.axes if trace.has(a.name, "velocity_feedforward") and a.loops.velocity_feedforward != 0.0]
+    recorded = [a for a in fed if not any("velocity_feedforward" in listed.block.replaces for listed in a.blocks)]
     out = np.zeros((len(trace.time), len(machine.axes)))
     for axis in recorded:
         a = machine.axis_names.index(axis.name)
@@ -78,11 +78,6 @@ def pulse_in(rest: np.ndarray, cycle: float) -> dict[str, float] | None:
     if np.median(np.abs(ratios - ratio)) > SAME_RATIO or decay > 0.25 * len(rest) * cycle:
         return None
     return {"amplitude": float(np.median(size[1:][begins])), "decay_time": decay}
-
-
-def _made(axis: Axis) -> bool:
-    """Whether a block of the control makes the added signals itself."""
-    return any("velocity_feedforward" in listed.block.replaces for listed in axis.blocks)
 
 
 def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray], cycle: float) -> np.ndarray:

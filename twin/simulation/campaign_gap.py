@@ -107,9 +107,7 @@ class CampaignGap:
 
     def document(self) -> dict[str, Any]:
         """The document of `twin gap --json`."""
-        plain = {
-            run: {axis: {s: _entry(g) for s, g in signals.items()} for axis, signals in axes.items()} for run, axes in self.runs.items()
-        }
+        plain = {run: {a: {s: _entry(g) for s, g in of.items()} for a, of in axes.items()} for run, axes in self.runs.items()}
         notes = {"notes": list(self.notes)} if self.notes else {}
         return {"machine": self.machine, "campaign": self.campaign, "verdict": self.verdict, "runs": plain, **notes}
 

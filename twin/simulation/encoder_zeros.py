@@ -43,11 +43,12 @@ def with_common_zeros(runs: Sequence[MeasuredRun], machine: Machine) -> tuple[tu
     largest: dict[str, float] = {}
     for axis in machine.axes:
         runs_of_axis = [k for k, run in enumerate(runs) if has_both(run.trace, axis.name)]
-        offsets = {k: _difference(runs[k].trace, axis.name) for k in runs_of_axis}
+        apart = {k: motor_minus_scale(runs[k].trace, axis.name) for k in runs_of_axis}
+        offsets = {k: (float(np.mean(values)), float(np.std(values))) for k, values in apart.items()}
         if offsets and _is_of_zeros([runs[k] for k in runs_of_axis], list(offsets.values()), axis, machine):
             largest[axis.name] = max((mean for mean, _ in offsets.values()), key=abs)
             runs = [
-                replace(_shifted(run, axis, offsets[k][0]), own_zeros=run.own_zeros | {axis.name}) if k in offsets else run
+                replace(run, trace=shifted(run.trace, axis, offsets[k][0]), own_zeros=run.own_zeros | {axis.name}) if k in offsets else run
                 for k, run in enumerate(runs)
             ]
     return tuple(runs), largest
@@ -56,7 +57,7 @@ def with_common_zeros(runs: Sequence[MeasuredRun], machine: Machine) -> tuple[tu
 def aligned(runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace]) -> tuple[MeasuredRun, ...]:
     """The runs without the differences of zeros that their predictions leave."""
     for (name, k), offset in zeros_left(runs, machine, predicted).items():
-        runs = [_shifted(run, machine.axis(name), offset) if i == k else run for i, run in enumerate(runs)]
+        runs = [replace(run, trace=shifted(run.trace, machine.axis(name), offset)) if i == k else run for i, run in enumerate(runs)]
     return tuple(runs)
 
 
@@ -105,12 +106,6 @@ def notes_of_zeros(found: Mapping[str, float], machine: Machine) -> list[str]:
     return lines
 
 
-def _difference(trace: Trace, name: str) -> tuple[float, float]:
-    """Mean and standard deviation of motor encoder minus scale."""
-    apart = motor_minus_scale(trace, name)
-    return float(np.mean(apart)), float(np.std(apart))
-
-
 def _is_of_zeros(runs: Sequence[MeasuredRun], offsets: Sequence[tuple[float, float]], axis: Axis, machine: Machine) -> bool:
     means, deviations = np.array(offsets).T
     largest = float(np.abs(means).max())
@@ -124,8 +119,3 @@ def _is_of_zeros(runs: Sequence[MeasuredRun], offsets: Sequence[tuple[float, flo
     trend = np.column_stack([np.ones(len(runs)), when, place])
     detrended = means - trend @ np.linalg.lstsq(trend, means, rcond=None)[0]
     return float(detrended @ detrended) > (1.0 - BY_TREND) * float(centred @ centred)
-
-
-def _shifted(run: MeasuredRun, axis: Axis, offset: float) -> MeasuredRun:
-    """The run with the encoder that does not close the position loop shifted to the zero of the other one."""
-    return replace(run, trace=shifted(run.trace, axis, offset))

@@ -19,7 +19,7 @@ from twin.effects import Change
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.trace import OTHER_UNITS, POSITIONS, Trace
+from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
@@ -183,10 +183,10 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
 
 
 def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
-    """Display unit of a gap and factor from SI: um or arcsec, mm/s or deg/s; A, V, Nm or N."""
-    if signal in ("position", "motor_position"):
+    """Display unit of a difference of signals and factor from SI: um or arcsec, mm/s or deg/s; A, V, Nm or N."""
+    if signal in POSITIONS:
         return AXIS_UNITS[axis.kind].error
-    if signal == "velocity":
+    if signal in SPEEDS:
         return AXIS_UNITS[axis.kind].speed
     return (axis.motor_unit if OTHER_UNITS[signal] == "Nm" else OTHER_UNITS[signal], 1.0)
 

@@ -166,9 +166,7 @@ def _noise_of(given: Noise, seen: Mapping[str, float], steps: Mapping[str, float
         if sensor in seen:
             numbers[sensor] = math.sqrt(max(square, 0.0))
         elif step:  # the noise is hidden in the steps
-            numbers[sensor] = (
-                min(numbers[sensor], step / math.sqrt(12.0)) if sensor in STEP else max(numbers[sensor], step / math.sqrt(12.0))
-            )
+            numbers[sensor] = (min if sensor in STEP else max)(numbers[sensor], step / math.sqrt(12.0))
     return Noise(**numbers)
 
 

@@ -31,9 +31,7 @@ def at_times(trace: Trace, times: np.ndarray) -> Trace:
     count = len(times)
     if len(trace.time) >= count and abs(trace.time[count - 1] - (times[-1] - times[0])) < SAME_TIME * trace.period:
         return replace(trace, time=times, signals={key: values[:count] for key, values in trace.signals.items()})
-    return replace(
-        trace, time=times, signals={key: np.interp(times - times[0], trace.time, values) for key, values in trace.signals.items()}
-    )
+    return replace(trace, time=times, signals={key: np.interp(times - times[0], trace.time, v) for key, v in trace.signals.items()})
 
 
 def as_recorded(trace: Trace, times: np.ndarray, ballbar: Ballbar | None, noise_seed: int | None = None) -> Trace:
