@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping
 import math
 
 from twin.diagnose.settings import T
+from twin.simulation.campaign_gap import AS_EXPECTED
 from twin.simulation.gap_level import overall
 
 Levels = Mapping[str, float]
@@ -16,9 +17,6 @@ SignalLevels = Mapping[tuple[str, str], float]
 
 LOUD = 3.0
 """A law is sought for a louder axis although effects explain most of its gap."""
-
-LOUD_SIGNAL = 1.5
-"""The same limit for a single signal. A deviation at reversals only contributes little to the level of an axis."""
 
 NEXT_TO_NOTHING = 1e-3
 """A single loud signal starts no search for a law if a smaller fraction of the gap of the axis is unexplained, unless several effects
@@ -65,8 +63,11 @@ def is_explained_to_noise(before: Levels, after: Levels, axes: Collection[str]) 
 
 
 def needs_a_law(before: float, after: float, loudest_signal: float, imitated: bool) -> bool:
-    """Whether a law is sought for an axis; `imitated`: several effects share a block and may imitate one law."""
-    return after > LOUD or (loudest_signal > LOUD_SIGNAL and (imitated or unexplained_share(before, after) > NEXT_TO_NOTHING))
+    """Whether a law is sought for an axis; `imitated`: several effects share a block and may imitate one law.
+
+    A deviation at reversals only contributes little to the level of an axis, but is loud in a single signal.
+    """
+    return after > LOUD or (loudest_signal > AS_EXPECTED and (imitated or unexplained_share(before, after) > NEXT_TO_NOTHING))
 
 
 def loudest(of_signals: SignalLevels) -> dict[str, float]:

@@ -143,10 +143,7 @@ def compared(case: Case, golden: Golden | None, out: Path | None) -> Verdict:
     note = "; ".join(filter(None, (version_note(golden), shift)))
     if all(check.ok for check in checks):
         return Verdict(case, PASSED, checks=checks, note=note, new=new, golden=golden)
-    place = None
-    if golden.trace is not None and outcome.trace is not None and outcome.machine is not None:
-        place = place_of(outcome.machine, golden.trace, outcome.trace, checks)
-    place = place or place_of_numbers(checks)
+    place = place_of(outcome.machine, golden.trace, outcome.trace, checks)
     text = sentence(case, checks, place, outcome.failed)
     written = None
     if out is not None:
@@ -154,12 +151,6 @@ def compared(case: Case, golden: Golden | None, out: Path | None) -> Verdict:
 
         written = write_evidence(out / case.name, case, golden, outcome, checks, place, text)
     return Verdict(case, FAILED, checks=checks, text=text, place=place, note=note, new=new, golden=golden, written=written, stopped=stopped)
-
-
-def place_of_numbers(checks: Sequence[Check]) -> Place:
-    """Place of a failure without traces: axis and block of the worst number."""
-    worst = max((c for c in checks if not c.ok), key=lambda c: c.excess)
-    return Place(worst.axis, None, worst.block)
 
 
 def version_note(golden: Golden) -> str:

@@ -63,11 +63,15 @@ class Place:
     shares: Mapping[str, float] = field(default_factory=dict)
 
 
-def place_of(machine: Machine, golden: Trace, now: Trace, checks: Sequence[Check]) -> Place | None:
-    """Axis with the largest difference over tolerance, its first changed block, and the time of the first excess."""
+def place_of(machine: Machine | None, golden: Trace | None, now: Trace | None, checks: Sequence[Check]) -> Place:
+    """Axis with the largest difference over tolerance, its first changed block, and the time of the first excess.
+
+    Without traces, axis and block of the number with the largest difference.
+    """
     failed = [c for c in checks if not c.ok]
-    if not failed:
-        return None
+    if machine is None or golden is None or now is None:
+        worst = max(failed, key=lambda c: c.excess)
+        return Place(worst.axis, None, worst.block)
     by_axis: dict[str, float] = {}
     for check in failed:
         if check.axis:
