@@ -11,6 +11,7 @@ import numpy as np
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.force_balance import MOTION
+from twin.diagnose.plausible import CONTROL_BLOCKS
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
@@ -25,8 +26,6 @@ BLOCKS_NEED = {
     "measurement": (("position",), ("motor_position",)),
 }
 """Blocks in the order of the loop, and the signals that a block needs; one signal of each group is sufficient."""
-
-CONTROLLERS = ("position controller", "speed controller")
 
 MARGIN = 0.15
 """Share of an interval that is shown before and after it."""
@@ -68,7 +67,7 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     """
     own = diagnosis.machine.axis(axis)
     law = any((c.axis, c.name) == (axis, "controller") for f in diagnosis.found for c in f.group.channels)
-    if block == "position controller" or (block in CONTROLLERS and law and not own.has_speed_integral):
+    if block == "position controller" or (block in CONTROL_BLOCKS and law and not own.has_speed_integral):
         return law
     return any(
         view.moves(axis)

@@ -31,9 +31,8 @@ from twin.identify.recorded_axis import (
 )
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import step_of
+from twin.simulation.errors_of_run import REVERSAL_WINDOW
 
-REVERSAL_S = 0.1
-"""Length of the search for the error peak after a reversal [s]."""
 ONE_SPEED = 1.5
 """Speeds within this factor are one speed: Coulomb and viscous friction are then one number."""
 
@@ -135,12 +134,12 @@ def _reversal(rows: Strokes, left: np.ndarray) -> tuple[float | None, int, bool]
     after = np.zeros(len(left), bool)
     peaks = []
     for first in turns:
-        own = (rows.stroke == rows.stroke[first]) & (rows.time < rows.time[first] + REVERSAL_S)
+        own = (rows.stroke == rows.stroke[first]) & (rows.time < rows.time[first] + REVERSAL_WINDOW)
         after |= own
         peaks.append(float(np.abs(left[own]).max()))
     if not peaks:
         return None, 0, False
-    window = np.floor(rows.time / REVERSAL_S).astype(int) + rows.stroke * 1_000_000
+    window = np.floor(rows.time / REVERSAL_WINDOW).astype(int) + rows.stroke * 1_000_000
     others = [float(np.abs(left[(window == w) & ~after]).max()) for w in np.unique(window[~after])]
     stands_out = len(peaks) >= 3 and len(others) >= 3 and float(mannwhitneyu(peaks, others, alternative="greater").pvalue) < 0.01
     return float(np.median(peaks)), len(peaks), stands_out

@@ -22,6 +22,7 @@ from twin.diagnose.law.candidates import Candidate
 from twin.diagnose.law.measure import Curve
 from twin.diagnose.law.residual import ControllerRun, Samples
 from twin.diagnose.law.shapes import Described
+from twin.diagnose.settings import T
 from twin.effects.law import Law, cycle_of
 from twin.effects.law_filters import RING, response
 from twin.effects.law_shapes import SHAPES, Shape
@@ -35,9 +36,6 @@ LEAST_S = 1.0
 
 HIGHEST = 0.9
 """Highest evaluated frequency as a fraction of the Nyquist frequency."""
-
-LAW_SHARE = 0.01
-"""Relative model error of the nominal output of a block."""
 
 STANDS_OUT = 30.0
 """Smallest signal-to-noise power ratio of a band whose response is shown."""
@@ -88,7 +86,7 @@ def _spectral_sums(passed: ControllerRun, bands: np.ndarray) -> _SpectralSums | 
     """Transforms of one run, summed in bands; None if the block had no input."""
     count = len(passed.wanted)
     u, y = (np.fft.rfft(values - passed.wanted[0]) for values in (passed.wanted, passed.given))
-    power = passed.noise**2 * count + (LAW_SHARE * np.abs(u)) ** 2
+    power = passed.noise**2 * count + (T.doubt * np.abs(u)) ** 2
     if not np.any(np.abs(u[1:]) ** 2 > power[1:]):
         return None
     of = np.floor(np.fft.rfftfreq(count, passed.period) / BAND_HZ).astype(int)

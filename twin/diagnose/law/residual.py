@@ -34,11 +34,8 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.two_encoders import has_both, motor_minus_scale
 
-FORCE_PERIOD_S = 5e-3
-"""Sample period of a force balance: a fifth of the smoothing window of the motion."""
-
 OTHER_PERIOD_S = 4e-3
-"""Sample period of the other blocks."""
+"""Sample period of motor minus scale. That of a force balance is a fifth of the smoothing window of the motion."""
 
 MOST_SAMPLES = 800
 """Samples of an axis in a run. Of twice as many only every second one is used, of three times as many every third; more only take time."""
@@ -172,9 +169,9 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
         # two blocks share a law
         cut = functools.cache(functools.partial(_residual_of_block, actual, axis, (view.trace, twin.without_noise, noisy)))
         for block, law, period in (
-            (MECHANICS, force_beyond_model, FORCE_PERIOD_S),
+            (MECHANICS, force_beyond_model, 0.2 * T.smooth_s),
             ("transmission", _displacement, OTHER_PERIOD_S),
-            (SPRING, _spring_force, FORCE_PERIOD_S),
+            (SPRING, _spring_force, 0.2 * T.smooth_s),
             ("position controller", _speed_set_point, 0.0),
             ("speed controller", _current, 0.0),
             *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.loops else []),
