@@ -46,9 +46,8 @@ def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine
                 old = value_at(machine.document, path)
                 factor = 1.0 + float(deviation)
                 values[path] = [factor * v for v in old] if isinstance(old, list) else factor * old
-    return with_added(
-        with_effects(machine.with_values(values), normal_imperfections(machine, states)), [s for f in states for s in f.fit.settings]
-    )
+    retuned = with_effects(machine.with_values(values), normal_imperfections(machine, states))
+    return with_added(retuned, [s for f in states for s in f.fit.settings])
 
 
 def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list[Setting]:

@@ -77,18 +77,8 @@ def summary_table(summary: dict[str, Any]) -> str:
         )
     efforts = {a["effort"] for a in summary["axes"].values()}
     commanded = f"{efforts.pop()} max" if len(efforts) == 1 else "command max"
-    heading = [
-        "axis",
-        "error without delay",
-        "RMS",
-        "after reversals",
-        "following error max",
-        "speed max",
-        "of limit",
-        commanded,
-        "of limit",
-    ]
-    return table([*heading, "limits met"], rows)
+    errors = ("error without delay", "RMS", "after reversals", "following error max")
+    return table(["axis", *errors, "speed max", "of limit", commanded, "of limit", "limits met"], rows)
 
 
 def effects_line(machine: Machine) -> str:
