@@ -188,14 +188,12 @@ def page_text(runs: Sequence[dict[str, float]], load: float) -> str:
     )
     computer = f"{names[0] if names else platform.processor() or platform.machine()}, {os.cpu_count()} cores, load average {load:.1f}"
     lines = [
-        f"{date.today()}, {computer}, Python {platform.python_version()}, MuJoCo {mujoco.__version__}:",
-        "",
-        f"| | median of {len(runs)} | range |",
-        "|---|---|---|",
+        f"{date.today()}, {computer}, Python {platform.python_version()}, MuJoCo {mujoco.__version__}: median of {len(runs)} (smallest to largest).",
+        "\n| | |\n|---|---|",
     ]
     for key in runs[0]:
         values = [run[key] for run in runs]
-        lines.append(f"| {TEXTS[key]} | {statistics.median(values):.3g} | {min(values):.3g} to {max(values):.3g} |")
+        lines.append(f"| {TEXTS[key]} | {statistics.median(values):.3g} ({min(values):.3g} to {max(values):.3g}) |")
     return "\n".join(lines)
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measures what docs/programs.md claims about the interpolator, and prints every figure with its bound.
+"""Measures what docs/interpolator.md claims about the interpolator, and prints every figure with its bound.
 
     python devtools/measure_interpolator.py [--programs 200] [--blocks 100000] [--simulate]
 

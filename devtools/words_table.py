@@ -1,4 +1,4 @@
-"""Print the table of all words that the readers know, or write it into docs/programs.md.
+"""Print the table of all words that the readers know, or write it into docs/program_words.md.
 
 python devtools/words_table.py [--write]
 """
@@ -13,7 +13,7 @@ from twin.program.klartext import KLARTEXT, KLARTEXT_M
 from twin.program.sinumerik import SINUMERIK_G, SINUMERIK_M, SINUMERIK_NAMES
 from twin.program.state import ACTS, NOTE, REFUSED
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "programs.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "program_words.md"
 BEGIN, END = "<!-- words: python devtools/words_table.py --write -->\n", "<!-- end of words -->\n"
 KINDS = {ACTS: "acts", NOTE: "noted", REFUSED: "refused"}
 
@@ -44,7 +44,7 @@ def text() -> str:
         ("HEIDENHAIN Klartext, start of a block", KLARTEXT, ""),
         ("HEIDENHAIN Klartext, M (any other is not known, and noted as such)", KLARTEXT_M, "M"),
     ):
-        lines = [f"\n#### {title}\n", "| words | | meaning here |", "|---|---|---|"]
+        lines = [f"\n### {title}\n", "| words | | meaning here |", "|---|---|---|"]
         lines += [f"| `{words}` | {kind} | {meaning} |" for words, kind, meaning in rows(table, prefix)]
         parts.append("\n".join(lines) + "\n")
     return "".join(parts)
@@ -59,7 +59,7 @@ def with_table(page: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="write it into docs/programs.md")
+    parser.add_argument("--write", action="store_true", help="write it into docs/program_words.md")
     if parser.parse_args().write:
         PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     else:

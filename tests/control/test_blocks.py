@@ -7,13 +7,13 @@ import re
 import numpy as np
 import pytest
 
+from examples.real.sinumerik.run import pulse_in
 from tests.builders.one_axis import steady, swing
 from twin.control.friction_pulse import FRICTION_PULSE, next_pulse
 from twin.control.library import BLOCKS
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.machine.sheet import sheet
-from twin.simulation.added_feedforward import pulse_in
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

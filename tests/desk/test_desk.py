@@ -95,9 +95,9 @@ def test_results_in_a_folder_are_recognised(folder: Path) -> None:
     assert {path: entry.kind for path, entry in found.items()} == {
         "first": "run", "worn & old": "run", "diagnosis": "diagnosis", "broken": "study", "gap.html": "report", "exam": "examination",
     }  # fmt: skip
-    assert found["first"].summary == "<b>x.csv on Mikron, no effects: error of X 2 um"
-    assert found["diagnosis"].summary == "Backlash on X & more."  # the lead of its report
-    assert found["gap.html"].summary == "Gap of a & b"
+    assert found["first"].summary == "<b>x.csv on Mikron, no effects: error of X 2.00 um"
+    assert found["diagnosis"].summary == "Diagnosis. Backlash on X & more."  # title and lead of its report
+    assert found["gap.html"].summary == "Gap of a & b."
     assert found["broken"].summary.startswith("cannot be read:")
     assert (found["first"].picture, found["diagnosis"].report) == ("first/run.png", "diagnosis/report.html")
     assert found["first"].compared

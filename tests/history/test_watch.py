@@ -142,7 +142,7 @@ def test_another_machine_is_refused(watched: tuple[Path, int], tmp_path: Path) -
 
 def test_the_desk_lists_it(watched: tuple[Path, int]) -> None:
     (entry,) = [e for e in entries_in(watched[0].parent) if e.kind == "history"]
-    assert "backlash on axis X" in entry.summary
+    assert "Backlash on axis X" in entry.summary
     assert entry.report == "history/report.html"
 
 

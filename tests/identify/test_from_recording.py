@@ -2,11 +2,17 @@
 
 from pathlib import Path
 
+import pytest
+
 from tests.builders.other_structures import machine_text, write_slides
+from tests.conftest import ROOT
 from tests.machine.test_from_recording import recorded
+from twin.cli import main
 from twin.identify import from_recording
+from twin.identify.first_values import first_values
 from twin.identify.from_recording import machine_from_recording
 from twin.machine.machine import load_machine
+from twin.recordings.campaign import read_campaign
 
 
 def test_a_new_machine_follows_like_an_identified_one(tmp_path: Path) -> None:
@@ -38,3 +44,17 @@ def test_the_first_machine_stays_if_the_fit_follows_worse(tmp_path: Path, monkey
     made = machine_from_recording(folder, tmp_path / "made.toml")
     assert made.followed == first.followed
     assert (tmp_path / "made.toml").read_text(encoding="utf-8") == text
+
+
+def test_runs_with_and_without_feedforward_separate_gain_and_delay(tmp_path: Path) -> None:
+    """Without feedforward the lag is 1/Kv + d, with it d: the shipped traces have Kv 50 1/s and d 2 ms."""
+    traces = ROOT / "examples" / "traces"
+    files = [str(file) for file in sorted(traces.glob("x_*.*"))]
+    assert main(["import", *files, "--map", str(traces / "map.toml"), "--no-picture", "--out", str(tmp_path)]) == 0
+    runs = read_campaign(tmp_path).runs
+    (one,) = first_values(runs, ["X"])
+    assert one.law.gain == pytest.approx(50.0, rel=0.01)
+    assert one.law.delay == one.law.feedforward_delay == pytest.approx(2e-3, rel=0.01)
+    (alone,) = first_values(runs[:1], ["X"])
+    assert not alone.law.by_lags
+    assert any("only their sum is known" in note for note in alone.notes)

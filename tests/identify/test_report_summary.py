@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from twin.identify.findings import Finding, told
 from twin.identify.report import _number, _summary
 from twin.identify.result import Range
 
@@ -29,7 +30,7 @@ def identified(before: float) -> Any:
 
 def test_changed_values_are_listed_first() -> None:
     section = _summary(identified(before=1.4))
-    assert "Position gap on held-out motion, RMS: X 3 to 0.08 um (noise 0.07)." in section.paragraphs
+    assert "Position gap on held-out motion, RMS: X 3.00 to 0.0800 um (noise 0.0700)." in section.paragraphs
     assert section.paragraphs[-1] == "1 value of the old machine file lies outside the identified 95 % interval:"
     assert section.items == ["X: coulomb friction from 1.4 to 1.9 Nm (± 2.6 %)"]
 
@@ -59,3 +60,14 @@ def test_an_interval_of_a_logarithm_is_a_range() -> None:
     assert Range(63.7, 25.5, 159.0).interval == "26 to 1.6e+02"
     assert Range(63.7, 60.0, 67.4).interval == "+- 3.7"
     assert Range(-2.0, -2.2, -1.8).interval == "+- 0.2"
+
+
+def test_what_is_true_of_several_axes_is_said_once() -> None:
+    found = [
+        Finding("no current", "X"),
+        Finding("late", "X", "a"),
+        Finding("no current", "Y"),
+        Finding("late", "Y", "b"),
+        Finding("too short", run="a"),
+    ]
+    assert told(found) == ["axes X and Y: no current", "run a axis X: late", "run b axis Y: late", "run a: too short"]

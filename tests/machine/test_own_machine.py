@@ -19,7 +19,7 @@ from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
 from twin.errors import InputError
-from twin.machine.check import check_machine
+from twin.machine.check import Finding, check_machine
 from twin.machine.commented import assumed_values
 from twin.machine.machine import Machine, load_machine
 from twin.machine.sheet import check_text, sheet, sinumerik_sheet
@@ -363,6 +363,9 @@ def test_the_data_sheet(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureF
     assert re.search(r"position gain\s+1/s\s+50\s+50\s+50\s+50\s+50", out)
     checks, findings = check_machine(mikron.with_axes(["X"]))
     assert "X     speed" in check_text(checks, findings)
+    assert "unusual: axes X and Y: too fast\nmissing: nothing" in check_text(
+        checks, [Finding("unusual", "X", "too fast"), Finding("missing", "", "nothing"), Finding("unusual", "Y", "too fast")]
+    )
 
 
 BAD_STRUCTURE = {

@@ -37,6 +37,8 @@ def imported(tmp_path: Path, *files: Path) -> dict[str, MeasuredRun]:
         ("/Nck/!SD/nckServoDataCmdPos64 [u1, 2]", "2", "setpoint", ""),
         ("/Nck/!SEMA/measPos1 [u1, 2]", "2", "motor_position", ""),
         ("Lagesollwert X", "X", "setpoint", ""),
+        ("Lageistwert Messsystem 1", "X", "motor_position", ""),
+        ("Lageistwert Messsystem 2 Y", "Y", "position", ""),
         ("Drehzahlistwert", "X", "velocity", ""),
         ("Stromistwert Z", "Z", "current", "A"),
         ("s noml", "X", "setpoint", ""),

@@ -19,7 +19,6 @@ ARGUMENTS = (
     CAMPAIGN,
     arg("--out", "MACHINE.toml", "machine file to write; its MJCF is copied beside it", required=True),
     MACHINE,
-    arg("--report", "FILE.html", "report (default: beside the machine file)"),
     JSON,
     OPEN,
     flag("--no-refine", "regression only, without the fit in closed loop"),
@@ -33,6 +32,7 @@ ARGUMENTS = (
 
 def carry_out(args: argparse.Namespace) -> None:
     """Identify; write machine file, report and JSON; print the table."""
+    from twin.identify.findings import told
     from twin.identify.identify import identify
     from twin.identify.report import write_report
     from twin.identify.write import as_json, write_identified
@@ -51,8 +51,8 @@ def carry_out(args: argparse.Namespace) -> None:
         )
     if not result.refused:
         write_identified(result, out)
-    files = write_report(result, args.report or out.with_suffix(".html"))
-    for finding in result.findings:
+    files = write_report(result, out.with_suffix(".html"))
+    for finding in told(result.findings):
         print(f"finding: {finding}", file=sys.stderr)
     for note in result.notes:
         print(note)

@@ -130,7 +130,7 @@ def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Pat
             rows.append([test.run, one.name, test.named(name), *(f"{own[k]:.2f}" if k in own else "-" for k in _SHOWN)])
         file = plot if test is tests[0] else plot.with_name(f"{plot.stem}_{test.run}_{measured.name}{plot.suffix}")
         draw_circles({test.named(name): one for name, one in test.circles.items()}, file)
-    print("ISO 230-4 [um]; G: about the least-squares centre, F: about the nominal centre")
+    print("ISO 230-4 [um]; G: about the least-squares centre; F: about the nominal centre; H: between the directions; D: mean")
     print(table(["run", "plane", "", *_SHOWN], rows, left=3))
     for entry in circles:
         for direction, spikes in entry["reversal_spikes"].items():

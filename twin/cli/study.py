@@ -63,5 +63,5 @@ def carry_out(args: argparse.Namespace) -> None:
     if answers.best is not None:
         number, _, responses, _ = answers.row(answers.best)
         first = answers.minimised
-        print(f"\nleast {label_of(first)}: {valued(first, responses[first])} with variant {number}: {answers.design_of(number)}")
+        print(f"\nthe {label_of(first)} is least, {valued(first, responses[first])}, with variant {number}: {answers.design_of(number)}")
     finish(args, out, f"{', '.join(name for name in written if not name.startswith('plots/'))}, plots/")

@@ -163,5 +163,5 @@ def named_blocks(tables: Any, where: str) -> list[Block]:
 
 
 def listed(block: Block, table: Mapping[str, Any], kind: str) -> Listed:
-    """A block with the numbers of its checked table; one that may be left out is then 0."""
+    """A block with the numbers of its checked table; an optional number that is left out is 0."""
     return Listed(block, tuple(float(table.get(n.key(kind), 0.0)) * si_from_key(n.key(kind)) for n in block.numbers))

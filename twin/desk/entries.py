@@ -14,6 +14,7 @@ from typing import Any
 
 from twin.documents import read_json
 from twin.errors import InputError
+from twin.units import plain
 
 DEEPEST = 5
 """Levels of folders that are searched."""
@@ -124,7 +125,7 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
     return Entry(
         path=place.relative_to(folder).as_posix(),
         kind=kind,
-        summary=(_said(report)[1] if report is not None and kind != RUN else "") or _summary(document),
+        summary=(_said(report) if report is not None and kind != RUN else "") or _summary(document),
         written=datetime.fromtimestamp((place / name).stat().st_mtime),
         report=relative(report),
         picture=relative(picture),
@@ -137,7 +138,7 @@ def _page(folder: Path, file: Path) -> Entry:
     """A single report, such as that of `twin gap --html`."""
     name = file.relative_to(folder).as_posix()
     written = datetime.fromtimestamp(file.stat().st_mtime)
-    return Entry(name, "report", _said(file)[0], written, name, None, False)
+    return Entry(name, "report", _said(file), written, name, None, False)
 
 
 def _summary(document: Mapping[str, Any]) -> str:
@@ -146,15 +147,15 @@ def _summary(document: Mapping[str, Any]) -> str:
         errors = {axis: (float(a["error_without_delay_max"]), a["following_error_unit"]) for axis, a in document["axes"].items()}
         worst = max(errors, key=lambda axis: errors[axis][0])
         effects = ", ".join(f"{e['name'].replace('_', ' ')} {e['axis']}" for e in document["effects"]) or "no effects"
-        return f"{Path(document['input']).name} on {document['machine']}, {effects}: error of {worst} {errors[worst][0]:.3g} {errors[worst][1]}"
+        return f"{Path(document['input']).name} on {document['machine']}, {effects}: error of {worst} {plain(errors[worst][0])} {errors[worst][1]}"
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError):
         verdict = document.get("verdict", "")
         return verdict if isinstance(verdict, str) else ""
 
 
-def _said(page: Path) -> tuple[str, str]:
+def _said(page: Path) -> str:
     """Title and lead of a report, '' where it has none."""
     with page.open(encoding="utf-8", errors="replace") as file:
         head = file.read(HEAD_CHARACTERS)
-    title, lead = (html.unescape(found[1]).strip() if (found := part.search(head)) else "" for part in (_TITLE, _LEAD))
-    return title, lead
+    found = (part.search(head) for part in (_TITLE, _LEAD))
+    return " ".join(f"{html.unescape(text[1]).strip().rstrip('.')}." for text in found if text)

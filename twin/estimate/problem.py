@@ -26,7 +26,7 @@ Residuals = Mapping[str, Mapping[str, np.ndarray]]
 class Free:
     """A free number in the units of the search: a change of 1 is large there.
 
-    `step`: of the difference quotient; `part`: the one that it moves; `low`, `high`: bounds.
+    `step`: of the difference quotient; `part`: the part that it moves; `low`, `high`: bounds.
     """
 
     name: Hashable

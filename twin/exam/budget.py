@@ -44,7 +44,8 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
     groups = groups_of(case)
     queues = [[i for i, e in enumerate(case.effects) if e["axis"] in group] for group in groups]
     squares, travel = np.zeros(len(case.effects)), np.zeros(len(case.effects))
-    exact = _without_rounding(machine)
+    fine = {k: (1e-15 if "resolution" in k else v) for k, v in machine["measurement"].items()}  # rounding is negligible
+    exact = {**machine, "measurement": fine}
     still = replace(case, noise=False)
     at = 0.0
     for test in runs:
@@ -114,12 +115,6 @@ def noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray:
     scale = np.hypot(own["scale_noise"], own["scale_step"] / math.sqrt(12.0))
     least = np.array([scale, own["motor_step"] / math.sqrt(12.0), np.full(len(AXES), own["current_noise"])])
     return np.maximum(made, least)
-
-
-def _without_rounding(machine: dict) -> dict:
-    """The machine with encoder resolutions that make rounding negligible."""
-    measurement = {k: (1e-15 if "resolution" in k else v) for k, v in machine["measurement"].items()}
-    return {**machine, "measurement": measurement}
 
 
 def _short(value: float) -> float:

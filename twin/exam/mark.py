@@ -11,8 +11,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from twin.documents import read_json, read_toml
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
@@ -23,7 +21,7 @@ from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace
 from twin.simulation.encoder_zeros import aligned
 from twin.simulation.gap import Prediction, gap_of, predict_campaign
-from twin.simulation.gap_level import Gaps, levels, overall
+from twin.simulation.gap_level import levels, overall
 
 from .answer import FAILED, MACHINE, read_answer
 from .draw import Case, truth_of, write_campaign
@@ -176,11 +174,9 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     before = predict_campaign(machine, runs, realisations=REALISATIONS)
     scatter = {name: prediction.scatter for name, prediction in before.items()}
 
-    def gaps_of(traces: Mapping[str, Trace]) -> Gaps:
-        return {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in aligned(runs, machine, traces)}
-
     def level_of(traces: Mapping[str, Trace]) -> float:
-        return overall(levels(gaps_of(traces)))
+        gaps = {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in aligned(runs, machine, traces)}
+        return overall(levels(gaps))
 
     out: dict[str, Any] = {"before": level_of(_traces(before)), "floor": level_of({run.name: run.trace for run in again}) / math.sqrt(2.0)}
     answer = place / "answer" / MACHINE
@@ -188,8 +184,7 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
         with contextlib.suppress(TwinError):
             out["after"] = level_of(_traces(predict_campaign(load_machine(answer), runs, realisations=REALISATIONS)))
     if not truth["outside"]:
-        exact = gaps_of(_traces(predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)))
-        out |= {"true_effects": overall(levels(exact)), "true_effects_position": _position_um(exact)}
+        out["true_effects"] = level_of(_traces(predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)))
     if truth["effect"]:
         with_effect = predict_campaign(with_effects(machine, truth["effect"]), runs, realisations=REALISATIONS)
         alone = {run.name: gap_of(machine, replace(run, trace=with_effect[run.name].trace), before[run.name]) for run in runs}
@@ -212,12 +207,3 @@ def _recorded(case: Case, folder: Path, machine: Machine, machine_file: str) -> 
 
 def _traces(predictions: Mapping[str, Prediction]) -> dict[str, Trace]:
     return {name: prediction.trace for name, prediction in predictions.items()}
-
-
-def _position_um(gaps: Gaps) -> dict[str, float]:
-    """RMS of the scale position over the runs, by axis [um or arcsec]."""
-    axes = sorted({axis for run in gaps.values() for axis in run})
-    return {
-        a: float(np.sqrt(np.mean([run[a]["position"].rms ** 2 for run in gaps.values() if a in run and "position" in run[a]])))
-        for a in axes
-    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,11 @@ def shape_agreement(fault: Mapping[str, Any], answer: Mapping[str, Any], machine
         passed = [response(law.shape, s.parameters, cycle_of(law, machine), FREQUENCIES_HZ) for s in settings for law in [law_in(s)]]
         return _correlation(wanted - 1.0, np.prod(passed, axis=0) - 1.0)
     assert true.values is not None
-    x = _stroke(fault["width"]) if true.variable == "slack" else _measured_range(entries)
+    if true.variable == "slack":
+        x = _stroke(fault["width"])
+    else:
+        ends = [entry["measured"]["x"][end] for entry in entries for end in (0, -1)]
+        x = np.linspace(min(ends), max(ends), POINTS)
     nominal = nominal_shapes(x, true.variable) if fault["block"] in TOLERANCED else np.ones((len(x), 1))
     curves = true.values(fault, x), sum(_values(s, x, machine) for s in settings)
     return _correlation(*(y - nominal @ np.linalg.lstsq(nominal, y, rcond=None)[0] for y in curves))
@@ -78,12 +82,6 @@ def _stroke(width: float) -> np.ndarray:
     """Travel (point,) to one end of a stroke, to the other one, of a load with a play of this width."""
     end = STROKE * width
     return np.concatenate([np.linspace(0.0, end, POINTS), np.linspace(end, 0.0, POINTS), np.linspace(0.0, -end, POINTS)])
-
-
-def _measured_range(entries: Sequence[Mapping[str, Any]]) -> np.ndarray:
-    """Values (point,) of the variable over the range of all measured curves."""
-    ends = [value for entry in entries for value in (entry["measured"]["x"][0], entry["measured"]["x"][-1])]
-    return np.linspace(min(ends), max(ends), POINTS)
 
 
 def _values(setting: Setting, x: np.ndarray, machine: Machine) -> np.ndarray:

@@ -64,9 +64,8 @@ def sections_of(document: Document) -> list[Section]:
     level = (
         ""
         if same["level"] is None
-        else f" With the same parameters and effects, twin and plant differ by {same['level']:.2f} times the noise (RMS). Position RMS: "
+        else f" With the same parameters and effects, twin and plant differ by {same['level']:.2f} times the noise (RMS)."
     )
-    level += ", ".join(f"{axis} {value:.3g}" for axis, value in same["position_rms"].items()) + (" um or arcsec." if level else "")
     sections.append(
         Section(
             "Seal",

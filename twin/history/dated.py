@@ -48,7 +48,8 @@ def dated_campaigns(folder: Path) -> tuple[list[Dated], dict[str, str], list[str
     """Everything dated in a folder by day, what is wrong with the others by name, and notes. Raises InputError if nothing is there."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give a folder of dated campaigns, one subfolder or trace each")
-    found = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".") and _is_one(p)]
+    there = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".")]
+    found = [p for p in there if ((p / "campaign.toml").is_file() if p.is_dir() else p.suffix.lower() in TRACES)]
     if not found:
         raise InputError(
             f"{folder}: holds no campaign (a subfolder with campaign.toml) and no trace ({', '.join(TRACES)}); import recordings first"
@@ -83,10 +84,6 @@ def dated_campaigns(folder: Path) -> tuple[list[Dated], dict[str, str], list[str
             notes.append(f"{one.name}: the same recording as {unique[one.digest].name}; it counts once")
         unique.setdefault(one.digest, one)
     return list(unique.values()), wrong, notes
-
-
-def _is_one(path: Path) -> bool:
-    return (path / "campaign.toml").is_file() if path.is_dir() else path.suffix.lower() in TRACES
 
 
 def day_of(path: Path) -> datetime | None:

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from twin.diagnose.wording import effect_title, sentence_case
 from twin.history.judge import LEAST
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import BLUE, RED, SOFT
+from twin.units import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -23,8 +25,12 @@ SHOWN = 5
 def write_history_page(document: dict[str, Any], path: Path) -> None:
     """Write the page."""
     changes, rule = document["changes"], document["rule"]
-    lead = "; ".join(c["sentence"] for c in changes) + "." if changes else "No change beyond what normally differs between recordings."
-    rows = [[c["effect"].replace("_", " "), c["axis"], c["onset"][:10], c["alarm"][:10], c["sentence"]] for c in changes]
+    lead = (
+        sentence_case("; ".join(c["sentence"] for c in changes)) + "."
+        if changes
+        else "No change beyond what normally differs between recordings."
+    )
+    rows = [[c["onset"][:10], c["alarm"][:10], c["sentence"]] for c in changes]
     folded = [
         Table(
             ("effect", "scatter [usual sizes]", "smallest change that shows", "now"),
@@ -36,17 +42,17 @@ def write_history_page(document: dict[str, Any], path: Path) -> None:
         )
         for axis, effects in document["axes"].items()
     ]
-    drill = [f"{c['effect'].replace('_', ' ')} on {c['axis']}, in depth: {c['diagnose']}" for c in changes]
+    drill = [f"{sentence_case(effect_title(c))}, in depth: {c['diagnose']}" for c in changes]
     sections = [
-        Section("What changed", items=drill, tables=[Table(("effect", "axis", "since", "alarm", "what"), rows, left=5)] if rows else [],
+        Section("What changed", items=drill, tables=[Table(("since", "alarm", "what"), rows, left=2, words=frozenset({2}))] if rows else [],
                 paragraphs=[f"One rule for all {rule['causes']} effects and axes: at most one false alarm in {rule['mean_recordings_between_false_alarms']:.0f} "
-                            f"recordings. The evidence now is {rule['statistic']:.3g}; the alarm is at {rule['alarm_at']:.0f}."]),
+                            f"recordings. The evidence for a further change is {plain(rule['statistic'])} now; the alarm is at {rule['alarm_at']:.0f}."]),
         Section("Sizes over time", figures=[Figure(figure_svg(sparklines(document)), "One row an axis: the effects that moved most. Size in usual sizes of the "
                 "effect as a fault, free of temperature, season, tool and workpiece; grey: twice the scatter between recordings; red: since the onset.")],
                 tables=folded),
-        Section("What cannot be seen", items=[f"{c['effect'].replace('_', ' ')} on {c['axis']}" for c in document["not_seen"]] or ["Every watched effect shows."],
+        Section("What cannot be seen", items=[effect_title(c) for c in document["not_seen"]] or ["Every watched effect shows."],
                 paragraphs=[f"Not watched: {', '.join(n.replace('_', ' ') for n in document['not_watched'])}. A diagnosis finds them."]),
-        Section("Notes", items=document["notes"] or ["None."]),
+        *([Section("Notes", items=document["notes"])] if document["notes"] else []),
     ]  # fmt: skip
     write_page(path, f"History: {document['machine']}", lead, sections)
 

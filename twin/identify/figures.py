@@ -184,6 +184,18 @@ def shared_signals(result: Identification) -> list[tuple[str, str]]:
     return [(a, s) for a, signals in stages[0].items() for s in signals if all(s in g.get(a, {}) for g in stages)] if stages else []
 
 
+STAGES = {
+    "before": (SOFT, "machine file before"),
+    "regression": ("#0b5394", "regression"),
+    "refined": ("#2e8b57", "in closed loop"),
+    "control": ("#8a6d00", "control only"),
+}
+"""Colour and name of each stage whose gap is simulated."""
+
+WIDE = 10.0
+"""Gaps with a larger ratio are drawn on a logarithmic scale."""
+
+
 def gap_figure(result: Identification) -> Any | None:
     """Gap over noise on held-out motion, before and after, by axis and signal."""
     keys, stages = shared_signals(result), list(result.gaps)
@@ -191,17 +203,16 @@ def gap_figure(result: Identification) -> Any | None:
         return None
     figure, panels = new_figure(1, 1, height=3.0)
     panel = panels[0, 0]
-    looks = {
-        "before": (SOFT, "machine file before"),
-        "regression": ("#0b5394", "regression"),
-        "refined": ("#2e8b57", "in closed loop"),
-        "control": ("#8a6d00", "control only"),
-    }
+    ratios = np.array(
+        [[result.gaps[stage][a][s]["rms"] / max(result.gaps[stage][a][s]["noise"], 1e-12) for a, s in keys] for stage in stages]
+    )
     for k, stage in enumerate(stages):
-        ratio = [result.gaps[stage][a][s]["rms"] / max(result.gaps[stage][a][s]["noise"], 1e-12) for a, s in keys]
-        panel.bar(np.arange(len(keys)) + (k - 0.5 * (len(stages) - 1)) * 0.27, ratio, 0.25, color=looks[stage][0], label=looks[stage][1])
+        colour, label = STAGES[stage]
+        panel.bar(np.arange(len(keys)) + (k - 0.5 * (len(stages) - 1)) * 0.27, ratios[k], 0.25, color=colour, label=label)
     panel.axhline(1.0, color=INK, lw=0.8)
-    panel.set_yscale("log")
+    if ratios.max() > WIDE * ratios.min():
+        panel.set_yscale("log")
+    panel.margins(y=0.2)
     panel.set_xticks(
         np.arange(len(keys)), [f"{a}\n{s.replace('motor_position', 'motor').replace('velocity', 'speed')}" for a, s in keys], fontsize=7.5
     )

@@ -6,7 +6,7 @@ that the campaign cannot identify, it names the run that would.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from twin.recordings.force_sign import recorded_sign
 from twin.recordings.plausible import contradictions
 from twin.recordings.profile_speed import PROFILE
 from twin.recordings.skew import Skew
+from twin.simulation.summary import axes_text
 
 SIGNALS = {
     "position": "position gain and delays",
@@ -41,8 +42,19 @@ class Finding:
     run: str = ""
 
     def __str__(self) -> str:
-        where = " ".join(w for w in (f"run {self.run}" if self.run else "", f"axis {self.axis}" if self.axis else "") if w)
-        return f"{where}: {self.text}" if where else self.text
+        return told([self])[0]
+
+
+def told(findings: Iterable[Finding]) -> list[str]:
+    """The findings as sentences; those that differ in the axis alone are one."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for finding in findings:
+        alike.setdefault((finding.run, finding.text), []).append(finding.axis)
+    lines = []
+    for (run, text), axes in alike.items():
+        where = [f"run {run}"] * bool(run) + [axes_text(axes)] * bool(axes[0])
+        lines.append(f"{' '.join(where)}: {text}" if where else text)
+    return lines
 
 
 def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Finding]:
@@ -60,7 +72,7 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
         needed = SIGNALS if axis.actuator.measured else {motion: "anything", axis.effort: SIGNALS["current"]}
         for signal, cost in needed.items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):
-                out.append(Finding(f"no {signal} in any run: cannot identify {cost}; record {axis.name}.{signal}", axis.name))
+                out.append(Finding(f"no {signal} in any run: cannot identify {cost}; record it", axis.name))
     return out
 
 

@@ -214,6 +214,11 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     """An axis without a recorded speed set point: a lag between set point and position, by the gain or by a delay under feedforward."""
     rows = strokes_of(runs, one.name)
     lags = lags_of(runs, one.name, rows)[0] if rows is not None else {}
+    ahead = next((lag for flag, lag in lags.items() if flag != "off" and lag.known), None)
+    off = lags.get("off")
+    if ahead and off and off.known and off.value - max(ahead.value, 0.0) > SHORTEST_LAG_S:  # the delay, and 1/Kv more without feedforward
+        delay = max(ahead.value, 0.0)
+        return replace(one, law=Law(1.0 / (off.value - delay), delay, 1.0, delay, measured=False, by_lags=True, lag=ASSUMED_LAG_S))
     flag = next(iter(lags), "")
     shown = lags.get(flag, Value(0.0, math.inf))
     lag = max(shown.value, SHORTEST_LAG_S)

@@ -185,7 +185,7 @@ def _tuned(attempt: Attempt, lumps: Sequence[AxisLumps], say: Callable[[str], No
         kept |= {n: replace(kept[n], law=replace(kept[n].law, lag=1.8 * kept[n].law.lag)) for n in lost}
         best = attempt(list(kept.values()))
     adjustable = [one.name for one in kept.values() if not one.law.direct]
-    unmeasured = [one.name for one in kept.values() if not one.law.measured]
+    unmeasured = [one.name for one in kept.values() if not one.law.measured and not one.law.by_lags]
     for _ in range(2):
         say("trying speed controllers")
         for integral_time in INTEGRAL_TIMES_S:

@@ -20,6 +20,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.gap import Job as PredictJob
 from twin.simulation.gap import Prediction, SignalGap, gap_of, is_moving, predict_each
 from twin.simulation.setpoints import AT_REST
+from twin.simulation.summary import listed
 
 HELD_OUT_SHARE = 0.3
 """Share of the runs, or of the motion of an axis, that is held out; it is taken from the end."""
@@ -48,7 +49,7 @@ class Division:
     def left_out_names(self) -> tuple[str, ...]:
         """Runs without training rows, and held-out stretches of motion, as printed."""
         names = [run.name for i, run in enumerate(self.runs) if i not in self.training()]
-        return (*names, *(f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {a}" for a in self.by_stretch))
+        return (*names, *([f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {listed(self.by_stretch)}"] if self.by_stretch else []))
 
     def training_part(self, axis_runs: Mapping[str, Sequence[AxisRun | None]]) -> dict[str, list[AxisRun | None]]:
         """The training part of the axis runs: all other rows are marked as limited; None without rows."""

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from twin.identify import figures
+from twin.identify.findings import told
 from twin.identify.result import Identification, Range
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.page import made_line
+from twin.units import plain
 
 DRAWN: dict[str, tuple[str, Callable[[Identification], Any], str]] = {
     "friction": (
@@ -77,7 +79,7 @@ def _moved(result: Identification) -> list[str]:
     for p in result.parameters:
         taken = result.taken(p)
         if taken is not None and abs(taken.value - p.before) > taken.half:
-            text = f"{p.axis}: {p.name.replace('_', ' ')} from {p.before:.4g} to {taken.value:.4g} {p.unit} ({_half(taken)})"
+            text = f"{p.axis}: {_words(p.name)} from {p.before:.4g} to {_number(taken)} {p.unit} ({_half(taken)})"
             moved.append((abs(taken.value - p.before) / max(taken.half, 1e-300), text))
     return [text for _, text in sorted(moved, key=lambda row: -row[0])]
 
@@ -90,7 +92,7 @@ def _gap_lines(result: Identification) -> list[str]:
         after = result.gaps.get(stage, result.gaps["before"]).get(axis, {})
         if "position" in signals and "position" in after:
             before, now = signals["position"], after["position"]
-            parts.append(f"{axis} {before['rms']:.3g} to {now['rms']:.3g} {now['unit']} (noise {now['noise']:.3g})")
+            parts.append(f"{axis} {plain(before['rms'])} to {plain(now['rms'])} {now['unit']} (noise {plain(now['noise'])})")
     return [f"Position gap on held-out motion, RMS: {'; '.join(parts)}."] if parts else []
 
 
@@ -107,7 +109,7 @@ def _caveats(result: Identification) -> Section:
         ),
         f"Time: {times}.",
     ]
-    findings = [str(f) for f in (*result.findings, *result.notes)] or ["No problem was found in the recording."]
+    findings = told((*result.findings, *result.notes)) or ["No problem was found in the recording."]
     return Section("Limits and findings", lines, items=findings)
 
 
@@ -117,7 +119,7 @@ def _parameters(result: Identification) -> Section:
         product = p.estimate if p.product else None
         rows.append(
             {
-                "axis": p.axis, "parameter": p.name.replace("_", " "), "unit": p.unit, "before": f"{p.before:.4g}",
+                "axis": p.axis, "parameter": _words(p.name), "unit": p.unit, "before": f"{p.before:.4g}",
                 "value": _number(p.value), "95 %": _half(p.value), "product": _number(product), "95 % of the product": _half(product),
                 "in closed loop": _number(p.refined), "95 % in closed loop": _half(p.refined),
                 "condition": f"{p.condition:.0f}" if math.isfinite(p.condition) else "", "at bound": "yes" if p.at_bound else "",
@@ -132,6 +134,11 @@ def _parameters(result: Identification) -> Section:
         shown, [[row[h] for h in shown] for row in rows], left=3, marked=frozenset(i for i, p in enumerate(result.parameters) if p.at_bound)
     )
     return Section("Parameters before and after", [note], tables=[table])
+
+
+def _words(name: str) -> str:
+    """A key in words, without the unit at its end."""
+    return name.removesuffix("_per_s").removesuffix("_s").replace("_", " ")
 
 
 def _number(r: Range | None) -> str:
@@ -155,12 +162,16 @@ def _gap(result: Identification, title: str, pictures: Sequence[Figure]) -> Sect
     rows = []
     for axis, signal in figures.shared_signals(result):
         gaps = [result.gaps[s][axis][signal] for s in stages]
-        rows.append([axis, signal, gaps[0]["unit"], *(f"{g['rms']:.4g}" for g in gaps), f"{gaps[-1]['noise']:.4g}"])
-    return Section(title, figures=pictures, tables=[Table(["axis", "signal", "unit", *stages, "noise alone"], rows, left=3)])
+        rows.append([axis, signal.replace("_", " "), gaps[0]["unit"], *(plain(g["rms"]) for g in gaps), plain(gaps[-1]["noise"])])
+    return Section(
+        title,
+        figures=pictures,
+        tables=[Table(["axis", "signal", "unit", *(figures.STAGES[s][1] for s in stages), "noise alone"], rows, left=3)],
+    )
 
 
 def _signals(result: Identification) -> Section:
-    rows = [[c.axis, c.signal, f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.skews]
+    rows = [[c.axis, c.signal.replace("_", " "), f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.skews]
     before, after = (m.document.get("measurement", {}) for m in (result.before, result.machine))
     noise = [[k, f"{before[k]:.4g}", f"{after[k]:.4g}"] for k in before if "noise" in k and after[k] != before[k]]
     return Section(

@@ -33,13 +33,15 @@ LEAST_LAG_S = 0.5e-3
 
 @dataclass(frozen=True)
 class Law:
-    """Control of an axis: position gain [1/s], delays [s], feedforward weight. `measured`: read from the control's own signals, else assumed."""
+    """Control of an axis: position gain [1/s], delays [s], feedforward weight. `measured`: read from the control's own signals; `by_lags`: from the lags
+    of the position with and without feedforward; else assumed."""
 
     gain: float
     delay: float
     feedforward: float
     feedforward_delay: float
     measured: bool = True
+    by_lags: bool = False
     dsc_delay: float = 0.0
     lag: float = LEAST_LAG_S  # of the speed loop
     integral_time: float = 0.02  # of the speed controller; inf: it has none
@@ -255,7 +257,7 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     law = one.law
     known = speed_gains(one.mechanics.effort if one.mechanics else "torque")
     gain = next(key for key, _, at_axis in reversed(known) if one.kind == "linear" or not at_axis)
-    said = "measured" if law.measured else ASSUMED
+    said = "measured" if law.measured else "measured by the lags with and without feedforward" if law.by_lags else ASSUMED
     tried = f"{TRIED}: {LUMP} over a lag of {law.lag * 1e3:.3g} ms"
     numbers: dict[str, tuple[float, str]] = {
         "position_gain_per_s": (law.gain, said),

@@ -17,7 +17,7 @@ from twin.control import current_controller, drive_position_loop, position_contr
 from twin.control.number import Datum, Key, Parameter, not_negative, positive, same_key, si_from_key
 
 MOST_MODE_SHARE = 0.95
-"""Largest mass share of a structural mode: the mass that feels the drive without delay must not vanish."""
+"""Largest mass share of a structural mode: the mass that the drive moves without delay must not vanish."""
 
 
 _SPEED = ((32000, "MAX_AX_VELO", "mm/min", 1e-3), (32000, "MAX_AX_VELO", "rev/min", 1.0))

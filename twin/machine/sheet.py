@@ -8,7 +8,7 @@ import math
 from twin.machine.check import AxisCheck, Finding
 from twin.machine.machine import Axis, Machine
 from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data, with_plain_keys
-from twin.simulation.summary import listed, table
+from twin.simulation.summary import axes_text, table
 from twin.units import AXIS_UNITS, deg_from_rad
 
 
@@ -125,8 +125,7 @@ def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
         alike.setdefault((f.level, f.text), []).append(f.axis)
     lines = []
     for (level, text), axes in alike.items():
-        where = f"{'axis' if len(axes) == 1 else 'axes'} {listed(axes)}: " if axes[0] else ""
-        lines.append(f"{level}: {where}{text}")
+        lines.append(f"{level}: {f'{axes_text(axes)}: ' if axes[0] else ''}{text}")
     parts.append("\n".join(lines) or "nothing is missing, impossible or unusual")
     return "\n\n".join(parts)
 

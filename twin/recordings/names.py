@@ -134,6 +134,7 @@ def _words(text: str) -> list[str]:
     text = _COMPOUND.sub(lambda m: f" {' '.join(_STEMS.get(p.lower(), p) for p in _PART.findall(m[0]))} ", text)
     text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
     text = re.sub(r"(?i)f[ _-]error", "ferror", text)
+    text = re.sub(r"(?i)(?:mess|measuring )system ?([12])", lambda m: " motor " if m[1] == "1" else " load ", text)  # of a SINUMERIK
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
     return [w for w in re.split(r"[^A-Za-z0-9]+", text) if w]
 

@@ -21,7 +21,7 @@ from twin.remedy.change import Change, held
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
 from twin.remedy.files.entry import Entry
 from twin.remedy.files.table import ErrorTable
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, plain
 
 CONTROLS = ("sinumerik", "heidenhain", "linuxcnc", "isg")
 POINTS_A_WAVE, FEWEST_A_WAVE, POINTS_A_TURN = 16, 12, 72
@@ -167,8 +167,12 @@ def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> l
     for key, values in moved.items():
         _, name, _, field = key.split(".")
         datum = parameter(f"loops.{field}").data[machine.axis(name).kind == "rotary"]
-        label, unit, factor = ("-", "unit of the machine file", 1.0) if datum is None else (f"MD{datum[0]} {datum[1]}", datum[2], datum[3])
-        rows.append([name, field, label, unit, *(f"{value / factor:.5g}" for value in values)])
+        label, unit, factor = (
+            ("-", "ms" if field.endswith("_s") else "1", 1e-3 if field.endswith("_s") else 1.0)
+            if datum is None
+            else (f"MD{datum[0]} {datum[1]}", datum[2], datum[3])
+        )
+        rows.append([name, field, label, unit, *(plain(value / factor, 5) for value in values)])
     return rows
 
 

@@ -29,9 +29,10 @@ def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
     goal, largest = found.goal, document["largest"]
     spread = f" ({document['low']:.2f} to {document['high']:.2f})" if document["high"] and document["high"] > document["low"] else ""
     reached = "reached" if found.after.rms <= goal.rms else "not reached"
+    count = len(found.chosen.changes)
+    brings = f"{document['after']:.2f} um after {count} change{'s' * (count > 1)}{spread}" if count else f"no change{spread}"
     lines = [
-        f"{found.motion}: {document['before']:.2f} um RMS at the tool point now, {document['after']:.2f} um after "
-        f"{len(found.chosen.changes)} changes{spread}; target {document['target_um']:g} um {reached}"
+        f"{found.motion}: {document['before']:.2f} um RMS at the tool point now, {brings}; target {document['target_um']:g} um {reached}"
     ]
     if math.isfinite(goal.largest):
         now, then = ("inside" if e.largest <= goal.largest else "outside" for e in (found.before, found.after))
@@ -71,7 +72,8 @@ def surety(found: Remedy, diagnosis: Mapping[str, Any]) -> str:
     """How sure the prediction is, in one sentence."""
     missing = "the diagnosis gives none for these sizes" if diagnosis else "the sizes of the effects are given, not measured"
     interval = "the interval comes from those of the diagnosis" if found.high > found.low else f"no interval: {missing}"
-    return f"How sure: {interval}. Each change was also simulated at other feeds and with 20 % more and less friction, and made none of them worse."
+    tried = " Each change was also simulated at other feeds and with 20 % more and less friction, and made none of them worse."
+    return f"How sure: {interval}.{tried if found.chosen.changes else ''}"
 
 
 def write_remedy_report(
@@ -90,6 +92,7 @@ def write_remedy_report(
         for c, e in zip(found.chosen.changes, document["changes"])
     ]
     peaks = [[a, f"{p['before']:.2f}", f"{p['after']:.2f}", p["unit"]] for a, p in document["quadrant_peaks"].items()]
+    worse = [f"{e['axis']} {e['function'].replace('_', ' ')}: {w}" for e in document["changes"] for w in e["worse"]]
     costs = (
         "Cost: no cycle time; the changes are entered in the control, the old values stand beside them."
         if rows
@@ -108,14 +111,14 @@ def write_remedy_report(
         Section(
             f"What to set in the control ({document['control']})",
             tables=[Table(("axis", "change", "datum", "unit", "old", "new"), rows, left=4)] if rows else [],
-            paragraphs=[] if rows or steps else ["No change of the control brings the error down further."],
+            paragraphs=[] if steps else ["Nothing: the target is met already." if found.after.rms <= found.goal.rms else "No change of the control brings the error down further."],
             items=[*document["by_hand"], *(f"control/{name}" for name in document["files"])],
         ),
-        Section("What each change brings", tables=[Table(("change", "before [um]", "after [um]", "alone [um]"), steps)] if steps else []),
+        *([Section("What each change brings", tables=[Table(("change", "before [um]", "after [um]", "alone [um]"), steps)])] if steps else []),
         Section("Largest error of an axis after a reversal", tables=[Table(("axis", "before", "after", "unit"), peaks)]),
         Section("At the machine", items=[f"{one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}" for one in document["at_the_machine"]]),
         Section("What no setting cures", items=refusals(found.chosen.refused) or ["Nothing: no change was refused."]),
-        Section("What gets worse", items=[f"{e['axis']} {e['function'].replace('_', ' ')}: {w}" for e in document["changes"] for w in e["worse"]] or ["Nothing is known."]),
+        *([Section("What gets worse", items=worse)] if worse else []),
         Section("Replay", paragraphs=[f"{REPLAY} holds the motion before and after; if a click does not open it: twin replay {shlex.quote(str(folder))}"]),
     ]  # fmt: skip
     write_page(page, f"Remedy: {found.machine.name}", f"On {brings}.", sections)
@@ -127,7 +130,8 @@ def write_remedy_report(
 def remedy_figure(found: Remedy) -> MplFigure:
     """Contour error over the motion, before and after."""
     time = np.linspace(0.0, found.duration, len(found.before.contour))
-    curves = [Curve("before", 1e6 * found.before.contour, SETPOINT), Curve("after", 1e6 * found.after.contour, "after")]
+    curves = [Curve("before", 1e6 * found.before.contour, SETPOINT)]
+    curves += [Curve("after", 1e6 * found.after.contour, "after")] if found.chosen.changes else []
     if math.isfinite(found.goal.largest):
         curves.append(Curve("tolerance", np.full(len(time), 1e6 * found.goal.largest), "tolerance", "--"))
     return curves_figure(time, [Panel("contour error, um", curves, peaks="um")], found.motion)

@@ -13,7 +13,7 @@ from twin.report import Section, Table, write_page
 from twin.units import AXIS_UNITS
 
 HEADING = (
-    "axis", "values", "Kp", "Tn", "Kv", "delays", "speed loop", "position loop", "bandwidth",
+    "axis", "values", "Kp", "Tn", "Kv [1/s]", "delays", "speed loop", "position loop", "bandwidth",
     "error", "quadrant", "current",
 )  # fmt: skip
 

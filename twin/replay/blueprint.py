@@ -209,7 +209,7 @@ def contour_view(curves: Sequence[Curve], states: Sequence[str], keys: Mapping[s
 def axis_tabs(
     curves: Sequence[Curve], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str, steps: Sequence[Curve] = ()
 ) -> rrb.Container | None:
-    """A tab of plots for each axis, `first_axis` in front, and one of `steps`; None without curves."""
+    """A tab of plots for each axis, `first_axis` in front, and a tab of `steps`; None without curves."""
     tabs = []
     for axis in axes:
         groups = {group: name for group in GROUP_TITLES if (name := _unit_title(curves, axis, group))}

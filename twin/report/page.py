@@ -19,7 +19,7 @@ from twin.files import write_whole
 
 @dataclass(frozen=True)
 class Table:
-    """Heading and rows of text. The first `left` columns and those in `words` (indices) are left-aligned; `marked` rows (indices) are highlighted.
+    """Heading and rows of text. The first `left` columns and those in `words` (indices, which wrap) are left-aligned; `marked` rows (indices) are highlighted.
 
     A table with `folded` text opens when that text is clicked.
     """

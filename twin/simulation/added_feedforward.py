@@ -11,7 +11,6 @@ Weight a and delay d are fitted, so that `rest` does not hide a wrong weight or 
 from __future__ import annotations
 
 from collections.abc import Callable
-import math
 
 import numpy as np
 
@@ -29,12 +28,6 @@ ROUNDING = 1e-5
 
 PART = 0.1
 """Tolerance of the fitted fraction of a cycle, which lies between 0 and 1."""
-
-LEAST_PULSE = 0.02
-"""Smallest share of the largest pulse that is read: what is left of it after four decay times."""
-
-SAME_RATIO = 0.01
-"""Largest median deviation of the ratios of neighbours that is one decay; those of noise lie anywhere between 0 and 1."""
 
 ROUNDS = 4
 IN_LINE = 0.8
@@ -57,27 +50,6 @@ def added_feedforward(trace: Trace, machine: Machine, set_points: Callable[[np.n
         a = machine.axis_names.index(axis.name)
         out[:, a] = _rest(trace, axis, lambda times, a=a: set_points(times)[:, a], machine.position_cycle)  # type: ignore[misc]
     return out if out.any() else None
-
-
-def pulse_in(rest: np.ndarray, cycle: float) -> dict[str, float] | None:
-    """Amplitude and decay time of the pulses in what a recorded feedforward holds beyond the slope of its set points (sample,), one sample a cycle.
-
-    The decay is the median ratio of neighbours, the amplitude the median size where a large pulse begins. None if the ratios scatter, as those of noise do,
-    or if nothing decays within a quarter of the record.
-    """
-    size = np.abs(rest)
-    seen = size > LEAST_PULSE * size.max()
-    later, before = seen[1:], seen[:-1]
-    falls = later & before & (rest[1:] * rest[:-1] > 0.0) & (size[1:] < size[:-1])
-    begins = later & ~falls & (size[1:] > 0.5 * size.max())
-    if not falls.any() or not begins.any():
-        return None
-    ratios = size[1:][falls] / size[:-1][falls]
-    ratio = float(np.median(ratios))
-    decay = -cycle / math.log(ratio)
-    if np.median(np.abs(ratios - ratio)) > SAME_RATIO or decay > 0.25 * len(rest) * cycle:
-        return None
-    return {"amplitude": float(np.median(size[1:][begins])), "decay_time": decay}
 
 
 def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray], cycle: float) -> np.ndarray:

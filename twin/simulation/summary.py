@@ -104,6 +104,11 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
+def axes_text(names: Sequence[str]) -> str:
+    """'axis X', 'axes X and Y'."""
+    return f"{'axis' if len(names) == 1 else 'axes'} {listed(names)}"
+
+
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
     """Plain text table; the first `left` columns are left-aligned, the others right-aligned."""
     widths = [max(len(str(row[i])) for row in [heading, *rows]) for i in range(len(heading))]

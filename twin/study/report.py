@@ -15,7 +15,7 @@ from twin.study.constraints import in_words
 from twin.study.duty import Duty, driven_axes, holding_figure, torque_speed_figure, torque_table
 from twin.study.factors import Factor
 from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valued
-from twin.study.outcomes import Effect, depends, middle_of
+from twin.study.outcomes import depends, middle_of
 from twin.study.results import Answers, Response, values_of
 from twin.study.spec import Study
 
@@ -27,6 +27,8 @@ ENTRIES = (BLUE, AMBER, GREEN, RED, "#7a4f9a", "#3f8f9b")
 """Colours of catalogue entries."""
 COLUMNS = 3
 """Panels side by side."""
+LEAST = 0.01
+"""Smallest effect in the table, as a share of the range of the response."""
 ROUNDING = 1e-9
 """A smaller relative change of a response is rounding of the surrogate."""
 
@@ -92,19 +94,14 @@ def _step(factor: Factor, width: float) -> tuple[float, str]:
     return (100.0, "100 kg") if factor.unit == "kg" else (tenth, factor.said(tenth))
 
 
-def _rounded(effect: Effect) -> float:
-    """The change of an effect; 0 if it is only rounding, far inside its interval."""
-    return 0.0 if abs(effect.value) < 1e-6 * (effect.high - effect.low) else effect.value
-
-
 def effect_rows(r: Response) -> list[list[str]]:
-    """A row per effect that the swings do not show: factors together, or each factor where the variants are too few for swings."""
-    twice = 2.0 * scale_of(r.name)
-    effects = [e for e in r.effects if len(e.factors) > 1 or not r.swings]
+    """A row per effect that the swings do not show: factors together, or each factor where the variants are too few for swings. None below LEAST."""
+    twice, least = 2.0 * scale_of(r.name), 0.5 * LEAST * float(np.ptp(r.y))
+    effects = [e for e in r.effects if (len(e.factors) > 1 or not r.swings) and abs(e.value) > least]
     return [
         [
             " x ".join(e.factors),
-            f"{twice * _rounded(e):+.4g}",
+            f"{twice * e.value:+.4g}",
             f"{twice * e.low:+.4g} .. {twice * e.high:+.4g}" if np.isfinite(e.low) else "-",
         ]
         for e in effects[:MOST_BARS]
@@ -120,7 +117,7 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
         written.append(f"plots/{name}.png")
         return Figure(figure_svg(figure), caption)
 
-    sections = [Section("Findings", items=sentences(answers))]
+    sections = [Section("Findings", items=[f"{text[0].upper()}{text[1:]}" for text in sentences(answers)])]
     sections += [_response_section(study, answers, r, shown) for r in answers.responses]
     for i, (pair, front) in enumerate(answers.fronts.items()):
         if front and all(depends(y) for y in (values_of(answers.rows, name)[1] for name in pair) if len(y)):
@@ -189,7 +186,7 @@ def _lead(study: Study, answers: Answers) -> str:
     if answers.best is not None:
         number, _, responses, _ = answers.row(answers.best)
         name = answers.minimised
-        text += f" Least {label_of(name)}: {valued(name, responses[name])} with variant {number} ({answers.design_of(number)})."
+        text += f" The {label_of(name)} is least with variant {number}: {valued(name, responses[name])} ({answers.design_of(number)})."
     return f"{text} Constraints: {'; '.join(map(in_words, study.constraints))}."
 
 

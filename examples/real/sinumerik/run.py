@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import math
 from pathlib import Path
 import sys
 
@@ -23,7 +24,7 @@ from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import Campaign, read_campaign
 from twin.remedy.advice import PULSE
 from twin.remedy.change import Change
-from twin.simulation.added_feedforward import added_feedforward, pulse_in
+from twin.simulation.added_feedforward import added_feedforward
 from twin.simulation.gap import is_moving, predict
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
@@ -114,6 +115,34 @@ def summary_text(machine: Machine, campaign: Campaign) -> str:
     heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "of it in all motion", "gap of the current [A RMS]", "of its range", "residual of a pure delay", "gap at rest [um RMS]", "strongest at [Hz]"]  # fmt: skip
     said = f"\nlargest pulse of the recorded feedforward in addition to the slope of the set points: axis {', axis '.join(pulses)}"
     return "\non the held-out motion:\n" + table(heading, rows, left=1) + said
+
+
+LEAST_PULSE = 0.02
+"""Smallest share of the largest pulse that is read: what is left of it after four decay times."""
+
+SAME_RATIO = 0.01
+"""Largest median deviation of the ratios of neighbours that is one decay; those of noise lie anywhere between 0 and 1."""
+
+
+def pulse_in(rest: np.ndarray, cycle: float) -> dict[str, float] | None:
+    """Amplitude and decay time of the pulses in what a recorded feedforward holds beyond the slope of its set points (sample,), one sample a cycle.
+
+    The decay is the median ratio of neighbours, the amplitude the median size where a large pulse begins. None if the ratios scatter, as those of noise do,
+    or if nothing decays within a quarter of the record.
+    """
+    size = np.abs(rest)
+    seen = size > LEAST_PULSE * size.max()
+    later, before = seen[1:], seen[:-1]
+    falls = later & before & (rest[1:] * rest[:-1] > 0.0) & (size[1:] < size[:-1])
+    begins = later & ~falls & (size[1:] > 0.5 * size.max())
+    if not falls.any() or not begins.any():
+        return None
+    ratios = size[1:][falls] / size[:-1][falls]
+    ratio = float(np.median(ratios))
+    decay = -cycle / math.log(ratio)
+    if np.median(np.abs(ratios - ratio)) > SAME_RATIO or decay > 0.25 * len(rest) * cycle:
+        return None
+    return {"amplitude": float(np.median(size[1:][begins])), "decay_time": decay}
 
 
 def with_recorded_pulses(machine: Machine, campaign: Campaign) -> Machine:
