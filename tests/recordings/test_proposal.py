@@ -14,6 +14,7 @@ from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.force_sign import force_sign
 from twin.recordings.propose import Proposal, propose
+from twin.recordings.relations import follows
 from twin.recordings.signals import Recording, Signal, TimeSource
 from twin.recordings.trace import Trace
 
@@ -240,3 +241,11 @@ def test_a_column_with_an_impossible_value_is_said_without_a_warning(value: floa
         said = [*found.left_out, *found.unknown.values(), *(c.doubt for c in found.columns)]
         assert any("at sample 1: repair it" in text for text in said)
         assert not any("nan" in text for text in said)
+
+
+def test_a_lag_is_found_wherever_the_record_begins_and_ends() -> None:
+    """A correlation that stops with the record prefers no lag where the record begins or ends far from its mean."""
+    there = -np.cos(np.linspace(0.0, 2.0 * np.pi, 1500))
+    for lag in (0, 1, 11, 90, -40):
+        late = there[np.clip(np.arange(len(there)) - lag, 0, len(there) - 1)]
+        assert follows(late, there).lag == pytest.approx(lag, abs=1e-6)

@@ -44,7 +44,8 @@ def limits_of(machine: Machine, given: Sequence[Setting], tolerance: float | Non
     def limit(direction: Direction, size: float) -> Limit:
         own = sizes.get(direction.cause)
         if own is not None:
-            return Limit(_usual_sizes(own, direction), "the given limit")
+            kind, unit = own.effect.size, direction.unit
+            return Limit(abs(unit / own.size if kind.is_spring else kind.deviation(own.size) / unit), "the given limit")
         if tolerance is None:
             return USUAL
         moved = displacement(machine, direction, size, runs())
@@ -52,11 +53,6 @@ def limits_of(machine: Machine, given: Sequence[Setting], tolerance: float | Non
         return Limit(reached, f"{tolerance * 1e6:.4g} um at the tool point on this program")
 
     return limit
-
-
-def _usual_sizes(setting: Setting, direction: Direction) -> float:
-    size = setting.effect.size
-    return abs(direction.unit / setting.size if size.is_spring else size.deviation(setting.size) / direction.unit)
 
 
 def displacement(machine: Machine, direction: Direction, size: float, runs: Sequence[MeasuredRun]) -> float:

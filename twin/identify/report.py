@@ -98,7 +98,6 @@ def _gap_lines(result: Identification) -> list[str]:
 
 def _caveats(result: Identification) -> Section:
     """Limits of the result and findings about the recording."""
-    times = ", ".join(f"{k} after {v:.0f} s" for k, v in result.seconds.items())
     lines = [
         "Current and motion identify inertia, friction and gravity only as products with each motor's torque constant. "
         + (
@@ -107,7 +106,6 @@ def _caveats(result: Identification) -> Section:
             else "They contradict the machine file's parameter_tolerance, so its torque constants were kept and the other values follow from them. "
             "A known mass, a torque wrench or the motor's test sheet would determine them."
         ),
-        f"Time: {times}.",
     ]
     findings = told((*result.findings, *result.notes)) or ["No problem was found in the recording."]
     return Section("Limits and findings", lines, items=findings)

@@ -50,7 +50,16 @@ def follows(x: np.ndarray, s: np.ndarray, reach: int | None = None) -> Relation:
     size = 1 << (2 * n - 1).bit_length()
     product = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(s, size)), size)
     shifts = np.r_[np.arange(reach + 1), np.arange(-reach, 0)]
-    k = int(shifts[np.argmax(product[shifts])])
+    # outside the record s rests at its first or last value
+    ends = np.r_[s[0] * _sums(x)[: reach + 1], s[-1] * _sums(x[::-1])[reach:0:-1]]
+    square = (
+        float(s @ s)
+        + np.r_[
+            s[0] ** 2 * np.arange(reach + 1) - _sums(s[::-1] ** 2)[: reach + 1],
+            s[-1] ** 2 * np.arange(reach, 0, -1) - _sums(s**2)[reach:0:-1],
+        ]
+    )
+    k = int(shifts[np.argmax((product[shifts] + ends) / np.sqrt(np.maximum(square, TINY)))])
     shifted = s[np.clip(np.arange(n) - k, 0, n - 1)]
     speed = np.gradient(shifted)
     factor, still = solved(np.column_stack([shifted, np.ones(n)]), x)
@@ -61,6 +70,11 @@ def follows(x: np.ndarray, s: np.ndarray, reach: int | None = None) -> Relation:
     rest = rest + part * factor * speed
     alone = x - float(s @ x) / max(float(s @ s), TINY) * s
     return Relation(float(factor), float(rest @ rest) / xx, k + part, float(alone @ alone) / xx)
+
+
+def _sums(values: np.ndarray) -> np.ndarray:
+    """Sums of the first 0, 1, 2, .. values."""
+    return np.concatenate([[0.0], np.cumsum(values)])
 
 
 def follows_in_part(x: np.ndarray, s: np.ndarray) -> Relation:
@@ -77,7 +91,7 @@ LEAST_OF_PART = 50
 
 def slope(v: np.ndarray, x: np.ndarray, period: float) -> Relation:
     """v as a multiple of the slope of x."""
-    summed = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]))]) * period
+    summed = _sums(0.5 * (v[1:] + v[:-1])) * period
     best = Relation(0.0, 1.0)
     for step in WINDOWS:
         if step * 4 > len(v):

@@ -32,7 +32,7 @@ from twin.replay.names import LEGEND, SUMMARY
 from twin.replay.recording import bounds_with_tip, check_runs, log_curves, log_machine, log_text, recording_to
 from twin.replay.scene import Scene, placed_at, scene_of
 from twin.replay.text import design_text
-from twin.replay.toolpaths import ToolPaths, alike, followed_joints, log_tool_paths, tool_paths_of
+from twin.replay.toolpaths import alike, followed_joints, log_tool_paths, tool_paths_of
 
 ROOTS = ("/design_1", "/design_2")
 
@@ -51,7 +51,8 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
     machine = next(iter(designs.values()))[0]
     runs = {label: trace for label, (_, trace) in designs.items()}
     scenes = [placed_at(scene_of(one), root) for (one, _), root in zip(designs.values(), ROOTS)]
-    paths = _paths_of(designs, scenes)
+    first, second = (tool_paths_of(scene, one, {label: trace}) for (label, (one, trace)), scene in zip(designs.items(), scenes))
+    paths = alike(first, second) if first is not None and second is not None else None  # with common scale and magnifications
     with recording_to(path, f"{machine.name}: {' beside '.join(designs)}") as recording:
         panes: list[_Pane] = []
         curves = axis_curves(machine, runs)
@@ -68,12 +69,6 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
         below = [contour_view(curves, (), keys), axis_tabs(curves, axes, keys, most_different_axis(machine, *runs.values()))]
         recording.send_blueprint(_layout(panes, [view for view in below if view is not None]))
     return Path(path).stat().st_size
-
-
-def _paths_of(designs: Mapping[str, tuple[Machine, Trace]], scenes: Sequence[Scene]) -> tuple[ToolPaths, ToolPaths] | None:
-    """The tool paths of both, with common scale and magnifications; None if a tool does not move."""
-    first, second = (tool_paths_of(scene, one, {label: trace}) for (label, (one, trace)), scene in zip(designs.items(), scenes))
-    return alike(first, second) if first is not None and second is not None else None
 
 
 def most_different_axis(machine: Machine, first: Trace, second: Trace) -> str:

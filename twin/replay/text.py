@@ -68,14 +68,13 @@ def design_text(designs: Mapping[str, tuple[Machine, Trace]], paths: Sequence[To
 def _run_text(machine: Machine, label: str, trace: Trace, paths: ToolPaths | None, colours: str, said: Sequence[str]) -> str:
     """One run: duration and what is `said` of it, contour error, axes."""
     lines = [f"## {label}", f"{trace.time[-1] - trace.time[0]:.3f} s, {said[0]}"]
-    lines += [_contour_line(paths.contours[label].error, trace.time) + colours] if paths else []
+    if paths:
+        error = paths.contours[label].error * 1e6
+        worst = int(np.argmax(error))
+        lines.append(
+            f"**Contour error** largest {error[worst]:.2f} um at {trace.time[worst]:.3f} s, RMS {np.sqrt(np.mean(error**2)):.2f} um{colours}"
+        )
     return "\n\n".join(filter(None, [*lines, _axis_table(machine, trace), *said[1:]]))
-
-
-def _contour_line(error: np.ndarray, time: np.ndarray) -> str:
-    """Largest contour error (sample,) [m] with its time [s], and the RMS."""
-    worst = int(np.argmax(error))
-    return f"**Contour error** largest {error[worst] * 1e6:.2f} um at {time[worst]:.3f} s, RMS {np.sqrt(np.mean(error**2)) * 1e6:.2f} um"
 
 
 def _axis_table(machine: Machine, trace: Trace) -> str:

@@ -173,7 +173,8 @@ def check_names(study: Study, known: Collection[str], some_variants: bool = Fals
     known = list(known)
     for key, name in _asked(study):
         found = fnmatch.filter(known, name) if key == "constraint" else name in known
-        if found or (some_variants and _may_come(name)):
+        own = name.rpartition(".")[2]
+        if found or (some_variants and (own.startswith((*SOMETIMES, "*")) or OF_RATINGS in own)):
             continue
         raise InputError(f"{study.path}: {key}: no response '{name}'; {nearest(name, known)}; correct it and continue with --resume")
 
@@ -183,11 +184,6 @@ def _asked(study: Study) -> Iterator[tuple[str, str]]:
     yield from (("answer", name) for name in study.answer)
     yield from (("pareto", name) for pair in study.pareto for name in pair)
     yield from (("constraint", c.response) for c in study.constraints if c.response not in (MARGINS, LIMITS))
-
-
-def _may_come(name: str) -> bool:
-    name = name.rpartition(".")[2]
-    return name.startswith(SOMETIMES) or OF_RATINGS in name or name.startswith("*")
 
 
 def values_of(rows: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:
