@@ -312,5 +312,5 @@ def _check(name: str, block: str, parameters: tuple[Parameter, ...], axes: str) 
 def find_effect(name: str, where: str) -> Effect:
     """The effect of that name, or an InputError with the nearest one."""
     if not isinstance(name, str) or name not in EFFECTS:
-        raise InputError(f"{where}: unknown effect '{name}'; {nearest(str(name), EFFECTS)}; for your own effects give --effects FILE")
+        raise InputError(f"{where}: unknown effect '{name}' ({nearest(str(name), EFFECTS)}); for your own effects give --effects FILE")
     return EFFECTS[name]
