@@ -60,6 +60,7 @@ def test_missing_signals_are_named_with_the_parameters_that_need_them(
 ) -> None:
     result = identified(machine, [with_signal(r, "X", signal, None) for r in runs])
     assert words in said(result)
+    assert not any((c.axis, c.signal) == ("X", signal) for c in result.skews)  # no lateness of what was not recorded
     names = {p.name for p in result.parameters}
     assert ("inertia" in names) == (signal != "current")
     assert ("velocity_feedforward" in names) == (signal != "velocity_setpoint")

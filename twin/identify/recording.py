@@ -132,7 +132,7 @@ def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) ->
         for seen in axis_runs[axis.name]:
             for skew in channel_skews(machine, axis, seen):
                 items.setdefault(skew.signal, []).append(skew)
-            if seen is not None and np.ptp(seen.axis_position) > 0.01 * axis.max_velocity:
+            if seen is not None and seen.speed_setpoint is not None and np.ptp(seen.axis_position) > 0.01 * axis.max_velocity:
                 shift = setpoint_shift(axis, seen)
                 items.setdefault("velocity_setpoint", []).append(Skew(axis.name, "velocity_setpoint", shift, seen.cycle / 20.0))
         for signal, several in items.items():

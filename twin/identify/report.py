@@ -169,7 +169,7 @@ def _gap(result: Identification, title: str, pictures: Sequence[Figure]) -> Sect
 
 
 def _signals(result: Identification) -> Section:
-    rows = [[c.axis, c.signal.replace("_", " "), f"{1e6 * c.seconds:.0f}", f"± {1.96e6 * c.deviation:.0f}"] for c in result.skews]
+    rows = [[c.axis, c.signal.replace("_", " "), str(round(1e6 * c.seconds)), f"± {1.96e6 * c.deviation:.0f}"] for c in result.skews]
     before, after = (m.document.get("measurement", {}) for m in (result.before, result.machine))
     noise = [[k, f"{before[k]:.4g}", f"{after[k]:.4g}"] for k in before if "noise" in k and after[k] != before[k]]
     return Section(
