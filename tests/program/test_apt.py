@@ -69,6 +69,7 @@ def test_the_whole_way(read, mikron) -> None:
         ("FEDRAT/100\nGOTO/1,2,X", "not all values are numbers"),
         ("FEDRAT/100\nGOTO/1,2", "2 values"),
         ("FEDRAT/1,MMPR\nGOTO/1,0,150\n", "needs a spindle speed"),
+        ("SPINDL/50-1,RPM\nFEDRAT/1,MMPR\nGOTO/1,0,150\n", "line 1: SPINDL/50-1: not all values are numbers"),
         ("FROM/10,0,150\nFEDRAT/6\nCIRCLE/0,0,150,0,0,1,5\nGOTO/0,10,150", "does not close"),
         ("FEDRAT/100\nGOTO/1,2,150,0,0,0", "no length"),
         ("PARTNO/NOTHING", "moves no axis"),

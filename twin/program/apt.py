@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import math
+import re
 
 import numpy as np
 
@@ -164,12 +165,12 @@ class AptReader:
         if not np.allclose(rotation, np.eye(3), atol=1e-9) or np.any(np.abs(origin * self.state.unit) > 1e-12):
             self.state.note(f"{word}: the points that follow stand in this frame; they are brought to the part frame")
 
-    def _spindle(self, _word: str, values: str) -> None:
+    def _spindle(self, word: str, values: str) -> None:
         """SPINDL/ speed, RPM, CLW in any order: for feeds per revolution."""
         parts = words.listed(values)
-        numbers = [v for v in parts if v.replace(".", "", 1).replace("-", "", 1).isdigit()]
+        numbers = [words.numbers_of(v, word, (1,))[0] for v in parts if re.fullmatch(r"[-+.\d]+", v, re.A)]
         if numbers and not {"SFM", "SMM"} & set(parts):
-            self.spindle = float(numbers[0])
+            self.spindle = numbers[0]
             if self.turn_feed:
                 self.state.feed = self._feed_of(*self.turn_feed)
         self.state.note("SPINDL: the speed is used for feeds per revolution only")

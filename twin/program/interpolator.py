@@ -113,13 +113,8 @@ def way_of(program: Program, machine: Machine, stretch: Stretch) -> Way:
     return Way(split_at_feeds(spline, stretch.elements, feeds), stretch.elements, frames, limits, feeds)
 
 
-class _Samples(NamedTuple):
-    """Samples of a stretch: axes (sample, 5), u, speed of the tip and of A and C together (sample,)."""
-
-    axes: np.ndarray
-    u: np.ndarray
-    tip: np.ndarray
-    turn: np.ndarray
+_Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Of a stretch: axes (sample, 5), u, speed of the tip and of A and C together (sample,)."""
 
 
 class _Motion:
@@ -171,7 +166,7 @@ class _Motion:
         """The set points of a stretch, at most BLOCK at once; its start is the last sample of the previous stretch."""
         for begin in range(0, count, BLOCK):
             n = min(BLOCK, count - begin)
-            out = _Samples(np.empty((n, 5)), np.empty(n), np.empty(n), np.empty(n))
+            out = np.empty((n, 5)), np.empty(n), np.empty(n), np.empty(n)
             sampling.sample(way.spline, way.frames, law, times, slower, begin, self.period, out)
             yield out
 
@@ -192,7 +187,7 @@ class _Motion:
             blocks: Iterable[_Samples] = self._samples(way, law, times, slower, count)
             if count <= BLOCK:
                 blocks = list(blocks)
-            excess = _excess(start, (block.axes for block in blocks), self.period, way.limits)
+            excess = _excess(start, (axes for axes, *_ in blocks), self.period, way.limits)
             if excess <= 1.0 + LIMIT_TOLERANCE:
                 break
             inside = lookahead.excess(way, law)
@@ -213,13 +208,13 @@ class _Motion:
             slower *= excess * (1.0 + 1e-5)
         if count > BLOCK:
             blocks = self._samples(way, law, times, slower, count)  # compute them again instead of keeping all in memory
-        for block in blocks:
-            row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, block.u, side="right") - 1, len(stretch.row) - 1)]
-            if hit := self.program.kinematics.outside_travel(block.axes):
+        for axes, u, tip, turn in blocks:
+            row = stretch.row[np.minimum(np.searchsorted(stretch.elements.u, u, side="right") - 1, len(stretch.row) - 1)]
+            if hit := self.program.kinematics.outside_travel(axes):
                 sample, axis = hit
-                text = travel_text(axis, float(block.axes[sample, axis]), self.program.kinematics)
+                text = travel_text(axis, float(axes[sample, axis]), self.program.kinematics)
                 raise InputError(f"{self.program.place(int(row[sample]))}: on the way {text}")
-            yield _Piece(block.axes, row, np.where(moves.rotary[row], block.turn, block.tip), block.tip)
+            yield _Piece(axes, row, np.where(moves.rotary[row], turn, tip), tip)
 
     def trace(self, pieces: list[_Piece]) -> Trace:
         """The trace of consecutive pieces, behind those of the calls before."""
