@@ -13,7 +13,7 @@ from twin.program.moves import Program
 SAGITTA = 1e-8
 """Largest distance of the chords from an arc [m]."""
 TURN_STEP = np.radians(0.1)
-"""Spacing of points on moves of A and C without TRAORI, whose path is curved in the part frame."""
+"""Spacing of points on moves whose A and C turn linearly: without TRAORI their path is curved in the part frame."""
 MOST_POINTS = 20_000  # per move
 
 
@@ -26,50 +26,28 @@ class Curve(NamedTuple):
 
 
 def programmed_curve(program: Program) -> Curve:
-    """The programmed curve before rounding of corners."""
+    """The programmed curve before rounding of corners; a move without motion has no point.
+
+    A straight move needs no points within it if its tool axis turns on the great circle between its ends.
+    """
     m, starts = program.moves, program.starts()
-    turn = np.abs(m.target[:, 3:] - starts[:, 3:]).max(axis=1)
-    bent = (m.kind == mv.ARC) | (~m.traori & (turn > 1e-12))
-    kept = (np.abs(m.target - starts).max(axis=1) > 1e-12) | (m.kind == mv.ARC)
-    pieces, rows = [_in_part(program, starts[:1], 0)], [np.zeros(1, int)]
-    row = 0
-    while row < len(m):
-        if bent[row]:
-            pieces.append(_in_part(program, _bent_points(program, starts[row], row), row))
-            rows.append(np.full(len(pieces[-1]), row))
-            row += 1
-            continue
-        # straight moves of one kind together
-        end = row
-        while end < len(m) and not bent[end] and m.traori[end] == m.traori[row] and m.tool_length[end] == m.tool_length[row]:
-            end += 1
-        index = np.arange(row, end)[kept[row:end]]
-        if len(index):
-            pieces.append(_in_part(program, m.target[index], row))
-            rows.append(index)
-        row = end
-    poses = np.concatenate(pieces)
+    base, step, radius1, radius2, _ = m.curves(np.arange(len(m)), starts)
+    arc = m.kind == mv.ARC
+    on_circle = m.traori & (arc | (m.workpiece_orientation & (m.kind != mv.RAPID)))
+    of_turn = np.where(on_circle, 1.0, np.abs(step[:, 3:]).max(axis=1) / TURN_STEP)
+    of_arc = m.angle / np.sqrt(8.0 * SAGITTA / np.maximum(np.linalg.norm(radius1, axis=1), 1e-6))
+    moves = arc | (np.abs(m.target - starts).max(axis=1) > 1e-12)
+    parts = np.where(moves, np.clip(np.ceil(np.maximum(of_turn, of_arc)), 1, MOST_POINTS), 0).astype(int)
+    row = np.repeat(np.arange(len(m)), parts)
+    share = (1.0 + np.arange(len(row)) - (np.cumsum(parts) - parts)[row]) / parts[row]
+    phi = (share * m.angle[row])[:, None]
+    poses = base[row] + share[:, None] * step[row]
+    poses[:, :3] += np.cos(phi) * radius1[row] + np.sin(phi) * radius2[row]
+    poses, row = np.vstack([starts[:1], poses]), np.concatenate([[0], row])
+    axes = ~m.traori[row]
+    poses[axes] = mv.tips_at(program.kinematics, poses[axes], m.tool_length[row[axes]])
     steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
-    return Curve(poses, np.concatenate([[0.0], np.cumsum(steps)]), np.concatenate(rows))
-
-
-def _in_part(program: Program, points: np.ndarray, row: int) -> np.ndarray:
-    """Poses (n, 5) in the part frame from coordinates of move `row`."""
-    length = np.full(len(points), program.moves.tool_length[row])
-    return points if program.moves.traori[row] else mv.tips_at(program.kinematics, points, length)
-
-
-def _bent_points(program: Program, start: np.ndarray, row: int) -> np.ndarray:
-    """Points (n, 5) of an arc or of a move with rotary axes, without its start."""
-    m = program.moves
-    base, step, radius1, radius2, _ = m.curves(np.array(row), start)
-    parts = np.abs(step[3:]).max() / TURN_STEP if not m.traori[row] else 1.0
-    if m.kind[row] == mv.ARC:
-        parts = max(parts, m.angle[row] / np.sqrt(8.0 * SAGITTA / max(float(np.linalg.norm(radius1)), 1e-6)))
-    share = np.linspace(0.0, 1.0, int(min(MOST_POINTS, np.ceil(parts))) + 1)[1:, None]
-    points, phi = base + share * step, share * m.angle[row]
-    points[:, :3] += np.cos(phi) * radius1 + np.sin(phi) * radius2
-    return points
+    return Curve(poses, np.concatenate([[0.0], np.cumsum(steps)]), row)
 
 
 @compiled(allocates=True)

@@ -132,18 +132,10 @@ def programmed_path(program: Any) -> ToolPath:
     Within a move A and C are linear, with points every TURN_STEP. Straight moves under TRAORI with ORIWKS need no such points: their
     tool axis turns on the great circle, as between two poses.
     """
-    from twin.program import moves as mv
-    from twin.program.curve import TURN_STEP, programmed_curve
+    from twin.program.curve import programmed_curve
 
     curve, moves = programmed_curve(program), program.moves
     poses, row = curve.poses, curve.row[1:]
-    # the curve has no points within straight moves
-    undivided = moves.traori & (moves.kind != mv.ARC) & ~(moves.workpiece_orientation & (moves.kind != mv.RAPID))
-    turn = np.abs(np.diff(poses[:, 3:], axis=0)).max(axis=1)
-    parts = np.where(undivided[row], np.maximum(np.ceil(turn / TURN_STEP), 1), 1).astype(int)
-    at = np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), np.arange(len(poses)))
-    poses = np.column_stack([np.interp(at, np.arange(len(poses)), column) for column in poses.T])
-    row = np.repeat(row, parts)
     # programmed feed, to separate fast and slow cutting; for purely rotary moves that of the rotary axes
     feed = np.where(np.isfinite(moves.feed), moves.feed, 1.0)[row]
     tip, turn = (np.linalg.norm(np.diff(x, axis=0), axis=1) for x in (poses[:, :3], poses[:, 3:]))
