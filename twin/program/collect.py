@@ -28,6 +28,8 @@ DEFAULT_ANGLE_TOLERANCE = rad_from_deg(0.05)
 NO_RADIUS_COMPENSATION = "cutter radius compensation is not simulated; let the CAM system output the path of the tool centre"
 RAPID_TOLERANCE_FACTOR = 3.0
 """Factor on the tolerance between two rapid moves (STOLF on the control)."""
+FARTHEST = 1e9
+"""Coordinates of programs stay below this [m, rad], so that their squares are numbers."""
 SETTLING = {"G601": 3.0, "G602": 1.0, "G603": 0.0}
 """Dwell at an exact stop until the window is reached, in time constants 1 / Kv of the slowest axis; G603 does not wait."""
 
@@ -169,6 +171,8 @@ class Collector:
         self.settle()
         n, kind, target, modes = len(self.kinds), np.array(self.kinds, np.int8), np.array(self.targets), self.all_modes
         target[:, 3:] = np.vstack(self.angles)
+        for row in np.flatnonzero(~(np.abs(target) < FARTHEST).all(axis=1)):
+            raise self.fail(self.lines[row], self.blocks[row], "a coordinate is too large; correct it")
         mode_of = np.array(self.mode_of)
         columns = {f.name: np.array([getattr(m, f.name) for m in modes])[mode_of] for f in fields(Modes)}
         exact, traori, brisk, length = (columns[name] for name in ("exact_stop", "traori", "brisk", "spindle_tool_length"))
@@ -234,7 +238,7 @@ class Collector:
         tip = moves.curves(np.arange(len(moves)), starts)[-1]
         turn, whole = np.linalg.norm(way[:, 3:], axis=1), np.linalg.norm(way, axis=1)
         # exact reversals are exact stops, because no curve can round them within a tolerance
-        straight = ((moves.kind == mv.LINE) | (moves.kind == mv.RAPID)) & (whole > 0.0) & np.isfinite(whole)
+        straight = ((moves.kind == mv.LINE) | (moves.kind == mv.RAPID)) & (whole > 0.0)
         unit_way = way / np.where(straight, whole, 1.0)[:, None]
         moves.stop[:-1] |= straight[1:] & straight[:-1] & (np.abs(unit_way[1:] + unit_way[:-1]).max(axis=1) < 1e-9)
         moves.rotary[:] = (tip < 1e-12) & (turn > 0.0)
