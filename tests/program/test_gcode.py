@@ -310,6 +310,11 @@ def test_iso_comments(read) -> None:
     assert len(read("%\n(start)\nG21 G90\nG1 X1 (here) F100\nG61\nX2\nM2\n%\n", "part.ngc")) == 2
 
 
+@pytest.mark.parametrize("values", ["REAL A,", "REAL A,,INT B", "[3]", "=3", ""])
+def test_a_subprogram_whose_values_have_gaps_is_read_as_a_program(read, values: str) -> None:
+    assert targets(read(f"PROC P({values})\nG1 X1 F100\nX5", "part.spf"))[:, 0].tolist() == [1, 5]
+
+
 BAD = {
     "unknown word": ("G1 X1 F100\nN20 G1 X2 FOO=3", r"line 2, column 11 \(block N20\): word 'FOO' is not known"),
     "misspelt word": ("TRAORY", "did you mean 'TRAORI'"),
@@ -346,6 +351,9 @@ BAD = {
     "sum of frames": ("R1=CTRANS(X,1)+CTRANS(X,2)", "frame, frame"),
     "length of a frame": ("R1=STRLEN(CTRANS(X,1))", "frame"),
     "capitals of a number": ("R1=TOUPPER(5)", r"TOUPPER\(5\) has no value"),
+    "a frame in a cycle": ("F100\nCYCLE82(7,,1,CTRANS(X,1))", "line 2, column 14: argument 4 of the cycle is a frame"),
+    "a frame as an axis": ("POS[CTRANS(X,1)]=3", r"POS\[frame\]: this machine has X Y Z A C"),
+    "a name that is missing": ("R1=ISVAR()", "line 1, column 4: ISVAR needs a name"),
     "no text": ("G1 X1\x00\x01 F100", "no text"),
     "endless line": ("G1 X" + "1" * 100_000, "longer than"),
 }

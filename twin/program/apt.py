@@ -222,7 +222,7 @@ class AptReader:
 
     def _step(self, word: str, values: str) -> None:
         step = words.numbers_of(values, word, (1, 3))
-        way = np.array(step) if len(step) == 3 else step[0] * self.axis / np.linalg.norm(self.axis)
+        way = np.array(step) if len(step) == 3 else step[0] * self.axis / (np.linalg.norm(self.axis) or 1.0)
         self._move(self.state.here() + way * self.state.unit)
 
     def _move(self, target: np.ndarray) -> None:
@@ -304,5 +304,5 @@ class AptReader:
         feed = self.state.feed
         for kind, height, at_feed in self.cycle:
             self.state.feed = at_feed
-            self._add(kind, hole + height * self.axis / np.linalg.norm(self.axis))
+            self._add(kind, hole + height * self.axis / (np.linalg.norm(self.axis) or 1.0))
         self.state.feed, self.rapid = feed, False

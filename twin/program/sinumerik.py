@@ -11,7 +11,7 @@ from typing import Any
 from twin.machine.machine import Machine
 from twin.program import sinumerik_cycles as cycles
 from twin.program import sinumerik_moves as moves
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, as_text
 from twin.program.frames import AXES, ROTARY
 from twin.program.reader import set_mode
 from twin.program.sinumerik_blocks import Block, Sinumerik
@@ -231,7 +231,7 @@ def _by_text(m: Sinumerik, b: Block, word: Written) -> None:
     """CALL "NAME", or CALL NAME with a variable that holds the name."""
     text = (word.text or "").strip()
     if text or not b.calls:
-        b.calls.append(Written(plain_name(str(m.value_of(text, word.text_column))), word.column))
+        b.calls.append(Written(plain_name(as_text(m.value_of(text, word.text_column))), word.column))
     elif isinstance(held := (m.values.store_of(b.calls[0].name) or {}).get(()), str):
         b.calls[0] = Written(plain_name(held), word.column)
 

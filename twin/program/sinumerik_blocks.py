@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
-from twin.program.expressions import NUMBER, SINUMERIK, Value, WordError, needed, outside_quotes
+from twin.program.expressions import NUMBER, SINUMERIK, Value, WordError, as_text, needed, outside_quotes
 from twin.program.flow import Frame, Statement
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
@@ -264,16 +264,16 @@ class Sinumerik(Reader):
         elif s.kind == "proc" and len(self.flow.frames) == 1:
             match = _PROC.match(s.text)
             for part, _ in split_arguments(match[2] or "") if match else []:
-                self.values.unset.add(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1])
+                self.values.unset.update(re.sub(r"\[[^\]]*\]|=.*", " ", part).split()[-1:])
         elif s.kind == "extern":
             self.state.note("EXTERN: a declaration, without effect on the motion")
 
     def _case(self, s: Statement, frame: Frame) -> None:
         """CASE: the jump of the first value that fits."""
         match = needed(_CASE.match(s.text), "CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
-        value = self.value_of(match[1], s.column)
+        value = as_text(self.value_of(match[1], s.column))
         for part in _CASE_PART.finditer(match[2]):
-            if part[1] == "DEFAULT" or self.value_of(part[1], s.column) == value:
+            if part[1] == "DEFAULT" or as_text(self.value_of(part[1], s.column)) == value:
                 self.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
                 return
 
@@ -310,11 +310,8 @@ class Sinumerik(Reader):
 
     def _kept_modes(self) -> Callable[[], None]:
         """What PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
-        kept, side, chosen = (
-            self.state.kept((self, ("corners_meet", "angles_are_rpy")), frames=("program", "fine")),
-            self.state.comp,
-            self.values.chosen,
-        )
+        kept = self.state.kept((self, ("corners_meet", "angles_are_rpy")), frames=("program", "fine"))
+        side, chosen = self.state.comp, self.values.chosen
 
         def restore() -> None:
             self.corners.release()

@@ -70,6 +70,8 @@ def arguments_of(m: Sinumerik, word: Word) -> Arguments:
     for text, at in split_arguments(word.text or ""):
         name = text.startswith("_") and m.values.store_of(text) is None  # a name of the cycle such as _FINISH
         out.append(None if not text else text if name else m.value_of(text, word.text_column + at))
+        if isinstance(out[-1], Frame):
+            raise WordError(f"argument {len(out)} of the cycle is a frame; give a number", word.text_column + at)
     return out
 
 

@@ -166,7 +166,8 @@ class SinumerikValues:
         elif name in _FRAME_FUNCTIONS and e.peek() == "(":
             return self._frame(name, e.arguments(), e.column + at)
         elif name == "ISVAR" and e.peek() == "(":
-            asked = str(e.arguments()[0]).partition("[")[0].upper()
+            named = needed(next(iter(e.arguments()), None), 'ISVAR needs a name, e.g. ISVAR("R5")', e.column + at)
+            asked = str(named).partition("[")[0].upper()
             return float(self.store_of(asked) is not None or bool(re.fullmatch(r"R\d+", asked)))
         elif e.peek() == "(" and name not in ("AC", "IC", "DC"):
             raise e.fail(f"'{name}' is not a function that is read here; write its value instead", at)
@@ -261,7 +262,7 @@ class SinumerikValues:
         """The axis of POS[X], AX[_AXIS] and the like: its name, or a variable of type AXIS."""
         text = (word.index or "").strip()
         if text not in AXIS_NAMES:
-            text = str(self.m.value_of(text, word.column)).strip()
+            text = as_text(self.m.value_of(text, word.column)).strip()
         return text.removesuffix("1")
 
     def of_group(self, word: Word) -> float:
