@@ -11,6 +11,7 @@ from twin.identify.first_values import first_values
 from twin.identify.from_recording import machine_from_recording
 from twin.identify.identify import identify
 from twin.identify.recording import prepare_recording
+from twin.identify.write import machine_comments
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
@@ -61,6 +62,10 @@ def test_one_speed_gives_the_sum_of_the_frictions(made: Machine) -> None:
     assert refined.coulomb_friction + SPEED * refined.viscous_friction == pytest.approx(SUM, rel=0.05)
     assert found.machine.axis("X").moving_mass_kg == axis.moving_mass_kg
     assert any("too narrow a range of speeds" in str(f) for f in found.findings)
+    comments = machine_comments(found)
+    grades = [text for path, text in comments.items() if path.endswith(("coulomb_friction_n", "viscous_friction_n_s_per_m"))]
+    assert grades
+    assert all(text.startswith("bounded") and "sum of both frictions" in text for text in grades), comments
 
 
 def test_several_speeds_separate_them() -> None:

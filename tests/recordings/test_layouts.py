@@ -101,6 +101,25 @@ LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
         {"position": "", "speed": ""},
         2e-3,
     ),
+    "LabVIEW measurement with its channels": (
+        "LabVIEW Measurement\t\nDecimal_Separator\t,\nDate\t2023/05/04\n***End_of_Header***\t\n\t\nChannels\t2\t\t\nSamples\t60\t60\t\n"
+        "Delta_X\t0,002\t0,002\t\n***End_of_Header***\t\t\t\nX_Value\tSollposition (mm)\tStrom (A)\tComment\n"
+        + rows(lambda k: f"{de(T[k])}\t{de(A[k])}\t{de(B[k])}"),
+        {"Sollposition": "mm", "Strom": "A"},
+        2e-3,
+    ),
+    "messages of ROS": (
+        "%time,field.header.seq,field.header.stamp,field.joint_names0,field.desired.positions0\n"
+        + rows(lambda k: f"{1741076467250000000 + 2000000 * k},{k},{1741076467249000000 + 2000000 * k},shoulder,{A[k]}"),
+        {"field.header.seq": "", "field.desired.positions0": ""},
+        2e-3,
+    ),
+    "Chinese": ("时间(ms),X轴指令位置(mm),X轴电流(A)\n" + rows(lambda k: f"{2 * k},{A[k]},{B[k]}"), {"X轴指令位置": "mm", "X轴电流": "A"}, 2e-3),
+    "Japanese": ("時間[ms],指令位置[mm],トルク[Nm]\n" + rows(lambda k: f"{2 * k},{A[k]},{B[k]}"), {"指令位置": "mm", "トルク": "Nm"}, 2e-3),
+    "rows as JSON": ("[" + ",".join(f'{{"t": {T[k]:.4f}, "x": {{"pos": {A[k]}, "all": [1.0, {B[k]}]}}}}' for k in range(ROWS)) + "]",
+        {"x.pos": "", "x.all[0]": "", "x.all[1]": ""}, 2e-3),
+    "a JSON object a line": (rows(lambda k: f'{{"t": {T[k]:.4f}, "pos [mm]": {A[k]}}}'), {"pos": "mm"}, 2e-3),
+    "columns as JSON": (f'{{"t": {np.round(T, 4).tolist()}, "pos": {A.tolist()}}}', {"pos": ""}, 2e-3),
     "clock across midnight": (
         "Uhrzeit;position\n" + rows(lambda k: f"{'23:59:59' if k < 30 else '00:00:00'}.{(940 + 2 * k) % 1000:03d};{A[k]}"),
         {"position": ""},
@@ -153,20 +172,27 @@ def read(tmp_path: Path, text: str, ending: str = ".log", encoding: str = "utf-8
 def test_layouts(tmp_path: Path, case: str) -> None:
     text, expected, interval = LAYOUTS[case]
     ending = (".log", ".txt", ".dat", ".trc", "")[len(case) % 5]
-    recording = read(tmp_path, text, ending, "utf-16" if case.startswith("UTF-16") else "utf-8")
+    recording = read(
+        tmp_path, text, ending, {"UTF-16 with decimal commas": "utf-16", "Chinese": "gbk", "Japanese": "cp932"}.get(case, "utf-8")
+    )
     assert {name: signal.unit for name, signal in recording.signals.items()} == expected
     assert recording.source.known == (interval is not None)
-    signal = next(s for name, s in recording.signals.items() if name not in ("stamp_id", "time"))
+    signal = next(s for name, s in recording.signals.items() if name not in ("stamp_id", "time", "field.header.seq"))
     values = np.asarray(signal.values[0 : len(signal.values)])
     first = B if case == "MR Configurator" else A
     assert np.allclose(values[:ROWS], first[: len(values)], atol=1e-9)
     assert signal.time is not None
     time = np.asarray(signal.time[0 : len(signal.time)])
-    assert np.allclose(np.diff(time)[: ROWS - 1], interval or 1.0, rtol=1e-6, atol=3e-7 if case.startswith("nanoseconds") else 1e-9)
+    assert np.allclose(
+        np.diff(time)[: ROWS - 1], interval or 1.0, rtol=1e-6, atol=3e-7 if case in ("nanoseconds since 1970", "messages of ROS") else 1e-9
+    )
     assert recording.restarts == (2 if case.startswith("pieces") else 0)
     # what the file does not state is said
-    assumed = ("a column that only counts seconds", "LabVIEW measurement", "scope with lines of meaning")
-    noted = ("halscope", "rate above the numbers", "microseconds since 1970", "nanoseconds since 1970")
+    assumed = (
+        "a column that only counts seconds", "LabVIEW measurement", "LabVIEW measurement with its channels", "scope with lines of meaning",
+        "rows as JSON", "a JSON object a line", "columns as JSON",
+    )  # fmt: skip
+    noted = ("halscope", "rate above the numbers", "microseconds since 1970", "nanoseconds since 1970", "messages of ROS")
     assert recording.source.assumed == (case in assumed)
     assert bool(recording.source.text) == (interval is None or case in (*assumed, *noted))
 

@@ -115,6 +115,40 @@ def test_the_speed_of_the_profile_is_no_output_of_a_controller() -> None:
     assert roles(found)["target_velocity"] == "X.velocity_setpoint"
 
 
+def test_objects_of_a_drive_and_speeds_alone_are_known_by_their_names() -> None:
+    """A following error is no output of a controller, though gain times following error is one; a speed set point is no measured speed."""
+    m = move(TIME)
+    counts = {name: np.rint(8000.0 * m[name]) for name in ("soll", "ist", "speed")}
+    columns = {
+        "0x607A Target position": counts["soll"], "0x6064 Position actual value": counts["ist"], "0x606C Velocity actual value": counts["speed"],
+        "0x60F4 Following error actual value": counts["soll"] - counts["ist"], "0x6077 Torque actual value": np.rint(100.0 * m["strom"]),
+    }  # fmt: skip
+    found = propose([recording(columns, 2e-3)])
+    assert set(roles(found).values()) == {"X.setpoint", "X.position", "X.velocity", "X.torque"}
+    [torque] = [c for c in found.columns if c.signal == "torque"]
+    assert "per mille" in torque.assumed
+    speeds = {"r62: Speed setpoint after filter": m["speed"] + m["strom"], "r63: Actual speed value": m["speed"]}
+    found = propose([recording({**speeds, "r80: Torque actual value": m["strom"]}, 2e-3)])
+    assert list(roles(found).values()) == ["X.velocity", "X.velocity_setpoint", "X.torque"]
+
+
+def test_fields_of_messages_are_grouped_by_their_joint() -> None:
+    m, slow = move(TIME), move(0.5 * TIME)
+    columns = {
+        f"/{place}/joint_{j}/position": one[name]
+        for j, one in ((1, m), (2, slow))
+        for place, name in (("states", "ist"), ("controller_state/reference", "soll"))
+    }
+    found = propose([recording(columns, 2e-3)])
+    assert roles(found) == {name: f"{name.split('_')[-1][0]}.{'setpoint' if 'reference' in name else 'position'}" for name in columns}
+
+
+def test_a_position_without_a_name_is_measured() -> None:
+    m = move(TIME)
+    found = propose([recording({"CH1": m["ist"], "CH2": m["strom"]}, 2e-3)])
+    assert roles(found)["CH1"] == "X.position"
+
+
 def test_what_is_no_measurement_is_said_and_not_used() -> None:
     m = move(TIME)
     droop = np.clip(np.rint(4000.0 * (m["soll"] - m["ist"])), -32768.0, 20000.0)

@@ -12,6 +12,7 @@ import pytest
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_mdf, write_tdms, write_xml
 from twin.cli import main
 from twin.documents import toml_key, toml_text
+from twin.recordings.formats.by_content import read_recording
 from twin.recordings.formats.delimited import find_layout
 from twin.recordings.formats.parquet import read as read_parquet
 from twin.recordings.signals import Clock, ReadOptions
@@ -156,6 +157,32 @@ def test_matlab_vectors_and_struct_fields(tmp_path: Path) -> None:
     )
     text = MAP.replace('"soll"', '"rec.soll"').replace('"ist"', '"rec.ist"')
     same(imported(tmp_path, [tmp_path / "run.mat"], text), columns)
+
+
+def test_matlab_arrays_of_signals(tmp_path: Path) -> None:
+    """As Simulink's scopes and dSPACE save them."""
+    from scipy.io import savemat
+
+    fields: list[tuple[str, object]] = [("values", object), ("label", object)]
+    signals = np.zeros((1, 2), fields)
+    signals[0, 0], signals[0, 1] = (TIME[:, None] ** 2, "x_ref [mm]"), (TIME, "i_q")
+    savemat(tmp_path / "a.mat", {"ScopeData": {"time": TIME[:, None], "signals": signals}})
+    recording = read_recording(tmp_path / "a.mat", ReadOptions(Clock(), None, tmp_path))
+    assert {name: signal.unit for name, signal in recording.signals.items()} == {"x_ref": "mm", "i_q": ""}
+    assert np.array_equal(np.asarray(recording.signals["x_ref"].values[:]), TIME**2)
+
+
+def test_parquet_lists_are_one_column_for_each_element(tmp_path: Path) -> None:
+    """As recordings of robots hold their joints; lists of many lengths, or of more elements than any machine has axes, are none."""
+    joints = np.column_stack([TIME, TIME**2])
+    ragged = [[0.0] * (1 + k % 2) for k in range(len(TIME))]
+    pq.write_table(
+        pa.table({"timestamp": TIME, "action": joints.tolist(), "ragged": ragged, "image": [[0.0] * 100] * len(TIME)}),
+        tmp_path / "a.parquet",
+    )
+    recording = read_recording(tmp_path / "a.parquet", ReadOptions(Clock(), None, tmp_path))
+    assert list(recording.signals) == ["action[0]", "action[1]"]
+    assert np.array_equal(np.asarray(recording.signals["action[1]"].values[:]), TIME**2)
 
 
 def test_matlab_7_3(tmp_path: Path) -> None:

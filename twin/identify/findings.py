@@ -203,6 +203,10 @@ SHIFT_RATIO = 0.2
 """A shift is accepted if it reduces the residual below this fraction. Gains and delays that differ from the file leave more."""
 
 
+ONE_SPEED = "too narrow a range of speeds"
+"""Begins the finding about an axis of which only the sum of Coulomb and viscous friction at one speed is known."""
+
+
 def coverage(axis: Axis, runs: Sequence[AxisRun]) -> Iterator[str]:
     """What the runs of an axis do not excite, with the run that would."""
     least = slides_above(axis)
@@ -218,7 +222,7 @@ def coverage(axis: Axis, runs: Sequence[AxisRun]) -> Iterator[str]:
         yield "moves in one direction only: Coulomb friction and constant force cannot be separated; add the return move"
     if one_speed(sliding) is not None:
         yield (
-            "too narrow a range of speeds to identify viscous friction well: Coulomb friction holds with the file's viscous friction at this speed; "
+            f"{ONE_SPEED} to identify viscous friction well: Coulomb friction holds with the file's viscous friction at this speed; "
             "add constant speeds up to rapid ('twin plan')"
         )
     if hardly_accelerates(axis, runs):

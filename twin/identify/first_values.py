@@ -135,7 +135,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
             steady = f.speed
             shown = f"the axis moves at one speed, {steady:.3g} {unit}/s" if one_speed(rows.speed) else "their split is within the scatter"
             notes.append(
-                f"{shown}: only the sum of Coulomb and viscous friction at {steady:.3g} {unit}/s is known, and is given as Coulomb friction; "
+                f"{shown}: only the sum of Coulomb and viscous friction at {steady:.3g} {unit}/s is known, which the two numbers of the file give together; "
                 "record several speeds to separate them"
             )
     gravity = (0.0, 0.0)

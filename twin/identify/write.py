@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from twin.documents import flat, value_at
+from twin.identify.findings import ONE_SPEED
+from twin.identify.parameters import FRICTIONS
 from twin.identify.result import Identification, Range
 from twin.machine.commented import ASSUMED, BOUNDED
 from twin.machine.machine import Machine, write_machine
@@ -21,12 +23,15 @@ def machine_comments(result: Identification) -> dict[str, str]:
     name = Path(result.campaign).name
     out = {}
     changed = _changed(result.before, result.machine)
+    one_speed = {finding.axis for finding in result.findings if finding.text.startswith(ONE_SPEED)}
     for p in result.parameters:
         if p.path in changed or (p.path and p.at_bound and result.taken(p) is not None):
             r = result.taken(p) or p.value
             limit = ", at its bound" if p.at_bound else ""
             small = p.path.endswith("delay_s") or p.path.endswith("time_s")  # a delay near zero is one all the same
-            grade = BOUNDED if r.half > WIDE * abs(r.value) and not small else "identified"
+            split = p.name in FRICTIONS and p.axis in one_speed
+            limit += ", known is the sum of both frictions at the one speed driven" if split else ""
+            grade = BOUNDED if split or (r.half > WIDE * abs(r.value) and not small) else "identified"
             out[p.path] = f"{grade}  95 % {r.low:.6g} .. {r.high:.6g}{limit}, campaign {name}"
     for path in changed:
         if path in out or path == "effect":

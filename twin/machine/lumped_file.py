@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 
 from twin.files import write_whole
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
-from twin.machine.keys import EFFORTS, speed_gains
+from twin.machine.keys import EFFORTS, SMALLEST, speed_gains
 
 LUMP = "lump"
 BY_LOAD = "measured by the recorded external load"
@@ -321,9 +321,14 @@ def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
         own = [one for one in lumps if one.kind == kind]
         for key, encoder in ((scale, "scale"), (motor, "motor")):
             if noises := [one.noise for one in own if one.encoder == encoder]:
-                lines.append(number_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), "measured"))
+                lines.append(_noise_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0)))
     currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
-    return [*lines, *([number_line("current_noise_a", max(currents), "measured")] if currents else [])]
+    return [*lines, *([_noise_line("current_noise_a", max(currents))] if currents else [])]
+
+
+def _noise_line(key: str, noise: float) -> str:
+    """The noise of a recording; what rounding alone leaves is none."""
+    return number_line(key, noise if noise >= SMALLEST else 0.0, "measured")
 
 
 def _xml(text: str) -> str:

@@ -76,15 +76,20 @@ def _column(column: Proposed) -> list[str]:
     if column.reason and not column.doubt:
         lines.append(f"# {column.reason}" + (f"; second choice: {column.second}" if column.second else ""))
     lines.append(f"{mark}[[column]]")
-    remark = f"   # {column.remark}" if column.remark and column.remark != column.assumed else ""
-    of_unit = f"   # assumed: {column.assumed}" if column.assumed else "" if column.signal in FORCES and column.sign < 0 else remark
+    remark = column.remark if column.remark != column.assumed else ""
+    of_sign = remark if column.signal in FORCES and column.sign < 0 else ""
+    of_unit = "; ".join(text for text in (column.assumed and f"assumed: {column.assumed}", "" if of_sign else remark) if text)
     lines += [f"{mark}name = {toml_text(column.name)}", f"{mark}axis = {toml_text(column.axis)}"]
     lines += [f"{mark}signal = {toml_text(column.signal)}"]
-    lines.append(f"{mark}unit = {toml_text(column.unit)}{of_unit}")
+    lines.append(f"{mark}unit = {toml_text(column.unit)}{_comment(of_unit)}")
     lines += [f"{mark}{key}" for key in column.extra]
     if column.sign < 0:
-        lines.append(f"{mark}sign = -1{remark if column.signal in FORCES else ''}")
+        lines.append(f"{mark}sign = -1{_comment(of_sign)}")
     return lines
+
+
+def _comment(text: str) -> str:
+    return f"   # {text}" if text else ""
 
 
 def grouped(unknown: Mapping[str, str]) -> list[str]:

@@ -1,9 +1,10 @@
 """Meaning of column names as controls and instruments write them: axis, signal, unit.
 
 Known names: SINUMERIK (Edge: `DES_POS|1`; trace: `nckServoDataCmdPos64 [u1, 1]`; `Lagesollwert X`), HEIDENHAIN's oscilloscope
-(`s noml`, `V (ACT RPM)`, `I nominal`), LinuxCNC's halscope (`joint.0.motor-pos-cmd`), plain words in English, German and French. A name
-is split into words, German compounds into their parts, accents are dropped. A single unknown word makes the name unknown. Of a path (`MAIN.axis.fActPos`)
-the last part counts. The data decide what a name leaves open (mm or deg).
+(`s noml`, `V (ACT RPM)`, `I nominal`), LinuxCNC's halscope (`joint.0.motor-pos-cmd`), drives with their parameter numbers (`r63: Actual speed value`,
+`0x6064 Position actual value`), plain words in English, German, French, Chinese and Japanese. A name is split into words, German compounds into their
+parts, accents are dropped. A single unknown word makes the name unknown. Of a path (`MAIN.axis.fActPos`, `/reference/joint_1/position`) the last part
+counts; the parts before it state the axis, and whether the value is commanded or measured. The data decide what a name leaves open (mm or deg).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _WORDS = {
     "pos": "pos position lage weg winkel angle joint_position posn",
     "vel": "vel velo velocity speed geschwindigkeit drehzahl rpm vitesse",
     "current": "current curr strom iq amps courant",
-    "torque": "torque moment drehmoment trq couple",
+    "torque": "torque moment drehmoment trq couple effort",
     "voltage": "voltage volt spannung tension",
     "acceleration": "acc accel acceleration beschleunigung",
     "set": "set setpoint soll sollwert cmd command commanded des desired ref reference target nominal noml nom demand demanded vorgabe fuehrung consigne commande",
@@ -30,21 +31,33 @@ _WORDS = {
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung storung",
     "injected": "injected injection excitation anregung",
-    "-": "rec data record signal value val all axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid "
+    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid "
     "wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 _MEANS: dict[str, set[str]] = {}
 for _role, _listed in _WORDS.items():
     for _word in _listed.split():
         _MEANS.setdefault(_word, set()).add(_role)
+_ARRAYS = {"positions": "pos", "velocities": "vel", "accelerations": "acceleration", "efforts": "torque"}
+"""Arrays of the joints of a robot in the messages of ROS: `desired.positions0`."""
+TERMS = {
+    "指令": "command", "指令值": "command", "目标": "target", "目標": "target", "设定": "set", "設定": "set", "给定": "set", "实际": "actual", "実": "actual",
+    "反馈": "feedback", "フィードバック": "feedback", "位置": "position", "速度": "speed", "转速": "speed", "電流": "current", "电流": "current",
+    "转矩": "torque", "扭矩": "torque", "力矩": "torque", "トルク": "torque", "电压": "voltage", "電圧": "voltage", "跟随误差": "following error",
+    "偏差": "error", "电机": "motor", "モータ": "motor", "时间": "time", "時間": "time", "轴": "axis", "軸": "axis", "值": "value", "値": "value",
+}  # fmt: skip
+"""Chinese and Japanese terms of drives in English, which also tell the encoding of a text."""
+TERM = re.compile("|".join(sorted(TERMS, key=len, reverse=True)))
+_CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:._ -]\s*(?=\S)")
+"""Number of a parameter of a drive, or of an object of CiA 402, before its name."""
 _LETTERS = {"s": "pos", "q": "pos", "qd": "vel", "qdd": "acceleration", "v": "vel", "n": "vel", "i": "current", "m": "torque", "tau": "torque",
             "u": "voltage", "a": "acceleration"}  # fmt: skip
 """Letters for a quantity; valid only beside a word for set point, actual value or feedforward."""
 _SIGNALS = {
-    "pos": ("setpoint", "position", ""), "vel": ("velocity_setpoint", "velocity", ""), "current": ("current", "current", "A"),
-    "torque": ("torque_setpoint", "torque", "Nm"), "voltage": ("voltage", "voltage", "V"), "acceleration": ("acceleration", "acceleration", ""),
+    "pos": ("setpoint", "position"), "vel": ("velocity_setpoint", "velocity"), "current": ("current", "current"),
+    "torque": ("torque_setpoint", "torque"), "voltage": ("voltage", "voltage"), "acceleration": ("acceleration", "acceleration"),
 }  # fmt: skip
-"""Quantity -> signal if it is a set point, signal else, usual unit."""
+"""Quantity -> signal if it is a set point, signal else."""
 
 _EXACT = {
     # SINUMERIK Edge
@@ -57,6 +70,8 @@ _EXACT = {
     "v (act rpm)": ("velocity", "mm/min"), "v (nom rpm)": ("velocity_setpoint", "mm/min"), "v (n act)": ("velocity", "mm/min"),
     "v (n noml)": ("velocity_setpoint", "mm/min"), "i (int rpm)": ("", ""), "s diff": ("following_error", ""), "pos. diff.": ("", ""),
     "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "p mech.": ("", ""),
+    # ODrive: turns of the motor
+    "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("", ""),
     # EMPS benchmark: names used in robot identification
     "qg": ("setpoint", "m"), "qm": ("motor_position", "m"), "vir": ("voltage", "V"),
 }  # fmt: skip
@@ -85,6 +100,11 @@ _LABELS = (
 """Where the name of a column may state its axis: 'X1_ActualPosition', 'pos (5)', 'target_q_0', 'DES_POS|3', 'axis2.speed'."""
 
 
+_PATH_AXIS = re.compile(
+    r"(?:^|[._/])(?:axis|axes|achse|axe|joint|drive|antrieb|motor)?_?(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._/\]])", re.IGNORECASE
+)
+
+
 @dataclass(frozen=True)
 class Meaning:
     """Meaning of a column: axis, signal ("" for a known name that is not a signal of the twin), unit ("" if the name gives none).
@@ -100,13 +120,16 @@ class Meaning:
 
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
     """Meaning of a name, or None. `unit` is given by the file. `only_axis`: axis of names that give none."""
-    found = _meaning_of(name, unit, only_axis)
-    path, _, last = name.strip().rpartition(".")
-    if found is not None or not path or not last[:1].isalpha():
-        return found
-    # a variable of a program: the last part of its path, the axis from the parts before
-    named = re.search(r"(?:^|[._])(?:axis|axes|achse|axe)?_?(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._\]])", path, re.IGNORECASE)
-    return _meaning_of(re.sub(r"^(?:lr|[fnrx])(?=[A-Z])", "", last), unit, named[1].upper() if named else only_axis)
+    name = _CODE.sub("", TERM.sub(lambda term: f" {TERMS[term[0]]} ", name).strip())
+    path, last = (part or "" for part in re.fullmatch(r"(?:(.*)[./])?([^./]*)", name, re.DOTALL).groups())  # type: ignore[union-attr]
+    named = _PATH_AXIS.search(path)
+    axis = named[1].upper() if named else only_axis
+    before = [part for part in re.split(r"[./]", path) if _MEANS.get(part.lower(), set()) & {"set", "act", "error"}]
+    within = path and last[:1].isalpha()  # a variable of a program, a field of a message
+    tries = [] if within and before else [name]
+    if within:
+        tries += [*[last] * (last.lower() in _EXACT), " ".join([*before, re.sub(r"^(?:lr|[fnrx])(?=[A-Z])", "", last)])]
+    return next((found for one in tries if (found := _meaning_of(one, unit, axis)) is not None), None)
 
 
 def _meaning_of(name: str, unit: str, only_axis: str) -> Meaning | None:
@@ -116,7 +139,8 @@ def _meaning_of(name: str, unit: str, only_axis: str) -> Meaning | None:
     if index:
         plain = plain[: index.start()].strip()
     if (exact := _EXACT.get(plain.lower())) is not None:
-        return Meaning(axis or only_axis, exact[0], unit or exact[1])
+        # 'CURRENT|1' is of a SINUMERIK, 'current' of anyone
+        return Meaning(axis or only_axis, exact[0], unit or (exact[1] if index or exact[0] not in ("current", "torque") else ""))
     if not unit and (ending := _UNIT_ENDING.search(plain)):
         unit = _UNIT_NAMES.get(ending[1].lower(), "") or known_unit(ending[1].lower().replace("_per_", "/"))
         plain = plain[: ending.start()]
@@ -133,6 +157,7 @@ def _words(text: str) -> list[str]:
     text = "".join(c for c in text if not unicodedata.combining(c))
     text = _COMPOUND.sub(lambda m: f" {' '.join(_STEMS.get(p.lower(), p) for p in _PART.findall(m[0]))} ", text)
     text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
+    text = re.sub(r"(?i)torque[ -](?:generating|producing)", "", text)
     text = re.sub(r"(?i)f[ _-]error", "ferror", text)
     text = re.sub(r"(?i)(?:mess|measuring )system ?([12])", lambda m: " motor " if m[1] == "1" else " load ", text)  # of a SINUMERIK
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
@@ -147,6 +172,9 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
         known = _MEANS.get(word.lower())
         if known:
             roles |= known
+        elif (array := re.fullmatch(r"([a-z]+)_?(\d{0,2})", word)) and array[1] in _ARRAYS:
+            roles.add(_ARRAYS[array[1]])
+            axis = axis or array[2]
         elif word.isdigit():
             if len(word) == 1:
                 axis = axis or word  # joint.0.motor-pos-cmd; two digits (64) are a number width
@@ -185,9 +213,9 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
     quantity = quantities[0]
     if "ffw" in roles:
         if quantity == "torque":
-            return Meaning(axis, "torque_feedforward", unit or "Nm")
+            return Meaning(axis, "torque_feedforward", unit)
         return Meaning(axis, "velocity_feedforward" if quantity == "vel" else "", unit)
-    commanded, actual, usual = _SIGNALS[quantity]
+    commanded, actual = _SIGNALS[quantity]
     signal = commanded if "set" in roles else actual
     if signal == "position" and "motor" in roles:
         signal = "motor_position"
@@ -195,7 +223,7 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
         signal = ""
     # a control may show only the nominal current; its current loop is faster than the recording
     ranks = {"torque": relative, "acceleration": int("set" not in roles), "current": int("set" in roles), "voltage": int("act" in roles)}
-    return Meaning(axis, signal, unit or usual, ranks.get(quantity, int(signal == "setpoint" and "motor" in roles)))
+    return Meaning(axis, signal, unit, ranks.get(quantity, int(signal == "setpoint" and "motor" in roles)))
 
 
 def label_of(name: str) -> str:

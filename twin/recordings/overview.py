@@ -36,7 +36,7 @@ def understood_table(known: Understood, traces: Sequence[Written]) -> str:
                 f"{channel.column.factor:g}",
                 f"{channel.source.timing.interval * 1e3:.4g} ms",
                 f"{channel.source.skew_s * 1e3:.3g} ms" if channel.source.skew_s else "-",
-                f"{low:.5g} .. {high:.5g} {traces[0].units[key]}",
+                f"{low + 0.0:.5g} .. {high + 0.0:.5g} {traces[0].units[key]}",
             ]
         )
     return table(["column", "signal", "unit", "factor", "interval", "skew removed", "range"], rows, left=3)

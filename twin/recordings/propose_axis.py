@@ -97,11 +97,12 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     columns, out.speed = proposed_columns(axis, roles, guess, period, timed, bits)
     for column in columns:
         text = f"the file states [{stated_otherwise.get(column.name)}], which is taken as {column.unit}"
-        out.columns.append(replace(column, assumed=text) if column.name in stated_otherwise else column)
+        remark = column.remark if column.remark != column.assumed else ""
+        out.columns.append(replace(column, assumed=text, remark=remark) if column.name in stated_otherwise else column)
     out.unused |= {c.name: _why_unused(c, roles) for c in roles.unused}
     out.unused |= {copy: f"equal to '{original}' in every sample" for copy, original in roles.same.items()}
     if roles.doubt:
-        out.notes.append(f"{axis}: {roles.doubt}")
+        out.notes.append(roles.doubt)
     return out
 
 
@@ -116,8 +117,8 @@ def _kind_of_units(meanings: object, label: str) -> tuple[str, bool]:
     for meaning in meanings:  # type: ignore[attr-defined]
         if meaning.unit and meaning.signal in (*POSITIONS, *SPEEDS):
             named = dimension_recorded(meaning.unit)
-            if named in ("length", "speed", "angle", "angular speed"):
-                return ("rotary" if named.startswith("ang") else "linear"), True
+            if named in ("length", "speed", "angle", "angular speed", "turns"):
+                return ("linear" if named in ("length", "speed") else "rotary"), True
     return ("rotary" if len(label.strip()) <= 2 and label.strip()[:1].upper() in ("A", "B", "C") else "linear"), False
 
 
@@ -187,10 +188,10 @@ def _sign_bits(values: Mapping[str, np.ndarray], signals: Sequence[Signal], mean
 
 
 def _at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
-    """Values at these times, linear between samples; lengths and angles with a unit in mm or degrees."""
+    """Values at these times, linear between samples; lengths, angles and turns with a unit in mm or degrees."""
     assert signal.time is not None
     own, values = np.asarray(signal.time[0:BLOCK], float), signal.head
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")
-    in_si, usual = RECORDED_UNITS, {"length": "mm", "angle": "deg"}.get(dimension_recorded(unit) if unit else "")
+    in_si, usual = RECORDED_UNITS, {"length": "mm", "angle": "deg", "turns": "deg"}.get(dimension_recorded(unit) if unit else "")
     return np.interp(time, own, values) * (in_si[unit][1] / in_si[usual][1] if usual else 1.0)

@@ -29,9 +29,15 @@ CLEAR, UNLIKE = 0.02, 0.5
 """Unexplained share of the variance: a ratio of two positions is clear below the first; above the second, one does not follow the other."""
 COUNTED = 0.2
 """Counts per second may differ from the slope of counts by this share: few samples and whole numbers are coarse."""
+OWN_TURN = 1e-3
+"""A turn of the motor that differs from a turn of the axis by less than this share is one."""
 POSITIONS = ("setpoint", "position", "motor_position", "following_error")
 SPEEDS = ("velocity", "velocity_setpoint", "velocity_feedforward")
 FORCES = ("current", "torque", "voltage")
+USUAL = {"current": "A", "voltage": "V"} | dict.fromkeys(
+    ("torque", "torque_setpoint", "torque_feedforward", "disturbance", "injected_command"), "Nm"
+)
+"""Units of forces without one."""
 PROFILE = "speed of the profile (slope of the set point), no output of a controller: no gain follows from it"
 _JOINT = re.compile(r"joint|robot|(^|[_. ])q(d|dd)?([_. (\[]|$)", re.IGNORECASE)
 
@@ -81,9 +87,9 @@ def proposed_columns(
         if signal in POSITIONS:
             column = _position(column, scale, recorded)
         elif not moves(role.column.values):
-            column = replace(column, doubt="it never changes")
+            column = replace(column, doubt="it never changes", unit=column.unit or USUAL.get(signal, f"{scale.unit}/s"))
         elif signal in SPEEDS:
-            column = _speed(column, role, scale, recorded, base, period, kind)
+            column = _speed(column, role, scale, recorded, base, period, kind, timed)
         elif signal == "acceleration":
             column = replace(column, unit=column.unit or f"{scale.unit if scale.unit in ('mm', 'm', 'um', 'deg', 'rad') else 'mm'}/s2")
         elif signal == "voltage" and relations.supplies(role.column.values):
@@ -113,7 +119,7 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     stated = [
         r.column.meaning.unit for s, r in roles.roles.items() if s in POSITIONS and r.column.meaning is not None and r.column.meaning.unit
     ]
-    if stated and dimension_recorded(stated[0]) in ("length", "angle"):
+    if stated and dimension_recorded(stated[0]) in ("length", "angle", "turns"):
         return Scale("mm" if dimension_recorded(stated[0]) == "length" else "deg", 1.0, "", True)  # they were converted
     if base is None:
         return Scale("deg" if guess[0] == "rotary" else "mm", sure=True)
@@ -129,19 +135,27 @@ def _position(column: Proposed, scale: Scale, recorded: Mapping[str, np.ndarray]
     """Unit and doubt of a position."""
     doubt = _doubt_of_position(column.signal, recorded)
     if column.unit:
-        return replace(column, doubt=doubt)
+        turns = ("deg_per_rev = 360",) * (column.unit == "rev")
+        return replace(column, doubt=doubt, extra=(*column.extra, *turns), remark="turns of the axis itself" if turns else column.remark)
     extra = (*column.extra, f"scale = {scale.factor:.9g}") if scale.factor != 1.0 else column.extra
     return replace(column, unit=scale.unit, extra=extra, remark=scale.reason, doubt=doubt, assumed="" if scale.sure else scale.reason)
 
 
 def _speed(
-    column: Proposed, role: Role, scale: Scale, recorded: Mapping[str, np.ndarray], base: np.ndarray | None, period: float, kind: str
+    column: Proposed,
+    role: Role,
+    scale: Scale,
+    recorded: Mapping[str, np.ndarray],
+    base: np.ndarray | None,
+    period: float,
+    kind: str,
+    timed: bool,
 ) -> Proposed:
-    """Signal, unit and sign of a speed."""
+    """Signal, unit and sign of a speed. `timed`: `period` is in seconds."""
     values, s = role.column.values, recorded.get("setpoint")
     unnamed = role.column.meaning is None
     if s is not None and (column.signal == "velocity_setpoint" or (column.signal == "velocity_feedforward" and unnamed)):
-        profile = _is_profile(values, recorded, period)
+        profile = _is_profile(values, recorded, period, timed)
         signal = {True: "velocity_feedforward", False: "velocity_setpoint", None: column.signal}[profile]
         if signal != column.signal and signal in recorded:
             return replace(column, doubt=PROFILE if profile else "another column is the speed set point")
@@ -173,6 +187,8 @@ def _speed(
     in_mm_or_deg = RECORDED_UNITS[scale.unit][1] / RECORDED_UNITS["mm" if kind == "linear" else "deg"][1]
     if column.unit and dimension_recorded(column.unit) == "turning speed":
         travel = {"rev/min": 60.0, "rev/s": 1.0}[column.unit] / abs(found.factor) * scale.factor * in_mm_or_deg
+        if kind == "rotary" and abs(travel / 360.0 - 1.0) < OWN_TURN:
+            return replace(column, sign=sign, extra=(*column.extra, f"{key} = 360"), remark="turns of the axis itself")
         return replace(
             column, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark="travel of a motor turn by the slope of the position"
         )
@@ -188,7 +204,7 @@ def _speed(
     return replace(column, unit=unit, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark=f"{said}; {remark}".rstrip("; "))
 
 
-def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: float) -> bool | None:
+def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: float, timed: bool) -> bool | None:
     """True if a speed set point is only the slope of the set point; False if it answers the position; None if the record does not tell.
 
     If all that is left beside the slope were gain times following error, and the gain would be lower than that of any control, it is the slope.
@@ -204,7 +220,7 @@ def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: 
     x = next(iter(measured.values()))
     left = np.sqrt(of_s.left) * float(np.std(values)) / max(abs(of_s.factor), 1e-300)
     error = np.sqrt(relations.follows(x, s).left) * float(np.std(x))
-    return True if of_s.left < 0.3 and left < LEAST_GAIN * error else None
+    return True if timed and of_s.left < 0.3 and left < LEAST_GAIN * error else None
 
 
 LEAST_GAIN = 5.0
@@ -213,19 +229,16 @@ LEAST_GAIN = 5.0
 
 def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapping[str, np.ndarray], period: float, kind: str) -> Proposed:
     """Unit and sign of a current, torque or voltage."""
-    unit, assumed = column.unit, ""
-    # numbers of one decimal up to a few hundred, as controls show percent
-    tenths = np.abs(role.column.values).max() < 400.0 and decimal_place(role.column.values, off=1e-6) >= 0.1
-    if column.signal == "torque" and not role.column.unit and tenths:
-        assumed = f"nothing states its unit: taken as {unit}, but steps of 0.1 may be percent of the rated torque"
-    if role.column.meaning is None and not unit:
-        unit = {"current": "A", "torque": "Nm", "voltage": "V"}[column.signal]
+    unit, assumed, values = column.unit, "", role.column.values
+    if not unit:
+        unit = USUAL[column.signal]
         assumed = f"nothing states its unit: taken as {unit}"
-        if column.signal == "current" and counts(role.column.values) and np.abs(role.column.values).max() > 200.0:
-            unit, assumed = "mA", f"whole numbers up to {np.abs(role.column.values).max():.0f}: taken as mA"
-    unit = unit or {"torque_setpoint": "Nm", "torque_feedforward": "Nm"}.get(column.signal, "A")
+        if column.signal == "current" and counts(values) and np.abs(values).max() > 200.0:
+            unit, assumed = "mA", f"whole numbers up to {np.abs(values).max():.0f}: taken as mA"
+        elif unit == "Nm" and decimal_place(values, off=1e-6) >= 0.1:  # as controls show percent and per mille
+            assumed += ", but steps of 0.1 or 1 may be percent or per mille of the rated torque"
     if column.signal not in FORCES:
-        return replace(column, unit=unit)
+        return replace(column, unit=unit, assumed=assumed)
     if base is None and "velocity" in recorded:
         base = np.cumsum(recorded["velocity"]) * period
     if base is None:

@@ -28,7 +28,7 @@ MOST = 6.0
 RANK = 10.0
 """Evidence of each rank of a name."""
 ALONE = -1.0
-"""Evidence for a position without a set point: the rarer record."""
+"""Evidence for a position without a set point: the rarer record. A set point without a position is rarer still: it shows nothing of the axis."""
 STRANGE = -9.0
 """Evidence against a column with an unknown name beside others whose names state a motion: its name would have said what it is."""
 NEVER = -1e3
@@ -154,7 +154,8 @@ class _Evidence:
         total, chosen = 0.0, {}
         for signal, column, other in (("setpoint", s, x), ("position", x, s)):
             if column is not None:
-                total += (NAMED - _rank(column)) if column.meaning is not None else ALONE * (other is None)
+                alone = ALONE * (other is None) * (6.0 if signal == "setpoint" else 1.0)
+                total += (NAMED - _rank(column)) if column.meaning is not None else alone
                 chosen[signal] = Role(column, signal, 0.0, "the axis moves along it" if other is None else "")
         if s is not None and x is not None:
             score, lag, fit = self._pair(s, x)

@@ -19,7 +19,7 @@ from twin.units import RECORDED_UNITS, dimension_recorded
 
 _NAMES = (
     "time", "t", "zeit", "timestamp", "temps", "tempo", "x-achse", "x axis", "x_value", "datetime", "date time", "date/time", "datum/zeit", "uhrzeit",
-    "zeitstempel", "horodatage", "zeitpunkt", "elapsed time", "elapsed", "relative time", "abs time", "clock", "seconds", "sekunden", "millis",
+    "zeitstempel", "horodatage", "zeitpunkt", "elapsed time", "elapsed", "relative time", "abs time", "clock", "seconds", "sekunden", "millis", "时间", "時間",
 )  # fmt: skip
 _UNIT_OF_NAME = {"seconds": "s", "sekunden": "s", "millis": "ms"}
 _ENDING = re.compile(r"[ _](?:in )?(s|sec|ms|us|µs|ns|min)$", re.IGNORECASE)
@@ -102,7 +102,7 @@ def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
     ranked = []
     for i, name in enumerate(names):
         if units[i] == "" or dimension_recorded(units[i]) == "time":
-            plain = _ENDING.sub("", split_heading(name)[0].lower()).strip(" _#")
+            plain = _ENDING.sub("", split_heading(name)[0].lower()).strip(" _#%")
             last = re.split(r"[./]", plain)[-1]
             kinds = (plain in _NAMES, last in _NAMES, last.startswith(("time_", "zeit_", "timestamp")), units[i] != "")
             if any(kinds):
@@ -111,7 +111,13 @@ def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
 
 
 def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> tuple[dict[str, Signal], TimeSource, int]:
-    """Signals from columns (values, unit) on one time, its source, and how often it starts again. A column of another length gets no time."""
+    """Signals from columns (values, unit) on one time, its source, and how often it starts again. A column of another length gets no time.
+
+    A unit in the heading, as in 'X.position [mm]', is taken off where the rest is unique.
+    """
+    split = {name: split_heading(name) for name in columns}
+    plain = [own for own, _ in split.values()]
+    columns = {own if plain.count(own) == 1 else name: (columns[name][0], columns[name][1] or unit) for name, (own, unit) in split.items()}
     names = list(columns)
     units = [unit for _, unit in columns.values()]
     found = find_time(names, units, [np.asarray(values[:4096], float) for values, _ in columns.values()], clock, where)

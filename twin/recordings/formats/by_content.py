@@ -32,11 +32,11 @@ _FORMATS = {
     "parquet": _Format("a Parquet file", (b"PAR1",), (".parquet",)),
     "matlab": _Format("a MATLAB file", (b"MATLAB ", b"\x89HDF"), (".mat",), sure=False),
     "sinumerik": _Format("a SINUMERIK trace", (b"<",)),
-    "sinumerik_edge": _Format("a SINUMERIK Edge recording", (b"{",)),
+    "json_text": _Format("a JSON recording", (b"{", b"[{")),
     "delimited": _Format("a text of numbers", sure=False),
 }
 """By the module that reads them."""
-FORMATS = "text of any layout (.csv .txt .log .dat ...), SINUMERIK trace (.xml) and Edge (.json), .tdms .mf4 .mat .parquet"
+FORMATS = "text of any layout (.csv .txt .log .dat ...), SINUMERIK trace (.xml) and Edge (.json), .json .tdms .mf4 .mat .parquet"
 
 
 def read_recording(path: str | Path, options: ReadOptions) -> Recording:

@@ -19,7 +19,7 @@ from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, has_c
 from twin.recordings.formats.text_heading import UNUSED, Heading, read_heading
 from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs
 from twin.recordings.formats.text_stream import Clocks, Layout, stream
-from twin.recordings.signals import ReadOptions, Recording, Signal, TimeSource, known_unit
+from twin.recordings.signals import IMPOSSIBLE_VALUE, ReadOptions, Recording, Signal, TimeSource, known_unit
 from twin.recordings.time_column import UNNAMED, find_time, is_counter, numbers_rows, time_candidates
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}
@@ -108,7 +108,9 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         notes.append(f"{len(groups)} groups of signals, each with a time column of its own")
     else:
         found = time_of(kept, stamps)
-        kept = [i for i in kept if i != found.at]
+        huge = [i for i in kept if i != found.at and np.all(np.abs(rows.values(i)) >= IMPOSSIBLE_VALUE)]  # type: ignore[arg-type]
+        notes += [f"'{names[i]}' holds numbers above {IMPOSSIBLE_VALUE:g}, such as ns since 1970: not read" for i in huge]
+        kept = [i for i in kept if i != found.at and i not in huge]
         times = dict.fromkeys(kept, found)
     names, dropped = _named_once(rows, names, kept)
     kept = [i for i in kept if i not in dropped]

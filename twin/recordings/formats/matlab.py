@@ -1,4 +1,4 @@
-"""MATLAB .mat up to version 7 (scipy), and 7.3 if h5py is installed. Vectors by name, fields of a struct as 'struct.field'."""
+"""MATLAB .mat up to version 7 (scipy), and 7.3 if h5py is installed. Vectors by name, fields of a struct as 'struct.field', structs with a label and values by their label."""
 
 from __future__ import annotations
 
@@ -72,13 +72,27 @@ def _collect(name: str, value: Any, columns: dict[str, np.ndarray]) -> None:
         return
     value = np.asarray(value)
     if value.dtype.names:
-        if value.size == 1:
+        for number, row in enumerate(value.ravel(), start=1):
+            label = next((text for part in _LABELS if (text := _text(row, part))), "")
+            own = label or (name if value.size == 1 else f"{name}({number})")
             for part in value.dtype.names:
-                _collect(f"{name}.{part}", value.ravel()[0][part], columns)
+                _collect(own if label and part.lower() in _VALUES else f"{own}.{part}", row[part], columns)
     elif value.dtype == object and value.size == 1:
         _collect(name, value.ravel()[0], columns)
     elif np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value) and value.size:
         columns[name] = value
+
+
+_LABELS, _VALUES = ("Name", "name", "label"), ("data", "values")
+"""Fields of a struct that is one signal, as Simulink and dSPACE save them in an array."""
+
+
+def _text(row: Any, part: str) -> str:
+    """Text of a field of a struct; "" if there is none."""
+    value = row[part] if part in row.dtype.names else ""
+    while isinstance(value, np.ndarray) and value.size == 1:
+        value = value.ravel()[0]
+    return str(value) if isinstance(value, str) else ""
 
 
 def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:

@@ -9,9 +9,12 @@ from pathlib import Path
 import re
 
 from twin.errors import InputError
+from twin.recordings.names import TERM
 
 SAMPLE_BYTES = 1 << 18
 """Bytes at the start of a file that tell encoding and layout."""
+EASTERN = ("gb18030", "cp932", "big5")
+"""Encodings of Chinese and Japanese text; the one in which most terms of drives occur is right."""
 NUMBER, STAMP, WORD, BLANK = "number", "stamp", "word", ""
 _NUMBERS = {
     mark: re.compile(rf"[+-]?(?:\d+(?:[{mark}]\d*)?|[{mark}]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE) for mark in (".", ",")
@@ -47,7 +50,7 @@ def read_sample(path: Path, encoding: str | None = None) -> Sample:
     try:
         text = head.decode(encoding, errors="ignore")
     except LookupError:
-        raise InputError(f"{path}: [csv] encoding '{encoding}' is unknown; use utf-8, latin-1 or utf-16") from None
+        raise InputError(f"{path}: [csv] encoding '{encoding}' is unknown; use utf-8, latin-1, utf-16, gb18030 or cp932") from None
     # the line ends of Python's text files; str.splitlines knows more
     lines = text.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return Sample(path, encoding, tuple(lines[:-1] if len(head) == SAMPLE_BYTES or not lines[-1] else lines))
@@ -68,7 +71,7 @@ def _encoding(head: bytes, path: Path) -> str:
     try:
         head[: len(head) - 4].decode("utf-8")
     except UnicodeDecodeError:
-        return "latin-1"
+        return max(("latin-1", *EASTERN), key=lambda encoding: len(TERM.findall(head.decode(encoding, errors="ignore"))))
     return "utf-8"
 
 

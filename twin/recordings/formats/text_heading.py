@@ -115,7 +115,7 @@ def _cells(line: str, delimiter: str, width: int) -> list[str]:
 def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int]) -> tuple[int | None, int | None, bool]:
     """Lines of names and of units, and whether the lines begin with their meaning."""
     keys = {i: _plain(re.sub(r"[\[(].*", "", table[i][0])).lower() for i in full}
-    named = [i for i in full if keys[i] in _NAME_KEYS]
+    named = [i for i in full if keys[i] in _NAME_KEYS and _wordy(table[i][1:])]
     measured = [i for i in full if keys[i] in _UNIT_KEYS]
     if named and (measured or any(_INTERVAL.search(keys[i]) for i in full)):
         return named[0], measured[0] if measured else None, True
