@@ -57,11 +57,16 @@ def _parsed(content: Callable[[], Any], where: str, what: str, remedy: str) -> A
 
 def read_json(path: Path, what: str = "a valid JSON file", largest: int = LARGEST_JSON_BYTES) -> dict[str, Any]:
     """Read a JSON file whose content is an object. Every fault raises an InputError of one line that names the file."""
-    text = read_text(path, what, largest)
-    document = _parsed(lambda: json.loads(text), str(path), what, "the file is truncated or damaged: write it again")
-    _check(document, str(path))
+    document = json_of(read_text(path, what, largest), str(path), what)
     if not isinstance(document, dict):
         raise InputError(f"{path}: not {what}: the content is not an object {{..}}; write it again")
+    return document
+
+
+def json_of(text: str, where: str, what: str = "a valid JSON file") -> Any:
+    """Parse JSON text of any content; `where` names its source in error messages."""
+    document = _parsed(lambda: json.loads(text), where, what, "the file is truncated or damaged: write it again")
+    _check(document, where)
     return document
 
 

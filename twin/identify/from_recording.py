@@ -15,12 +15,14 @@ import re
 import tempfile
 
 import numpy as np
+import tomlkit
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.files import write_whole
 from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.write import write_identified
+from twin.machine.commented import TRIED
 from twin.machine.lumped_file import AxisLumps, Law, write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
@@ -29,6 +31,8 @@ from twin.units import AXIS_UNITS
 
 LONGEST_TRIED_S = 8.0
 """Speed controllers are tried on at most this much recorded time [s]."""
+CONTRADICTED = 0.05
+"""Share of the following error: a controller that leaves more is not the one of the axis."""
 LAG_FACTORS = (0.6, 0.8, 1.25, 1.6)
 INTEGRAL_TIMES_S = (0.004, 0.01, 0.03, 0.1, 0.4)
 DELAY_STEPS_S = (-1.5e-3, -0.5e-3, 0.5e-3, 1.5e-3, 4e-3)
@@ -92,7 +96,24 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         )
     write_lumped_machine(out, lumps, folder.name)
     made = NewMachine(tuple(lumps), followed)
-    return _identified(made, folder, out, tried, say) if identified else made
+    made = _identified(made, folder, out, tried, say) if identified else made
+    _doubt_controllers(made, out)
+    return made
+
+
+def _doubt_controllers(made: NewMachine, out: Path) -> None:
+    """Mark as tried what the recorded command shows of the controllers of an axis, where the machine leaves CONTRADICTED of the following error.
+
+    A gain is the inverse of a lag: it is known no better than the machine follows.
+    """
+    document = tomlkit.parse(out.read_text(encoding="utf-8"))
+    for one in made.lumps:
+        left = made.followed[one.name]
+        if one.law.direct and left.gap > CONTRADICTED * left.following:
+            for number in document["axis"][one.name]["loops"].values():  # type: ignore[index, union-attr]
+                if number.trivia.comment.startswith("# measured"):
+                    number.comment(f"{TRIED}: the machine leaves {left.gap / left.following:.0%} of the following error")
+    write_whole(out, tomlkit.dumps(document))
 
 
 def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[MeasuredRun], say: Callable[[str], None]) -> NewMachine:

@@ -8,50 +8,44 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-import json
 from pathlib import Path
 from typing import Any
 
-from twin.documents import read_json, read_text
+from twin.documents import LARGEST_JSON_BYTES, json_of, read_text
 from twin.errors import InputError
 from twin.recordings.formats import sinumerik_edge
-from twin.recordings.formats.parquet import recording_of, rows_of
+from twin.recordings.formats.parquet import columns_of, rows_of
 from twin.recordings.signals import ReadOptions, Recording
 
-EDGE = b'"Header"'
-BEGIN_BYTES = 4096
+KIND = "a whole JSON file"
 LARGEST_BYTES = 100_000_000
 """A table as objects takes ten times its size in memory [bytes]."""
-SHAPE = "neither rows as objects nor columns as lists of numbers; export the recording as CSV"
+SHAPE = "neither a recording of a SINUMERIK Edge nor rows as objects nor columns as lists of numbers; export it as CSV"
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the recording of a SINUMERIK Edge, or a table."""
-    with path.open("rb") as file:
-        if EDGE in file.read(BEGIN_BYTES):
-            return sinumerik_edge.read(path, options)
+    document = _document(path)
+    if isinstance(document, Mapping) and {"Header", "Payload"} & document.keys():
+        return sinumerik_edge.recording_of(document, path, options)
+    if (size := path.stat().st_size) > LARGEST_BYTES:
+        raise InputError(
+            f"{path}: {size / 1e6:.0f} MB is too large for a table in JSON, the limit is {LARGEST_BYTES / 1e6:.0f} MB; export it as CSV"
+        )
     import pyarrow as pa
 
-    document = _document(path)
     try:
-        table = pa.Table.from_pylist(document) if isinstance(document, list) else pa.table(document)
+        table = (pa.Table.from_pylist(document) if isinstance(document, list) else pa.table(document)).flatten()
     except (pa.ArrowException, TypeError, ValueError, AttributeError):
         raise InputError(f"{path}: {SHAPE}") from None
-    table = table.flatten()
     lists = {n: rows for n in table.column_names if pa.types.is_list(table[n].type) and (rows := rows_of(table[n])) is not None}
-    return recording_of(table, "JSON", path, options, lists)
+    return columns_of(table, "JSON", path, options, lists)
 
 
 def _document(path: Path) -> Any:
-    """The rows, a list of objects, or the columns, an object. Raises InputError for anything else."""
-    text = read_text(path, "a JSON recording", LARGEST_BYTES).strip()
-    lines = text.splitlines()
-    if text.startswith("{") and not (len(lines) > 1 and lines[0].rstrip().endswith("}")):
-        return read_json(path, "a whole JSON file", LARGEST_BYTES)
-    try:
-        document = json.loads(text) if text.startswith("[") else [json.loads(line) for line in lines if line.strip()]
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: not a whole JSON file; the file is truncated or damaged: write it again") from None
-    if not (isinstance(document, list) and document and all(isinstance(row, Mapping) for row in document)):
-        raise InputError(f"{path}: {SHAPE}")
-    return document
+    """The content: an object, or a list of rows, which may also stand one a line."""
+    text = read_text(path, KIND, LARGEST_JSON_BYTES).strip()
+    first, _, rest = text.partition("\n")
+    if text.startswith("{") and first.rstrip().endswith("}") and rest.lstrip().startswith("{"):
+        text = f"[{','.join(line for line in text.splitlines() if line.strip())}]"
+    return json_of(text, str(path), KIND)

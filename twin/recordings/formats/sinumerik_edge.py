@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from twin.documents import read_json
 from twin.errors import InputError
 from twin.recordings.signals import Event, ReadOptions, Recording, Signal, date_of, is_count
 
@@ -30,9 +29,8 @@ LONGEST_TEXT = 400
 """Most characters of a block's text."""
 
 
-def read(path: Path, options: ReadOptions) -> Recording:
-    """Read the signals of the interpolation cycle and the events of the program."""
-    document = read_json(path, "a whole JSON file")
+def recording_of(document: Mapping[str, Any], path: Path, options: ReadOptions) -> Recording:
+    """The signals of the interpolation cycle and the events of the program in the content of a file."""
     header, payload = document.get("Header"), document.get("Payload")
     if not isinstance(header, Mapping) or not isinstance(payload, list):
         raise InputError(f"{path}: no Header and Payload: not a recording of a SINUMERIK Edge; export it as JSON again")
