@@ -58,7 +58,7 @@ class Channel:
                 means = u[: n // width * width].reshape(-1, width).mean(axis=1) * np.sqrt(width / self.correlation)
                 if (
                     float(np.mean(means**2)) > T.clean_mean_square + T.clean_spread * np.sqrt(2.0 / len(means))
-                    or float(np.abs(means).max()) > T.clean_mean
+                    or float(np.abs(means).max()) > T.clean_spread
                 ):
                     return False
         return True

@@ -71,10 +71,7 @@ def _with_slip(tuning: Tuning, slip: Nuisance, best: Trial, trials: Callable[[Se
         better = next(iter(trials([best.size])), best)
         if better is best or better.gain < best.gain:
             break
-        near = abs(better.size / best.size - 1.0) < T.slip_unchanged
         best = better
-        if near:
-            break
         if not 0.0 < best.size < 1.0 or best.gain < T.evidence:
             return tuning
     return tuning.with_column(slip, best.column)

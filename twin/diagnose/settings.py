@@ -47,8 +47,7 @@ class Thresholds:
 
     # a channel without a fault
     clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel")
-    clean_spread: float = _of(6.0, "1", "standard deviations of that mean square that are allowed as chance")
-    clean_mean: float = _of(6.5, "1", "largest moving average of a clean channel")
+    clean_spread: float = _of(6.0, "1", "standard deviations of a mean square, and of a moving average, that are allowed as chance")
     clean_mean_square: float = _of(1.5, "1", "mean square of the moving averages of a clean channel, and of a control law's error")
     clean_law_mean: float = _of(2.0, "1", "largest mean over 25 samples of the error of a control law that holds")
 
@@ -70,7 +69,6 @@ class Thresholds:
     normal_damping: float = _of(2.0, "1", "factor by which the damping of a drive train may differ from the assumed one")
     least_imperfection: float = _of(0.01, "share of normal", "a smaller imperfection is treated as zero")
     least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
-    slip_unchanged: float = _of(0.15, "share", "largest change of slip that is not simulated again")
     train_shown: float = _of(0.6, "share", "share of the response to a drive train that the runs used to identify it must hold")
     train_finer: float = _of(0.03, "share", "final frequency step when a drive train is identified")
 
@@ -88,7 +86,6 @@ class Thresholds:
     screened_largest: float = _of(4.0, "1", "largest size in screening, in multiples of the start")
     most_fits: int = _of(2, "times", "rounds in which an effect is fitted: it may be refused at first and accepted next to others")
     screened_least: float = _of(0.02, "1", "smallest size in screening, in multiples of the start")
-    screened_delay: float = _of(1e-5, "1", "the same for the delay of a lag")
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
