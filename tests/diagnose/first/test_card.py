@@ -8,6 +8,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from tests.builders.refused import refused
 from tests.builders.strokes import Planted, strokes
 from twin.cli import main
 from twin.diagnose.first.axis_facts import facts_of
@@ -72,3 +73,9 @@ def test_raw_files_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[
     said = capsys.readouterr().out
     assert "used as it stands" not in said
     assert json.loads((tmp_path / "out" / "card.json").read_text())["axes"]["X"]["duration_s"] < 4.1
+
+
+def test_a_simulated_run_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "summary.json").write_text("{}")
+    write_trace(strokes(Planted(), 1).trace, tmp_path / "trace.parquet")
+    assert "'twin compare'" in refused(capsys, "diagnose", str(tmp_path), "--out", str(tmp_path / "out"))

@@ -27,7 +27,9 @@ def is_campaign(inputs: Sequence[Path]) -> bool:
 
 
 def files_of(inputs: Sequence[Path]) -> list[Path]:
-    """The files among the inputs; a folder stands for the files in it."""
+    """The files among the inputs; a folder stands for the files in it. A run of the twin itself is no recording."""
+    if simulated := next((path for path in inputs if (path / "summary.json").is_file() and (path / "trace.parquet").is_file()), None):
+        raise InputError(f"{simulated}: a run of 'twin run', simulated, no recording; give recordings, or compare it with 'twin compare'")
     files = [f for path in inputs for f in (sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path])]
     if missing := next((f for f in files if not f.exists()), None):
         raise InputError(f"{missing}: no such file; give recordings, or the folder of a campaign")
