@@ -16,6 +16,7 @@ from twin.errors import InputError
 from twin.remedy.remedy import Remedy, refusals, sentence
 from twin.report import Figure, Section, Table, address, figure_svg, link_from, write_page
 from twin.report.curves import SETPOINT, Curve, Panel, curves_figure
+from twin.simulation.summary import feedforward_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -32,7 +33,8 @@ def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
     count = len(found.chosen.changes)
     brings = f"{document['after']:.2f} um after {count} change{'s' * (count > 1)}{spread}" if count else f"no change{spread}"
     lines = [
-        f"{found.motion}: {document['before']:.2f} um RMS at the tool point now, {brings}; target {document['target_um']:g} um {reached}"
+        f"{found.motion}: {document['before']:.2f} um RMS at the tool point now, {brings}; target {document['target_um']:g} um {reached}",
+        f"feedforward: {feedforward_line(found.machine)}, as in the machine file",
     ]
     if math.isfinite(goal.largest):
         now, then = ("inside" if e.largest <= goal.largest else "outside" for e in (found.before, found.after))
