@@ -171,8 +171,8 @@ class Collector:
         self.settle()
         n, kind, target, modes = len(self.kinds), np.array(self.kinds, np.int8), np.array(self.targets), self.all_modes
         target[:, 3:] = np.vstack(self.angles)
-        for row in np.flatnonzero(~(np.abs(target) < FARTHEST).all(axis=1)):
-            raise self.fail(self.lines[row], self.blocks[row], "a coordinate is too large; correct it")
+        if (far := np.flatnonzero(~(np.abs(target) < FARTHEST).all(axis=1))).size:
+            raise self.fail(self.lines[far[0]], self.blocks[far[0]], "a coordinate is too large; correct it")
         mode_of = np.array(self.mode_of)
         columns = {f.name: np.array([getattr(m, f.name) for m in modes])[mode_of] for f in fields(Modes)}
         exact, traori, brisk, length = (columns[name] for name in ("exact_stop", "traori", "brisk", "spindle_tool_length"))
