@@ -23,7 +23,7 @@ from twin.recordings.force_sign import recorded_sign
 from twin.recordings.plausible import contradictions
 from twin.recordings.profile_speed import PROFILE
 from twin.recordings.skew import Skew
-from twin.simulation.summary import axes_text
+from twin.simulation.summary import once
 
 SIGNALS = {
     "position": "position gain and delays",
@@ -47,13 +47,10 @@ class Finding:
 
 def told(findings: Iterable[Finding]) -> list[str]:
     """The findings as sentences; those that differ in the axis alone are one."""
-    alike: dict[tuple[str, str], list[str]] = {}
-    for finding in findings:
-        alike.setdefault((finding.run, finding.text), []).append(finding.axis)
     lines = []
-    for (run, text), axes in alike.items():
-        where = [f"run {run}"] * bool(run) + [axes_text(axes)] * bool(axes[0])
-        lines.append(f"{' '.join(where)}: {text}" if where else text)
+    for (run, text), axes in once(((f.run, f.text), f.axis) for f in findings).items():
+        where = " ".join(w for w in (run and f"run {run}", axes) if w)
+        lines.append(f"{where}: {text}" if where else text)
     return lines
 
 

@@ -15,16 +15,15 @@ import re
 import tempfile
 
 import numpy as np
-import tomlkit
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.files import write_whole
 from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.write import write_identified
-from twin.machine.commented import TRIED
+from twin.machine.commented import TRIED, assumed_values
 from twin.machine.lumped_file import AxisLumps, Law, write_lumped_machine
-from twin.machine.machine import Machine, load_machine
+from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
 from twin.units import AXIS_UNITS
@@ -106,14 +105,15 @@ def _doubt_controllers(made: NewMachine, out: Path) -> None:
 
     A gain is the inverse of a lag: it is known no better than the machine follows.
     """
-    document = tomlkit.parse(out.read_text(encoding="utf-8"))
+    machine, comments = load_machine(out), dict[str, str]()
+    measured = assumed_values(machine, ("# measured",))
     for one in made.lumps:
         left = made.followed[one.name]
         if one.law.direct and left.gap > CONTRADICTED * left.following:
-            for number in document["axis"][one.name]["loops"].values():  # type: ignore[index, union-attr]
-                if number.trivia.comment.startswith("# measured"):
-                    number.comment(f"{TRIED}: the machine leaves {left.gap / left.following:.0%} of the following error")
-    write_whole(out, tomlkit.dumps(document))
+            said = f"{TRIED}: the machine leaves {left.gap / left.following:.0%} of the following error"
+            comments |= {path: said for path in measured if path.startswith(f"axis.{one.name}.loops.")}
+    if comments:
+        write_machine(machine, out, comments)
 
 
 def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[MeasuredRun], say: Callable[[str], None]) -> NewMachine:

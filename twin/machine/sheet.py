@@ -8,7 +8,7 @@ import math
 from twin.machine.check import AxisCheck, Finding
 from twin.machine.machine import Axis, Machine
 from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data, with_plain_keys
-from twin.simulation.summary import axes_text, table
+from twin.simulation.summary import once, table
 from twin.units import AXIS_UNITS, deg_from_rad
 
 
@@ -120,12 +120,8 @@ def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
             drives,
         ),
     ]
-    alike: dict[tuple[str, str], list[str]] = {}
-    for f in findings:
-        alike.setdefault((f.level, f.text), []).append(f.axis)
-    lines = []
-    for (level, text), axes in alike.items():
-        lines.append(f"{level}: {f'{axes_text(axes)}: ' if axes[0] else ''}{text}")
+    said = once(((f.level, f.text), f.axis) for f in findings)
+    lines = [f"{level}: {axes and f'{axes}: '}{text}" for (level, text), axes in said.items()]
     parts.append("\n".join(lines) or "nothing is missing, impossible or unusual")
     return "\n\n".join(parts)
 

@@ -118,9 +118,14 @@ class Meaning:
     rank: int = 0
 
 
+def english(text: str) -> str:
+    """A text with its Chinese and Japanese terms in English."""
+    return TERM.sub(lambda term: f" {TERMS[term[0]]} ", text).strip()
+
+
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
     """Meaning of a name, or None. `unit` is given by the file. `only_axis`: axis of names that give none."""
-    name = _CODE.sub("", TERM.sub(lambda term: f" {TERMS[term[0]]} ", name).strip())
+    name = _CODE.sub("", english(name))
     path, last = (part or "" for part in re.fullmatch(r"(?:(.*)[./])?([^./]*)", name, re.DOTALL).groups())  # type: ignore[union-attr]
     named = _PATH_AXIS.search(path)
     axis = named[1].upper() if named else only_axis

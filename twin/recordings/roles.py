@@ -27,7 +27,7 @@ MOST = 6.0
 """Most evidence of one relation: beyond a residual of 0.1 % it says no more."""
 RANK = 10.0
 """Evidence of each rank of a name."""
-ALONE = -1.0
+ALONE = {"position": -1.0, "setpoint": -6.0}
 """Evidence for a position without a set point: the rarer record. A set point without a position is rarer still: it shows nothing of the axis."""
 STRANGE = -9.0
 """Evidence against a column with an unknown name beside others whose names state a motion: its name would have said what it is."""
@@ -154,8 +154,7 @@ class _Evidence:
         total, chosen = 0.0, {}
         for signal, column, other in (("setpoint", s, x), ("position", x, s)):
             if column is not None:
-                alone = ALONE * (other is None) * (6.0 if signal == "setpoint" else 1.0)
-                total += (NAMED - _rank(column)) if column.meaning is not None else alone
+                total += (NAMED - _rank(column)) if column.meaning is not None else ALONE[signal] * (other is None)
                 chosen[signal] = Role(column, signal, 0.0, "the axis moves along it" if other is None else "")
         if s is not None and x is not None:
             score, lag, fit = self._pair(s, x)
@@ -187,7 +186,7 @@ class _Evidence:
             if own is None:
                 return -np.inf, {}
             # a speed is the slope of its own sum: no evidence
-            total += 2.0 * ALONE - (own.score if own.column.meaning is None else 0.0)
+            total += 2.0 * ALONE["position"] - (own.score if own.column.meaning is None else 0.0)
             best[1][own.signal] = replace(own, reason="" if own.column.meaning is not None else "the only motion recorded")
         return total + best[0], {**chosen, **best[1]}
 

@@ -12,6 +12,7 @@ import re
 import numpy as np
 
 from twin.errors import InputError, nearest
+from twin.recordings.names import english
 from twin.recordings.relations import even_step
 from twin.recordings.signals import IMPOSSIBLE_VALUE, Clock, Signal, TimeSource, known_unit, split_heading
 from twin.recordings.timing import Restarts
@@ -19,7 +20,7 @@ from twin.units import RECORDED_UNITS, dimension_recorded
 
 _NAMES = (
     "time", "t", "zeit", "timestamp", "temps", "tempo", "x-achse", "x axis", "x_value", "datetime", "date time", "date/time", "datum/zeit", "uhrzeit",
-    "zeitstempel", "horodatage", "zeitpunkt", "elapsed time", "elapsed", "relative time", "abs time", "clock", "seconds", "sekunden", "millis", "时间", "時間",
+    "zeitstempel", "horodatage", "zeitpunkt", "elapsed time", "elapsed", "relative time", "abs time", "clock", "seconds", "sekunden", "millis",
 )  # fmt: skip
 _UNIT_OF_NAME = {"seconds": "s", "sekunden": "s", "millis": "ms"}
 _ENDING = re.compile(r"[ _](?:in )?(s|sec|ms|us|µs|ns|min)$", re.IGNORECASE)
@@ -102,7 +103,7 @@ def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
     ranked = []
     for i, name in enumerate(names):
         if units[i] == "" or dimension_recorded(units[i]) == "time":
-            plain = _ENDING.sub("", split_heading(name)[0].lower()).strip(" _#%")
+            plain = _ENDING.sub("", english(split_heading(name)[0].lower())).strip(" _#%")
             last = re.split(r"[./]", plain)[-1]
             kinds = (plain in _NAMES, last in _NAMES, last.startswith(("time_", "zeit_", "timestamp")), units[i] != "")
             if any(kinds):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Hashable, Iterable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from twin.machine.axis import Loops
 from twin.machine.machine import Machine
 from twin.simulation.result import Run
 from twin.units import AXIS_UNITS, deg_from_rad
+
+Key = TypeVar("Key", bound=Hashable)
 
 
 def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
@@ -104,9 +106,12 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
-def axes_text(names: Sequence[str]) -> str:
-    """'axis X', 'axes X and Y'."""
-    return f"{'axis' if len(names) == 1 else 'axes'} {listed(names)}"
+def once(remarks: Iterable[tuple[Key, str]]) -> dict[Key, str]:
+    """Remarks (key, axis) that differ in the axis alone as one: key -> 'axis X', 'axes X and Y', '' where they name no axis."""
+    axes: dict[Key, list[str]] = {}
+    for key, axis in remarks:
+        axes.setdefault(key, []).append(axis)
+    return {key: f"{'axis' if len(names) == 1 else 'axes'} {listed(names)}" if names[0] else "" for key, names in axes.items()}
 
 
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:

@@ -23,10 +23,10 @@ _TRIAL = "import sys, pyarrow.parquet\npyarrow.parquet.read_table(sys.argv[1], c
 def read(path: Path, options: ReadOptions) -> Recording:
     """All columns of numbers, on the map's time column or interval."""
     table = read_parquet(path, remedy="export it again")
-    return columns_of(table, "Parquet", path, options, lists_of(path))
+    return table_recording(table, "Parquet", path, options, lists_of(path))
 
 
-def columns_of(table: Any, kind: str, path: Path, options: ReadOptions, lists: dict[str, np.ndarray]) -> Recording:
+def table_recording(table: Any, kind: str, path: Path, options: ReadOptions, lists: dict[str, np.ndarray]) -> Recording:
     """The columns of numbers of a pyarrow table, and (row, element) lists, as signals."""
     import pyarrow as pa
 
