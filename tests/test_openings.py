@@ -47,10 +47,10 @@ ALLOWED = {
     "recordings/formats/json_text.py": {"read_text": 1},  # by documents.py: a recording that the command names
     "recordings/formats/text_cells.py": {"open": 1},  # the head of a recording that the command names
     "recordings/formats/text_stream.py": {"open": 2},  # a recording that the command names, and its own scratch files
-    "recordings/formats/matlab.py": {
-        "File": 1,
-        "loadmat": 1,
-    },  # a recording that the command names; datasets that stand elsewhere are refused
+    "recordings/formats/arrays.py": {"ZipFile": 1, "np.load": 2},  # a recording that the command names; no pickles
+    "recordings/formats/hdf5.py": {"File": 1},  # a recording that the command names; datasets that stand elsewhere are refused
+    "recordings/formats/packed.py": {"ZipFile": 1, "open": 4},  # a recording that the command names, and its own scratch files
+    "recordings/formats/matlab.py": {"loadmat": 1},  # a recording that the command names
     "recordings/formats/mdf.py": {"MDF": 1},  # a recording that the command names
     "recordings/formats/sinumerik.py": {"iterparse": 1},  # a recording that the command names, without entities
     "recordings/formats/tdms.py": {"open": 1},  # a recording that the command names
@@ -119,6 +119,7 @@ WRITES = {
     "files.py": {"mkdir": 3, "unlink": 2, "TemporaryDirectory": 1, "TemporaryFile": 1},  # this is the one way
     "identify/first_values.py": {"TemporaryDirectory": 1},  # scratch files
     "identify/from_recording.py": {"TemporaryDirectory": 1},  # scratch files
+    "recordings/formats/packed.py": {"mkdir": 1},  # its own scratch files
     "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 1},  # its own scratch files
     "recordings/imported.py": {"TemporaryDirectory": 1, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/proposed.py": {"TemporaryDirectory": 1},  # scratch files

@@ -1,9 +1,11 @@
 """`twin import`: every bad file and every wrong map gives one line on standard error and exit code 2."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+import gzip
 from pathlib import Path
 import re
 import struct
+import zipfile
 import zlib
 
 import numpy as np
@@ -255,6 +257,12 @@ def _patched(path: Path, at: int, data: bytes) -> None:
     path.write_bytes(content)
 
 
+def _zip(path: Path, files: Mapping[str, bytes]) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+
+
 def _parquet(path: Path, *names: str) -> Path:
     parquet.write_table(pa.table([TIME] * len(names), names=list(names)), path)
     return path
@@ -297,11 +305,25 @@ BINARIES: dict[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
         ("not a readable Parquet file",),
     ),
     "Parquet with a column twice": ("run.parquet", lambda p: _parquet(p, "t", "soll", "soll"), ("column 'soll' occurs twice",)),
-    "spreadsheet": (
-        "run.xlsx",
-        lambda p: p.write_bytes(b"PK\x03\x04" + zlib.compress(struct.pack("<I", 1))),
-        ("a spreadsheet or an archive",),
+    "ZIP cut off": ("run.xlsx", lambda p: p.write_bytes(b"PK\x03\x04" + zlib.compress(struct.pack("<I", 1))), ("not a readable archive",)),
+    "old workbook": ("run.xls", lambda p: p.write_bytes(b"\xd0\xcf\x11\xe0" + bytes(99)), ("an old workbook: save it as .xlsx",)),
+    "workbook of nothing": ("run.xlsx", lambda p: _zip(p, {"xl/workbook.xml": b"<workbook/>"}), ("not a readable archive",)),
+    "ZIP of two": ("run.zip", lambda p: _zip(p, {"a.csv": b"1", "b.csv": b"2"}), ("an archive of 2 files; unpack it",)),
+    "ZIP of a ZIP": ("run.zip", lambda p: _zip(p, {"a.zip": b"PK\x03\x04"}), ("an archive in an archive",)),
+    "ZIP of a damaged text": (
+        "run.zip",
+        lambda p: _zip(p, {"a.csv": b"t,soll,ist,speed,strom\n" + b"0,7,7,7,7\n" * 50 + b"1,2"}),
+        ("run.zip: ", "line 52"),
     ),
+    "gzip cut off": ("run.csv.gz", lambda p: p.write_bytes(gzip.compress(bytes(range(256)) * 99)[:300]), ("not a readable archive",)),
+    "gzip of zeros": ("run.csv.gz", lambda p: p.write_bytes(gzip.compress(b"0" * 100_000)), ("run.csv.gz",)),
+    "npz with code": ("run.npz", lambda p: np.savez(p, t=np.array([{}, {}], dtype=object)), ("not a readable archive",)),
+    "npy of another size": (
+        "run.npy",
+        lambda p: (np.save(p, TIME), p.write_bytes(p.read_bytes().replace(b"(2000,)", b"(9000,)"))),
+        ("not a readable array of numpy",),
+    ),
+    "Arrow cut off": ("run.arrow", lambda p: p.write_bytes(b"ARROW1\0\0" + bytes(99)), ("not a readable Arrow file",)),
     "no such file": ("run.csv", lambda p: None, ("no such file",)),
 }
 

@@ -1,11 +1,14 @@
 """Every reader returns the values and times of an independent writer to the last bit."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+import gzip
 from pathlib import Path
 import tomllib
+import zipfile
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.feather
 import pyarrow.parquet as pq
 import pytest
 
@@ -183,6 +186,72 @@ def test_parquet_lists_are_one_column_for_each_element(tmp_path: Path) -> None:
     recording = read_recording(tmp_path / "a.parquet", ReadOptions(Clock(), None, tmp_path))
     assert list(recording.signals) == ["action[0]", "action[1]"]
     assert np.array_equal(np.asarray(recording.signals["action[1]"].values[:]), TIME**2)
+
+
+def _compound(columns: Mapping[str, Array]) -> Array:
+    return np.rec.fromarrays(list(columns.values()), names=",".join(columns))
+
+
+def _hdf5(path: Path, columns: Mapping[str, Array], kind: str) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        if kind == "datasets":
+            for name, values in columns.items():
+                file[f"run/{name}"] = values
+        elif kind == "compound":
+            file["run"] = _compound(columns)
+        else:
+            file["run"] = np.column_stack(list(columns.values()))
+            file["run"].attrs["columns"] = list(columns)
+
+
+def _workbook(path: Path, columns: Mapping[str, Array]) -> None:
+    openpyxl, _ = pytest.importorskip("openpyxl"), pytest.importorskip("python_calamine")
+    book = openpyxl.Workbook(write_only=True)
+    book.create_sheet("About").append(["Machine", "UCP"])
+    sheet = book.create_sheet("Trace")
+    for row in ([f"{name} [s]" if name == "t" else name for name in columns], *zip(*(values.tolist() for values in columns.values()))):
+        sheet.append(row)
+    book.save(path)
+
+
+def _zipped(path: Path, columns: Mapping[str, Array]) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.write(write_csv(path.with_suffix(".csv"), columns), "folder/run.csv")
+        archive.writestr("__MACOSX/._run.csv", "of the system")
+
+
+def _gzipped(path: Path, columns: Mapping[str, Array]) -> None:
+    path.write_bytes(gzip.compress(write_csv(path.with_suffix(".text"), columns).read_bytes()))
+
+
+CONTAINERS: dict[str, tuple[str, Callable[[Path, Mapping[str, Array]], object]]] = {
+    "npz": ("run.npz", lambda p, c: np.savez_compressed(p, **c)),
+    "npy of records": ("run.npy", lambda p, c: np.save(p, _compound(c))),
+    "Feather": ("run.feather", lambda p, c: pyarrow.feather.write_feather(pa.table(dict(c)), p)),
+    "Arrow": ("run.arrow", lambda p, c: pyarrow.feather.write_feather(pa.table(dict(c)), p, compression="uncompressed")),
+    "HDF5 datasets": ("run.h5", lambda p, c: _hdf5(p, c, "datasets")),
+    "HDF5 compound": ("run.h5", lambda p, c: _hdf5(p, c, "compound")),
+    "HDF5 table with names": ("run.hdf5", lambda p, c: _hdf5(p, c, "table")),
+    "Excel": ("run.xlsx", _workbook),
+    "ZIP": ("run.zip", _zipped),
+    "gzip": ("run.csv.gz", _gzipped),
+}
+
+
+@pytest.mark.parametrize("case", CONTAINERS)
+def test_one_recording_in_any_container(tmp_path: Path, case: str) -> None:
+    name, write = CONTAINERS[case]
+    columns = {"t": TIME, **move(TIME)}
+    write(tmp_path / name, columns)
+    recording = read_recording(tmp_path / name, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert recording.path == tmp_path / name
+    assert recording.source.column.endswith("t")
+    for key, values in move(TIME).items():
+        [signal] = [one for own, one in recording.signals.items() if own.split(".")[-1] == key]
+        np.testing.assert_allclose(signal.values[:], values, rtol=1e-15)  # openpyxl writes 16 digits
+        assert signal.time is not None
+        np.testing.assert_allclose(signal.time[:], TIME, atol=1e-12)
 
 
 def test_matlab_7_3(tmp_path: Path) -> None:

@@ -30,13 +30,17 @@ _FORMATS = {
     "tdms": _Format("a TDMS file", (b"TDSm",), (".tdms",), "npTDMS", "tdms"),
     "mdf": _Format("an MDF file", (b"MDF ", b"UnFinMF "), (".mf4", ".mdf"), "asammdf", "mdf"),
     "parquet": _Format("a Parquet file", (b"PAR1",), (".parquet",)),
-    "matlab": _Format("a MATLAB file", (b"MATLAB ", b"\x89HDF"), (".mat",), sure=False),
+    "matlab": _Format("a MATLAB file", (b"MATLAB ",), (".mat",), sure=False),
+    "hdf5": _Format("an HDF5 file", (b"\x89HDF",), (".h5", ".hdf5"), "h5py", "hdf5"),
+    "arrow": _Format("an Arrow file", (b"ARROW1",), (".arrow", ".feather")),
+    "arrays": _Format("an array of numpy", (b"\x93NUMPY",), (".npy",)),
+    "packed": _Format("an archive", (b"PK\x03\x04", b"\x1f\x8b"), (".xlsx", ".npz", ".zip", ".gz")),
     "sinumerik": _Format("a SINUMERIK trace", (b"<",)),
     "json_text": _Format("a JSON recording", (b"{", b"[{")),
     "delimited": _Format("a text of numbers", sure=False),
 }
 """By the module that reads them."""
-FORMATS = "text of any layout (.csv .txt .log .dat ...), SINUMERIK trace (.xml) and Edge (.json), .json .tdms .mf4 .mat .parquet"
+FORMATS = "text of any layout (.csv .txt .log .dat ...), SINUMERIK trace (.xml) and Edge (.json), .json .xlsx .tdms .mf4 .mat .h5 .npz .arrow .parquet; .zip .gz of one of them"
 
 
 def read_recording(path: str | Path, options: ReadOptions) -> Recording:
@@ -52,7 +56,7 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     form = _FORMATS[reader]
     if not begun and form.sure:
         raise InputError(f"{path}: not {form.name}; give it the ending of its true format")
-    if options.dialect.get("columns") and reader != "delimited":
+    if options.dialect.get("columns") and reader not in ("delimited", "packed"):
         raise InputError(f"{path}: its format names its columns; --columns is for text without a heading")
     if form.package and importlib.util.find_spec(form.package.lower()) is None:
         raise InputError(f"{path}: {form.name} needs the package {form.package}; install it with: pip install 'twin[{form.extra}]'")

@@ -14,7 +14,7 @@ from typing import Any
 from twin.documents import LARGEST_JSON_BYTES, json_of, read_text
 from twin.errors import InputError
 from twin.recordings.formats import sinumerik_edge
-from twin.recordings.formats.parquet import rows_of, table_recording
+from twin.recordings.formats.parquet import list_columns, table_recording
 from twin.recordings.signals import ReadOptions, Recording
 
 KIND = "a whole JSON file"
@@ -38,8 +38,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
         table = (pa.Table.from_pylist(document) if isinstance(document, list) else pa.table(document)).flatten()
     except (pa.ArrowException, TypeError, ValueError, AttributeError):
         raise InputError(f"{path}: {SHAPE}") from None
-    lists = {n: rows for n in table.column_names if pa.types.is_list(table[n].type) and (rows := rows_of(table[n])) is not None}
-    return table_recording(table, "JSON", path, options, lists)
+    return table_recording(table, "JSON", path, options, list_columns(table))
 
 
 def _document(path: Path) -> Any:

@@ -1,4 +1,4 @@
-"""MATLAB .mat up to version 7 (scipy), and 7.3 if h5py is installed. Vectors by name, fields of a struct as 'struct.field', structs with a label and values by their label."""
+"""MATLAB .mat up to version 7 (scipy), 7.3 is HDF5. Vectors by name, fields of a struct as 'struct.field', structs with a label and values by their label."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import most_bytes, refuse_bytes
+from twin.recordings.formats import hdf5
+from twin.recordings.formats.arrays import arrays_recording
 from twin.recordings.signals import ReadOptions, Recording, head_of
-from twin.recordings.time_column import share_time
 from twin.system import tried
 
 LOADED_BYTES = 2_000_000_000
@@ -32,21 +33,12 @@ except MemoryError:
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Vectors as signals on the map's time column or interval. Single numbers are reported, not imported."""
+    if head_of(path).startswith(b"MATLAB 7.3"):
+        return hdf5.read(path, options)
     columns: dict[str, np.ndarray] = {}
-    (_newer if head_of(path).startswith((b"MATLAB 7.3", b"\x89HDF")) else _older)(path, columns)
-    if not columns:
-        raise InputError(f"{path}: holds no vector of numbers; save the signals as vectors")
-    numbers = {name: float(v.ravel()[0]) for name, v in columns.items() if v.size == 1}
-    vectors: dict[str, tuple[np.ndarray, str]] = {}
-    for name, values in ((n, v) for n, v in columns.items() if v.size > 1):
-        if values.ndim == 2 and min(values.shape) > 1:
-            table = values if values.shape[0] >= values.shape[1] else values.T
-            vectors |= {f"{name}({i + 1})": (table[:, i].astype(float), "") for i in range(table.shape[1])}
-        elif values.ndim <= 2:
-            vectors[name] = (values.ravel().astype(float), "")
-    notes = ["MATLAB: " + ", ".join([f"{len(vectors)} vectors", *(f"{name} = {value:g}" for name, value in numbers.items())])]
-    signals, source, restarts = share_time(vectors, options.clock, str(path))
-    return Recording(path, "MATLAB", signals, None, tuple(notes), restarts=restarts, source=source)
+    _older(path, columns)
+    names = {name: [f"{name}({i + 1})" for i in range(min(values.shape))] for name, values in columns.items() if values.ndim == 2}
+    return arrays_recording(columns, "MATLAB", path, options, names)
 
 
 def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
@@ -93,27 +85,3 @@ def _text(row: Any, part: str) -> str:
     while isinstance(value, np.ndarray) and value.size == 1:
         value = value.ravel()[0]
     return str(value) if isinstance(value, str) else ""
-
-
-def _newer(path: Path, columns: dict[str, np.ndarray]) -> None:
-    try:
-        import h5py
-    except ImportError:
-        raise InputError(
-            f"{path}: MATLAB 7.3 (HDF5) needs the package h5py; install it, or save in MATLAB with: save('{path.name}', ..., '-v7')"
-        ) from None
-
-    values = [0]
-
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and not name.startswith("#") and np.issubdtype(item.dtype, np.number) and item.size:
-            if item.external or item.is_virtual:
-                raise InputError(f"{path}: '{name}' is in another file, which is not opened; save it as one file")
-            values[0] += item.size
-            refuse_bytes(8.0 * values[0], str(path), "save fewer signals, or in parts")
-            if "MATLAB_class" in item.attrs and item.attrs["MATLAB_class"] in (b"char", b"cell"):
-                return
-            columns[name.replace("/", ".")] = np.asarray(item).T
-
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)

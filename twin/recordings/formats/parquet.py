@@ -48,8 +48,13 @@ def lists_of(path: Path) -> dict[str, np.ndarray]:
     done = tried(_TRIAL, str(path), *names, most_bytes=TRIAL_BYTES + 2 * most_bytes(), seconds=TRIAL_S) if names else None
     if done is None or done.returncode != 0:
         return {}
-    table = pyarrow.parquet.read_table(path, columns=names)
-    return {name: rows for name in names if (rows := rows_of(table.column(name))) is not None}
+    return list_columns(pyarrow.parquet.read_table(path, columns=names))
+
+
+def list_columns(table: Any) -> dict[str, np.ndarray]:
+    """The columns of a pyarrow table that are lists of numbers of one length, (row, element)."""
+    found = [field.name for field in table.schema if _is_list(field.type)]
+    return {name: rows for name in found if (rows := _rows_of(table.column(name))) is not None}
 
 
 def _is_list(kind: Any) -> bool:
@@ -59,7 +64,7 @@ def _is_list(kind: Any) -> bool:
     return listed and (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type))
 
 
-def rows_of(column: Any) -> np.ndarray | None:
+def _rows_of(column: Any) -> np.ndarray | None:
     """A column of lists as (row, element); None if their lengths differ, or are no number of joints."""
     import pyarrow.compute as pc
 

@@ -26,9 +26,8 @@ _STAMP = re.compile(
     r"\s*(?P<zone>Z|[+-]\d{2}:?\d{2})?"
 )
 _NOT_TEXT = (
-    (b"PK\x03\x04", "a spreadsheet or an archive"),
-    (b"\xd0\xcf\x11\xe0", "a spreadsheet"),
-    (b"\x1f\x8b", "compressed: unpack it"),
+    (b"PK\x03\x04", "an archive: unpack it"),
+    (b"\xd0\xcf\x11\xe0", "an old workbook: save it as .xlsx"),
 )
 DAY_NS = 86_400_000_000_000
 

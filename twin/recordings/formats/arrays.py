@@ -1,0 +1,74 @@
+"""Arrays of numbers by name as signals, and the files of numpy that hold them: .npy (one array) and .npz (several).
+
+A vector is a signal. A table has one signal a column, `name[0]`, or by the names of its columns. A record array has one signal a field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+import zipfile
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.limits import refuse_bytes
+from twin.recordings.signals import ReadOptions, Recording
+from twin.recordings.time_column import share_time
+
+REMEDY = "save fewer signals, or in parts"
+
+
+def read(path: Path, options: ReadOptions) -> Recording:
+    """The arrays of a .npy or .npz file. Objects are not read: that would run code of the file."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            refuse_bytes(float(sum(one.file_size for one in archive.infolist())), str(path), REMEDY)
+        with np.load(path, allow_pickle=False) as opened:
+            arrays = {name: opened[name] for name in opened.files}
+    else:
+        refuse_bytes(float(path.stat().st_size), str(path), REMEDY)
+        arrays = {"": np.load(path, mmap_mode="r", allow_pickle=False)}  # a map refuses a size that the file has not
+    return arrays_recording(
+        {name: part for key, array in arrays.items() for name, part in fields_of(key, array).items()}, "numpy", path, options
+    )
+
+
+def fields_of(name: str, array: np.ndarray) -> dict[str, np.ndarray]:
+    """An array of real numbers under its name, a record array as 'name.field'; none of another kind or without a number."""
+    if array.dtype.names:
+        return {
+            part: values for field in array.dtype.names for part, values in fields_of(f"{name}.{field}".lstrip("."), array[field]).items()
+        }
+    return {name: array} if array.dtype.kind in "iufb" and array.size else {}
+
+
+def arrays_recording(
+    arrays: Mapping[str, np.ndarray], kind: str, path: Path, options: ReadOptions, names: Mapping[str, Sequence[str]] | None = None
+) -> Recording:
+    """Vectors and the columns of tables as signals on the map's time column or interval. Single numbers are reported, not imported.
+
+    Args:
+        arrays: by name; more than two dimensions are left out
+        kind: format, for the notes
+        names: names of the columns of a table, if the file has them; else name[0], name[1], ...
+
+    Raises:
+        InputError: no array, or its length differs from that of the time
+    """
+    if not arrays:
+        raise InputError(f"{path}: holds no vector of numbers; save the signals as vectors")
+    vectors: dict[str, tuple[np.ndarray, str]] = {}
+    for name, values in arrays.items():
+        if values.ndim == 2 and min(values.shape) > 1:
+            table = values if values.shape[0] >= values.shape[1] else values.T
+            own = (names or {}).get(name, ())
+            heads = own if len(own) == table.shape[1] else [f"{name}[{i}]" for i in range(table.shape[1])]
+            vectors |= {head: (table[:, i].astype(float), "") for i, head in enumerate(heads)}
+        elif values.ndim <= 2 and values.size > 1:
+            vectors[name] = (values.ravel().astype(float), "")
+    numbers = [f"{name} = {float(v.ravel()[0]):g}" for name, v in arrays.items() if v.size == 1]
+    signals, source, restarts = share_time(vectors, options.clock, str(path))
+    return Recording(
+        path, kind, signals, None, (f"{kind}: {', '.join([f'{len(vectors)} vectors', *numbers])}",), restarts=restarts, source=source
+    )

@@ -1,0 +1,69 @@
+"""HDF5: what MATLAB 7.3, pandas and h5py write. Every dataset of real numbers is an array of the name of its path, 'run1.axis_X.position'."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.limits import most_bytes, refuse_bytes
+from twin.recordings.formats.arrays import REMEDY, arrays_recording, fields_of
+from twin.recordings.signals import ReadOptions, Recording
+from twin.system import tried
+
+_OF_MATLAB = "MATLAB_class"
+_NAMES = ("columns", "names", "axis0", "{}_items")
+"""Where the names of a table's columns stand: an attribute of it, or a dataset beside it. pandas writes 'block0_items' for 'block0_values'."""
+LOADED_BYTES = 1_000_000_000
+"""Address space of the process that tries a file, before it reads it [bytes]."""
+_TRIAL = """
+import sys, h5py
+with h5py.File(sys.argv[1], "r") as file:
+    file.visititems(lambda name, item: isinstance(item, h5py.Dataset) and item[()] is None or None)
+"""
+
+
+def read(path: Path, options: ReadOptions) -> Recording:
+    """Arrays as signals on the map's time column or interval."""
+    import h5py
+
+    # a damaged file can crash the library, so it is first read in a process of its own; an error that Python sees is told below
+    trial = tried(_TRIAL, str(path), most_bytes=LOADED_BYTES + 2 * most_bytes(), seconds=60)
+    if trial is None or trial.returncode not in (0, 1):
+        raise InputError(f"{path}: a damaged HDF5 file (reading it {'does not end' if trial is None else 'crashes'}); save it again")
+    arrays: dict[str, np.ndarray] = {}
+    names: dict[str, list[str]] = {}
+    sizes = []
+
+    def visit(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or name.startswith("#") or not (item.dtype.names or item.dtype.kind in "iufb"):
+            return
+        if item.external or item.is_virtual:
+            raise InputError(f"{path}: '{name}' is in another file, which is not opened; save it as one file")
+        sizes.append(float(item.size * item.dtype.itemsize))
+        refuse_bytes(sum(sizes), str(path), REMEDY)
+        if item.attrs.get(_OF_MATLAB) in (b"char", b"cell"):
+            return
+        # MATLAB stores a table by columns
+        values = np.asarray(item).T if _OF_MATLAB in item.attrs else np.asarray(item)
+        own = name.replace("/", ".")
+        arrays.update(fields_of(own, values))
+        if heads := _heads(item):
+            names[own] = heads
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    return arrays_recording(arrays, "HDF5", path, options, names)
+
+
+def _heads(item: Any) -> list[str]:
+    """Names of the columns of a table, from its attributes or the dataset beside it; [] if there are none."""
+    beside, own = item.parent, item.name.rsplit("/", 1)[-1].removesuffix("_values")
+    for key in (name.format(own) for name in _NAMES):
+        found = item.attrs[key] if key in item.attrs else beside[key][()] if key in beside and hasattr(beside[key], "shape") else ()
+        texts = [cell.decode(errors="replace") if isinstance(cell, bytes) else cell for cell in np.ravel(found)]
+        if len(texts) in item.shape and all(isinstance(text, str) for text in texts):
+            return texts
+    return []
