@@ -219,12 +219,9 @@ def entered(case: Case, tables: dict[str, Any], test: TestRun, changes: Sequence
 
 
 def played(settings: Any, machine: Machine, test: TestRun, seed: int) -> Trace:
-    """A run of the plant; the zero of the part is set where the program starts."""
+    """A run of the plant, in the coordinates of the machine: the encoder in the loop shows the first set point at the start."""
     found = run(settings, test.set_points, np.random.SeedSequence([seed, 62]))
-    signals = {}
-    for k, axis in enumerate(AXES):
-        signals[axis, "setpoint"] = found.setpoint[:, k]
-        signals[axis, LOAD] = found.load[:, k] - found.load[0, k] + found.setpoint[0, k]
+    signals = {(a, name): values[:, k] for k, a in enumerate(AXES) for name, values in (("setpoint", found.setpoint), (LOAD, found.load))}
     return Trace(found.time, signals, machine.kinds)
 
 

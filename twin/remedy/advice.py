@@ -77,7 +77,8 @@ ADVICE: dict[str, Advice] = {
     "torque_ripple": Advice("motor, calibration of the current sensors", refused="above the bandwidth no setting helps; a cogging table of the drive may"),
     "backlash": Advice(
         "preload of the nut, bearings, coupling, gear: hold a dial gauge against the table and push it both ways",
-        (PULSE,), (BACKLASH,), worse="where nothing holds one flank the table wanders through the play; after wear the value is wrong again", grade="A",
+        (PULSE,), (BACKLASH,), worse="where nothing holds one flank the table wanders through the play; after wear the value is wrong again; "
+        "touch the zero of the part again once the value is entered, or half of it stays as an offset", grade="A",
     ),
     "transmission_compliance": Advice("stiffer screw, bearings, coupling; shorter path of force", refused="the first mode caps the gains; only lower gains or a bandstop avoid exciting it"),
     "lead_error": Advice("screw; measure with a laser or length gauges, warm", (), (TABLE,), refused="the scale is in the loop: the table moves as commanded", worse="a cold table on a warm machine", grade="A"),
