@@ -18,7 +18,9 @@ def switch_on(s: Settings, change: Mapping[str, Any]) -> None:
     k, p = AXES.index(change["axis"]), change["parameters"]
     angle, turns = (1.0, 1.0) if s.linear[k] else (math.pi / 180.0, 2.0 * math.pi)
     unit, turn = ("m", "m") if s.linear[k] else ("deg", "rev")
-    if change["function"] == "friction_pulse":
+    if change["function"] == "position_gain":
+        s.kv[k] *= p["position_gain_per_s"] / s.machine["axis"][change["axis"]]["loops"]["position_gain_per_s"]
+    elif change["function"] == "friction_pulse":
         knees = [p.get(f"acceleration_{i}_{turn}_per_s2", 0.0) * turns for i in (1, 2, 3)]
         sizes = [p.get(f"{name}_{turn}_per_min", 0.0) * turns / 60.0 for name in ("amplitude", "amplitude_low")]
         s.pulses[k] = (*sizes, p["decay_time_s"], *knees)

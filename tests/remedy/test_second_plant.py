@@ -11,7 +11,7 @@ from tests.reference.test_dsc import fine_measuring
 from twin.exam.plant.parameters import AXES, settings_of, unit_factors
 from twin.exam.plant.plant import run
 from twin.machine.machine import Machine
-from twin.remedy.advice import BACKLASH, PULSE, TABLE
+from twin.remedy.advice import BACKLASH, GAIN, PULSE, TABLE
 from twin.remedy.change import Change
 from twin.simulation.run import simulate
 
@@ -22,6 +22,7 @@ ENTERED = {
         "X", PULSE, {"amplitude": 3e-3, "decay_time": 0.01, "amplitude_low": 1e-3, "acceleration_1": 0.1, "acceleration_2": 0.3, "acceleration_3": 0.9},
     ),
     "pulse of a slow reversal": ("X", PULSE, {"amplitude": 3e-3, "decay_time": 0.01, "acceleration_1": 2.0}),
+    "position gain": ("X", GAIN, {"position_gain_per_s": 90.0}),
     "backlash value": ("Y", BACKLASH, {"width": 12e-6, "cycles": 3.0}),
     "backlash value of a table": ("C", BACKLASH, {"width": 1e-4, "cycles": 1.0}),
     "table": ("X", TABLE, {"slope": 80.0, "origin": 0.01, "sine": 4e-6, "cosine": 3e-6, "wavelength": 0.01}),

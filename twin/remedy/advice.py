@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 SET_BACK = "set_back"
 """The function that undoes a deviation of the control from its commissioned value."""
-PULSE, BACKLASH, TABLE = "friction_pulse", "backlash_value", "position_correction"
+PULSE, BACKLASH, TABLE, GAIN = "friction_pulse", "backlash_value", "position_correction", "position_gain"
 
 
 @dataclass(frozen=True)

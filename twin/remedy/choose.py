@@ -24,7 +24,7 @@ from twin.remedy.control_data import CONTROLS, REFUSED, WITH_CHARACTERISTIC, ent
 from twin.remedy.margins import Asked
 from twin.remedy.predict import Motionful, errors_of, with_changes
 from twin.remedy.tool_error import ToolError
-from twin.remedy.tune_change import tuned
+from twin.remedy.tune_change import faster, tuned
 
 WORTH = 0.02
 """Smallest share of the error that a further change must take away."""
@@ -101,6 +101,12 @@ def choose(
     errors = [now.rms]
     # what was changed, then what is displaced, then what is late, then what was too small beside the rest
     for functions in ((SET_BACK,), (TABLE, BACKLASH), (PULSE,), (SET_BACK, TABLE, BACKLASH)):
+        if PULSE in functions and not goal.met(now):
+            raised, base = faster(with_changes(machine, chosen), on, asked), with_changes(machine, chosen)
+            after = judged(with_changes(base, raised), on)
+            if raised and after.rms < (1.0 - WORTH) * now.rms and not _harm(raised, base, on, elsewhere, asked):
+                errors += [e.rms for e in errors_of([with_changes(base, raised[: i + 1]) for i in range(len(raised))], on)]
+                chosen, now = [*chosen, *raised], after
         pool = [c for c in left if c.function in functions]
         if goal.met(now) or not pool:
             continue
@@ -143,30 +149,31 @@ def _tried(
     change: Change, base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked, control: str
 ) -> tuple[Change, ToolError, str]:
     """A change, its error, and the harm that it does in words. A pulse that does harm at another feed gets a characteristic over acceleration."""
-    harm = entries_of(change, base, control).refused or _harm(change, base, on, elsewhere, asked)
+    harm = entries_of(change, base, control).refused or _harm([change], base, on, elsewhere, asked)
     if harm and change.function == PULSE and control in WITH_CHARACTERISTIC:
         other = tuned(change, base, [on, *elsewhere], shaped=True)
-        if not (_harm(other, base, on, elsewhere, asked)):
+        if not _harm([other], base, on, elsewhere, asked):
             change, harm = other, ""
     return change, judged(change.applied(base), on), harm
 
 
-def _harm(change: Change, base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked) -> str:
-    """Where a change makes the error larger than without it, comes near a limit or falls below a margin, in words; '' if nowhere."""
+def _harm(changes: Sequence[Change], base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked) -> str:
+    """Where changes make the error larger than without them, come near a limit or fall below a margin, in words; '' if nowhere."""
+    change = changes[0]
     if change.function == SET_BACK:
         missed = asked.missed_by(change.applied(base), change.axis) if _raises_a_gain(change.setting) else ""
         return f"with the commissioned values {missed}: tune the loops (twin tune)" if missed else ""
     frictions = (1.0, *FRICTIONS)
     machines = [with_friction(base, change.axis, friction) for friction in frictions]
     for motion in (on, *elsewhere):
-        found = errors_of([*machines, *(change.applied(machine) for machine in machines)], motion)
+        found = errors_of([*machines, *(with_changes(machine, changes) for machine in machines)], motion)
         for friction, without, with_it in zip(frictions, found, found[len(frictions) :]):
             if with_it.rms > NO_WORSE * without.rms:
                 said = [f"{e.rms * 1e6:.2f} um" if math.isfinite(e.rms) else "unstable" for e in (without, with_it)]
                 return f"on {motion.name} with {friction:.0%} of the friction it makes {said[0]} to {said[1]}: it helps at one feed only"
-            share = with_it.shares.get(change.axis, 0.0)
-            if share > max(LARGEST_SHARE, without.shares.get(change.axis, 0.0)):
-                return f"on {motion.name} the current of {change.axis} reaches {share:.0%} of its limit"
+            for axis in (c.axis for c in changes):
+                if (share := with_it.shares.get(axis, 0.0)) > max(LARGEST_SHARE, without.shares.get(axis, 0.0)):
+                    return f"on {motion.name} the current of {axis} reaches {share:.0%} of its limit"
     return ""
 
 

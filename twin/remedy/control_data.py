@@ -16,7 +16,7 @@ from twin.control.library import BLOCKS
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of, parameter
-from twin.remedy.advice import PULSE, SET_BACK, TABLE
+from twin.remedy.advice import GAIN, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change, held
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
 from twin.remedy.files.entry import Entry
@@ -56,6 +56,11 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
     axis = machine.axis(change.axis)
     if change.function == SET_BACK:
         return _set_back(change, machine, control)
+    if change.function == GAIN:
+        name, field, unit, factor = _SET_BACK[GAIN][control]
+        return ForControl(
+            (Entry(name, change.values[field] * factor, _field(axis, field) * factor, unit, "A" if control == "sinumerik" else "C"),)
+        )
     if change.function == TABLE:
         return _table(change, axis, control)
     return _pulse(change, axis, control) if change.function == PULSE else ForControl(_numbers(change, axis, control))

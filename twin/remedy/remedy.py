@@ -15,7 +15,7 @@ from twin.effects import settings_of
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.remedy.advice import ADVICE, SET_BACK, TABLE
+from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE
 from twin.remedy.change import Change
 from twin.remedy.choose import Chosen, Goal, Refused, choose, judged
 from twin.remedy.control_data import CONTROLS
@@ -23,6 +23,7 @@ from twin.remedy.margins import Asked
 from twin.remedy.motions import slowed
 from twin.remedy.predict import NORMAL_95, Motionful, drawn, errors_of, simulated, with_changes
 from twin.remedy.tool_error import ToolError, tool_error
+from twin.remedy.tune import mode_needed
 from twin.units import AXIS_UNITS
 
 OVERRIDES = (0.9, 0.75, 0.5, 0.3)
@@ -154,7 +155,7 @@ def remedy_document(found: Remedy) -> dict[str, Any]:
 
 def _change(found: Remedy, i: int) -> dict[str, Any]:
     change = found.chosen.changes[i]
-    advice = ADVICE[change.setting.effect.name] if change.setting else ADVICE["coulomb_friction"]
+    advice = ADVICE[change.setting.effect.name if change.setting else GAIN if change.function == GAIN else "coulomb_friction"]
     return {
         "axis": change.axis,
         "function": change.function,
@@ -163,7 +164,7 @@ def _change(found: Remedy, i: int) -> dict[str, Any]:
         "before": 1e6 * found.chosen.errors[i],
         "after": 1e6 * found.chosen.errors[i + 1],
         "alone": None if (alone := found.alone[i]) is None else 1e6 * alone.rms,
-        "worse": [text for text in (advice.worse, late_wave(change, found.machine)) if text],
+        "worse": [text for text in (advice.worse, late_wave(change, found.remedied), _mode(change, found.remedied)) if text],
         "grade": advice.grade,
     }
 
@@ -178,10 +179,21 @@ def late_wave(change: Change, machine: Machine) -> str:
     return f"the table acts through the position gain: above {60.0 * to * half:.3g} {unit.removesuffix('/s')}/min more than half of the wave is left; a higher position gain leaves less (twin tune)"
 
 
+def _mode(change: Change, machine: Machine) -> str:
+    """What a raised position gain needs of the mechanics; '' for another change, or where the machine file holds the first mode."""
+    needed = mode_needed(machine, machine.axis(change.axis), Asked()) if change.function == GAIN else None
+    return f"needs a first mode of the drive train above {needed:.0f} Hz to keep half of the margins: measure it first" if needed else ""
+
+
 def sentence(found: Remedy, change: Change) -> str:
     """A change in words: what to set, with numbers and units."""
     if change.function == SET_BACK and change.setting is not None:
         return f"{change.axis}: set back what the diagnosis calls {change.setting.effect.name.replace('_', ' ')} to its commissioned value"
+    if change.function == GAIN:
+        gain = change.values["position_gain_per_s"]
+        return (
+            f"{change.axis}: raise the position gain from {found.machine.axis(change.axis).loops.position_gain_per_s:.4g} to {gain:.4g} 1/s"
+        )
     numbers = ", ".join(f"{key} = {value:.4g}" for key, value in change.table(found.machine).items())
     return f"{change.axis}: {change.function.replace('_', ' ')} ({numbers})"
 

@@ -11,8 +11,9 @@ from scipy.optimize import minimize
 
 from twin.effects import settings_of
 from twin.machine.machine import Axis, Machine
-from twin.remedy.advice import ADVICE, BACKLASH, PULSE, TABLE
+from twin.remedy.advice import ADVICE, BACKLASH, GAIN, PULSE, TABLE
 from twin.remedy.change import Change, held
+from twin.remedy.margins import Asked
 from twin.remedy.predict import Motionful, errors_of
 
 AMPLITUDES = (0.25, 0.5, 0.75, 1.0)
@@ -25,6 +26,9 @@ BEYOND = 2.0
 """The best numbers are sought within this factor of the first ones: a pulse that never decays is no pulse."""
 TRIES = 24
 """Most evaluations after the first ones."""
+LEFT = 0.2
+"""Share of a table's wave that a raised position gain should leave, and the smallest raise that is worth it."""
+SMALLEST_RAISE = 1.05
 CYCLES_IF_ENDLESS = 8.0
 """Decay in position cycles where the speed controller has no integral time."""
 
@@ -49,6 +53,33 @@ def tuned(change: Change, machine: Machine, on: Sequence[Motionful], shaped: boo
     if change.function == TABLE:
         return replace(change, values=_correction(machine, axis))
     return change
+
+
+def faster(machine: Machine, on: Motionful, asked: Asked) -> list[Change]:
+    """The position gain at which the tables of a machine leave LEFT of their waves on a motion, or as near as the asked margins allow; [] without a wave.
+
+    A wave of frequency w = k |dq/dt| is left to w / sqrt(w^2 + Kv^2). The gain rises on all axes alike, as axes that interpolate need it.
+    """
+    driven = [a for a in machine.axes if a.loops.position_gain_per_s > 0.0]
+    factor = 1.0
+    for axis in driven:
+        wave = held(axis, TABLE)
+        if not np.hypot(wave.get("sine", 0.0), wave.get("cosine", 0.0)) > 0.0:
+            continue
+        speed = np.diff(on.setpoints.position[:, machine.axis_names.index(axis.name)]) / on.setpoints.period
+        w = 2.0 * np.pi / wave["wavelength"] * float(np.sqrt(np.mean(speed[speed != 0.0] ** 2))) if speed.any() else 0.0
+        factor = max(factor, w * np.sqrt(1.0 / LEFT**2 - 1.0) / axis.loops.position_gain_per_s)
+    while factor > SMALLEST_RAISE:
+        changes = [
+            Change(a.name, GAIN, None, {"position_gain_per_s": float(f"{factor * a.loops.position_gain_per_s:.3g}")}) for a in driven
+        ]
+        raised = machine
+        for change in changes:
+            raised = change.applied(raised)
+        if not any(asked.missed_by(raised, a.name) for a in driven):
+            return changes
+        factor *= 0.9
+    return []
 
 
 def _usual_acceleration(machine: Machine, axis: Axis, on: Sequence[Motionful]) -> float:
