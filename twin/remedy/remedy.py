@@ -180,8 +180,9 @@ def late_wave(change: Change, machine: Machine) -> str:
 
 
 def _mode(change: Change, machine: Machine) -> str:
-    """What a raised position gain needs of the mechanics; '' for another change, or where the machine file holds the first mode."""
-    needed = mode_needed(machine, machine.axis(change.axis), Asked()) if change.function == GAIN else None
+    """What a raised position gain needs of the mechanics in its loop; '' for another change, or where the machine file holds the first mode."""
+    axis = machine.axis(change.axis)
+    needed = mode_needed(machine, axis, Asked()) if change.function == GAIN and axis.encoder == "scale" else None
     return f"needs a first mode of the drive train above {needed:.0f} Hz to keep half of the margins: measure it first" if needed else ""
 
 
