@@ -13,9 +13,10 @@ from twin.cli import main
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.force_sign import force_sign
+from twin.recordings.formats.by_content import read_recording
 from twin.recordings.propose import Proposal, propose
 from twin.recordings.relations import follows
-from twin.recordings.signals import Recording, Signal, TimeSource
+from twin.recordings.signals import Clock, ReadOptions, Recording, Signal, TimeSource
 from twin.recordings.trace import Trace
 
 Array = np.ndarray
@@ -130,6 +131,69 @@ def test_objects_of_a_drive_and_speeds_alone_are_known_by_their_names() -> None:
     speeds = {"r62: Speed setpoint after filter": m["speed"] + m["strom"], "r63: Actual speed value": m["speed"]}
     found = propose([recording({**speeds, "r80: Torque actual value": m["strom"]}, 2e-3)])
     assert list(roles(found).values()) == ["X.velocity", "X.velocity_setpoint", "X.torque"]
+
+
+def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
+    """Text of exports in the layout of scopes of drives, and what their columns are."""
+    m = move(TIME)
+    soll, ist, speed, amps = m["soll"], m["ist"], m["speed"], m["strom"]
+    counts, rpm, ms = 6553.6, 6.0, TIME * 1e3  # of a turn of 10 mm
+
+    def rows(columns: list[Array], separator: str = ",") -> str:
+        return "\n".join(separator.join(f"{value:.4f}" for value in row) for row in zip(*columns))
+
+    return {
+        "counts, and names of one letter beside 'loop'": (
+            "Scope,AKD\nTime (ms),PL.CMD (Counts16Bit),PL.FB (Counts16Bit),VL.CMD (rpm),VL.FB (rpm),IL.CMD (Arms)\n"
+            + rows([ms, np.rint(soll * counts), np.rint(ist * counts), 20.0 * (soll - ist) * rpm, speed * rpm, amps]),
+            {"PL.CMD": "X.setpoint", "PL.FB": "X.position", "VL.CMD": "X.velocity_setpoint", "VL.FB": "X.velocity", "IL.CMD": "X.current"},
+        ),
+        "counts a second": (
+            "Time,Position Command [cnt],Position [cnt],Velocity [cnt/sec],Active Current [A]\n"
+            + rows([TIME, np.rint(soll * counts), np.rint(ist * counts), speed * counts, amps]),
+            {"Position Command": "X.setpoint", "Position": "X.position", "Velocity": "X.velocity", "Active Current": "X.current"},
+        ),
+        "a line for each channel": (
+            "SCOPE Ver 9.20\nSampling cycle(Position)=2ms\nCH1=X:POSF [mm]\nCH2=X:VCMD [1/min]\nCH3=X:SPEED [1/min]\nCH4=X:ERR [um]\nDATA\n"
+            + rows([ist, 20.0 * (soll - ist) * rpm, speed * rpm, (soll - ist) * 1e3], " "),
+            {"X:POSF": "X.position", "X:VCMD": "X.velocity_setpoint", "X:SPEED": "X.velocity", "X:ERR": "X.following_error"},
+        ),
+        "speeds and an error in units of nobody": (
+            "Sampling time[us],2000\nNo.,Feedback Speed[min-1],Torque Reference[%],Position Error[reference unit]\n"
+            + rows([np.arange(len(TIME)), speed * rpm, amps, (soll - ist) * 1e3]),
+            {"Feedback Speed": "X.velocity", "Torque Reference[%]": "X.torque_setpoint", "Position Error[reference unit]": "X.following_error"},
+        ),
+        "a following error without a name": (
+            "RPOS(0),FPOS(0),PE(0),FVEL(0)\n" + rows([soll, ist, soll - ist, speed]),
+            {"RPOS(0)": "0.setpoint", "FPOS(0)": "0.position", "FVEL(0)": "0.velocity"},
+        ),
+        "a time that counts the rows": (
+            "Time (msec),X Position Command (mm),X Position Feedback (mm)\n" + rows([np.arange(len(TIME)), soll, ist]),
+            {"X Position Command": "X.setpoint", "X Position Feedback": "X.position"},
+        ),
+        "a time base, and numbers of parameters": (
+            "[Header]\nTime base=2.000 ms\n[Data]\nS-0-0047, Lage-Sollwert [mm]\tS-0-0051, Lage-Istwert Geber 1 [mm]\n" + rows([soll, ist], "\t"),
+            {"S-0-0047, Lage-Sollwert": "X.setpoint", "S-0-0051, Lage-Istwert Geber 1": "X.position"},
+        ),
+        "a current of one letter": (
+            "t[s];Y1_Soll[mm];Y1_Ist[mm];Y2_Soll[mm];Y2_Ist[mm];Y1_I[A];Y2_I[A]\n" + rows([TIME, soll, ist, soll, ist, amps, 0.9 * amps], ";"),
+            {f"{axis}_{name}": f"{axis}.{signal}" for axis in ("Y1", "Y2") for name, signal in (("Soll", "setpoint"), ("Ist", "position"), ("I", "current"))},
+        ),
+    }  # fmt: skip
+
+
+SCOPES = _scopes()
+
+
+@pytest.mark.parametrize("case", SCOPES)
+def test_exports_of_scopes_of_drives(tmp_path: Path, case: str) -> None:
+    text, expected = SCOPES[case]
+    (tmp_path / "scope.txt").write_text(text + "\n", encoding="utf-8")
+    found = propose([read_recording(tmp_path / "scope.txt", ReadOptions(Clock(), None, tmp_path / "scratch"))])
+    assert {name: signal for name, signal in roles(found).items() if name in expected} == expected
+    assert not any("velocity" in signal or "current" in signal for name, signal in roles(found).items() if name not in expected)
+    if case.startswith("a time"):
+        assert found.timed
 
 
 def test_fields_of_messages_are_grouped_by_their_joint() -> None:

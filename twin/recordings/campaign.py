@@ -139,6 +139,8 @@ class Campaign:
 def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
     """Read `campaign.toml` and its traces, checked against the axes of the machine (None: unknown machine)."""
     path = Path(path)
+    if path.is_file():
+        raise InputError(f"{path}: a file, but a campaign is a folder; make one of a recording with: twin import {path} --out CAMPAIGN")
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; a campaign is a folder with campaign.toml and traces")
     file = path / "campaign.toml"

@@ -15,6 +15,7 @@ import re
 import unicodedata
 
 from twin.recordings.signals import known_unit
+from twin.units import dimension_recorded
 
 _WORDS = {
     "pos": "pos position lage weg winkel angle joint_position posn",
@@ -31,7 +32,7 @@ _WORDS = {
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung storung",
     "injected": "injected injection excitation anregung",
-    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid "
+    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid "
     "wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 _MEANS: dict[str, set[str]] = {}
@@ -59,6 +60,9 @@ _SIGNALS = {
 }  # fmt: skip
 """Quantity -> signal if it is a set point, signal else."""
 
+_OF_UNITS = {"speed": "vel", "angular speed": "vel", "turning speed": "vel", "current": "current", "torque": "torque", "voltage": "voltage"}
+"""Dimension of a unit -> quantity, where the name gives none: 'VL.CMD (rpm)', 'Y1_I [A]'."""
+
 _EXACT = {
     # SINUMERIK Edge
     "des_pos": ("setpoint", ""), "enc_pos": ("position", ""), "enc1_pos": ("motor_position", ""), "enc2_pos": ("position", ""),
@@ -72,6 +76,8 @@ _EXACT = {
     "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "p mech.": ("", ""),
     # ODrive: turns of the motor
     "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("", ""),
+    # FANUC SERVO GUIDE
+    "posf": ("position", ""), "vcmd": ("velocity_setpoint", ""),
     # EMPS benchmark: names used in robot identification
     "qg": ("setpoint", "m"), "qm": ("motor_position", "m"), "vir": ("voltage", "V"),
 }  # fmt: skip
@@ -115,7 +121,7 @@ class Meaning:
     axis: str
     signal: str
     unit: str
-    rank: int = 0
+    rank: float = 0.0
 
 
 def english(text: str) -> str:
@@ -131,7 +137,9 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
     axis = named[1].upper() if named else only_axis
     before = [part for part in re.split(r"[./]", path) if _MEANS.get(part.lower(), set()) & {"set", "act", "error"}]
     within = path and last[:1].isalpha()  # a variable of a program, a field of a message
-    tries = [] if within and before else [name]
+    tries = (
+        [] if within and before else [name, re.sub(r"\s*[\[(][^\])]*[^\])\d][\])]\s*$", "", name)]
+    )  # a unit that nobody knows is no part of it
     if within:
         tries += [*[last] * (last.lower() in _EXACT), " ".join([*before, re.sub(r"^(?:lr|[fnrx])(?=[A-Z])", "", last)])]
     return next((found for one in tries if (found := _meaning_of(one, unit, axis)) is not None), None)
@@ -192,13 +200,19 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
     if plain or len(letters) > 2:
         return None
     # a letter is a quantity if no word is one, else an axis: 'v actual', 'pos cmd a'
-    if letters and roles & {"set", "act", "ffw"} and not roles & set(_SIGNALS):
+    measured = _of_unit(unit)
+    if letters and not roles & set(_SIGNALS) and (roles & {"set", "act", "ffw"} or (measured and measured == _LETTERS[letters[0]])):
         roles.add(_LETTERS[letters.pop(0)])
     for letter in letters:
         if axis or not _AXIS.fullmatch(letter):
             return None
         axis = letter.upper()
     return _meaning(roles, axis or only_axis, unit, words)
+
+
+def _of_unit(unit: str) -> str:
+    """The quantity that a unit alone states; "" for a position, and without a unit."""
+    return _OF_UNITS.get(dimension_recorded(unit), "") if unit else ""
 
 
 def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning | None:
@@ -212,7 +226,7 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
     if "error" in roles:
         return Meaning(axis, "following_error", unit) if set(quantities) <= {"pos"} else Meaning(axis, "", unit)
     if not quantities and roles & {"set", "act"} and not roles & {"motor", "load", "ffw"} and not roles >= {"set", "act"}:
-        quantities = ["pos"]  # 'command', 'feedback', 'Istwert'
+        quantities = [_of_unit(unit) or "pos"]  # 'command', 'feedback', 'Istwert'
     if len(quantities) != 1 or roles >= {"set", "act"}:
         return None
     quantity = quantities[0]
@@ -227,7 +241,7 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
     elif signal == "velocity" and "load" in roles:
         signal = ""
     # a control may show only the nominal current; its current loop is faster than the recording
-    ranks = {"torque": relative, "acceleration": int("set" not in roles), "current": int("set" in roles), "voltage": int("act" in roles)}
+    ranks = {"torque": relative, "acceleration": int("set" not in roles), "current": 0.5 * ("set" in roles), "voltage": int("act" in roles)}
     return Meaning(axis, signal, unit, ranks.get(quantity, int(signal == "setpoint" and "motor" in roles)))
 
 

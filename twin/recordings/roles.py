@@ -25,6 +25,9 @@ NAMED = 8.0
 """Evidence of a name that states a signal."""
 MOST = 6.0
 """Most evidence of one relation: beyond a residual of 0.1 % it says no more."""
+DIFFERENCE, EQUAL = 3.0, 1e-3
+"""Evidence of a column that is the difference of set point and position itself, or a thousand times it (um beside mm), to this share: a controller's
+gain would be a power of ten by chance only."""
 RANK = 10.0
 """Evidence of each rank of a name."""
 ALONE = {"position": -1.0, "setpoint": -6.0}
@@ -261,6 +264,8 @@ class _Evidence:
             return _of(found.left), f"second slope of the position (to {np.sqrt(found.left):.1%})"
         if signal == "following_error" and s is not None and s is not x:
             found = relations.follows(y, s - x, 1)
+            if any(abs(found.factor / power - 1.0) < EQUAL for power in (1.0, 1e3, 1e-3)):
+                return _of(found.left) + DIFFERENCE, "set point minus position"
             return _of(found.left) if abs(found.factor - 1.0) < 0.05 else -1.0, "set point minus position"
         if signal in _FORCES:
             found = self.relation(relations.balance, y, x, self.period, self.kind)

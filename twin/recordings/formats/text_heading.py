@@ -32,10 +32,13 @@ UNUSED = (
 )  # fmt: skip
 """Names of channels that nothing was assigned to."""
 _INTERVAL = re.compile(
-    r"sampl|abtast|interval|p[ée]riod|cycle|zyklus|takt|[ée]chantillon|pas de temps|\bd[ _]?t\b|delta[ _]?t|increment|\bts\b|cadence",
+    r"sampl|abtast|interval|p[ée]riod|cycle|zyklus|takt|[ée]chantillon|pas de temps|\bd[ _]?t\b|delta[ _]?t|increment|\bts\b|cadence|time ?base|zeitbasis|base de temps",
     re.IGNORECASE,
 )
 _AMOUNT = re.compile(r"\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
+_LEGEND = re.compile(
+    r"\W*(?:ch|channel|col|column|kanal|spalte|signal|trace|curve|variable)[ _.#]*0*(\d{1,3})\s*[=:,;\t]\s*(\S.*)", re.IGNORECASE
+)
 _UNIT = r"(nsec|usec|msec|sec|ns|us|µs|μs|ms|khz|mhz|hz|s)"
 _SECONDS = {"ns": 1e-9, "nsec": 1e-9, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "ms": 1e-3, "msec": 1e-3, "s": 1.0, "sec": 1.0}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
@@ -80,6 +83,7 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
             if above[i] and (names[i] == "" or (known_unit(names[i]) and len(names[i]) > 1 and not known_unit(above[i]))):
                 names[i], below[i] = above[i], below[i] or names[i]
         names = _joined(above, names)
+    names = _legend(lines, width) or names
     if columns := given.get("columns"):
         names = _given_names(columns, filled, names, path)
     split = [_split(name) for name in names]
@@ -97,6 +101,15 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
         frozenset(keys_above),
         frozenset(lines[i].strip() for i in full),
     )
+
+
+def _legend(lines: Sequence[str], width: int) -> list[str]:
+    """Names of the columns from lines such as 'CH1=X:SPEED [1/min]' or '# Column 2: position [mm]'; [] unless they number all columns, or all but the first."""
+    found = [match for line in lines if (match := _LEGEND.match(line))]
+    numbers = [int(match[1]) for match in found]
+    if len(found) < 2 or len(found) not in (width - 1, width) or numbers != list(range(numbers[0], numbers[0] + len(found))):
+        return []
+    return [*[""] * (width - len(found)), *(match[2].strip() for match in found)]
 
 
 def _cells(line: str, delimiter: str, width: int) -> list[str]:
@@ -176,7 +189,9 @@ def _split(name: str) -> tuple[str, str]:
         return match[1], unit
     match = re.fullmatch(r"(.*\S)\s*[\[(]([^\])]*)[\])]", name)
     other = match[2].strip() if match else ""
-    return name, other if other in ("%", "counts", "count", "inc", "incr", "pulse", "pulses", "pls", "steps", "ticks") else ""
+    if match and re.fullmatch(r"(?:counts?|cnts?|inc|incr|pulses?|pls|steps|ticks)(?: ?\d+ ?bit)?(?:/ ?s(?:ec)?)?", other, re.IGNORECASE):
+        return match[1].strip(), other
+    return name, other if other == "%" else ""
 
 
 def _without_quantity(cell: str) -> str:
