@@ -162,6 +162,15 @@ def test_dwell_stops_tolerance_and_feeds(write, equipped) -> None:
     assert inch.finish().moves.feed[0] * 60e3 == pytest.approx(254.0)
 
 
+def test_a_feed_behind_m140_is_that_of_its_retract(write, equipped) -> None:
+    """The retract alone goes at it; F AUTO without a feed in TOOL CALL is refused."""
+    head = "BEGIN PGM A MM\nTOOL CALL 1 Z S1000\nL X+1 F500\n"
+    out = understand(write(f"{head}L M140 MB 7 F750\nL X+2\nL M140 MB MAX FMAX\nL X+3\n", "a.h"), equipped)
+    assert out.feeds == [500, 750, 500, math.inf, 500]
+    with pytest.raises(InputError, match="F AUTO is the feed of TOOL CALL"):
+        understand(write(f"{head}L X+2 F AUTO\n", "a.h"), equipped)
+
+
 def test_tilted_planes_and_tool_centre_control_are_those_of_sinumerik(write, mikron) -> None:
     """PLANE SPATIAL and cycle 19 against CYCLE800, M128 and TCPM against TRAORI, LN against A3= B3= C3=."""
 

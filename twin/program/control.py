@@ -5,7 +5,8 @@ Moves are passed to the collector in machine coordinates; `twin.program.state` h
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 import math
 from typing import NamedTuple
@@ -99,8 +100,8 @@ class Control:
         arc: Arc | None = None,
         machine: bool = False,
     ) -> Move:
-        """A move with the feed, place and modes in force."""
-        s = self.state
+        """A move with the feed, place and modes in force; one with an arc is an arc."""
+        s, kind = self.state, kind if arc is None else mv.ARC
         return Move(kind, point, angles, vector, arc, machine, s.feed * s.override, s.line, s.block, len(s.out.all_modes) - 1)
 
     def go(self, kind: int, point: np.ndarray, angles: tuple[float, float] = KEPT, arc: Arc | None = None, machine: bool = False) -> None:
@@ -243,21 +244,26 @@ class Control:
         out.add(mv.DWELL, (*out.position[:3], math.nan, math.nan), None, math.inf, self.state.line, self.state.block)
 
     def height(self, value: float) -> None:
-        """Rapid to a height [program units] along the normal of the plane."""
-        self.steps([(RAPID, value, 1.0)])
+        """Rapid to a height [program units] along the normal of the plane, where the tool is not there."""
+        if abs(self.state.here()[arcs.PLANES[self.state.plane][2]] - value * self.state.unit) > 1e-12:
+            self.steps([(RAPID, value, 1.0)])
 
-    def drill(self, cycle: Drilling, feed: float | None = None) -> None:
-        """A drilling cycle at this place; with a feed per minute of its own for this hole alone."""
+    @contextmanager
+    def own_feed(self, feed: float | None) -> Iterator[None]:
+        """Moves at a feed per minute of their own; None: at that in force."""
         s, mode, kept = self.state, self.state.out.modes.feed_mode, self.state.feed
         if feed is not None:
             s.set_feed_mode(94)
             s.feed = feed
-        if abs(s.here()[arcs.PLANES[s.plane][2]] - cycle.safe * s.unit) > 1e-12:
-            self.height(cycle.safe)
-        self.steps(drill(cycle), cycle.aside)
+        yield
         if feed is not None:
             s.set_feed_mode(mode)
             s.feed = kept
+
+    def drill(self, cycle: Drilling) -> None:
+        """A drilling cycle at this place."""
+        self.height(cycle.safe)
+        self.steps(drill(cycle), cycle.aside)
 
     def steps(self, steps: list[tuple[str, float, float]], aside: tuple[float, float] = (0.0, 0.0)) -> None:
         """Steps (kind, height or time, share of the feed) along the normal of the plane; ASIDE and BACK also move by `aside`."""

@@ -7,7 +7,6 @@ import re
 
 from twin.program import klartext_cycles as cycles
 from twin.program import klartext_path as path
-from twin.program import moves as mv
 from twin.program.expressions import WordError, needed
 from twin.program.klartext_blocks import FORMULA, VALUE, Block, Handler, Klartext
 from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, named
@@ -26,24 +25,20 @@ def tool_call(m: Klartext, b: Block) -> None:
     assert match
     number = match[1] or (match[2] and f"{m.number_of(match[2], column):g}")
     b.text, b.column = b.text[match.end() :], column + match.end()
-    m.scan(b, "in TOOL CALL; write its axis, S, F, DL, DR")
-    values = {name: item.value for name, item in b.w.items()}
+    words = m.only_words(b, "S F DL DR DR2", "; give the tool in [tool] of the machine file")
     if match[3]:
         if state.comp is not None:
             raise WordError("the tool changes inside RL or RR; write R0 and a move before", column)
         state.plane = _PLANE_OF[match[3]]
-    if "S" in values:
-        state.set_spindle(values.pop("S"))
-    if b.feed:
-        m.set_feed(b)
+    if "S" in words:
+        state.set_spindle(words["S"].value)
+    if "F" in words:
+        state.set_feed(m.feed_of(words["F"]), column)
         m.tool_feed = state.feed
-    length, more = values.pop("DL", 0.0), values.pop("DR", 0.0)
-    beside = b.rapid or b.m or b.arg or b.sense or b.side is not None
-    if beside or length or any(values.values()) or values.keys() - {"L", "R", "DR2"}:
-        what = "DL" if length else next(iter(values), "FMAX" if b.rapid else "the rest")
-        raise WordError(f"{what} is not read in TOOL CALL; give the tool in [tool] of the machine file", column)
+    if more := [name for name in ("DL", "DR2") if name in words and words[name].value]:
+        raise WordError(f"{more[0]} is not read in TOOL CALL; give the tool in [tool] of the machine file", column)
     if number:
-        m.extra_radius = more * state.unit
+        m.extra_radius = words["DR"].value * state.unit if "DR" in words else 0.0
         state.tools.block({"T": (number, column), "M6": (6.0, column)})
         state.note("TOOL CALL: the program continues after an exact stop")
         m.control.stop(0.0)
@@ -79,7 +74,12 @@ def begin(m: Klartext, b: Block) -> None:
 
 def stop(m: Klartext, b: Block) -> None:
     """STOP: as M0."""
-    b.head, b.text = "M", f"M0 {b.text}"
+    with_code(m, b, "M", "M0 ", b.text)
+
+
+def with_code(m: Klartext, b: Block, head: str, code: str, text: str) -> None:
+    """Carry out a block under another head, with an M code before its text."""
+    b.head, b.text, b.column = head, code + text, b.column - len(code)
     path.move(m, b)
 
 
@@ -105,22 +105,11 @@ def function(m: Klartext, b: Block) -> None:
 
 
 def call_cycle(m: Klartext, b: Block) -> None:
-    """CYCL CALL, or at a place with POS."""
-    m.settle()
-    if at_place := b.text.split()[:1] == ["POS"]:
-        b.text = b.text.replace("POS", "   ", 1)
-    m.scan(b)
-    m.modes(b)
-    if b.side or b.sense or b.arg or (not at_place and (b.rapid or b.w)):
-        raise WordError("CYCL CALL takes a place behind POS only", b.column)
-    if at_place:
-        b.head = "L"
-        element, angles = path.element_of(m, b, m.start(), False)
-        b.all_used()
-        if element is not None:
-            m.emit(mv.RAPID if b.rapid else mv.LINE, element, angles)
-    cycles.cycle_here(m)
-    path.afterwards(m, b)
+    """CYCL CALL, or at a place with POS: as M99, but M89 stays in force."""
+    at_place = b.text.split()[:1] == ["POS"]
+    everywhere = m.cycle_everywhere or re.search(r"\bM89\b", b.text)
+    with_code(m, b, "L" if at_place else "M", "M99 ", b.text.replace("POS", "   ", at_place))
+    m.cycle_everywhere = bool(everywhere)
 
 
 _FRAMES = "frames: datum shift, mirror, rotation, scale, tilted plane, scale by axis, preset from [frame.PRESET1]"

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 import re
+from typing import NamedTuple
 
 import numpy as np
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
-from twin.program.arcs import Arc
-from twin.program.control import KEPT, Vector
+from twin.program.control import Move
 from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError, needed, no_value
 from twin.program.flow import Frame as Call
 from twin.program.flow import Statement
@@ -35,12 +35,13 @@ JUMP = re.compile(rf"FN\s*(?:9|10|11|12)\s*:\s*IF\s+(.+?)\s+GOTO\s+{_NAME}\s*\Z"
 FORMULA = re.compile(r"(?:FN\s*(?P<fn>\d+)\s*:\s*)?(?P<name>Q[LR]?\d+)\s*=(?P<text>.*)\Z")
 
 _WORD = re.compile(
-    rf"\s*(?:(?P<side>R[0LR])(?![\w.])|DR\s*(?P<sense>[-+])(?![\d.Q])|F\s*(?P<feed>MAX|AUTO|{VALUE})|M\s*(?P<m>\d+)"
-    rf"|(?P<arg>MB\s*MAX|(?:MB|LA|BT)\s*{VALUE})"
-    rf"|(?P<inc>I?)(?P<name>PA|PR|CCA|CC[XYZ]|LEN|ABST|DIST|DR2|DR|DL|ROT|SCL|SP[ABC]|TA|[NT][XYZ]|[A-CLR-Z])\s*(?P<value>{VALUE}))",
+    rf"\s*(?:M\s*(?P<m>\d+)|(?P<alone>R[0LR](?![\w.])|DR\s*[-+](?![\d.Q]))|(?P<inc>I(?!F|MB|LA|BT))?"
+    rf"(?P<name>PA|PR|CCA|CC[XYZ]|LEN|ABST|DIST|DR2|DR|DL|ROT|SCL|SP[ABC]|TA|[NT][XYZ]|MB|LA|BT|[A-CFLR-Z])\s*(?P<value>{VALUE}|MAX|AUTO))",
     re.A,
 )
-_SIDES = {"R0": 0, "RL": 1, "RR": -1}
+SIDE, SENSE = "RL or RR", "DR+ or DR-"
+_ALONE = {"R0": (SIDE, 0.0), "RL": (SIDE, 1.0), "RR": (SIDE, -1.0), "DR+": (SENSE, 1.0), "DR-": (SENSE, -1.0)}
+"""Words without a number: the name that they have in a block, and the number that they stand for."""
 
 FORMULAS = Grammar(
     "(",
@@ -92,22 +93,29 @@ def without_number(text: str) -> tuple[str, int]:
     return (" " * match.end() + text[match.end() :], int(match[2])) if match else (text, -1)
 
 
-Element = tuple[np.ndarray, Arc | None]
-"""One element of the contour: its end (3,), and its arc or none."""
-
-
 @dataclass
 class Block(Words):
-    """The first word of a block, the text behind it that begins at `column`, the words of that text and what stands beside them."""
+    """The first word of a block, the text behind it that begins at `column`, and the words of that text.
+
+    F is infinite for FMAX and NaN for F AUTO.
+    """
 
     head: str = ""
     text: str = ""
-    side: int | None = None
-    sense: int = 0
-    rapid: bool = False
-    feed: str = ""
-    arg: str = ""
-    arg_feed: str = ""
+
+    def side(self) -> int | None:
+        """Take R0, RL or RR away: 0, 1 or -1; None without one."""
+        return int(self.take(SIDE)) if SIDE in self.w else None
+
+
+class Approach(NamedTuple):
+    """APPR until the first element of the contour: its kind, point (3,), side (1: RL), sizes, and feed to its first point (infinite: rapid)."""
+
+    kind: str
+    point: np.ndarray
+    side: int
+    sizes: dict[str, float]
+    before: float
 
 
 Handler = Callable[["Klartext", Block], None]
@@ -126,7 +134,7 @@ class Klartext(Reader):
         self.pole: np.ndarray | None = None  # CC (3,)
         self.tool_feed, self.extra_radius = math.nan, 0.0  # F and DR of TOOL CALL
         self.shorter_way = False  # M126
-        self.waiting: tuple[str, np.ndarray, Block, float] | None = None  # APPR until the first element; its feed
+        self.waiting: Approach | None = None
         self.tilt_angles: dict[str, float] = {}
         self.turn_to: tuple[float, float] | None = None  # A and C that the next move goes to (SEQ)
         self.cycle: int | None = None  # that a call carries out
@@ -223,55 +231,46 @@ class Klartext(Reader):
         block.text = text if number >= 200 else " ".join(re.sub(r"^CYCL DEF \d+\.\d+\s*", "", part) for part in parts)
 
     def scan(self, block: Block, where: str = "here; docs/programs.md lists the words") -> None:
-        """All words of the text of a block; the feed counts once the M codes of the block are carried out."""
+        """All words of the text of a block. F behind M128 or M140 is that of its own motion: the words F128 and F140."""
         at, text = 0, block.text.rstrip()
         while at < len(text):
             match = needed(_WORD.match(text, at), f"'{text[at:].strip()[:20]}' is not read {where}", block.column + at)
             at, place = match.end(), block.column + match.start()
-            if match["side"]:
-                block.side = _SIDES[match["side"]]
-            elif match["sense"]:
-                block.sense = 1 if match["sense"] == "+" else -1
-            elif match["m"]:
+            name, value = match["name"], match["value"]
+            if match["m"]:
                 block.m.append(int(match["m"]))
-            elif match["arg"]:
-                block.arg = match["arg"].replace(" ", "")
-            elif match["feed"] and block.m and block.m[-1] in (128, 140):
-                block.arg_feed = match["feed"]
-                self.state.note("F behind M128 or M140 is that of its own motion") if block.m[-1] == 128 else None
-            elif match["feed"] and block.feed:
-                raise WordError("F occurs twice in the block; keep one", place)
-            elif match["feed"]:
-                block.rapid, block.feed = match["feed"] == "MAX", match["feed"]
+            elif match["alone"]:
+                name, number = _ALONE[match["alone"].replace(" ", "")]
+                block.put(name, Item(number, "", place))
+            elif value in ("MAX", "AUTO") and (name, value) not in (("F", "MAX"), ("F", "AUTO"), ("MB", "MAX")):
+                raise WordError(f"'{match[0].strip()}' is not read {where}", place)
             else:
-                name = self.state.slot_of.get(str(match["name"]), str(match["name"]))
-                block.put(name, Item(self.number_of(match["value"], place), "IC" if match["inc"] else "", place))
+                name = f"F{block.m[-1]}" if name == "F" and block.m and block.m[-1] in (128, 140) else self.state.slot_of.get(name, name)
+                number = {"MAX": math.inf, "AUTO": math.nan}[value] if value in ("MAX", "AUTO") else self.number_of(value, place)
+                block.put(name, Item(number, "IC" if match["inc"] else "", place))
 
     def only_words(self, block: Block, names: str, hint: str = "", added: bool = False) -> dict[str, Item]:
         """The words of a block that takes these names alone, and in addition (I) if `added`."""
         where, column = f"in {block.head}, which takes {names}{hint}", block.column
         self.scan(block, where)
         words = block.pick(*names.split())
-        if block.m or block.side is not None or block.sense or block.feed or block.arg or block.w:
-            what = next(iter(block.w), "a word of a path block")
+        increments = [f"I{name}" for name, item in words.items() if item.how and not added]
+        for what in (*block.w, *(f"M{number}" for number in block.m), *increments):
             raise WordError(f"{what} is not read {where}", column)
-        if not added and (increments := [name for name, item in words.items() if item.how]):
-            raise WordError(f"I{increments[0]} is not read {where}", column)
         return words
 
     def feed_word(self, value: float) -> float:
         """An inch program counts tenths of an inch a minute."""
         return value if self.state.unit == 1e-3 or self.out.modes.feed_mode != 94 else 0.1 * value
 
-    def set_feed(self, block: Block) -> None:
-        """F AUTO, F with a value; FMAX is that of its block."""
-        if block.feed == "AUTO":
-            self.state.set_feed(self.tool_feed, block.column)
-        elif block.feed not in ("", "MAX"):
-            self.state.set_feed(self.feed_word(self.number_of(block.feed, block.column)), block.column)
+    def feed_of(self, item: Item) -> float:
+        """The feed of an F word: F AUTO is that of TOOL CALL."""
+        if math.isnan(item.value) and math.isnan(self.tool_feed):
+            raise WordError("F AUTO is the feed of TOOL CALL, which gave none; give F there or here", item.column)
+        return self.tool_feed if math.isnan(item.value) else self.feed_word(item.value)
 
     def modes(self, block: Block) -> None:
-        """The M codes that act before the move of their block, then its feed."""
+        """The M codes that act before the move of their block, then its feed; FMAX is left to the move, since it holds for it alone."""
         state = self.state
         for number in block.m:
             state.check_code("M", number, self.m_table.get(number, Word(NOTE, UNKNOWN)), 1)
@@ -284,29 +283,25 @@ class Klartext(Reader):
                 state.set_feed_mode(95 if number == 136 else 94)
             elif number == 89:
                 self.cycle_everywhere = True
-        if block.arg and not set(block.m) & {101, 120, 140}:
-            raise WordError(f"{block.arg} belongs to an M code that is missing; remove it")
-        self.set_feed(block)
+            elif number in (101, 120):
+                block.pick("LA", "BT")
+        if block.pick("F128"):
+            state.note("F behind M128 is that of its own motion")
+        if "F" in block.w and not math.isinf(block.w["F"].value):
+            item = block.w.pop("F")
+            state.set_feed(self.feed_of(item), item.column)
 
     # ------------------------------------------------------------------ moves
 
     def start(self) -> np.ndarray:
         """Start (3,) of the next element."""
-        return self.corners.start() if self.waiting is None else self.waiting[1]
+        return self.corners.start() if self.waiting is None else self.waiting.point
 
-    def emit(
-        self,
-        kind: int,
-        element: Element,
-        angles: tuple[float, float] = KEPT,
-        vector: Vector | None = None,
-        machine: bool = False,
-        corner: tuple[str, float] | None = None,
-    ) -> None:
+    def emit(self, move: Move, corner: tuple[str, float] | None = None) -> None:
         """Make a move, or hold it until the next one defines its corner."""
-        if self.turn_to is not None and vector is None and all(map(math.isnan, angles)):
-            angles, self.turn_to = self.turn_to, None
-        self.corners.queue(self.control.move(kind, element[0], angles, vector, element[1], machine), corner)
+        if self.turn_to is not None and move.vector is None and all(map(math.isnan, move.angles)):
+            move, self.turn_to = move._replace(angles=self.turn_to), None
+        self.corners.queue(move, corner)
 
     def settle(self) -> None:
         """Emit what waits for the next element."""

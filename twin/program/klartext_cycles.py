@@ -202,21 +202,15 @@ def cycle_here(m: Klartext) -> None:
     feed = pitch_feed if per_turn else q(254) if number == 204 else q(206)
     if not feed > 0.0:
         raise WordError(f"cycle {number} needs a feed above 0" + (": a pitch Q239 and a spindle speed S" if per_turn else ""))
-    before, mode_before = state.feed, state.out.modes.feed_mode
-    state.set_feed_mode(94)
-    state.feed = feed
-    if abs(float(state.here()[arcs.PLANES[state.plane][2]]) / state.unit - safe) > 1e-9:
+    with control.own_feed(feed):
         control.height(safe)
-    if number == 204:
-        _back_boring(m, q, safe)
-    elif number == 208:
-        _bore_milling(m, q, safe, bottom)
-    else:
-        control.drill(_drilling(number, q, safe, bottom, 1e-3 / state.unit))
-    if out > safe + 1e-9:
+        if number == 204:
+            _back_boring(m, q, safe)
+        elif number == 208:
+            _bore_milling(m, q, safe, bottom)
+        else:
+            control.drill(_drilling(number, q, safe, bottom, 1e-3 / state.unit))
         control.height(out)
-    state.set_feed_mode(mode_before)
-    state.feed = before
 
 
 def _drilling(number: int, q: Parameters, safe: float, bottom: float, mm: float) -> Drilling:

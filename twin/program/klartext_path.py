@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 import re
 
@@ -10,10 +11,10 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.arcs import Arc
-from twin.program.control import KEPT
+from twin.program.control import Move, Vector
 from twin.program.expressions import WordError, needed
-from twin.program.frames import LINEAR, OTHER, ROTARY, rotation
-from twin.program.klartext_blocks import VALUE, Block, Element, Klartext, all_parts
+from twin.program.frames import AXES, INDEX, LINEAR, ROTARY, rotation
+from twin.program.klartext_blocks import SENSE, VALUE, Approach, Block, Klartext, all_parts
 from twin.program.klartext_cycles import cycle_here
 from twin.program.state import Item
 
@@ -26,10 +27,9 @@ def move(m: Klartext, block: Block) -> None:
     m.scan(block)
     m.modes(block)
     head, column, words, machine, vector = block.head, block.column, block.w, 91 in block.m, None
-    if head == "M" and (block.side is not None or block.rapid or block.sense):
-        raise WordError("R0, RL, RR, FMAX and DR belong to a path word, e.g. L; write it", column)
+    side, rapid = (block.side(), bool(block.pick("F"))) if head != "M" else (None, False)
     if 118 in block.m and head == "M":
-        words = block.w = {}
+        block.w = {}
     if head == "LN":
         x, y, z = (words.pop(n).value if n in words else 0.0 for n in ("TX", "TY", "TZ"))
         block.pick("NX", "NY", "NZ")
@@ -37,58 +37,50 @@ def move(m: Klartext, block: Block) -> None:
         vector = (x, y, z) if x or y or z else None
         if vector and not m.out.modes.traori:
             raise WordError("TX TY TZ need M128 or FUNCTION TCPM; switch it on before", column)
-    if block.side is not None or (m.waiting is None and m.state.comp is None):
-        m.compensate(block.side or 0, column)
-    element, angles = element_of(m, block, np.array(m.out.position[:3]) if machine else m.start(), machine)
-    block.all_used()
-    if element is not None:
-        if block.rapid and element[1] is not None:
-            raise WordError("FMAX on an arc is not supported; give its feed", column)
+    if side is not None or (m.waiting is None and m.state.comp is None):
+        m.compensate(side or 0, column)
+    kind = mv.RAPID if rapid else mv.LINE
+    if (element := None if head == "M" else element_of(m, block, kind, vector, machine)) is not None:
         corner = corner_of(m, corners, column)
         if m.waiting is not None:
             carry_out_approach(m, element)
-        m.emit(mv.RAPID if block.rapid else mv.ARC if element[1] else mv.LINE, element, angles, vector, machine, corner)
+        m.emit(element, corner)
         if m.cycle_everywhere and 99 not in block.m:
             cycle_here(m)
     afterwards(m, block)
 
 
-def element_of(m: Klartext, block: Block, start: np.ndarray, machine: bool) -> tuple[Element | None, tuple[float, float]]:
-    """The element of a block from `start` (3,), which takes its words away, and A and C."""
-    head, column, words, way = block.head, block.column, block.w, 0.0
-    if (head in ("C", "CP", "CR")) != bool(block.sense):
-        raise WordError(f"{head} {'has no use for' if block.sense else 'needs'} its sense DR+ or DR-; correct it", column)
-    if head == "CR" and "R" not in words:
-        raise WordError("CR needs its radius R; add it", column)
-    radius = words.pop("R").value * m.state.unit if head == "CR" else 0.0
-    begin = start
+def element_of(m: Klartext, block: Block, kind: int, vector: Vector | None, machine: bool) -> Move | None:
+    """The move of a block, which takes its words away; None without a target."""
+    head, column, words, way, arc = block.head, block.column, block.w, 0.0, None
+    start = np.array(m.out.position[:3]) if machine else m.start()
+    begin, line = start, head in ("L", "LN")
     if head in ("LP", "CP", "CTP"):
         begin, way = polar(m, start, words, column, on_circle=head == "CP")
-    places = block.pick(*LINEAR, *ROTARY, *OTHER)
-    if not places and head in ("L", "LN", "M"):
-        return None, KEPT
-    if head == "M":
-        raise WordError("axes need a path word, e.g. L X+10", column)
+    places = block.pick(*(AXES if line else LINEAR))
+    if not places and line:
+        return None
     if not places and head in ("C", "CR", "CT"):
         raise WordError(f"{head} needs its end point; add it", column)
-    if head not in ("L", "LN") and places.keys() - set(LINEAR):
-        raise WordError(f"{head} moves X Y Z only; write rotary axes in L", column)
     if m.shorter_way:
         places = {n: i._replace(how="DC") if n in ROTARY and i.how == "" else i for n, i in places.items()}
     point, angles = m.control.target(places, machine, begin)
-    clockwise, arc = block.sense < 0, None
-    if head in ("C", "CP"):
+    if head in ("C", "CP", "CR"):
+        clockwise = block.need(SENSE, f"{head} needs DR+ or DR-; add it", column).value < 0.0
         if way and (way < 0) != clockwise:
             raise WordError("IPA and DR of CP must have the same sign; correct one", column)
-        turns = max(0, math.ceil(abs(way) / 360.0 - 1e-9) - 1)
-        arc = m.control.arc_about(start, point, needed(m.pole, NO_POLE, column), clockwise, turns)
-    elif head == "CR":
-        centre = arcs.centre_from_radius(start, point, radius, m.state.plane, clockwise)
-        arc = m.control.arc_about(start, point, centre, clockwise)
+        if head == "CR":
+            radius = block.need("R", "CR needs its radius R; add it", column).value * m.state.unit
+            centre = arcs.centre_from_radius(start, point, radius, m.state.plane, clockwise)
+        else:
+            centre = needed(m.pole, NO_POLE, column)
+        arc = m.control.arc_about(start, point, centre, clockwise, max(0, math.ceil(abs(way) / 360.0 - 1e-9) - 1))
     elif head in ("CT", "CTP"):
         direction = needed(m.corners.direction(), "CT needs a contour element before it, whose direction it continues")
         arc = arcs.tangential(start, direction, point, m.state.plane)
-    return (point, arc), angles
+    if arc is not None and kind == mv.RAPID:
+        raise WordError("FMAX on an arc is not supported; give its feed", column)
+    return m.control.move(kind, point, angles, vector, arc, machine)
 
 
 def corner_of(m: Klartext, parts: list[str], column: int) -> tuple[str, float] | None:
@@ -115,24 +107,25 @@ def afterwards(m: Klartext, block: Block) -> None:
             m.flow.ended = True
         elif number == 140:
             retract(m, block)
+    block.all_used()
 
 
 def retract(m: Klartext, block: Block) -> None:
     """M140 MB: along the tool axis by a distance, or to the end of the travel of the machine axis."""
-    if not block.arg.startswith("MB"):
-        raise WordError("M140 needs MB MAX, or MB and a distance", block.column)
+    way = block.need("MB", "M140 needs MB MAX, or MB and a distance", block.column).value
+    feed = block.w.pop("F140", Item(math.inf))
     m.settle()
-    state, across = m.state, arcs.PLANES[m.state.plane][2]
-    kind = mv.RAPID if block.arg_feed in ("", "MAX") else mv.LINE
-    if block.arg != "MBMAX":
-        point = state.here()
-        point[across] += m.number_of(block.arg[2:], block.column) * state.unit
-        m.control.go(kind, point)
-        return
-    traori, goal = m.out.modes.traori, np.array(m.out.kinematics.travel[:, 1])
-    state.transform(False)
-    m.control.to_home(goal, LINEAR[across], kind)
-    state.transform(traori)
+    state, across, traori = m.state, arcs.PLANES[m.state.plane][2], m.out.modes.traori
+    kind = mv.RAPID if math.isinf(feed.value) else mv.LINE
+    with m.control.own_feed(None if kind == mv.RAPID else m.feed_of(feed)):
+        if math.isfinite(way):
+            point = state.here()
+            point[across] += way * state.unit
+            m.control.go(kind, point)
+            return
+        state.transform(False)
+        m.control.to_home(np.array(m.out.kinematics.travel[:, 1]), LINEAR[across], kind)
+        state.transform(traori)
     state.note("M140 MB MAX: to the end of the travel of the linear axis")
 
 
@@ -141,16 +134,11 @@ def retract(m: Klartext, block: Block) -> None:
 
 def set_pole(m: Klartext, block: Block) -> None:
     """CC with its coordinates in the plane, or at the last position."""
-    words = m.only_words(block, "X Y Z", added=True)
-    a, b, across = arcs.PLANES[m.state.plane]
-    if LINEAR[across] in words:
-        raise WordError(f"{LINEAR[across]} does not lie in the plane of CC", block.column)
-    new, start = m.start().copy(), m.start()
+    a, b, _ = arcs.PLANES[m.state.plane]
+    words, start = m.only_words(block, f"{LINEAR[a]} {LINEAR[b]}", added=True), m.start()
+    new = (start if m.pole is None or len(words) != 1 else m.pole).copy()  # beside one coordinate the other stays
     for name, (value, how, _column) in words.items():
-        new[LINEAR.index(name)] = value * m.state.unit + (start[LINEAR.index(name)] if how == "IC" else 0.0)
-    if len(words) == 1 and m.pole is not None:  # the other coordinate stays
-        other = a if LINEAR[b] in words else b
-        new[other] = m.pole[other]
+        new[INDEX[name]] = value * m.state.unit + (start[INDEX[name]] if how == "IC" else 0.0)
     m.pole = new
 
 
@@ -171,76 +159,72 @@ def approach(m: Klartext, block: Block) -> None:
     """APPR: it waits for the first element of the contour, whose direction it needs."""
     m.settle()
     rapid, feed = next((k for k in reversed(m.out.kinds) if k != mv.DWELL), mv.LINE) == mv.RAPID, m.state.feed
-    point = _soft(m, block)
-    if not block.side and not block.head.endswith(" LT"):
+    point, sizes = _soft(m, block, LINEAR)
+    kind, side = block.head.split()[1], block.side() or 0
+    if not side and kind != "LT":
         raise WordError(f"{block.head} needs RL or RR, which gives its side; add it", block.column)
-    m.waiting = block.head.split()[1], point, block, math.inf if rapid else feed
+    block.all_used()
+    m.waiting = Approach(kind, point, side, sizes, math.inf if rapid else feed)
 
 
-def _soft(m: Klartext, block: Block) -> np.ndarray:
-    """The point (3,) of APPR or DEP, whose words are read."""
-    head, column = block.head, block.column
+def _soft(m: Klartext, block: Block, axes: Sequence[str]) -> tuple[np.ndarray, dict[str, float]]:
+    """The point (3,) of APPR or DEP, which moves these axes, and its sizes: LEN, R and CCA."""
     m.scan(block)
     m.modes(block)
-    places = block.pick(*LINEAR)
-    needed = {"LT": {"LEN"}, "LN": {"LEN"}, "CT": {"R", "CCA"}, "LCT": {"R"}}[head.split()[1]]
-    along = {LINEAR[arcs.PLANES[m.state.plane][2]]}
-    if block.w.keys() != needed or (head.startswith("DEP") and "LCT" not in head and places.keys() - along):
-        raise WordError(f"{head} needs {' and '.join(sorted(needed))}, no more; correct the block", column)
-    if block.rapid or block.sense:
-        raise WordError(f"{head} is read with a feed, not with FMAX or DR; correct it", column)
-    return m.control.target(places, start=m.corners.start())[0]
+    needed = {"LT": ("LEN",), "LN": ("LEN",), "CT": ("R", "CCA"), "LCT": ("R",)}[block.head.split()[1]]
+    sizes = {name: block.need(name, f"{block.head} needs {name}; add it", block.column).value for name in needed}
+    return m.control.target(block.pick(*axes), start=m.corners.start())[0], sizes
 
 
-def carry_out_approach(m: Klartext, element: Element) -> None:
+def carry_out_approach(m: Klartext, element: Move) -> None:
     """The moves to the first point of the contour: in the plane, then to its depth, then on the approach."""
     assert m.waiting is not None
-    kind, to, block, before = m.waiting
-    m.waiting, across, side = None, arcs.PLANES[m.state.plane][2], block.side or 0
-    t = element[0] - to if element[1] is None else np.cross(element[1][1], to - element[1][0])
+    kind, to, side, sizes, before = m.waiting
+    m.waiting, across = None, arcs.PLANES[m.state.plane][2]
+    t = element.point - to if element.arc is None else np.cross(element.arc[1], to - element.arc[0])
     t[across] = 0.0
     if not np.linalg.norm(t) > 1e-12:
         raise WordError("the element behind APPR does not move in the plane; write L, C or CR")
-    start, feed = m.corners.start(), m.state.feed
-    begin, arc = _way(m, kind, start, to, t / np.linalg.norm(t), side or 1, m.radius(1) if side else 0.0, block.w)
+    start = m.corners.start()
+    begin, arc = _way(m, kind, start, to, t / np.linalg.norm(t), side or 1, m.radius(1) if side else 0.0, sizes)
     first = begin.copy()
     first[across] = start[across]
     if kind != "LN":
         m.compensate(side, 1)
-    m.state.feed = feed if math.isinf(before) else before
-    m.emit(mv.RAPID if math.isinf(before) else mv.LINE, (first, None))
-    m.state.feed = feed
+    m.emit(m.control.move(mv.RAPID if math.isinf(before) else mv.LINE, first)._replace(feed=before))
     if first[across] != begin[across]:
-        m.emit(mv.LINE, (begin, None))
+        m.emit(m.control.move(mv.LINE, begin))
     if kind == "LN":
         m.compensate(side, 1)
-    m.emit(mv.ARC if arc else mv.LINE, (to, arc))
+    m.emit(m.control.move(mv.LINE, to, arc=arc))
 
 
 def depart(m: Klartext, block: Block) -> None:
     """DEP: away from the last element, the mirror image of APPR, then without compensation."""
-    t, point, head, column = m.corners.direction(), _soft(m, block), block.head, block.column
-    kind, comp, at, across = head.split()[1], m.state.comp, m.corners.start(), arcs.PLANES[m.state.plane][2]
-    if block.side is not None and block.side:
+    head, column, kind, across = block.head, block.column, block.head.split()[1], arcs.PLANES[m.state.plane][2]
+    t = m.corners.direction()
+    point, sizes = _soft(m, block, LINEAR if kind == "LCT" else LINEAR[across])
+    comp, at = m.state.comp, m.corners.start()
+    if block.side():
         raise WordError(f"{head} is read without RL, RR; correct it", column)
     if t is None or (comp is None and kind != "LT"):
         raise WordError(f"{head} needs a contour element with RL or RR before it", column)
     t[across] = 0.0
     side, radius = (1, 0.0) if comp is None else (1 if comp.offset > 0 else -1, comp.tool_radius)
-    end, arc = _way(m, kind, point, at, -t / np.linalg.norm(t), -side, radius, block.w)
+    end, arc = _way(m, kind, point, at, -t / np.linalg.norm(t), -side, radius, sizes)
     end[across] = at[across]
     if kind == "LN":
         m.compensate(0, column)
-    m.emit(mv.ARC if arc else mv.LINE, (end, None if arc is None else m.control.arc_about(at, end, arc[0], arc[1].sum() > 0.0)))
+    m.emit(m.control.move(mv.LINE, end, arc=arc and m.control.arc_about(at, end, arc[0], arc[1].sum() > 0.0)))
     m.compensate(0, column)
     last = point if kind == "LCT" else np.where(np.arange(3) == across, point, m.state.here())
     if np.any(last != m.state.here()) and (kind == "LCT" or point[across] != at[across]):
-        m.emit(mv.LINE, (last, None))
+        m.emit(m.control.move(mv.LINE, last))
     afterwards(m, block)
 
 
 def _way(
-    m: Klartext, kind: str, start: np.ndarray, to: np.ndarray, t: np.ndarray, side: int, radius: float, words: dict[str, Item]
+    m: Klartext, kind: str, start: np.ndarray, to: np.ndarray, t: np.ndarray, side: int, radius: float, sizes: dict[str, float]
 ) -> tuple[np.ndarray, Arc | None]:
     """Auxiliary point (3,) beside the contour, which begins at `to` (3,) in the direction `t`, and the arc between them.
 
@@ -249,13 +233,13 @@ def _way(
     a, b, across = arcs.PLANES[m.state.plane]
     normal = np.eye(3)[across]
     if kind in ("LT", "LN"):
-        length = words["LEN"].value * m.state.unit
+        length = sizes["LEN"] * m.state.unit
         return (to - length * t if kind == "LT" else to + side * np.cross(normal, t) * (length + radius)), None
-    arc_radius = words["R"].value * m.state.unit
+    arc_radius = sizes["R"] * m.state.unit
     sense, size = 1.0 if side * arc_radius > 0 else -1.0, abs(arc_radius)
     centre = to + sense * size * np.cross(normal, t)
     if kind == "CT":
-        begin = centre + rotation(across, -sense * words["CCA"].value) @ (to - centre)
+        begin = centre + rotation(across, -sense * sizes["CCA"]) @ (to - centre)
     else:  # where a line from the start meets the circle as its tangent
         way = start - centre
         way[across] = 0.0

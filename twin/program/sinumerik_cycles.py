@@ -149,7 +149,11 @@ def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
             s.note(f"{name}: the halt at the bottom is omitted")
         cycle = Drilling(safe, depth, rtp, dwell=pause, out=out, out_scale=share, aside=aside, lift=lift)
 
-    return lambda: m.control.drill(cycle, feed and feed * (s.unit / m.out.modes.feed_unit))
+    def hole() -> None:
+        with m.control.own_feed(feed and feed * (s.unit / m.out.modes.feed_unit)):
+            m.control.drill(cycle)
+
+    return hole
 
 
 def _lead(m: Sinumerik, pitch: float, unit: int) -> float:
