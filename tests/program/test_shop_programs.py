@@ -12,10 +12,12 @@ from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.program import flow, interpolate, read_program
 from twin.program.apt_words import WORDS
-from twin.program.iso import ISO_G, ISO_M, iso
+from twin.program.iso import ISO_G, ISO_M, execute
+from twin.program.iso_blocks import Iso
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
-from twin.program.sinumerik import SINUMERIK_G, SINUMERIK_NAMES, sinumerik
+from twin.program.sinumerik import SINUMERIK_G, SINUMERIK_NAMES, carry_out
+from twin.program.sinumerik_blocks import Sinumerik
 from twin.program.state import ACTS, NOTE, REFUSED
 
 LINUXCNC = Path(__file__).resolve().parents[3] / "shared" / "data" / "linuxcnc" / "interp"
@@ -295,7 +297,7 @@ def test_every_word_of_the_iso_table_acts_or_is_noted_or_is_refused(write, mikro
 
     def run(text: str) -> tuple:
         path = write(text, "part.nc")
-        front = iso(path, mikron, units_of(Source(path))[0], linuxcnc=False)
+        front = Iso(path, mikron, units_of(Source(path))[0], execute, linuxcnc=False)
         front.flow.run()
         return fingerprint(front.out, front), tuple(front.out.notes)
 
@@ -378,7 +380,7 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
     def run(text: str) -> tuple:
         path = write(f"$TC_DP6[1,1]=1\nT1 D1\n{text}")
         write("G91 X1\nG90\nM17\n", "SUB1.SPF")
-        front = sinumerik(path, mikron, units_of(Source(path)))
+        front = Sinumerik(path, mikron, units_of(Source(path)), SINUMERIK_NAMES, carry_out)
         front.run()
         return fingerprint(front.out, front), tuple(front.out.feeds), len(front.out.notes)
 

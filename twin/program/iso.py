@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 
-from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program import iso_frames as frames
 from twin.program import iso_moves as moves
 from twin.program.expressions import WordError
-from twin.program.frames import AXES
+from twin.program.frames import AXES, LINEAR
 from twin.program.iso_blocks import Iso
 from twin.program.reader import set_mode
-from twin.program.source import Unit
 from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Block, Word
 
 LENGTH_ON = {43, 43.4, 43.5, 44, 234}
@@ -27,6 +23,8 @@ ONLY_IN_LINUXCNC: dict[float, str] = dict.fromkeys((33, 33.1), "threading is not
 WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22: "XYZIJK"}
 WORDS_OF_M = "PQRELDK"
 """Words that an M code may carry."""
+UNITS = {20: (INCH, True), 21: (1e-3, True), 70: (INCH, True), 71: (1e-3, True)}
+"""G code -> unit [m], which F counts in, too."""
 F_WITH_UNIT = {
     True: "F beside G20 or G21: it is in the unit before them, since LinuxCNC carries F out first",
     False: "F beside G20 or G21: it is in the new unit; in .ngc files in the one before",
@@ -34,13 +32,6 @@ F_WITH_UNIT = {
 
 Handler = Callable[[Iso, Block, float], None]
 """Carries out a G code."""
-
-
-def iso(path: Path, machine: Machine, unit: Unit, *, linuxcnc: bool) -> Iso:
-    """The reader of one program."""
-    m = Iso(path, machine, unit, linuxcnc)
-    m.carry_out = partial(execute, m)
-    return m
 
 
 def execute(m: Iso, b: Block) -> None:
@@ -75,7 +66,7 @@ def execute(m: Iso, b: Block) -> None:
         word = ISO_G[number]
         if word.kind == NOTE and not (m.linuxcnc and number == 5.1):
             s.note(f"G{number:g}: {word.meaning}")
-            b.drop(WORDS_OF_NOTES.get(number, ""))
+            b.pick(*WORDS_OF_NOTES.get(number, ""))
         elif word.handler is not None:
             word.handler(m, b, number)
     if s.plane != plane and s.comp is not None:
@@ -91,12 +82,12 @@ def execute(m: Iso, b: Block) -> None:
     for number in b.m:
         if number in keeping:
             _stored(m, number)
-        b.drop(WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else "P" if 48 <= number <= 53 else "")
+        b.pick(*(WORDS_OF_M if number in (19, 62, 63, 64, 65, 66, 67, 68) else "P" if 48 <= number <= 53 else ""))
     if "D" in b.w and not m.linuxcnc:
         moves.other_radius(m, b.w.pop("D"))
     moves.move_words(m, b)
     if any(number == 29 or number not in ISO_M for number in b.m):  # codes of the machine builder have what no move used
-        b.drop(WORDS_OF_M)
+        b.pick(*WORDS_OF_M)
     if 9 in codes:
         m.control.stop(0.0)
     if pause is not None:
@@ -120,24 +111,9 @@ def _change_and_move(m: Iso, b: Block) -> None:
 def _feed_and_tool(m: Iso, b: Block) -> None:
     """G93 to G95, units, F, S, T, H and tool lengths, which count before the rest of the block."""
     s, codes, w = m.state, b.codes, b.w
-    for number in (93, 94, 95):
-        if number in codes:
-            s.set_feed_mode(number)
-    given = w.pop("F") if "F" in w else None
-    if given and m.linuxcnc:
-        s.set_feed(given.value, given.column)
-    for number in (20, 21, 70, 71):
-        unit = INCH if number in (20, 70) else 1e-3
-        if number in codes:
-            if given and unit != s.unit:
-                s.note(F_WITH_UNIT[m.linuxcnc])
-            s.set_unit(unit, feed=True)
-    if given and not m.linuxcnc:
-        s.set_feed(given.value, given.column)
-    elif not given and s.out.modes.feed_mode == 93 and s.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
+    feed, inverse_time = m.values_first(b, UNITS, m.linuxcnc, F_WITH_UNIT[m.linuxcnc]), s.out.modes.feed_mode == 93
+    if inverse_time and not feed and s.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
         raise WordError("under G93 every block needs its own F; add it")
-    if "S" in w:
-        s.set_spindle(b.take("S"))
     tool: dict[str, tuple] = {n: (w[n].value, w.pop(n).column) for n in ("T", "H") if n in w and (n == "T" or 10 not in codes)}
     if 6 in b.m:
         tool["M6"] = 6.0, 1
@@ -212,7 +188,7 @@ def _radii(m: Iso, b: Block, _: float) -> None:
 
 
 def _length(m: Iso, b: Block, _: float) -> None:
-    b.drop("XYZ")
+    b.pick(*LINEAR)
     m.state.note("G43.1: its length is used as that of the tool in the spindle")
 
 

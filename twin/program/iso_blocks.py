@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 import re
 from typing import Any
@@ -58,12 +59,11 @@ _IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 class Iso(Reader):
     """Reads the blocks of one ISO program."""
 
-    carry_out: Callable[[Block], None]
     values: IsoValues
 
-    def __init__(self, path: Path, machine: Machine, unit: Unit, linuxcnc: bool) -> None:
+    def __init__(self, path: Path, machine: Machine, unit: Unit, carry_out: Callable[[Iso, Block], None], *, linuxcnc: bool) -> None:
         super().__init__(path, machine, "linuxcnc" if linuxcnc else "iso", between_percents(unit), ISO_FRAMES)
-        self.unit_read, self.linuxcnc, state = self.flow.frame.unit, linuxcnc, self.state
+        self.unit_read, self.linuxcnc, state, self.carry_out = self.flow.frame.unit, linuxcnc, self.state, partial(carry_out, self)
         state.motion, state.tools.modal_h = None, not linuxcnc
         self.mirrors: dict[int, float] = {}  # axis of G51.1 -> place of the mirror [m]
         self.cycle: int | None = None  # G73 to G89 in force

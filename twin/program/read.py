@@ -10,13 +10,14 @@ from twin.machine.machine import Machine
 from twin.program.apt import AptReader
 from twin.program.collect import Collector
 from twin.program.expressions import WordError
-from twin.program.iso import iso
-from twin.program.iso_blocks import LINUXCNC
+from twin.program.iso import execute
+from twin.program.iso_blocks import LINUXCNC, Iso
 from twin.program.klartext import KLARTEXT, KLARTEXT_M
 from twin.program.klartext_blocks import Klartext
 from twin.program.moves import Program, place_of
 from twin.program.reader import Reader
-from twin.program.sinumerik import sinumerik
+from twin.program.sinumerik import SINUMERIK_NAMES, carry_out
+from twin.program.sinumerik_blocks import Sinumerik
 from twin.program.source import Source, units_of
 
 SINUMERIK_ENDINGS = (".mpf", ".spf")
@@ -124,9 +125,9 @@ def understand(program: str | Path | Source, machine: Machine) -> Collector:
     elif language == "klartext":
         front = Klartext(path, machine, units_of(source)[0], KLARTEXT, KLARTEXT_M)
     elif language == "sinumerik":
-        front = sinumerik(path, machine, units_of(source))
+        front = Sinumerik(path, machine, units_of(source), SINUMERIK_NAMES, carry_out)
     else:
-        front = iso(path, machine, units_of(source)[0], linuxcnc=language == "linuxcnc")
+        front = Iso(path, machine, units_of(source)[0], execute, linuxcnc=language == "linuxcnc")
     where = path
     try:
         front.run()

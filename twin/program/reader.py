@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 import math
 from pathlib import Path
 import re
@@ -16,7 +16,7 @@ from twin.program.corners import Corners
 from twin.program.expressions import Expression, Grammar, Value, as_number
 from twin.program.flow import Flow, Frame, Statement
 from twin.program.source import Folder, Unit
-from twin.program.state import State
+from twin.program.state import Block, Item, State
 from twin.units import rad_from_deg
 
 NO_GROUP = "((?!))?"
@@ -90,6 +90,28 @@ class Reader:
     def feed_word(self, value: float) -> float:
         """The feed of an F word."""
         return value
+
+    def values_first(self, b: Block, units: Mapping[float, tuple[float, bool]], before_unit: bool, note: str = "") -> Item | None:
+        """G93 to G95, the unit, F and S, which count before the rest of a block; returns the F word.
+
+        `units`: G code -> unit [m], and whether F counts in it; `before_unit`: F counts in the unit before, as `note` says.
+        """
+        s, codes, feed = self.state, b.codes, b.w.pop("F", None)
+        for number in (93, 94, 95):
+            if number in codes:
+                s.set_feed_mode(number)
+        if feed is not None and before_unit:
+            s.set_feed(feed.value, feed.column)
+        for number in units.keys() & codes:
+            unit, of_feed = units[number]
+            if feed is not None and note and unit != s.unit:
+                s.note(note)
+            s.set_unit(unit, feed=of_feed)
+        if feed is not None and not before_unit:
+            s.set_feed(feed.value, feed.column)
+        if "S" in b.w:
+            s.set_spindle(b.take("S"))
+        return feed
 
     def fast(self, text: str, line: int) -> bool:
         """Execute a block of coordinates alone; False if it must be read word by word."""

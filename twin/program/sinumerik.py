@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
-from twin.machine.machine import Machine
 from twin.program import sinumerik_cycles as cycles
 from twin.program import sinumerik_moves as moves
 from twin.program.expressions import WordError, as_text
@@ -17,20 +14,15 @@ from twin.program.reader import set_mode
 from twin.program.sinumerik_blocks import Block, Sinumerik
 from twin.program.sinumerik_values import Word as Written
 from twin.program.sinumerik_values import split_arguments
-from twin.program.source import Unit, plain_name
+from twin.program.source import plain_name
 from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, named
 
 Handler = Callable[[Sinumerik, Block, float], None]
 """Carries out a G code."""
+UNITS = {70: (INCH, False), 71: (1e-3, False), 700: (INCH, True), 710: (1e-3, True)}
+"""G code -> unit [m], and whether F counts in it, too."""
 NameHandler = Callable[[Sinumerik, Block, Written], None]
 """Carries out a name."""
-
-
-def sinumerik(path: Path, machine: Machine, units: list[Unit]) -> Sinumerik:
-    """The reader of one program."""
-    m = Sinumerik(path, machine, units, SINUMERIK_NAMES)
-    m.carry_out = partial(carry_out, m)
-    return m
 
 
 def carry_out(m: Sinumerik, b: Block) -> None:
@@ -93,22 +85,12 @@ def carry_out(m: Sinumerik, b: Block) -> None:
 
 def _values(m: Sinumerik, b: Block) -> None:
     """G93 to G95, units, F, S, OVR and the tolerances of the block, which count before its names."""
-    s, codes = m.state, b.codes
-    for number in (93, 94, 95):
-        if number in codes:
-            s.set_feed_mode(number)
-    for number in (70, 71, 700, 710):
-        if number in codes:
-            s.set_unit(INCH if number in (70, 700) else 1e-3, feed=number in (700, 710))
-    if "F" in b.w:
-        column = b.w["F"].column
-        s.set_feed(b.take("F"), column)
+    s = m.state
+    m.values_first(b, UNITS, before_unit=False)
     if "OVR" in b.w:
         s.override = b.take("OVR") / 100.0
     if not 0.0 < s.override <= 2.0:
         raise WordError(f"OVR={100 * s.override:g} is out of range; give 1 to 200 percent")
-    if "S" in b.w:
-        s.set_spindle(b.take("S"))
     if given := {name: item.value for name, item in b.pick("CTOL", "OTOL", "ADIS", "ADISPOS").items()}:
         s.set_tolerances(given.get("CTOL"), given.get("OTOL"))
         for name in given.keys() & {"ADIS", "ADISPOS"}:

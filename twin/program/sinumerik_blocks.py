@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 import re
 
@@ -82,11 +83,12 @@ class Sinumerik(Reader):
     """Reads the blocks of one SINUMERIK program."""
 
     grammar = SINUMERIK
-    carry_out: Callable[[Block], None]
 
-    def __init__(self, path: Path, machine: Machine, units: list[Unit], names: Mapping[str, Meaning]) -> None:
+    def __init__(
+        self, path: Path, machine: Machine, units: list[Unit], names: Mapping[str, Meaning], carry_out: Callable[[Sinumerik, Block], None]
+    ) -> None:
         super().__init__(path, machine, "sinumerik", units[0], SINUMERIK_FRAMES)
-        self.known = names
+        self.known, self.carry_out = names, partial(carry_out, self)
         self.units = {plain_name(u.name): u for u in reversed(units)}
         self.macros: dict[str, str] = {}  # DEFINE .. AS
         self.pole = np.zeros(3)

@@ -10,7 +10,7 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.control import Vector
 from twin.program.expressions import WordError, needed
-from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, mirrored, rotation, rotation_xyz, shifted
+from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, rotation, rotation_xyz
 from twin.program.sinumerik_blocks import Block, Sinumerik
 from twin.program.sinumerik_values import Word
 from twin.program.state import Item
@@ -210,31 +210,20 @@ def frame_words(m: Sinumerik, b: Block, word: Word | None) -> None:
         raise WordError(f"{name} takes its axes as words, e.g. {name} X10", word.column)
     if not name.endswith("TRANS") and shift is None and set(values) & set(ROTARY):
         raise WordError(f"{name} of A or C is not supported; let the CAM system output the final coordinates")
-    before, way = m.state.frames["program"], {axis: m.state.si(axis, value) for axis, value in values.items()}
     if shift is not None:
         part = "program" if shift == 58 else "fine"
         old = m.state.frames[part]
         places = old.shift.copy()
-        for axis, value in way.items():
-            places[INDEX[axis]] = value
+        for axis, value in values.items():
+            places[INDEX[axis]] = m.state.si(axis, value)
         m.state.set_frames(**{part: Frame(old.matrix, places)})
         return
-    inner = NO_FRAME
-    if name.endswith("TRANS"):
-        inner = shifted(way)
-    elif name in ("ROT", "AROT") and "RPL" in b.w:
-        inner = Frame(rotation(arcs.PLANES[m.state.plane][2], b.take("RPL")), np.zeros(5))
-    elif name in ("ROT", "AROT"):
-        inner = Frame(rotation_xyz(values), np.zeros(5))
-    elif name.endswith("SCALE"):
-        if not all(values.values()):
-            raise WordError(f"{name} by 0 leaves nothing; give factors other than 0")
-        inner = Frame(np.diag([values.get(n, 1.0) for n in LINEAR]), np.zeros(5))
-    elif name.endswith("MIRROR"):
-        inner = Frame(mirrored(values), np.zeros(5))
-    elif values:
+    if name.endswith("ROTS") and values:
         raise WordError(f"{name} is not supported: a turn by angles in space; use ROT with X Y Z")
+    inner = m.values.frame_of("ROT" if "ROT" in name else name.removeprefix("A"), values)
+    if name.endswith("ROT") and "RPL" in b.w:
+        inner = Frame(rotation(arcs.PLANES[m.state.plane][2], b.take("RPL")), np.zeros(5))
     if name.startswith("A"):
-        m.state.set_frames(program=before @ inner)
+        m.state.set_frames(program=m.state.frames["program"] @ inner)
     else:
         m.state.set_frames(program=inner, fine=NO_FRAME)

@@ -6,7 +6,7 @@ A block is split into words: an address with a number (`X10.5`, `G641`), an assi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 import itertools
 import math
@@ -330,15 +330,23 @@ class SinumerikValues:
     def _frame(self, name: str, given: list[Value], column: int) -> Frame:
         """CTRANS, CFINE, CROT, CSCALE, CMIRROR of axes and their values."""
         values = [self.state.slot_of.get(v, v) if isinstance(v, str) else v for v in given]
+        places = values[::2], values[1::2]
         if name == "CMIRROR":
-            return Frame(mirrored([str(v) for v in values]), np.zeros(5))
-        pairs = {str(axis): as_number(value, column) for axis, value in zip(values[::2], values[1::2])}
+            places = values, [0.0] * len(values)
+        pairs = {str(axis): as_number(value, column) for axis, value in zip(*places)}
         for axis in pairs:
             if axis not in INDEX and pairs[axis]:
                 raise WordError(f"'{axis}' is not an axis of this machine (X Y Z A C)", column)
-        if name in ("CTRANS", "CFINE"):
-            return shifted({axis: self.state.si(axis, value) for axis, value in pairs.items() if axis in INDEX})
-        return Frame(rotation_xyz(pairs) if name == "CROT" else np.diag([pairs.get(n, 1.0) for n in LINEAR]), np.zeros(5))
+        return self.frame_of(name[1:], pairs)
+
+    def frame_of(self, name: str, values: Mapping[str, float]) -> Frame:
+        """The frame of TRANS, FINE, ROT, SCALE or MIRROR with the values of its axes [program units, deg, factors]."""
+        if name in ("TRANS", "FINE"):
+            return shifted({axis: self.state.si(axis, value) for axis, value in values.items() if axis in INDEX})
+        if name == "SCALE" and not all(values.values()):
+            raise WordError("SCALE by 0 leaves nothing; give factors other than 0")
+        scale = np.diag([values.get(n, 1.0) for n in LINEAR])
+        return Frame(rotation_xyz(values) if name == "ROT" else mirrored(values) if name == "MIRROR" else scale, np.zeros(5))
 
 
 def _element(name: str, index: tuple) -> tuple[str, tuple]:

@@ -96,11 +96,6 @@ class Block:
             raise WordError(text, column)
         return self.w.pop(name)
 
-    def drop(self, names: str) -> None:
-        """Take words of one letter away."""
-        for name in names:
-            self.w.pop(name, None)
-
     def pick(self, *names: str) -> dict[str, Item]:
         """Take words away."""
         return {n: self.w.pop(n) for n in names if n in self.w}

@@ -96,13 +96,9 @@ class Tools:
         name, column = as_text(word[0]), word[1]
         if name == "0":
             return 0.0
-        wear = self.value(name, "length", wear=True) or 0.0
-        if (name, "length", False) in self.written:
-            return self.written[name, "length", False] + wear
-        if not self.table:
+        if (length := self.value(name, "length")) is None and self.table:
+            raise WordError(f"tool {name} is not in the table [tool] of the machine file; {nearest(f'T{name}', self.table)}", column)
+        if length is None:
             self.out.notes["T, H: the machine file has no table [tool]; the tool of the model is used"] = None
-            return self.out.kinematics.tool_length + wear
-        key = name if name in self.table else f"T{name}"
-        if key not in self.table:
-            raise WordError(f"tool {name} is not in the table [tool] of the machine file; {nearest(key, self.table)}", column)
-        return float(self.table[key]["length_m"]) + wear
+            length = self.out.kinematics.tool_length
+        return length + (self.value(name, "length", wear=True) or 0.0)
