@@ -23,7 +23,7 @@ ONLY_IN_LINUXCNC: dict[float, str] = dict.fromkeys((33, 33.1), "threading is not
 WORDS_OF_NOTES = {5.1: "PQR", 8: "PQR", 61.2: "PQR", 187: "PQRE", 103: "P", 22: "XYZIJK"}
 WORDS_OF_M = "PQRELDK"
 """Words that an M code may carry."""
-UNITS = {20: (INCH, True), 21: (1e-3, True), 70: (INCH, True), 71: (1e-3, True)}
+UNITS: dict[float, tuple[float, bool]] = {20: (INCH, True), 21: (1e-3, True), 70: (INCH, True), 71: (1e-3, True)}
 """G code -> unit [m], which F counts in, too."""
 F_WITH_UNIT = {
     True: "F beside G20 or G21: it is in the unit before them, since LinuxCNC carries F out first",

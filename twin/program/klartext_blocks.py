@@ -35,12 +35,15 @@ JUMP = re.compile(rf"FN\s*(?:9|10|11|12)\s*:\s*IF\s+(.+?)\s+GOTO\s+{_NAME}\s*\Z"
 FORMULA = re.compile(r"(?:FN\s*(?P<fn>\d+)\s*:\s*)?(?P<name>Q[LR]?\d+)\s*=(?P<text>.*)\Z")
 
 _WORD = re.compile(
-    rf"\s*(?:M\s*(?P<m>\d+)|(?P<alone>R[0LR](?![\w.])|DR\s*[-+](?![\d.Q]))|(?P<inc>I(?!F|MB|LA|BT))?"
-    rf"(?P<name>PA|PR|CCA|CC[XYZ]|LEN|ABST|DIST|DR2|DR|DL|ROT|SCL|SP[ABC]|TA|[NT][XYZ]|MB|LA|BT|[A-CFLR-Z])\s*(?P<value>{VALUE}|MAX|AUTO))",
+    rf"\s*(?:M\s*(?P<m>\d+)|(?P<alone>R[0LR](?![\w.])|DR\s*[-+](?![\d.Q])|F\s*(?:MAX|AUTO)|MB\s*MAX)|(?P<inc>I(?!F|MB|LA|BT))?"
+    rf"(?P<name>PA|PR|CCA|CC[XYZ]|LEN|ABST|DIST|DR2|DR|DL|ROT|SCL|SP[ABC]|TA|[NT][XYZ]|MB|LA|BT|[A-CFLR-Z])\s*(?P<value>{VALUE}))",
     re.A,
 )
 SIDE, SENSE = "RL or RR", "DR+ or DR-"
-_ALONE = {"R0": (SIDE, 0.0), "RL": (SIDE, 1.0), "RR": (SIDE, -1.0), "DR+": (SENSE, 1.0), "DR-": (SENSE, -1.0)}
+_ALONE = {
+    "R0": (SIDE, 0.0), "RL": (SIDE, 1.0), "RR": (SIDE, -1.0), "DR+": (SENSE, 1.0), "DR-": (SENSE, -1.0), "FMAX": ("F", math.inf),
+    "FAUTO": ("F", math.nan), "MBMAX": ("MB", math.inf),
+}  # fmt: skip
 """Words without a number: the name that they have in a block, and the number that they stand for."""
 
 FORMULAS = Grammar(
@@ -236,18 +239,16 @@ class Klartext(Reader):
         while at < len(text):
             match = needed(_WORD.match(text, at), f"'{text[at:].strip()[:20]}' is not read {where}", block.column + at)
             at, place = match.end(), block.column + match.start()
-            name, value = match["name"], match["value"]
             if match["m"]:
                 block.m.append(int(match["m"]))
-            elif match["alone"]:
+                continue
+            if match["alone"]:
                 name, number = _ALONE[match["alone"].replace(" ", "")]
-                block.put(name, Item(number, "", place))
-            elif value in ("MAX", "AUTO") and (name, value) not in (("F", "MAX"), ("F", "AUTO"), ("MB", "MAX")):
-                raise WordError(f"'{match[0].strip()}' is not read {where}", place)
             else:
-                name = f"F{block.m[-1]}" if name == "F" and block.m and block.m[-1] in (128, 140) else self.state.slot_of.get(name, name)
-                number = {"MAX": math.inf, "AUTO": math.nan}[value] if value in ("MAX", "AUTO") else self.number_of(value, place)
-                block.put(name, Item(number, "IC" if match["inc"] else "", place))
+                name, number = self.state.slot_of.get(match["name"], match["name"]), self.number_of(match["value"], place)
+            if name == "F" and block.m and block.m[-1] in (128, 140):
+                name = f"F{block.m[-1]}"
+            block.put(name, Item(number, "IC" if match["inc"] else "", place))
 
     def only_words(self, block: Block, names: str, hint: str = "", added: bool = False) -> dict[str, Item]:
         """The words of a block that takes these names alone, and in addition (I) if `added`."""

@@ -102,8 +102,8 @@ class Reader:
                 s.set_feed_mode(number)
         if feed is not None and before_unit:
             s.set_feed(feed.value, feed.column)
-        for number in units.keys() & codes:
-            unit, of_feed = units[number]
+        for code in units.keys() & codes:
+            unit, of_feed = units[code]
             if feed is not None and note and unit != s.unit:
                 s.note(note)
             s.set_unit(unit, feed=of_feed)

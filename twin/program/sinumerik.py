@@ -19,7 +19,7 @@ from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, 
 
 Handler = Callable[[Sinumerik, Block, float], None]
 """Carries out a G code."""
-UNITS = {70: (INCH, False), 71: (1e-3, False), 700: (INCH, True), 710: (1e-3, True)}
+UNITS: dict[float, tuple[float, bool]] = {70: (INCH, False), 71: (1e-3, False), 700: (INCH, True), 710: (1e-3, True)}
 """G code -> unit [m], and whether F counts in it, too."""
 NameHandler = Callable[[Sinumerik, Block, Written], None]
 """Carries out a name."""
