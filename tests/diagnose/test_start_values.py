@@ -6,7 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from twin.diagnose.candidates import Start, combine
+from tests.builders.diagnosis_state import found_of
+from tests.diagnose.law.test_closed_loop import X, observed, runs_of
+from twin.diagnose.candidates import Start, combine, starts_of
+from twin.diagnose.screen import screening
 from twin.diagnose.start_values import StartValues
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
@@ -29,6 +32,15 @@ def test_a_scaled_lag_has_the_scaled_delay(effect, cycle, share):
     scaled = combine(Start((first,)), [share], machine)
     wanted = share * delay_of(2e-3, getattr(machine, cycle))
     assert delay_of(scaled.parameters["time_constant_s"], getattr(machine, cycle)) == pytest.approx(wanted, rel=1e-6)
+
+
+def test_a_filter_much_shorter_than_the_cycle_is_screened():
+    """A lag of a fifth of the cycle delays the set point by 14 us, a hundredth of what the start of the screening delays it."""
+    group = observed(runs_of([{"name": "set_point_filter", "axis": "X", "time_constant_s": 4e-4}]))
+    starts = [s for s in starts_of(group, group.residual) if s.effect.name == "set_point_filter"]
+    screened = screening(found_of(group), starts)
+    ((i, gain),) = screened.best().values()
+    assert screened.setting(i, gain, X).parameters["time_constant_s"] == pytest.approx(4e-4, rel=0.02)
 
 
 def test_other_sizes_are_scaled_by_their_deviation_from_neutral():

@@ -115,5 +115,5 @@ def _best_size(start: Start, inner: np.ndarray, target: np.ndarray) -> Gain:
         low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
         sizes = np.clip(sizes, max(min(low, high), -T.screened_largest), min(max(low, high), T.screened_largest))
         if size.low >= neutral and not size.is_factor:
-            sizes = np.maximum(sizes, T.screened_least)
+            sizes = np.maximum(sizes, 0.0 if size.lag_cycle else T.screened_least)  # a short lag delays by almost nothing
     return Gain(float(sizes @ target - 0.5 * sizes @ inner @ sizes), tuple(sizes.tolist()))
