@@ -1,14 +1,19 @@
-"""Effects that the corrected machine still holds after the search for laws."""
+"""Effects that the corrected machine still holds after the search for laws, and groups of axes that another axis pushes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import found_of, group_of
+from twin.diagnose import procedure
 from twin.diagnose.law.laws import Laws
 from twin.diagnose.procedure import _as_probable_as_complete, effects_beside_laws
-from twin.effects import settings_of, with_effects
+from twin.diagnose.setup import Setup
+from twin.effects import EFFECTS, Setting, settings_of, with_effects
 
 
 def spring(mikron, stiffness):
@@ -48,3 +53,26 @@ def test_an_effect_beside_something_unknown_is_as_probable_as_the_gap_of_its_axi
 def test_the_spring_of_a_law_is_a_part_of_it(mikron):
     corrected, found = spring(mikron, 3e8)
     assert effects_beside_laws(Laws((), (), corrected, {found.key: 0.0}), [(found, None, 0.98)]) == []
+
+
+@pytest.mark.parametrize(("quick", "machines"), [(False, [[], ["transmission_compliance"]]), (True, [[]])])
+def test_a_group_is_searched_again_with_the_axis_that_pushes_it_corrected(monkeypatch, mikron, quick, machines):
+    """The acceleration of X contains the swinging of its drive train, which the search of X found."""
+    groups = {("X",): group_of([np.zeros(50)]), ("Z",): group_of([np.zeros(50)], "Z")}
+    pushing = Setting(EFFECTS["cross_axis_coupling"], "Z", {"mass": 100.0}, "X")
+    searches: dict[str, list[list[str]]] = {"X": [], "Z": []}
+
+    def search(group, setup):
+        searches[group.axes[0]].append([s.effect.name for s in settings_of(group.views[0].machine)])
+        state = found_of(group)
+        return state if group.axes == ("X",) else replace(state, fit=replace(state.fit, settings=(pushing,)))
+
+    views = {axes[0]: replace(group, views=[replace(group.views[0], machine=mikron)]) for axes, group in groups.items()}
+    monkeypatch.setattr(procedure, "axis_groups", lambda *_: list(groups))
+    monkeypatch.setattr(procedure, "observe", lambda _, axes, seed: views[axes[0]])
+    monkeypatch.setattr(procedure, "search", search)
+    monkeypatch.setattr(procedure, "corrected_by", lambda state: lambda machine: spring(machine, 3e9)[0])
+    monkeypatch.setattr(procedure, "final_state", lambda state, quick: state)
+    setup = Setup(mikron, mikron, [[0]], map, lambda _: None, quick, threads=1)
+    procedure._searched(setup, SimpleNamespace(runs=()))
+    assert searches == {"X": [[]], "Z": machines}

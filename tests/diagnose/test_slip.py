@@ -1,8 +1,10 @@
-"""Slip before break-away, a normal imperfection of every axis, is identified from records with noise and finite encoder resolution."""
+"""Normal imperfections of every axis, identified from records with noise and finite encoder resolution: slip before break-away, and the drive
+train of an axis with an effect."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+import math
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from twin.diagnose.fit import fit_effects, no_effect, simulated_response
 from twin.diagnose.imperfections import moved_to, with_imperfections
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import T
-from twin.diagnose.slip import with_refitted_slip
+from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_of
@@ -115,3 +117,26 @@ def test_slip_is_not_fitted_while_effects_are_missing(wound_up):
     bare = replace(wound_up, fit=no_effect(wound_up.group, wound_up.tuning))
     assert bare.fit.loss > T.small_residual * wound_up.group.expected_loss
     assert with_refitted_slip(bare) is bare
+
+
+def test_a_cyclic_error_is_sized_with_the_drive_train_that_it_shakes():
+    """Scale and current only: nothing isolates the drive train. On a rigid one the rotor follows the wave without inertia of its own."""
+    spring = {"name": "transmission_compliance", "axis": "X", "stiffness": (2.0 * math.pi * 300.0) ** 2 * AXIS.moving_mass_kg}
+    wave = {"name": "cyclic_error", "axis": "X", "amplitude": 5e-6, "phase_rad": 1.0}
+    views = []
+    for run in runs_of([wave, spring], ((0.05, 0.1), (0.1, 0.15))):
+        signals = {key: values for key, values in run.trace.signals.items() if key[1] in ("setpoint", "position", "current")}
+        views.append(view_of(X, replace(run, trace=replace(run.trace, signals=signals))))
+    group = observe(views, ("X",))
+    tuning = tuning_of(group)
+    fit = fit_effects(group, tuning, [Setting(EFFECTS["cyclic_error"], "X", {"amplitude": 4e-6, "phase_rad": 1.0})])
+    assert fit is not None
+    rigid = GroupState(group, group, tuning, fit, 1.0).with_accepted(1)
+    assert rigid.fit.settings[0].size < 4.8e-6
+    assert rigid.fit.loss > 2.0 * group.expected_loss
+    elastic = with_drive_trains(rigid)
+    assert elastic.fit.settings[0].size == pytest.approx(5e-6, rel=0.01)
+    assert elastic.fit.loss < group.expected_loss
+    mode = T.normal_mode_hz / math.sqrt(limited_deviations(elastic, X.parameter_tolerance)[-1] / X.parameter_tolerance)
+    assert mode == pytest.approx(300.0, rel=0.15)
+    assert with_drive_trains(elastic) is elastic

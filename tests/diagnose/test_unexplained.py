@@ -87,6 +87,15 @@ def test_different_sizes_need_evidence():
     assert not differs_between_runs(found)
 
 
+def test_a_step_that_all_runs_share_is_no_evidence_of_different_sizes():
+    """The steps 40, 40 and 41.5 deviate from their mean with an evidence of 1200; their common step, which break-aways cause, has four million."""
+    slope = np.full((RUNS, SAMPLES), 2.0)
+    found = found_with(noise(1) + np.array((40.0, 40.0, 41.5))[:, None] * slope, slope)
+    assert differs_between_runs(found)
+    found.group.expected_loss = 1e7
+    assert not differs_between_runs(found)
+
+
 def test_different_sizes_within_chance_do_not_count():
     slope = np.full((RUNS, SAMPLES), 0.01)  # standard deviation of the step from one run: 1 / (0.01 sqrt(400)) = 5
     assert not differs_between_runs(found_with(noise(2), slope))

@@ -198,7 +198,7 @@ def test_a_factor_multiplies_the_field_that_it_names(name, parameter):
 
 def test_names_that_effects_give_of_each_other_exist():
     for effect in EFFECTS.values():
-        assert set(effect.contains) | set(effect.imitated_by) <= set(EFFECTS), effect.name
+        assert set(effect.contains) <= set(EFFECTS), effect.name
         assert all(p.judged_with in ("", *(q.name for q in effect.parameters)) for p in effect.parameters)
         assert effect.rivals, "say what separates it from its rivals"
         assert effect.picture.look, "say what to look at in its picture"

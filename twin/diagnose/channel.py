@@ -71,11 +71,6 @@ class Channel:
         return free[view.rows_of(self.axis, self.name)]
 
     @property
-    def noise_weight(self) -> np.ndarray:
-        """Weight of each sample without the model error of effects (sample,)."""
-        return self._weight(np.square(self.model))
-
-    @property
     def spread(self) -> np.ndarray:
         """Root sum of squares of noise, model error and doubt (sample,)."""
         return np.hypot(np.hypot(self.sigma, self.model), self.doubt)

@@ -12,6 +12,7 @@ from twin.diagnose.columns import Columns
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.fit import no_effect
 from twin.diagnose.settings import T
+from twin.diagnose.simulations import Variant
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
 from twin.diagnose.tuning import tuning_from
@@ -48,6 +49,13 @@ def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine
                 values[path] = [factor * v for v in old] if isinstance(old, list) else factor * old
     retuned = with_effects(machine.with_values(values), normal_imperfections(machine, states))
     return with_added(retuned, [s for f in states for s in f.fit.settings])
+
+
+def corrected_by(state: GroupState, left_out: Sequence[Setting] = ()) -> Variant:
+    """Maps the nominal machine of a run to the one that the search corrected, without the effects `left_out`."""
+    of_tuning = tuned(state.tuning.nuisances, limited_deviations(state, state.group.machine.parameter_tolerance))
+    settings = [s for s in state.fit.settings if s not in left_out]
+    return lambda machine: with_added(of_tuning(machine), settings)
 
 
 def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list[Setting]:

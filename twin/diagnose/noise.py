@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-import math
-
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from twin.recordings.roughness import SECOND_DIFFERENCE, roughness, step_of
+from twin.recordings.roughness import SECOND_DIFFERENCE, roughness
 from twin.simulation.gap import REALISATIONS
 
 
@@ -31,11 +28,6 @@ def sigma_of(deviations: np.ndarray, jitter: np.ndarray, residual: np.ndarray, n
     elif expected > 0.0 and 1.0 < measured / expected < noisier**2:
         smooth = smooth * measured / expected
     return np.sqrt(np.maximum(smooth, 0.5 * level))
-
-
-def sigma_of_steps(records: Sequence[np.ndarray]) -> float:
-    """Standard deviation of a sum or difference of records (sample,) due to their steps, if they have few digits; 0 without steps."""
-    return math.hypot(*map(step_of, records)) / math.sqrt(12.0)
 
 
 def correlation_of(normed: np.ndarray, longest: int) -> float:

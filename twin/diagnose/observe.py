@@ -17,13 +17,14 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
-from twin.diagnose.noise import correlation_of, sigma_of, sigma_of_steps
+from twin.diagnose.noise import correlation_of, sigma_of
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, simulate_group, simulate_groups
 from twin.diagnose.tolerance import normal_slip
@@ -31,6 +32,7 @@ from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
+from twin.recordings.roughness import step_of
 from twin.recordings.trace import Trace
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
 from twin.simulation.plant_spec import commissioned_inertia
@@ -191,10 +193,6 @@ class Group:
         """Half the expected squares from noise and model error of effects."""
         return 0.5 * float(self.expected.sum())
 
-    def in_noise(self, rows: np.ndarray) -> np.ndarray:
-        """Weighted rows (row,) rescaled to the weights without the model error of effects."""
-        return rows / self.weights * np.concatenate([c.noise_weight for c in self.channels]) if self.channels else rows
-
     @functools.cached_property
     def credit(self) -> np.ndarray:
         """Weight of each row as evidence (row,)."""
@@ -348,7 +346,8 @@ def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: Run
     signals = {"motor_minus_scale": BOTH, "current": (axis.effort,)}.get(channel.name, (channel.name,))
     noisier = T.noisier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
     sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
-    sigma = np.maximum(sigma, sigma_of_steps([view.trace.get(axis.name, s) for s in signals if view.trace.has(axis.name, s)]))
+    steps = [step_of(view.trace.get(axis.name, s)) for s in signals if view.trace.has(axis.name, s)]  # 0 unless a record has few digits
+    sigma = np.maximum(sigma, math.hypot(*steps) / math.sqrt(12.0))
     if channel.name == "position":  # the rest position is random within the normal slip
         at_rest = rests(view, channel.axis, T.break_away_s)[view.rows_of(channel.axis, channel.name)]
         sigma = np.hypot(sigma, np.where(at_rest, T.resting * normal_slip(axis), 0.0))

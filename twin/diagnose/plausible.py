@@ -7,8 +7,8 @@ import math
 from twin.diagnose.candidates import Start
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.state import SHOWS_IN, GroupState
-from twin.diagnose.tolerance import NORMAL, UNIFORM
+from twin.diagnose.state import SHOWS_IN
+from twin.diagnose.tolerance import UNIFORM
 from twin.effects import Parameter, Setting
 from twin.machine.machine import Machine
 
@@ -91,12 +91,3 @@ def normal_spread(setting: Setting, parameter: Parameter, machine: Machine) -> f
         return 0.0
     whole = parameter.part_of(machine, machine.axis(setting.axis)) if parameter.part_of else setting.size
     return machine.parameter_tolerance * float(UNIFORM) * abs(whole)
-
-
-def is_imitated(state: GroupState, setting: Setting, machine: Machine) -> bool:
-    """True for a small effect that a normal imperfection on its axis imitates: a softer spring looks like more mass."""
-    size, imitators = setting.effect.size, setting.effect.imitated_by
-    normal = {NORMAL.get(n.quantity) for n in state.tuning.nuisances if n.owner == setting.axis}
-    if not normal.intersection(imitators) or size.part_of is None:
-        return False
-    return abs(setting.size) < T.imitated * machine.parameter_tolerance * size.part_of(machine, machine.axis(setting.axis))

@@ -15,7 +15,7 @@ import numpy as np
 from twin.diagnose.columns import Columns
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_within
 from twin.diagnose.fit import Fit, Slope, fit_effects, fit_with_fixed_effects, simulated_response
-from twin.diagnose.plausible import CONTROL_BLOCKS, is_imitated, is_plausible
+from twin.diagnose.plausible import CONTROL_BLOCKS, is_plausible
 from twin.diagnose.screen import Gain, Screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
@@ -90,7 +90,7 @@ def _rivals(screened: Screening, after: Screening, others: Sequence[tuple[int, G
 
 
 def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], setup: Setup) -> list[tuple[Fitted, ...]]:
-    """Each pick and its rivals fitted in closed loop next to the effects found, best first. The responses of the other picks are free."""
+    """Each pick and its rivals fitted in closed loop next to the effects found, best first, implausible ones last. Responses of other picks are free."""
     fit = state.fit
     starts = [screened.starts[pick.start].settings for pick in picks]
     responses = [Columns(all_or_raise(state.cached_responses(settings)), state.group.size) for settings in starts]
@@ -104,18 +104,14 @@ def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], set
     def fit_pick(i: int) -> tuple[Fitted, ...]:
         others_free = all_free.holding(range(ends[i], ends[i + 1]))
         base = Base(fit_with_fixed_effects(state.group, others_free, fit.settings, fit.response), nonlinear, residual)
-        return _fit_with_rivals(state, base, (picks[i].setting, *picks[i].rivals), setup)
+        settings = (picks[i].setting, *picks[i].rivals)
+        with ThreadPoolExecutor(len(settings)) as pool:  # these threads wait for the simulations of the workers
+            fits = [fit for fit in pool.map(lambda setting: _fit_next_to_base(state, base, setting, setup), settings) if fit is not None]
+        candidates = _candidates(state, base.fit, fits, setup)
+        return tuple(sorted(candidates, key=lambda f: (f.candidate.plausible, f.candidate.evidence), reverse=True))
 
     with ThreadPoolExecutor(CONCURRENT_PICKS) as pool:
         return list(pool.map(fit_pick, range(len(picks))))
-
-
-def _fit_with_rivals(state: GroupState, base: Base, settings: Sequence[Setting], setup: Setup) -> tuple[Fitted, ...]:
-    """A pick and its rivals, each fitted by itself next to the base, best first; implausible ones last."""
-    with ThreadPoolExecutor(len(settings)) as pool:  # these threads wait for the simulations of the workers
-        fits = [fit for fit in pool.map(lambda setting: _fit_next_to_base(state, base, setting, setup), settings) if fit is not None]
-    candidates = _candidates(state, base.fit, fits, setup)
-    return tuple(sorted(candidates, key=lambda f: -(f.candidate.evidence - (0.0 if f.candidate.plausible else 1e9))))
 
 
 def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, setup: Setup) -> Fit | None:
@@ -151,7 +147,7 @@ def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup)
         gain = min(base_held_out - held_out_loss(state, fit, folds), penalised)
         evidence = gain / min(state.inflation, inflation(state.group, fit))
         setting = fit.settings[-1]
-        plausible = is_plausible(setting, machine, is_cut(state.group, setting)) and not is_imitated(state, setting, machine)
+        plausible = is_plausible(setting, machine, is_cut(state.group, setting))
         needed = evidence_needed(state, setting, len(folds))
         if base.settings and setting.effect.block in CONTROL_BLOCKS and closes < T.least_share:
             plausible = False  # next to another effect, a wrong control law must explain much of the residual

@@ -31,7 +31,7 @@ from twin.diagnose.rivals import Fitted, fit_picks, picks_of
 from twin.diagnose.screen import screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
-from twin.diagnose.slip import with_refitted_slip
+from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, localised_on
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
@@ -58,7 +58,8 @@ def search(group: Group, setup: Setup) -> GroupState:
 
 def _cost(state: GroupState) -> float:
     """Half the squared residual over noise, plus the evidence that its effects and normal imperfections required [nat]."""
-    residual = state.group.in_noise(state.fit.residual(state.group))
+    noise_weights = np.concatenate([replace(c, doubt=0.0).weight for c in state.group.channels])
+    residual = state.fit.residual(state.group) / state.group.weights * noise_weights
     normal = sum(n.quantity in NORMAL for n in state.tuning.nuisances)
     return 0.5 * float(residual @ residual) + T.evidence_in_sample * len(state.fit.settings) + T.evidence * normal
 
@@ -75,7 +76,13 @@ def _search_rounds(state: GroupState, setup: Setup) -> GroupState:
         axes = axes_above_noise_within_tolerance(state) if quick else axes_of_group
         if not axes:
             break
+        rounds, times = state.rounds, times_fitted.copy()
         state, winners = _round(state, axes, times_fitted, setup)
+        if winners and not refitted and not quick and _residual_is_small(state):
+            refitted, better = True, _refit_imperfections(state)
+            if state.fit.loss - better.fit.loss > T.evidence:  # the winners may explain only what the imperfections left
+                state, times_fitted = replace(better, rounds=rounds), times
+                continue
         if winners:
             state = _with_accepted(state, winners)
         elif quick or (with_slip := with_refitted_slip(state)) is state:
@@ -107,9 +114,22 @@ def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key],
     fitted = fit_picks(state, screened, picks, setup)
     state = replace(state, rounds=(*state.rounds, *(tuple(f.candidate for f in of_pick) for of_pick in fitted)))
     best = [next((f for f in of_pick if f.candidate.plausible), None) for of_pick in fitted]
-    winners = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
-    times_fitted.update({p.setting.key for p in picks} | {w.candidate.key for w in winners})
+    found = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
+    winners = _one_at_a_time_where_not_cut(state.group, found)
+    waiting = {f.candidate.key for f in found if f not in winners}
+    times_fitted.update(({p.setting.key for p in picks} | {w.candidate.key for w in winners}) - waiting)
     return state, winners
+
+
+def _one_at_a_time_where_not_cut(group: Group, found: Sequence[Fitted]) -> list[Fitted]:
+    """The accepted effects of a round without those that wait for the next one.
+
+    Effects in blocks that no channel isolates are visible in the same signals, and there a normal imperfection that a louder effect hid looks like
+    a second effect. Of an axis with such an effect, only the one with the most evidence is accepted; then its imperfections are fitted again.
+    """
+    uncut = {f.candidate.setting.axis for f in found if not is_cut(group, f.candidate.setting)}
+    most = {axis: max((f for f in found if f.candidate.setting.axis == axis), key=lambda f: f.candidate.evidence) for axis in uncut}
+    return [f for f in found if f is most.get(f.candidate.setting.axis, f)]
 
 
 def _initial_state(group: Group) -> GroupState:
@@ -129,10 +149,14 @@ def _initial_state(group: Group) -> GroupState:
 
 def _imperfections_need_refit(state: GroupState) -> bool:
     """Is the residual small, but above noise, on a machine with normal imperfections? These were fitted one by one and may be slightly off."""
-    noise = state.group.expected_loss
-    if not any(n.quantity in NORMAL for n in state.tuning.nuisances) or state.fit.loss > T.small_residual * noise:
-        return False
-    return state.fit.loss > (1.0 + T.near_noise) * noise or bool(localised_on(state))
+    above_noise = state.fit.loss > (1.0 + T.near_noise) * state.group.expected_loss
+    return _residual_is_small(state) and (above_noise or bool(localised_on(state)))
+
+
+def _residual_is_small(state: GroupState) -> bool:
+    """Is the residual of a machine with normal imperfections near noise, so that slightly wrong imperfections may cause it?"""
+    imperfect = any(n.quantity in NORMAL for n in state.tuning.nuisances)
+    return imperfect and state.fit.loss <= T.small_residual * state.group.expected_loss
 
 
 def _refit_imperfections(state: GroupState) -> GroupState:
@@ -174,7 +198,7 @@ def _with_accepted(state: GroupState, winners: Sequence[Fitted]) -> GroupState:
     if again is not None and again.loss < state.fit.loss:
         state = replace(state, group=group, tuning=tuning, fit=again)
     state = _with_relinearised_tuning(state)
-    return state.with_accepted(len(state.accepted) + 1).inflated()
+    return with_drive_trains(state.with_accepted(len(state.accepted) + 1).inflated())
 
 
 def _with_relinearised_tuning(state: GroupState) -> GroupState:

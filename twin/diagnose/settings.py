@@ -118,7 +118,6 @@ class Thresholds:
     smallest_set_size: float = _of(0.12, "smallest usual size", "the same for controller laws, factors, springs, clamped masses")
     largest_size: float = _of(4.0, "largest usual size", "a larger effect is implausible")
     usual_shape: float = _of(4.5, "1", "largest factor outside the usual range of a plausible speed, wavelength or frequency")
-    imitated: float = _of(5.0, "tolerances", "largest size of an effect that a normal imperfection beside it imitates")
 
     # verdict
     worse_by_chance: float = _of(0.3, "1", "increase of gap over noise by which a correction may be worse than the machine file by chance")

@@ -1,4 +1,4 @@
-"""Slip before break-away, fitted again on the machine with all effects and normal imperfections found.
+"""Normal imperfections fitted again on the machine with all effects found: slip before break-away, and drive trains that no channel isolates.
 
 The search fits slip on a machine without effects, where an axis at rest carries no load. On the complete machine a drive train that starts
 wound up, or a constant force, makes a resting axis creep. The creep determines the stiffness of its contact better than any reversal, and may
@@ -45,8 +45,22 @@ def with_refitted_slip(state: GroupState) -> GroupState:
     return state
 
 
+def with_drive_trains(state: GroupState) -> GroupState:
+    """The state with the drive train of each axis above noise that has effects, but neither a known elasticity nor a channel that isolates it.
+
+    There the elasticity is only visible in closed loop, together with the effects: a cyclic error shakes the rotor of an elastic train, while a rigid
+    one follows it without inertia.
+    """
+    isolated = {c.axis for c in state.group.channels if c.name == "motor_minus_scale"}
+    for spring in [Nuisance(axis, "elasticity") for axis in sorted({s.axis for s in state.fit.settings} - isolated)]:
+        loud = {axis for axis, _ in channels_above_noise(state.group, state.fit.residual(state.group) / state.group.weights)}
+        if state.tuning.spread > 0.0 and spring.owner in loud and spring not in state.tuning.nuisances:
+            state = _sized(state, spring)
+    return state
+
+
 def _sized(state: GroupState, slip: Nuisance) -> GroupState:
-    """The state with one slip at its best size."""
+    """The state with one slip, or one elasticity, at its best size."""
     tolerance, tuning = state.group.machine.parameter_tolerance, state.tuning
     new = slip not in tuning.nuisances
     nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances

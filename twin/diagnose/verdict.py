@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 import math
-from typing import Any
 
 import numpy as np
 from scipy.special import softmax
@@ -91,8 +90,8 @@ def differs_between_runs(state: GroupState) -> bool:
     """Do single runs give an effect a different size, by more than chance and model error?
 
     With c the slope of the fit over the size and r its residual, run k alone gives the step (c_k' r_k) / (c_k' c_k) with the standard deviation
-    1 / sqrt(c_k' c_k). An effect has one size; an effect that resembles another law has one for each motion. Together the steps must have the
-    evidence that an effect needs. Effects in blocks that are not isolated are not tested, because all model errors of the loop bias their size.
+    1 / sqrt(c_k' c_k). An effect has one size; an effect that resembles another law has one for each motion. Together the deviations of the steps
+    from their mean must have the evidence that an effect needs; a step that all runs share is a size that break-aways pulled. Effects in blocks that are not isolated are not tested, because all model errors of the loop bias their size.
     Samples that depend on how an axis stuck are excluded: each break-away is different.
     """
     group = state.group
@@ -104,25 +103,15 @@ def differs_between_runs(state: GroupState) -> bool:
         setting = state.fit.settings[free.setting]
         if free.parameter is not setting.effect.size or not is_cut(group, setting):
             continue
-        steps, gain = [], 0.0
-        for run in range(len(group.views)):
-            rows = group.run_rows(run) & settled
-            slope = state.fit.columns.each[i][rows].astype(float)
-            information = float(slope @ slope)
-            if information > 0.0:
-                step = float(slope @ residual[rows]) / information
-                if abs(step) * math.sqrt(information) > T.beyond_chance:
-                    steps.append(step)
-                    gain += 0.5 * step**2 * information
+        column = state.fit.columns.each[i].astype(float) * settled
+        runs = [group.run_rows(run) for run in range(len(group.views))]
+        information = np.array([column[rows] @ column[rows] for rows in runs])
+        towards = np.array([column[rows] @ residual[rows] for rows in runs])
+        off = towards / np.maximum(information, 1e-300) - towards.sum() / max(information.sum(), 1e-300)
+        steps = off[np.abs(off) * np.sqrt(information) > T.beyond_chance]
+        gain = 0.5 * float(off**2 @ information)
         relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(state.fit.settings)), 1e-30)
         has_evidence = len(steps) > 1 and gain > evidence_needed(state, setting, len(group.views))
         if has_evidence and (max(steps) - min(steps)) * relative > T.one_size:
             return True
     return False
-
-
-def verdict_of(states: Sequence[GroupState], settings: Sequence[Any]) -> str:
-    """'effect', 'none', or 'unknown' if a residual remains that no effect explains."""
-    if any(f.unknown for f in states):
-        return "unknown"
-    return "effect" if settings else "none"

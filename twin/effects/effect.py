@@ -174,7 +174,6 @@ class Effect:
     separating_move    move that separates it best from its rivals; a diagnosis proposes it as next measurement
     rivals             similar effects, and how to distinguish them, in words
     contains           names of effects that this one includes; a machine that gets this one loses them
-    imitated_by        names of effects that, at a size normal on any machine, look like a small case of this one
     normal             normal imperfection that this effect is a large case of: "elasticity" of a drive train,
                        "slip" of a contact before break-away
     picture            content of its picture
@@ -194,7 +193,6 @@ class Effect:
     separating_move: SeparatingMove = "constant speeds"
     rivals: str = ""
     contains: tuple[str, ...] = ()
-    imitated_by: tuple[str, ...] = ()
     normal: Literal["", "elasticity", "slip"] = ""
     picture: Picture = AN_ACCELERATION
     definition: Mapping[str, Any] = field(default_factory=dict)

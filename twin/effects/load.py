@@ -32,7 +32,6 @@ MILLIMETRES = {"m": ("mm", 1e3)}
     ),
     separating_move="accelerations",
     rivals="A wrong torque feedforward acts only with feedforward on. An elastic drive train looks like a small inertia.",
-    imitated_by=("transmission_compliance",),
     picture=Picture("The current rises in proportion to acceleration.", sizes={"added": 800.0}),
     sets=("moving_mass_kg", "rotor_inertia_kg_m2"),
 )

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
-from twin.diagnose.corrected import corrected_machine, limited_deviations
+from twin.diagnose.corrected import corrected_by, corrected_machine
 from twin.diagnose.fit import fit_effects, simulated_response
 from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted, Settings, closed_loop
 from twin.diagnose.law.filters import filters_of
@@ -20,7 +20,6 @@ from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Variant
 from twin.diagnose.state import SHOWS_IN, GroupState, Key, inflation
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
 from twin.diagnose.tuning import Tuning
@@ -95,7 +94,7 @@ def laws_of(
     for state in found:
         for axis in [a for a in state.group.axes if a in axes]:
             progress(f"{axis}: searching for an unlisted law")
-            if jitter := _jitter(residuals_of(state.group.views, _corrected_by(state), (axis,), state.group.mapper), axis, state):
+            if jitter := _jitter(residuals_of(state.group.views, corrected_by(state), (axis,), state.group.mapper), axis, state):
                 laws.append(jitter)
                 state = replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting)))
                 continue
@@ -120,13 +119,6 @@ def laws_of(
         states.append(state)
     instead = frozenset(explained) & {law.axis for law in laws}
     return Laws(tuple(laws), tuple(states), corrected_machine(machine, states), beside, instead)
-
-
-def _corrected_by(state: GroupState, left_out: Settings = ()) -> Variant:
-    """Maps the nominal machine of a run to the one that the search corrected, without the effects `left_out`."""
-    of_tuning = tuned(state.tuning.nuisances, limited_deviations(state, state.group.machine.parameter_tolerance))
-    settings = [s for s in state.fit.settings if s not in left_out]
-    return lambda machine: with_added(of_tuning(machine), settings)
 
 
 def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> Law | None:
@@ -280,7 +272,7 @@ def in_the_loop(settings: Sequence[Setting], axis: str) -> Settings:
 def _filters_in_place_of_effects(state: GroupState, axis: str) -> list[tuple[Described, Samples]]:
     """Strong filters in what a block of the axis leaves when its effects in the closed loop are taken away."""
     group = state.group
-    blocks = residuals_of(group.views, _corrected_by(state, in_the_loop(state.fit.settings, axis)), (axis,), group.mapper)
+    blocks = residuals_of(group.views, corrected_by(state, in_the_loop(state.fit.settings, axis)), (axis,), group.mapper)
     return [(d, s) for s in blocks if excess(s) > NOISY for d in filters_of(s, group.machine) if d.predicts > STRONG.predicts]
 
 
