@@ -21,13 +21,15 @@ import pytest
 
 from tests.builders.refused import refused
 from twin.cli import main
+from twin.diagnose.candidates import middle_starts, starts_of
 from twin.diagnose.observe import Group, observe
+from twin.diagnose.screen import eliminated
 from twin.diagnose.settings import T
 from twin.diagnose.view import view_of
 from twin.effects.law import VARIABLES
 from twin.errors import InputError
 from twin.exam.answer import read_answer, write_answer
-from twin.exam.detectability import CHANNEL_SETS, Answers, _eliminated, answers_of, outlooks, starts_by_key
+from twin.exam.detectability import CHANNEL_SETS, Answers, answers_of, outlooks
 from twin.exam.draw import RUN_SETS
 from twin.exam.mark import NOT_DIAGNOSED, digest_of, kept_mark, mark_answer
 from twin.exam.plant.effects import LIBRARY
@@ -496,7 +498,9 @@ def test_detectability_adds_up_over_runs_with_zeros_of_their_own() -> None:
 
     def seen(runs: list[MeasuredRun]) -> tuple[Group, Answers]:
         group = observe([view_of(machine, run) for run in runs], ("X",))
-        starts = {k: s for k, s in starts_by_key(group).items() if k[0] in ("backlash", "inertia", "lead_error")}
+        starts = {
+            k: s for k, s in middle_starts(starts_of(group, np.zeros(group.size))).items() if k[0] in ("backlash", "inertia", "lead_error")
+        }
         return group, answers_of(group, starts, lambda work, items: list(map(work, items)))
 
     _, own = seen([recorded(0.02, 1), recorded(0.03, 2), recorded(-0.02, 3)])
@@ -508,7 +512,7 @@ def test_detectability_adds_up_over_runs_with_zeros_of_their_own() -> None:
     for less, more in zip(before, after):
         assert 0.0 < more.found <= less.found * (1.0 + 1e-6)
     # encoder zeros are fitted, so a constant between the encoders shows nothing
-    products = _eliminated(np.array([[4.0, 2.0], [2.0, 1.0]]), 1, np.array([1e-9]))
+    products = eliminated(np.array([[4.0, 2.0], [2.0, 1.0]]), np.array([1]), np.array([1e-9]))[:1, :1]
     assert products == pytest.approx(np.zeros((1, 1)), abs=1e-6)
 
 

@@ -69,7 +69,10 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
     for channel in group.channels:
         if channel.name in CHANNEL_SHOWS:
             index = samples_of(channel, group.views[channel.run])
-            found.append(BlockResidual(channel.run, channel.axis, CHANNEL_SHOWS[channel.name], channel.residual, _level_of(channel), index))
+            level = float(
+                np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model))))
+            )  # noise, and a healthy twin's model error
+            found.append(BlockResidual(channel.run, channel.axis, CHANNEL_SHOWS[channel.name], channel.residual, level, index))
     for parts in mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
         found += parts
     return found
@@ -80,11 +83,6 @@ def samples_of(channel: Channel, view: RunView) -> np.ndarray:
     if channel.name == "controller":
         return np.arange(0, len(view.trace.time), view.samples_per_cycle)
     return np.flatnonzero(view.rows_of(channel.axis, channel.name))
-
-
-def _level_of(channel: Channel) -> float:
-    """Noise level of a channel: root sum of squares of median noise and model error of a healthy twin."""
-    return float(np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model)))))
 
 
 def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int) -> list[BlockResidual]:

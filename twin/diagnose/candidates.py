@@ -55,6 +55,12 @@ def starts_of(group: Group, residual: np.ndarray) -> list[Start]:
     return starts
 
 
+def middle_starts(starts: Sequence[Start]) -> dict[tuple[str, str, str | None], Start]:
+    """One start per effect and axis: the middle one of its sizes and shapes."""
+    keys = dict.fromkeys(s.key for s in starts)
+    return {key: (same := [s for s in starts if s.key == key])[len(same) // 2] for key in keys}
+
+
 def start_at(effect: Effect, machine: Machine, axis: Axis, source: str | None, values: dict[str, float]) -> Start:
     """The start with these values; shape parameters at their defaults."""
     shaped = {p.name: p.default for p in effect.parameters if p.default is not None}

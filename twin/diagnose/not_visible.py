@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import Start
+from twin.diagnose.candidates import Start, middle_starts
 from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
@@ -28,10 +28,8 @@ def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) 
 
     The middle start of each effect is used, and the worse of two phases.
     """
-    by_key: dict[tuple[str, str, str | None], list[Start]] = {}
-    for start in starts:
-        by_key.setdefault(start.key, []).append(start)
-    middle = [_usual(same[len(same) // 2], state.group.machine) for same in by_key.values()]
+    by_key = middle_starts(starts)
+    middle = [_usual(start, state.group.machine) for start in by_key.values()]
     answered = iter(state.cached_responses([s for settings in middle for s in settings]))
     columns = [(settings, [next(answered) for _ in settings]) for settings in middle]
     shares = state.group.mapper(lambda item: _share(state, item[0], item[1], folds), columns)

@@ -20,11 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from twin.diagnose.axis_groups import axis_groups
-from twin.diagnose.candidates import Start, starts_of
+from twin.diagnose.candidates import Start, middle_starts, starts_of
 from twin.diagnose.columns import Columns
 from twin.diagnose.fit import simulated_response
 from twin.diagnose.next_measurement import KINDS, move_of
 from twin.diagnose.observe import Group, observe
+from twin.diagnose.screen import eliminated
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tuning import tuning_of
@@ -105,20 +106,8 @@ def answers_of(group: Group, starts: Mapping[Key, Start], mapper: Mapper) -> Ans
     for channel in group.channels:
         rows = matrix.part(channel.rows)
         products[channel.name] = products.get(channel.name, 0.0) + rows.T @ rows
-    return Answers(len(tuning.nuisances), places, {name: _eliminated(p, at, tuning.further) for name, p in products.items()})
-
-
-def _eliminated(products: np.ndarray, kept: int, prior: np.ndarray) -> np.ndarray:
-    """Products of the first columns after fitting the others, which belong to these runs alone: encoder zeros, each in one channel."""
-    cross = products[kept:, :kept]
-    return np.asarray(products[:kept, :kept] - cross.T @ np.linalg.solve(products[kept:, kept:] + np.diag(prior), cross))
-
-
-def starts_by_key(group: Group) -> dict[Key, Start]:
-    """One start per effect and axis: the middle one of its sizes and shapes."""
-    starts = starts_of(group, np.zeros(group.size))
-    keys = dict.fromkeys(s.key for s in starts)
-    return {key: (same := [s for s in starts if s.key == key])[len(same) // 2] for key in keys}
+    zeros = np.arange(at, len(matrix))  # encoder zeros belong to these runs alone
+    return Answers(len(tuning.nuisances), places, {name: eliminated(p, zeros, tuning.further)[:at, :at] for name, p in products.items()})
 
 
 def _columns(group: Group, start: Start) -> list[np.ndarray] | None:
@@ -204,7 +193,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
             if not group.size:
                 continue
             say(f"{'+'.join(group_axes)}: as recorded")
-            starts = starts_by_key(group)
+            starts = middle_starts(starts_of(group, np.zeros(group.size)))
             own = answers_of(group, starts, mapper)
             seen = {"scale": own}
             if motor:
