@@ -18,7 +18,7 @@ from twin.recordings.relations import moves
 from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import Trace
-from twin.recordings.units_found import Scale, counts, position_scale, speed_unit
+from twin.recordings.units_found import Scale, counts, counts_of_a_turn, position_scale, speed_unit
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded
 
 FOLLOWS = 0.1
@@ -27,10 +27,14 @@ APART = 0.02
 """Two encoders that differ by more than this share of their travel do not measure the same motion."""
 CLEAR, UNLIKE = 0.02, 0.5
 """Unexplained share of the variance: a ratio of two positions is clear below the first; above the second, one does not follow the other."""
-COUNTED = 0.2
-"""Counts per second may differ from the slope of counts by this share: few samples and whole numbers are coarse."""
+COUNTED, FINE = 0.2, 0.01
+"""Counts per second may differ from the slope of counts by this share: few samples and whole numbers are coarse; with decimals they are fine."""
 OWN_TURN = 1e-3
 """A turn of the motor that differs from a turn of the axis by less than this share is one."""
+FARTHEST = 1e4
+"""No axis travels farther in mm: whole numbers are counts then."""
+A_SECOND = {"rev/min": 60.0, "rev/s": 1.0}
+"""Number of a speed in a unit of one turn a second."""
 POSITIONS = ("setpoint", "position", "motor_position", "following_error")
 SPEEDS = ("velocity", "velocity_setpoint", "velocity_feedforward")
 FORCES = ("current", "torque", "voltage")
@@ -74,7 +78,8 @@ def proposed_columns(
     speeds = [s for s in SPEEDS if base is not None and s in recorded and moves(recorded[s])]
     factors = {s: relations.slope(recorded[s], base, period).factor for s in speeds}  # type: ignore[arg-type]
     units = {s: role.column.meaning.unit if role.column.meaning is not None else role.column.unit for s, role in roles.roles.items()}
-    scale = _scale(roles, base, [f for s, f in factors.items() if not units.get(s) and timed], guess, axis)
+    turn = next((A_SECOND[units[s]] / abs(f) for s, f in factors.items() if units[s] in A_SECOND and f and timed), None)
+    scale = _scale(roles, base, [f for s, f in factors.items() if not units[s] and timed], guess, turn)
     kind = guess[0] if guess[1] else ("rotary" if RECORDED_UNITS[scale.unit][0] == "angle" else "linear")
     speed = None
     if base is not None and "velocity" in factors and not units.get("velocity"):
@@ -105,6 +110,11 @@ def proposed_columns(
 def _without_double(columns: list[Proposed]) -> list[Proposed]:
     """A following error is not needed beside a position; without a sound position a set point alone says nothing."""
     measured = [c for c in columns if c.signal in ("position", "motor_position")]
+    if not measured and not any(c.signal == "setpoint" for c in columns):
+        return [
+            replace(c, doubt=c.doubt or "no position is recorded that it belongs to") if c.signal == "following_error" else c
+            for c in columns
+        ]
     if any(not c.doubt for c in measured):
         commanded = any(c.signal == "setpoint" and not c.doubt for c in columns)
         beside = "the position itself is recorded" if commanded else ""
@@ -114,8 +124,8 @@ def _without_double(columns: list[Proposed]) -> list[Proposed]:
     return columns
 
 
-def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: tuple[str, bool], axis: str) -> Scale:
-    """Unit of the positions: stated, or of the numbers."""
+def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: tuple[str, bool], turn: float | None) -> Scale:
+    """Unit of the positions: stated, or of the numbers. `turn`: travel in a turn of the motor, by a speed in turns."""
     stated = [
         r.column.meaning.unit for s, r in roles.roles.items() if s in POSITIONS and r.column.meaning is not None and r.column.meaning.unit
     ]
@@ -127,7 +137,10 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     measured = next((roles.roles[s].column.values for s in ("position", "motor_position", "setpoint") if s in roles.roles), base)
     if guess[1]:  # the kind is known by a speed with a unit
         return Scale("deg" if guess[0] == "rotary" else "mm", 1.0, f"taken as {'deg' if guess[0] == 'rotary' else 'mm'} beside its speed")
-    all_whole = all(relations.whole(r.column.values) for r in roles.roles.values())
+    if turn is not None and (counted := counts_of_a_turn(measured, turn)) is not None:
+        return Scale("deg", 360.0 / counted, f"counts: {counted:.0f} a turn of the motor, by the recorded speed", True)
+    of_positions = all(relations.whole(r.column.values) for s, r in roles.roles.items() if s in POSITIONS)
+    all_whole = of_positions and (np.ptp(measured) > FARTHEST or all(relations.whole(r.column.values) for r in roles.roles.values()))
     return position_scale(measured, factors, guess[0] == "rotary", joint, all_whole)
 
 
@@ -186,7 +199,7 @@ def _speed(
     key = "mm_per_rev" if kind == "linear" else "deg_per_rev"
     in_mm_or_deg = RECORDED_UNITS[scale.unit][1] / RECORDED_UNITS["mm" if kind == "linear" else "deg"][1]
     if column.unit and dimension_recorded(column.unit) == "turning speed":
-        travel = {"rev/min": 60.0, "rev/s": 1.0}[column.unit] / abs(found.factor) * scale.factor * in_mm_or_deg
+        travel = A_SECOND[column.unit] / abs(found.factor) * scale.factor * in_mm_or_deg
         if kind == "rotary" and abs(travel / 360.0 - 1.0) < OWN_TURN:
             return replace(column, sign=sign, extra=(*column.extra, f"{key} = 360"), remark="turns of the axis itself")
         return replace(
@@ -194,7 +207,8 @@ def _speed(
         )
     if column.unit:
         return replace(column, sign=sign, remark=remark)
-    if scale.factor != 1.0 and relations.whole(values) and abs(abs(found.factor) - 1.0) < COUNTED:  # counts and counts per second
+    coarse = COUNTED if relations.whole(values) else FINE
+    if scale.factor != 1.0 and abs(abs(found.factor) - 1.0) < coarse:  # counts and counts per second
         return replace(column, unit=f"{scale.unit}/s", sign=sign, extra=(*column.extra, f"scale = {scale.factor:.9g}"), remark=remark)
     unit, travel = speed_unit(scale.unit, found.factor / scale.factor, column.signal, kind)
     if not travel:

@@ -59,7 +59,9 @@ def position_scale(values: np.ndarray, factors: list[float], rotary: bool, joint
         if any(abs(abs(f) / slope_factor(unit, speed) - 1.0) < 0.01 for f in factors):
             return Scale(unit, 1.0, f"the recorded speed is its slope if they are {unit} and {speed}")
     if all_whole and counts(values):
-        bits = math.ceil(math.log2(float(values.max()) + 1.0)) if values.min() >= 0.0 else 0
+        bits = (
+            math.ceil(math.log2(float(values.max()) + 1.0)) if values.min() > 0.0 else 0
+        )  # counts that begin at zero are no absolute encoder's
         if 10 <= bits <= 24 and values.min() < 2.0 ** (bits - 1) <= values.max():
             return Scale("deg", 360.0 / 2.0**bits, f"whole numbers on both sides of 2^{bits - 1}: counts, taken as {2**bits} a turn")
         return Scale("deg" if rotary else "um", 1.0, "whole numbers: counts? one is taken as 1 " + ("deg" if rotary else "um"))
@@ -117,6 +119,16 @@ def interval_of_rows(position: str, factor_per_row: float) -> tuple[float, str] 
 def counts(values: np.ndarray) -> bool:
     """True if all values are whole numbers, more than ten different ones."""
     return whole(values) and len(np.unique(values)) > 10
+
+
+def counts_of_a_turn(values: np.ndarray, turn: float) -> float | None:
+    """The usual number of counts in a turn within ON_COUNTS of `turn`, if the values are counts."""
+    nearest = min(_TURNS, key=lambda usual: abs(usual / turn - 1.0))
+    return nearest if counts(values) and abs(nearest / turn - 1.0) < ON_COUNTS else None
+
+
+ON_COUNTS = 0.01
+"""Rounded speeds tell the counts of a turn to this share."""
 
 
 def steps_of_a_turn(values: np.ndarray, base: float) -> float | None:
