@@ -175,6 +175,18 @@ def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
             "[Header]\nTime base=2.000 ms\n[Data]\nS-0-0047, Lage-Sollwert [mm]\tS-0-0051, Lage-Istwert Geber 1 [mm]\n" + rows([soll, ist], "\t"),
             {"S-0-0047, Lage-Sollwert": "X.setpoint", "S-0-0051, Lage-Istwert Geber 1": "X.position"},
         ),
+        "NaN in a column that nobody needs": (
+            "time,cmd,pos,cur,temp\n" + "\n".join(f"{row},nan" for row in rows([TIME, soll, ist, amps]).split("\n")),
+            {"cmd": "X.setpoint", "pos": "X.position", "cur": "X.current"},
+        ),
+        "a time since 1970 that counts the rows": (
+            "n_ms,pos_ref,pos\n" + rows([1.7e12 + np.arange(len(TIME)), soll, ist]).replace(".0000,", ","),
+            {"pos_ref": "X.setpoint", "pos": "X.position"},
+        ),
+        "a unit beside a name that nobody knows": (
+            "t[s];B_Soll[°];B_Ist[°];B_Omg[°/s]\n" + rows([TIME, soll, ist, speed], ";"),
+            {"B_Soll": "B.setpoint", "B_Ist": "B.position", "B_Omg": "B.velocity"},
+        ),
         "a current of one letter": (
             "t[s];Y1_Soll[mm];Y1_Ist[mm];Y2_Soll[mm];Y2_Ist[mm];Y1_I[A];Y2_I[A]\n" + rows([TIME, soll, ist, soll, ist, amps, 0.9 * amps], ";"),
             {f"{axis}_{name}": f"{axis}.{signal}" for axis in ("Y1", "Y2") for name, signal in (("Soll", "setpoint"), ("Ist", "position"), ("I", "current"))},

@@ -19,8 +19,8 @@ from twin.units import dimension_recorded
 
 _WORDS = {
     "pos": "pos position lage weg winkel angle joint_position posn",
-    "vel": "vel velo velocity speed geschwindigkeit drehzahl rpm vitesse",
-    "current": "current curr strom iq amps courant",
+    "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse",
+    "current": "current curr cur amp strom iq amps courant",
     "torque": "torque moment drehmoment trq couple effort",
     "voltage": "voltage volt spannung tension",
     "acceleration": "acc accel acceleration beschleunigung",

@@ -33,7 +33,7 @@ RANK = 10.0
 ALONE = {"position": -1.0, "setpoint": -6.0}
 """Evidence for a position without a set point: the rarer record. A set point without a position is rarer still: it shows nothing of the axis."""
 STRANGE = -9.0
-"""Evidence against a column with an unknown name beside others whose names state a motion: its name would have said what it is."""
+"""Evidence against a column with an unknown name and unit beside others whose names state a motion: its name would have said what it is."""
 NEVER = -1e3
 _INJECTED = ("current", "voltage", "torque", "force")
 """Quantities of a known disturbance, and of an injected command."""
@@ -236,7 +236,7 @@ class _Evidence:
                 number -= 3.0 * (s is None) + 10.0 * (x is None)  # two positions without names are set point and position first
         if c.meaning is not None:
             return NAMED - _rank(c) + max(number, -3.0), reason if number > 0.0 else ""
-        return number + self.strange, reason
+        return number + (0.0 if c.unit else self.strange), reason
 
     def _pair(self, s: Candidate, x: Candidate) -> tuple[float, str, float]:
         """Evidence that x follows s: how well, how late, and that a set point is smoother than what is measured; lag as text, residual."""

@@ -63,9 +63,8 @@ def find_time(
             return TimeSource("column", name, stated, at=at)
         if head is None or len(head) < 2:
             return TimeSource("column", name, at=at)
-        for unit in ("s", "ms", "us", "ns"):
-            if _SINCE_1970[0] < head[0] * RECORDED_UNITS[unit][1] < _SINCE_1970[1]:
-                return TimeSource("column", name, unit, text=f"'{name}' counts {unit} since 1970", at=at)
+        if unit := _since_1970(head):
+            return TimeSource("column", name, unit, text=f"'{name}' counts {unit} since 1970", at=at)
         step = float(np.median(np.diff(head)))
         if interval_s is not None and step > 0.0:
             for unit in ("s", "ms", "us", "ns"):
@@ -89,6 +88,9 @@ def find_time(
     candidates = [i for i in time_candidates(names, units) if (head := heads[i]) is None or _runs(head)]
     if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and heads[0] is not None and even_step(heads[0]):
         candidates = [0]
+    candidates = candidates or [
+        i for i, head in enumerate(heads) if not units[i] and head is not None and _runs(head) and _since_1970(head)
+    ]
     if candidates:
         most = max(_distinct(heads[i]) for i in candidates)
         finest = [i for i in candidates if _distinct(heads[i]) >= 0.9 * most]
@@ -96,6 +98,11 @@ def find_time(
     if interval_s is not None:
         return TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms by the lines above the numbers", interval=interval_s)
     return TimeSource("rows", text=NO_TIME)
+
+
+def _since_1970(head: np.ndarray) -> str:
+    """Unit in which a column begins with a count since 1970; "" if it does not."""
+    return next((u for u in ("s", "ms", "us", "ns") if len(head) and _SINCE_1970[0] < head[0] * RECORDED_UNITS[u][1] < _SINCE_1970[1]), "")
 
 
 def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:

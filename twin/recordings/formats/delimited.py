@@ -36,7 +36,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
     if not chosen:
         return Recording(path, "CSV", unread)
     clocks = Clocks({i: layout.times[i] for i in chosen}, layout.stamps)
-    columns = stream(layout, chosen, clocks, options.scratch / path.name)
+    columns = stream(layout, chosen, clocks, options.scratch / path.name, strict=wanted is not None)
     if long:
         units = dict(zip(rows.texts(long.name), map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
         signals = {name: Signal(name, values, time, units.get(name, "")) for name, (values, time) in columns.items()}

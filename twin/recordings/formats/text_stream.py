@@ -128,8 +128,8 @@ class _Scratch:
         return Stored(self.folder / name)
 
 
-def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path) -> dict[Any, tuple[Column, Column]]:
-    """Read the file and write the chosen columns. Returns (values, times) by index, or by the names of a long table."""
+def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path, strict: bool = True) -> dict[Any, tuple[Column, Column]]:
+    """Read the file and write the chosen columns. Returns (values, times) by index, or by the names of a long table. `strict`: NaN is an error; else it stays."""
     import pyarrow as pa
 
     path, rows = layout.sample.path, 0
@@ -140,9 +140,9 @@ def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path) 
         for batch in _batches(layout, chosen, clocks):
             line = layout.rows.first + rows
             if layout.long:
-                _add_long(layout, layout.long, clocks, batch, scratch, found, line)
+                _add_long(layout, layout.long, clocks, batch, scratch, found, line, strict)
             else:
-                blank |= _add_table(layout, chosen, clocks, batch, scratch, line)
+                blank |= _add_table(layout, chosen, clocks, batch, scratch, line, strict)
             rows += batch.num_rows
     except pa.ArrowException as error:
         raise _why(layout, error) from None
@@ -160,7 +160,7 @@ def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path) 
     return out | {i: _without_blanks(scratch, i, *out[i]) for i in blank}
 
 
-def _add_table(layout: Layout, chosen: Sequence[int], clocks: Clocks, batch: Any, scratch: _Scratch, line: int) -> set[int]:
+def _add_table(layout: Layout, chosen: Sequence[int], clocks: Clocks, batch: Any, scratch: _Scratch, line: int, strict: bool) -> set[int]:
     """One block of a table: each clock once, then its columns, NaN where a cell is blank. Returns the columns with blanks."""
     blank = set()
     for at in dict.fromkeys(clocks.found[i].at for i in chosen):
@@ -172,9 +172,10 @@ def _add_table(layout: Layout, chosen: Sequence[int], clocks: Clocks, batch: Any
             raise InputError(f"{where} has no time; repair it")
         scratch.add(f"clock{at}", clocks.running(at, recorded[timed]))
         for i in own:
-            values = _checked(batch.column(f"c{i}"), recorded, layout, i, line)[timed]
+            column = batch.column(f"c{i}")
+            values = _checked(column, recorded, layout, i, line, strict)[timed]
             scratch.add(f"column{i}", values)
-            if np.isnan(values).any():
+            if column.null_count:
                 blank.add(i)
     return blank
 
@@ -190,10 +191,12 @@ def _without_blanks(scratch: _Scratch, i: int, values: Column, time: Column) -> 
     return scratch.column(f"column{i}_values"), scratch.column(f"column{i}_time")
 
 
-def _add_long(layout: Layout, long: Long, clocks: Clocks, batch: Any, scratch: _Scratch, found: dict[Any, str], line: int) -> None:
+def _add_long(
+    layout: Layout, long: Long, clocks: Clocks, batch: Any, scratch: _Scratch, found: dict[Any, str], line: int, strict: bool
+) -> None:
     """One block of a long table: the rows of each name."""
     recorded = clocks.times(batch, clocks.found[long.value])
-    values = _checked(batch.column(f"c{long.value}"), recorded, layout, long.value, line)
+    values = _checked(batch.column(f"c{long.value}"), recorded, layout, long.value, line, strict)
     texts = np.array([text or "" for text in batch.column(f"c{long.name}").to_pylist()], dtype=object)
     for name in dict.fromkeys(texts):
         own = (texts == name) & np.isfinite(recorded) & np.isfinite(values)
@@ -203,11 +206,11 @@ def _add_long(layout: Layout, long: Long, clocks: Clocks, batch: Any, scratch: _
             scratch.add(f"{file}_time", clocks.running(name, recorded[own]))
 
 
-def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int) -> np.ndarray:
-    """Values, NaN where a cell is empty, which is no sample. NaN or infinity in a cell is an error."""
+def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int, strict: bool) -> np.ndarray:
+    """Values, NaN where a cell is empty, which is no sample. NaN or infinity in a cell is an error if the column is wanted."""
     values = np.asarray(column.to_numpy(zero_copy_only=False))
     fault = ~(np.abs(values) < IMPOSSIBLE_VALUE) & np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool)
-    if fault.any():
+    if strict and fault.any():
         row = int(np.argmax(fault))
         held = "NaN" if np.isnan(values[row]) else f"{values[row]:g}"
         raise InputError(
