@@ -82,6 +82,7 @@ PROGRAMS = {
     "APPR LCT, DEP LCT": ("L X-12 Y+40 R0 FMAX\nAPPR LCT X+0 Y+0 R12 RL F300\nL X+30 Y+0\nDEP LCT X+42 Y+40 R12", "", [(-12, 40, 0), (-7, 12, 0), (0, 5, 0), (30, 5, 0), (37, 12, 0), (42, 40, 0)]),
     "RR with a corner": ("L X+0 Y+0 F500\nL X+10 Y+10 RR\nL X+10 Y+30\nL X+30 Y+30\nL X+40 Y+40 R0", "", [(0, 0, 0), (15, 10, 0), (15, 25, 0), (30, 25, 0), (40, 40, 0)]),
     "plane ZX": ("TOOL CALL 1 Y S1\nL X+0 Z+10 F500\nCC X+0 Z+0\nC X+10 Z+0 DR+", "", [(0, 0, 10), (10, 0, 0)]),
+    "CC in YZ and in ZX": ("L X+2 Y+14 Z+8 F500\nCC Y+10 Z+8\nCP IPA-90 DR-\nL X+8\nCC X+8 Z+8\nCP IPA-180 DR-\nC X+12 Z+8 DR-\nCC X+9 Y+4\nLP PR+3 PA+90", "", [(2, 14, 8), (2, 10, 4), (8, 10, 4), (8, 10, 12), (12, 10, 8), (9, 7, 8)]),
     "M140": ("L Z+5 F500\nL M140 MB 7\nL M140 MB MAX FMAX", "", [(0, 0, 5), (0, 0, 12), None]),
 }  # fmt: skip
 

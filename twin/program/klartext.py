@@ -29,7 +29,7 @@ def tool_call(m: Klartext, b: Block) -> None:
     if match[3]:
         if state.comp is not None:
             raise WordError("the tool changes inside RL or RR; write R0 and a move before", column)
-        state.plane = _PLANE_OF[match[3]]
+        state.plane = m.pole_plane = _PLANE_OF[match[3]]
     if "S" in words:
         state.set_spindle(words["S"].value)
     if "F" in words:
@@ -118,7 +118,7 @@ KLARTEXT: dict[str, Word[Handler]] = {
     "L": Word(ACTS, "line; X Y Z A B C, I incremental, R0 RL RR, F, FMAX in this block, F AUTO that of TOOL CALL, M", path.move),
     "LP": Word(ACTS, "line to PR PA about CC", path.move),
     "LN": Word(ACTS, "line with the tool axis TX TY TZ under M128; the surface normal NX NY NZ has no effect", path.move),
-    "CC": Word(ACTS, "pole, or the last position", path.set_pole), "C": Word(ACTS, "arc about CC; DR+ counter-clockwise", path.move),
+    "CC": Word(ACTS, "pole, or the last position; its coordinates give the plane of the arcs about it", path.set_pole), "C": Word(ACTS, "arc about CC; DR+ counter-clockwise", path.move),
     "CP": Word(ACTS, "arc about CC by PA or IPA, with Z a helix", path.move), "CR": Word(ACTS, "arc by radius; R below 0 is more than half a circle", path.move),
     **named(ACTS, "arc that goes on as a tangent", "CT, CTP", path.move),
     "RND": Word(ACTS, "rounds the corner between lines and arcs", stray), "CHF": Word(ACTS, "cuts off the corner between two lines", stray),

@@ -135,6 +135,7 @@ class Klartext(Reader):
         state, self.table, self.m_table = self.state, table, m_table
         self.q: dict[str, float] = {}  # Q and QR are common to all programs, QL belong to one
         self.pole: np.ndarray | None = None  # CC (3,)
+        self.pole_plane = 17  # of its coordinates
         self.tool_feed, self.extra_radius = math.nan, 0.0  # F and DR of TOOL CALL
         self.shorter_way = False  # M126
         self.waiting: Approach | None = None

@@ -39,8 +39,11 @@ def move(m: Klartext, block: Block) -> None:
             raise WordError("TX TY TZ need M128 or FUNCTION TCPM; switch it on before", column)
     if side is not None or (m.waiting is None and m.state.comp is None):
         m.compensate(side or 0, column)
-    kind = mv.RAPID if rapid else mv.LINE
-    if (element := None if head == "M" else element_of(m, block, kind, vector, machine)) is not None:
+    kind, plane = mv.RAPID if rapid else mv.LINE, m.state.plane
+    m.state.plane = m.pole_plane if head in ("LP", "C", "CP", "CTP") else plane
+    element = None if head == "M" else element_of(m, block, kind, vector, machine)
+    m.state.plane = plane
+    if element is not None:
         corner = corner_of(m, corners, column)
         if m.waiting is not None:
             carry_out_approach(m, element)
@@ -132,11 +135,19 @@ def retract(m: Klartext, block: Block) -> None:
 # ------------------------------------------------------------------ pole
 
 
+AXES_OF_PLANE = {plane: {LINEAR[a], LINEAR[b]} for plane, (a, b, _) in arcs.PLANES.items()}
+
+
 def set_pole(m: Klartext, block: Block) -> None:
-    """CC with its coordinates in the plane, or at the last position."""
-    a, b, _ = arcs.PLANES[m.state.plane]
-    words, start = m.only_words(block, f"{LINEAR[a]} {LINEAR[b]}", added=True), m.start()
-    new = (start if m.pole is None or len(words) != 1 else m.pole).copy()  # beside one coordinate the other stays
+    """CC with its coordinates, or at the last position; two coordinates give the plane of the arcs about it, which is XY, YZ or ZX.
+
+    Beside one coordinate the other one of the plane stays that of the pole before.
+    """
+    words, start = m.only_words(block, "X Y Z", added=True), m.start()
+    planes = (m.state.plane, m.pole_plane) if len(words) < 2 else arcs.PLANES
+    found = (plane for plane in (m.state.plane, *planes) if words.keys() <= AXES_OF_PLANE[plane])
+    m.pole_plane = needed(next(found, None), "CC takes the two coordinates of a plane; give them", block.column)
+    new = (start if m.pole is None or len(words) != 1 else m.pole).copy()
     for name, (value, how, _column) in words.items():
         new[INDEX[name]] = value * m.state.unit + (start[INDEX[name]] if how == "IC" else 0.0)
     m.pole = new
