@@ -51,7 +51,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "machine": "create a machine file from a model, check it, or print its data sheet",
     },
     "measure": {
-        "import": "convert recordings (CSV, SINUMERIK XML, TDMS, MDF4, .mat) to a campaign",
+        "import": "convert recordings of any control or drive (text, Excel, SINUMERIK, MATLAB, TDMS, MDF4, ...) to a campaign",
         "plan": "plan a measuring campaign that identifies each parameter to a given precision",
         "identify": "identify a machine's parameters, with confidence intervals, from its traces",
         "iso": "evaluate positioning by ISO 230-2 or circles by ISO 230-4, with the standard plot",
