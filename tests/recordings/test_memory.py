@@ -8,9 +8,11 @@ import os
 from pathlib import Path
 import re
 import tracemalloc
+import zipfile
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.feather
 import pyarrow.parquet
 import pytest
 
@@ -84,9 +86,33 @@ def held_values(path: Path) -> Path:
     return path
 
 
+def zipped_text(path: Path) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.csv", "w") as file:
+        for _ in range(30):
+            file.write(b"0,0\n" * 1_000_000)
+    return path
+
+
+def deflated_numpy(path: Path) -> Path:
+    np.savez_compressed(path, t=np.zeros(16_000_000, np.int8))
+    return path
+
+
+def deflated_hdf5(path: Path) -> Path:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file.create_dataset("t", data=np.zeros(16_000_000, np.int8), compression="gzip")
+    return path
+
+
+def deflated_arrow(path: Path) -> Path:
+    pyarrow.feather.write_feather(pa.table({"t": np.zeros(16_000_000)}), path, compression="zstd")
+    return path
+
+
 LARGE_ONCE_READ: dict[str, Callable[[Path], Path]] = {
     "zeros.parquet": zeros, "text.csv.gz": deflated_text, "a.mf4": deflated_mdf, "a.tdms": tdms, "a.mat": deflated_mat,
-    "a.xml": held_values,
+    "a.xml": held_values, "a.zip": zipped_text, "a.npz": deflated_numpy, "a.h5": deflated_hdf5, "a.arrow": deflated_arrow,
 }  # fmt: skip
 
 

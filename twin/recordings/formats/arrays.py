@@ -14,6 +14,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.limits import refuse_bytes
 from twin.recordings.signals import ReadOptions, Recording
+from twin.recordings.table_file import BYTES_PER_NUMBER
 from twin.recordings.time_column import share_time
 
 REMEDY = "save fewer signals, or in parts"
@@ -29,6 +30,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
     else:
         refuse_bytes(float(path.stat().st_size), str(path), REMEDY)
         arrays = {"": np.load(path, mmap_mode="r", allow_pickle=False)}  # a map refuses a size that the file has not
+    refuse_bytes(float(BYTES_PER_NUMBER * sum(array.size for array in arrays.values())), str(path), REMEDY)
     return arrays_recording(
         {name: part for key, array in arrays.items() for name, part in fields_of(key, array).items()}, "numpy", path, options
     )

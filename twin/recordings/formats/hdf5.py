@@ -11,6 +11,7 @@ from twin.errors import InputError
 from twin.limits import most_bytes, refuse_bytes
 from twin.recordings.formats.arrays import REMEDY, arrays_recording, fields_of
 from twin.recordings.signals import ReadOptions, Recording
+from twin.recordings.table_file import BYTES_PER_NUMBER
 from twin.system import tried
 
 _OF_MATLAB = "MATLAB_class"
@@ -42,7 +43,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
             return
         if item.external or item.is_virtual:
             raise InputError(f"{path}: '{name}' is in another file, which is not opened; save it as one file")
-        sizes.append(float(item.size * item.dtype.itemsize))
+        sizes.append(float(item.size * max(item.dtype.itemsize, BYTES_PER_NUMBER)))
         refuse_bytes(sum(sizes), str(path), REMEDY)
         if item.attrs.get(_OF_MATLAB) in (b"char", b"cell"):
             return
