@@ -1,12 +1,15 @@
 """One more nuisance next to a tuning: its predicted gain equals that of the extended tuning."""
 
+from dataclasses import replace
 import itertools
 
 import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import columns_of, found_of, group_of
+from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.cross_validation import beyond_tolerance, bounded
+from twin.diagnose.settings import T
 from twin.diagnose.state import excess_of
 from twin.diagnose.tolerance import UNIFORM, Nuisance
 from twin.diagnose.tuning import trial_of, tuning_from
@@ -51,6 +54,20 @@ def test_a_residual_that_needs_parameters_beyond_the_tolerance_remains(drawn):
         found = found_of(group, tuning)
         assert excess_of(group, found.fit)["X"] < 0.0  # unbounded re-tuning explains it
         assert (beyond_tolerance(found) < 0.0) is explained
+
+
+@pytest.mark.parametrize(("step", "kept"), [(-0.2, -0.2), (-0.8, -T.spring_step), (0.6, T.spring_step)])
+def test_a_spring_stays_near_the_size_that_was_simulated(step, kept):
+    """The slope of a spring holds near its size; the other parameters then explain what they can."""
+    tolerance, size = SPREAD / float(UNIFORM), 0.01
+    columns = np.random.default_rng(4).normal(0.0, 5.0, (ROWS, 2))
+    columns[:, 1] += 3.0 * columns[:, 0]
+    tuning = tuning_from([Nuisance("X", "slip"), Nuisance("X", "viscous_friction")], columns_of(columns), SPREAD)
+    tuning = replace(tuning, base=np.array([size, 0.0]))
+    found = found_of(group_of([tuning.jacobian.times(np.array([step * size / SPREAD, 0.0]))]), tuning)
+    slip, friction = limited_deviations(found, tolerance)
+    assert slip == pytest.approx(size * (1.0 + kept), rel=0.02)
+    assert bool(abs(friction) > 1e-4) is (kept != step)
 
 
 def test_a_held_column_acts_like_a_missing_one(drawn):

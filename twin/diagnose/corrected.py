@@ -68,11 +68,15 @@ def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list
 
 
 def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
-    """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them."""
+    """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them.
+    A spring stays near the size that was simulated: its response is not linear, and twice as stiff it may ring with another one.
+    """
     count = len(state.tuning.nuisances)
     deviations = state.fit.tuning[:count] * state.tuning.spread
-    if np.any(np.abs(deviations) > T.widest * tolerance):
-        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.tuning, T.widest * tolerance)
+    springs = np.array([n.quantity in SPRINGS for n in state.tuning.nuisances], bool)
+    most = np.where(springs, np.minimum(T.spring_step * state.tuning.base, T.widest * tolerance), T.widest * tolerance)
+    if np.any(np.abs(deviations) > most):
+        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.tuning, most)
         deviations = inside[:count] * state.tuning.spread
     deviations = state.tuning.base + deviations
     too_stiff = [n.quantity == "slip" and d < T.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]

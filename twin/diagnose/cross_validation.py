@@ -36,14 +36,14 @@ def retuned_within(state: GroupState, tolerance: float) -> Fit:
     return replace(state.retuned, tuning=bounded(state.retuned.about, state.group.residual, state.retuned.tuning, tolerance))
 
 
-def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Tuning (nuisance,) within +-tolerance that fits a residual best."""
+def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:
+    """Tuning (nuisance,) within +-tolerance that fits a residual best; `tolerance` of all nuisances, or of each (nuisance,)."""
     if not tuning.nuisances:
         return start
     return _inside(tuning, residual, _bounds(tuning, tolerance), tuning.prior_weight)
 
 
-def _bounds(tuning: Tuning, tolerance: float) -> np.ndarray:
+def _bounds(tuning: Tuning, tolerance: float | np.ndarray) -> np.ndarray:
     """Bound of each column in spreads: the tolerance for nuisances, infinite for further columns."""
     bound = np.full(len(tuning.jacobian), np.inf)
     bound[: len(tuning.nuisances)] = tolerance / tuning.spread if tuning.spread else 0.0

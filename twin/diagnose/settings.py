@@ -79,6 +79,7 @@ class Thresholds:
     narrow_slope: float = _of(0.1, "scale units", "the same once wide steps no longer reduce the loss")
     slopes_hold: float = _of(0.5, "share", "smallest ratio of actual to predicted gain with which slopes are reused")
     converged: float = _of(0.02, "nat", "largest gain of a fit that has converged")
+    spring_step: float = _of(0.25, "share", "largest move of a spring from the size that was simulated; its response is not linear")
     within_mode: float = _of(0.06, "share", "finite-difference step of a drive train's elasticity")
     wave_step: float = _of(0.1, "waves", "phase shift at the end of a run for a step of 1")
 
