@@ -7,6 +7,7 @@ after `GRACE_S` if the main thread is still in compiled code or waiting for work
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable, Iterator
 import contextlib
 import os
@@ -16,6 +17,7 @@ import sys
 import threading
 import time
 from types import FrameType
+from typing import NoReturn
 
 GRACE_S = 1.5
 """Time for a stopped command to clean up [s]; with it, Ctrl-C ends a command within 3 s."""
@@ -108,20 +110,20 @@ def leave_behind() -> None:
     _left_behind = True
 
 
-def ended(code: int) -> int:
-    """Return the exit code of a finished command, or end the process here if it was stopped or `leave_behind` was called.
+def ended(code: int) -> NoReturn:
+    """End the process with the exit code of a finished command. The interpreter would take a second to unload its modules.
 
     A library may have swallowed the exception of a signal, for example in a callback: the command was stopped all the same.
     """
     if _received is not None and code != _received.code:
         say(_received.number)
         code = _received.code
-    if _left_behind or _received is not None:  # the interpreter takes a second to unload what was being compiled
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError):
-                stream.flush()
-        os._exit(code)
-    return code
+    if not _left_behind and _received is None:
+        atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 def end_with_parent() -> None:

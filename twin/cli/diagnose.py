@@ -40,7 +40,7 @@ ARGUMENTS = (
 
 def carry_out(args: argparse.Namespace) -> None:
     """Diagnose a campaign or raw recordings, write the files and print the verdict."""
-    from twin.diagnose.first.raw import is_campaign
+    from twin.recordings.campaign import is_campaign
 
     inputs = [Path(i) for i in args.inputs]
     if len(inputs) == 1 and inputs[0].is_dir() and not is_campaign(inputs) and not any(inputs[0].iterdir()):
@@ -72,11 +72,11 @@ def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Pa
 def _since(args: argparse.Namespace, inputs: list[Path]) -> None:
     """What is different from earlier campaigns: diagnose the latest of them first, unless the machine has effects already, then compare."""
     from twin.diagnose.check import same_machine
-    from twin.diagnose.first.raw import is_campaign, machine_of_campaign
+    from twin.diagnose.first.raw import machine_of_campaign
     from twin.history.dated import day_of
     from twin.history.since_output import diagnosed_since, write_since
     from twin.machine import load_machine
-    from twin.recordings.campaign import read_campaign
+    from twin.recordings.campaign import is_campaign, read_campaign
 
     earlier = [shipped_example(b) for b in args.since]
     for folder in (*inputs, *earlier):

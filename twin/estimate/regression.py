@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit  # scipy.stats takes longer to load than a fit
 
 CONFIDENCE = 0.95
 
@@ -45,7 +45,7 @@ class Fit:
     @property
     def quantile(self) -> float:
         """Half width of the interval in standard deviations: Student's t, because few strokes give the variance."""
-        return float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, max(self.clusters - len(self.values), 2)))
+        return float(stdtrit(max(self.clusters - len(self.values), 2), 0.5 + CONFIDENCE / 2.0))
 
 
 EXCITED = 1e-9

@@ -57,6 +57,11 @@ BEGINNING = 64
 COPY = "equals run {original} sample for sample: a copy is no second measurement and is left out"
 
 
+def is_campaign(inputs: Sequence[Path]) -> bool:
+    """True if the input is one folder with a campaign.toml."""
+    return len(inputs) == 1 and (inputs[0] / "campaign.toml").is_file()
+
+
 class ChannelFact(Table, frozen=True, omit_defaults=True):
     """Findings of the import about one channel of a run; see the head of this module."""
 

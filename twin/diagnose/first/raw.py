@@ -21,11 +21,6 @@ from twin.recordings.signals import Clock
 MACHINE = "machine_from_recording.toml"
 
 
-def is_campaign(inputs: Sequence[Path]) -> bool:
-    """True if the input is one folder with a campaign.toml."""
-    return len(inputs) == 1 and (inputs[0] / "campaign.toml").is_file()
-
-
 def files_of(inputs: Sequence[Path]) -> list[Path]:
     """The files among the inputs; a folder stands for the files in it. A run of the twin itself is no recording."""
     if simulated := next((path for path in inputs if (path / "summary.json").is_file() and (path / "trace.parquet").is_file()), None):
