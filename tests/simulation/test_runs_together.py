@@ -14,7 +14,7 @@ from twin.machine.machine import Machine
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.prepared import prepared_run
-from twin.simulation.run import MOST_TOGETHER, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
+from twin.simulation.run import MOST_AXES, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
 from twin.simulation.setpoints import Setpoints
 
 BACKLASH = {"name": "backlash", "axis": "X", "clearance": 12e-6}
@@ -97,7 +97,8 @@ def test_batches_hold_compatible_runs_up_to_the_maximum(mikron: Machine) -> None
     def one(of: SimulationJob, plant_of=None):
         return prepared_run(of.machine, of.setpoints, plant_of or of.plant_of, noise_seed=of.noise_seed)
 
-    prepared = [one(job(mikron, 0.5)) for _ in range(MOST_TOGETHER + 1)]
+    full = MOST_AXES // len(mikron.axes)
+    prepared = [one(job(mikron, 0.5)) for _ in range(full + 1)]
     prepared += [
         one(job(mikron, 0.1)),
         one(job(mikron, 0.5, seed=1)),
@@ -106,7 +107,7 @@ def test_batches_hold_compatible_runs_up_to_the_maximum(mikron: Machine) -> None
     ]
     sizes = [len(batch) for batch in _batches(dict(enumerate(prepared)))]
     # a full batch, its remainder, a short run, a run with noise, and two MuJoCo runs alone
-    assert sorted(sizes) == [1, 1, 1, 1, 1, MOST_TOGETHER]
+    assert sorted(sizes) == [1, 1, 1, 1, 1, full]
 
 
 def test_mujoco_runs_are_simulated_one_by_one(mikron: Machine) -> None:

@@ -56,7 +56,7 @@ def winding(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
     """Advance the current of axis `a` by one tick at constant voltage and speed; returns its mean over the tick [A]."""
     if not drives.current_loop[a]:
         return state.current[a]
-    final = (state.voltage[a] - drives.back_emf[a] * motor_speed) * (1.0 / drives.resistance[a])
+    final = (state.voltage[a] - drives.back_emf[a] * motor_speed) * drives.per_resistance[a]
     away = state.current[a] - final
     state.current[a] = final + away * drives.decay[a]
     return final + away * drives.mean_decay[a]

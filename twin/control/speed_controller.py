@@ -59,9 +59,7 @@ def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-
     if drives.reference_lag[a] < 1.0:
         state.reference_speed[a] += drives.reference_lag[a] * (state.speed_setpoint[a] - state.reference_speed[a])
         integrated = state.reference_speed[a] - motor_speed
-    wanted = (drives.speed_gain[a] * error + state.speed_integral[a] + state.torque_feedforward[a]) * (
-        1.0 / drives.control_torque_constant[a]
-    )
+    wanted = (drives.speed_gain[a] * error + state.speed_integral[a] + state.torque_feedforward[a]) * drives.per_control_torque_constant[a]
     limit = drives.peak_current[a]
     if wanted > limit or wanted < -limit:
         state.current_setpoint[a] = math.copysign(limit, wanted)

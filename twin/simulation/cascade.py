@@ -25,13 +25,15 @@ WHOLE_CYCLE = 1e-9
 
 
 class Drives(NamedTuple):
-    """Constants of all drives, each (axis,) float64 unless noted."""
+    """Constants of all drives, each (axis,) float64 unless noted. Reciprocals, because a division takes as long as ten multiplications."""
 
     ratio: np.ndarray  # axis units per motor rad
+    per_ratio: np.ndarray  # 1 / ratio
     position_gain: np.ndarray  # 1/s
     speed_gain: np.ndarray  # Nm s/rad
     speed_integral_gain: np.ndarray  # Kp Ts / Tn, Nm s/rad per speed cycle
     control_torque_constant: np.ndarray  # commissioned Kt, Nm/A
+    per_control_torque_constant: np.ndarray  # 1 / commissioned Kt
     peak_current: np.ndarray  # A
     current_gain: np.ndarray  # V/A
     current_integral_gain: np.ndarray  # Kpi Ti / Tni, V/A per current cycle
@@ -39,6 +41,7 @@ class Drives(NamedTuple):
     torque_constant: np.ndarray  # Kt of the motor, Nm/A
     back_emf: np.ndarray  # V s/rad
     resistance: np.ndarray  # ohm
+    per_resistance: np.ndarray  # 1 / resistance
     decay: np.ndarray  # exp(-R h / L) over one base tick h
     mean_decay: np.ndarray  # mean of exp(-R t / L) over the tick
     current_loop: np.ndarray  # bool: a current controller and a winding; otherwise an ideal actuator
@@ -88,10 +91,12 @@ def drives_of(machine: Machine) -> Drives:
     electrical_rate = column(lambda a: a.motor.resistance_ohm / a.motor.inductance_h)
     return Drives(
         ratio=column(lambda a: a.ratio),
+        per_ratio=1.0 / column(lambda a: a.ratio),
         position_gain=column(lambda a: a.loops.position_gain_per_s),
         speed_gain=column(lambda a: a.loops.speed_gain_nm_s_per_rad),
         speed_integral_gain=column(lambda a: a.loops.speed_gain_nm_s_per_rad * machine.speed_cycle / a.loops.speed_integral_time_s),
         control_torque_constant=column(lambda a: a.commissioned_torque_constant),
+        per_control_torque_constant=1.0 / column(lambda a: a.commissioned_torque_constant),
         peak_current=column(lambda a: a.motor.peak_current_a),
         current_gain=column(lambda a: a.loops.current_gain_v_per_a),
         current_integral_gain=column(lambda a: a.loops.current_gain_v_per_a * machine.current_cycle / a.loops.current_integral_time_s),
@@ -99,6 +104,7 @@ def drives_of(machine: Machine) -> Drives:
         torque_constant=column(lambda a: a.motor.torque_constant_nm_per_a),
         back_emf=column(lambda a: a.motor.back_emf_v_s_per_rad),
         resistance=column(lambda a: a.motor.resistance_ohm),
+        per_resistance=1.0 / column(lambda a: a.motor.resistance_ohm),
         decay=np.exp(-electrical_rate * h),
         mean_decay=-np.expm1(-electrical_rate * h) / (electrical_rate * h),
         current_loop=flag(lambda a: bool(a.actuator.electrical)),

@@ -38,8 +38,8 @@ _VISCOUS, _REFERENCE, _SOFTNESS, _GEAR = range(4)
 _PER_DOF = 4
 # layout of the state: header, one vector per quantity
 _TICK = 0
-_QPOS, _QVEL, _CTRL, _APPLIED, _BIAS, _PASSIVE, _CONSTRAINT, _LEVEL = range(8)
-_VECTORS = 8
+_QPOS, _QVEL, _CTRL, _APPLIED, _BIAS, _PASSIVE, _CONSTRAINT, _LEVEL, _MASS, _INVERSE, _YIELDING, _ADVANCE = range(12)
+_VECTORS = 12
 
 SERIES_PERIOD = 2e-3
 """Sample period of inertia and bias along the motion [s]."""
@@ -215,13 +215,14 @@ def loads_along(change: Change, motion: Motion, machine: Machine | None = None) 
     """Loads of a changed machine, or of `machine` with its edits, along a motion; cached, because a fit needs the same loads many times."""
     machine = machine or change.machine
     # the loads do not depend on friction or drives; effects change them only by editing the model
-    edited = b"" if not change.model_edits else _bodies_of(build_plant(machine, change.model_edits).model)
+    plant = build_plant(machine, change.model_edits) if change.model_edits else None
+    edited = b"" if plant is None else _bodies_of(plant.model)
     key = (inertial_key(machine), edited, machine.base_tick)
     with _lock:
         known = _cache.get(key) or motion.loads.get(key)
     if known is not None:
         return known
-    plant = build_plant(machine, change.model_edits)
+    plant = plant or build_plant(machine)
     model = plant.model
     constant = _is_constant(plant, motion)
     inertia, bias = _along(plant, motion, constant)
@@ -344,15 +345,19 @@ def decoupled_step(constants_pointer: Any, state_pointer: Any) -> None:
         bias = constants[biases + i] + part * (constants[biases + n + i] - constants[biases + i])
         v = state[1 + _QVEL * n + i]
         viscous = constants[c + _VISCOUS]
+        if mass != state[1 + _MASS * n + i]:  # three divisions take longer than the rest; most masses do not change
+            state[1 + _MASS * n + i] = mass
+            state[1 + _INVERSE * n + i] = 1.0 / mass
+            state[1 + _YIELDING * n + i] = 1.0 / (1.0 / mass + constants[c + _SOFTNESS])
+            state[1 + _ADVANCE * n + i] = h / (mass + h * viscous)
         passive = -viscous * v
         free = state[1 + _CTRL * n + i] * constants[c + _GEAR] + state[1 + _APPLIED * n + i] - bias + passive
         level = state[1 + _LEVEL * n + i]
         friction = 0.0
         if level > 0.0:
-            inverse = 1.0 / mass
-            friction = -(free * inverse + constants[c + _REFERENCE] * v) * (1.0 / (inverse + constants[c + _SOFTNESS]))
+            friction = -(free * state[1 + _INVERSE * n + i] + constants[c + _REFERENCE] * v) * state[1 + _YIELDING * n + i]
             friction = min(max(friction, -level), level)
-        v += (free + friction) * (h / (mass + h * viscous))
+        v += (free + friction) * state[1 + _ADVANCE * n + i]
         state[1 + _QVEL * n + i] = v
         state[1 + _QPOS * n + i] += h * v
         state[1 + _BIAS * n + i] = bias

@@ -69,9 +69,12 @@ class Schedule(NamedTuple):
 
 
 class Sensing(NamedTuple):
-    """Noise and quantisation of the sensors; `noise` (tick, axis, 4) is empty for ideal sensors."""
+    """Noise and quantisation of the sensors. Axes with the same random numbers share them; `drawn` is empty for ideal sensors."""
 
-    noise: np.ndarray  # scaled: scale, motor encoder, speed (all in axis units), current
+    drawn: np.ndarray  # (tick, row, 3) standard normal: encoder of the position loop, speed, current
+    beside: np.ndarray  # (tick, row) the same for the other encoder; empty if it is ideal
+    row: np.ndarray  # (axis,) int64: where the numbers of an axis stand
+    deviation: np.ndarray  # (axis, 4): encoder of the position loop, speed (both in axis units), current, the other encoder
     position_resolution: np.ndarray
     motor_resolution: np.ndarray
 
@@ -129,9 +132,9 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
             if diverged(a, signals, schedule):
                 return k * axes + a
         if has_measure:
-            if sensing.noise.size > 0:
+            if sensing.drawn.size > 0:
                 for a in range(axes):
-                    signals[a, loop_terms.X_NOISE] = sensing.noise[n, a, 1 if drives.on_motor_encoder[a] else 0]
+                    signals[a, loop_terms.X_NOISE] = sensing.drawn[n, sensing.row[a], 0] * sensing.deviation[a, 0]
             call_terms(terms, MEASURE, signals)
         for a in range(axes):
             scale, motor_position, measured_speed, measured_current = seen_by_control(a, signals, drives, state, sensing, n)
@@ -146,8 +149,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
                     received_by_drive(a, drives, state, terms, signals)
                 if differentiated or drives.speed_lag[a] < 1.0:
                     measured_speed = speed_seen(a, drives, state, measured_speed, motor_position)
-                # the reciprocal of a constant is off the critical path, a division of the speed would be on it
-                if speed_controller(a, drives, state, measured_speed * (1.0 / drives.ratio[a])) and k < schedule.end[a]:
+                if speed_controller(a, drives, state, measured_speed * drives.per_ratio[a]) and k < schedule.end[a]:
                     limited[a, CURRENT_LIMIT] += 1
             elif differentiated:
                 measured_speed = state.seen_speed[a]
@@ -166,10 +168,10 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
                 record.velocity[row, a] = measured_speed if differentiated else motor_speed
                 record.seen_position[row, a] = scale
                 record.seen_motor_position[row, a] = motor_position
-                record.seen_velocity[row, a] = measured_speed if sensing.noise.size > 0 or differentiated else motor_speed
+                record.seen_velocity[row, a] = measured_speed if sensing.drawn.size > 0 or differentiated else motor_speed
                 record.seen_current[row, a] = measured_current + (signals[a, loop_terms.X_RECORDED_CURRENT] - current)
             # winding: the back-EMF follows the speed of the motor encoder
-            mean_current = winding(a, drives, state, motor_speed * (1.0 / drives.ratio[a]))
+            mean_current = winding(a, drives, state, motor_speed * drives.per_ratio[a])
             engine.ctrl[engine.actuator[a]] = drives.torque_constant[a] * mean_current
             if counts_load:
                 cycle_ends = since_position == schedule.position_ticks - 1
@@ -184,7 +186,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
         if counts_load:
             for a in range(axes):
                 before, after = signals[a, loop_terms.X_ROTOR_SPEED], engine.qvel[engine.rotor_dof[a]]
-                per_ratio = 1.0 / drives.ratio[a]
+                per_ratio = drives.per_ratio[a]
                 count_work(a, load_sums, engine.ctrl[engine.actuator[a]], before * per_ratio, after * per_ratio, schedule.tick)
         if recorded:
             for a in range(axes):
@@ -232,12 +234,16 @@ def seen_by_control(a, signals, drives, state, sensing, n):  # type: ignore[no-u
     motor_position = signals[a, loop_terms.X_MOTOR_POSITION]
     speed = signals[a, loop_terms.X_MOTOR_SPEED]
     current = state.current[a]
-    if sensing.noise.size > 0:
-        noise = sensing.noise[n, a]
-        scale = rounded(scale + noise[0], sensing.position_resolution[a])
-        motor_position = rounded(motor_position + noise[1], sensing.motor_resolution[a])
-        speed += noise[2]
-        current += noise[3]
+    if sensing.drawn.size > 0:
+        row = sensing.row[a]
+        closing = sensing.drawn[n, row, 0] * sensing.deviation[a, 0]
+        other = sensing.beside[n, row] * sensing.deviation[a, 3] if sensing.beside.size > 0 else 0.0
+        if drives.on_motor_encoder[a]:
+            closing, other = other, closing
+        scale = rounded(scale + closing, sensing.position_resolution[a])
+        motor_position = rounded(motor_position + other, sensing.motor_resolution[a])
+        speed += sensing.drawn[n, row, 1] * sensing.deviation[a, 1]
+        current += sensing.drawn[n, row, 2] * sensing.deviation[a, 2]
     return scale, motor_position, speed, current
 
 

@@ -30,7 +30,7 @@ MAX_RECORDED = 15_000_000
 """Largest record, in samples of all axes: 50 minutes of five axes at 1 kHz, 2 GB."""
 MAX_TICKS = 1_000_000_000
 """Longest run in ticks: 35 hours at a tick of 125 us, which take hours to simulate."""
-STRETCH_TICKS = 16_000
+STRETCH_TICKS = 40_000
 """Ticks in one call of the loop. Bounds the memory of a run beside its trace, and the time between two progress reports."""
 
 DIVERGED_SPEED = 3.0
@@ -307,26 +307,22 @@ class _Generators(NamedTuple):
 
 
 def _sensing(prepared: Sequence[PreparedRun], generators: Mapping[object, _Generators], ticks: int) -> loop.Sensing:
-    """Noise of all prepared runs over a stretch. Prepared runs with equal seeds get the same random numbers, scaled to their own sensors."""
-    noises = [[one.machine.noise(axis) for axis in one.machine.axes] for one in prepared]
-    flat = [n for of_run in noises for n in of_run]
-    if prepared[0].noise_seed is None:
-        noise = np.zeros((0, 0, 0))
-    else:
-        axes_of = {one.noise_key: one.axes for one in prepared}
-        read = {key: generators[key].read.standard_normal((ticks, axes, 3)) for key, axes in axes_of.items()}
-        by_motor = np.array([axis.encoder == "motor" for one in prepared for axis in one.machine.axes])
-        silent = not any(n.position if motor else n.motor for n, motor in zip(flat, by_motor))
-        beside = {
-            key: np.zeros((ticks, axes)) if silent else generators[key].beside.standard_normal((ticks, axes))
-            for key, axes in axes_of.items()
-        }
-        closing, speed, current = np.moveaxis(np.concatenate([read[one.noise_key] for one in prepared], axis=1), -1, 0)
-        other = np.concatenate([beside[one.noise_key] for one in prepared], axis=1)
-        drawn = (np.where(by_motor, other, closing), np.where(by_motor, closing, other), speed, current)
-        noise = np.stack([d * s for d, s in zip(drawn, np.array([[n.position, n.motor, n.speed, n.current] for n in flat]).T)], axis=-1)
+    """Noise of all prepared runs over a stretch. Prepared runs with equal seeds share random numbers; each has the deviations of its own sensors."""
+    axes = [axis for one in prepared for axis in one.machine.axes]
+    flat = [one.machine.noise(axis) for one in prepared for axis in one.machine.axes]
+    encoders = [(n.motor, n.position) if axis.encoder == "motor" else (n.position, n.motor) for n, axis in zip(flat, axes)]
+    axes_of = {one.noise_key: one.axes for one in prepared}
+    first = dict(zip(axes_of, np.cumsum([0, *axes_of.values()]).tolist()))
+    drawn, beside = np.zeros((0, 0, 3)), np.zeros((0, 0))
+    if prepared[0].noise_seed is not None:
+        drawn = np.concatenate([generators[key].read.standard_normal((ticks, n, 3)) for key, n in axes_of.items()], axis=1)
+        if any(other for _, other in encoders):
+            beside = np.concatenate([generators[key].beside.standard_normal((ticks, n)) for key, n in axes_of.items()], axis=1)
     return loop.Sensing(
-        noise=noise,
+        drawn=drawn,
+        beside=beside,
+        row=np.concatenate([first[one.noise_key] + np.arange(one.axes) for one in prepared]),
+        deviation=np.array([(closing, n.speed, n.current, other) for n, (closing, other) in zip(flat, encoders)]),
         position_resolution=np.array([n.position_resolution for n in flat]),
         motor_resolution=np.array([n.motor_resolution for n in flat]),
     )

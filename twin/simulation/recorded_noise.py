@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 import math
 
@@ -30,6 +31,7 @@ from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.recorded_times import as_recorded, simulated_period
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import recorded_setpoints
+from twin.system import cores
 from twin.units import AXIS_UNITS, plain
 
 UNIT = {"position": 1e-8, "motor": 1e-8, "speed": 1e-5, "current": 1e-2}
@@ -57,7 +59,8 @@ def with_recorded_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[
 
 def _found(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[dict[str, Noise], dict[str, dict[str, float]]]:
     """Noise of each axis, and the variances of its sensors that the records show: medians over the runs, since a fault is louder in some of them."""
-    by_run = [_variances(machine, run) for run in _enough(machine, runs)]
+    with ThreadPoolExecutor(cores()) as pool:
+        by_run = list(pool.map(lambda run: _variances(machine, run), _enough(machine, runs)))
     found, seen = {}, {}
     for axis in machine.axes:
         seen[axis.name] = {s: float(np.median(v)) for s in UNIT if (v := [of[axis.name, s] for of in by_run if (axis.name, s) in of])}

@@ -27,8 +27,8 @@ from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
 
 Outcome = TypeVar("Outcome")
 
-MOST_TOGETHER = 8
-"""Largest number of machines in one loop. With more, their state no longer fits in the first-level cache and nothing is gained."""
+MOST_AXES = 20
+"""Largest number of axes in one loop. With more, their state no longer fits in the first-level cache and nothing is gained, but memory is lost."""
 
 MIN_LENGTH_RATIO = 0.5
 """Smallest ratio of a run's length to the longest run in its batch. A run in a batch costs about half of a run alone, even after its run has ended."""
@@ -142,7 +142,8 @@ def _batches(prepared: dict[int, PreparedRun]) -> list[list[int]]:
     for i in sorted(prepared, key=lambda i: -prepared[i].ticks):
         key = prepared[i].batch_key
         batch = open_batches.get(key) if key is not None else None
-        if batch is None or len(batch) == MOST_TOGETHER or prepared[i].ticks < MIN_LENGTH_RATIO * prepared[batch[0]].ticks:
+        full = batch is not None and sum(prepared[b].axes for b in (*batch, i)) > MOST_AXES
+        if batch is None or full or prepared[i].ticks < MIN_LENGTH_RATIO * prepared[batch[0]].ticks:
             batch = open_batches[key] = []
             batches.append(batch)
         batch.append(i)
