@@ -176,7 +176,8 @@ def total_inertia(machine: Machine, axis: Axis) -> float:
 def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
     """Apply the constant loads and the effects of a machine; `started_at` [s] since the start of the campaign."""
     change = Change(machine, started_at)
-    listed = {(s.effect.name, s.axis) for s in settings_of(machine)}
+    settings = settings_of(machine)
+    listed = {(s.effect.name, s.axis) for s in settings}
     for axis in machine.axes:
         if axis.constant_force:
             change.add_force(axis, -axis.constant_force)
@@ -188,7 +189,7 @@ def apply_effects(machine: Machine, started_at: float = 0.0) -> Change:
             EFFECTS["presliding"].act(change, axis, stiffness=axis.presliding_stiffness)
     # sorted by block, then as in the library, so that the order in the machine file does not matter
     order = {name: i for i, name in enumerate(EFFECTS)}
-    for setting in sorted(settings_of(machine), key=lambda s: (BLOCKS.index(s.effect.block), order.get(s.effect.name, len(order)))):
+    for setting in sorted(settings, key=lambda s: (BLOCKS.index(s.effect.block), order.get(s.effect.name, len(order)))):
         if not setting.is_nil:
             source = {"from_axis": change.machine.axis(setting.from_axis)} if setting.from_axis else {}
             setting.effect.act(change, change.machine.axis(setting.axis), **source, **setting.parameters)

@@ -73,7 +73,7 @@ class Machine:
 
     `recorded_noise`: noise of axes in a record, which then replaces that of the file (see `with_noise`).
 
-    Derived from the document, in SI: `axes` (driven axes in the order of the file), `bodies`, `geometry`, `gravity` [m/s2],
+    Derived from the document, in SI: `axes` (driven axes in the order of the file), `axis_names`, `bodies`, `geometry`, `gravity` [m/s2],
     `parameter_tolerance`, the cycles [s] of the current, speed and position controllers and of the interpolator, `sample_period` [s]
     of the record, `setpoint_interpolation`. An impossible value raises InputError, unless `checked` is False. Axes whose table is the
     same object in the machine `like` are reused from it.
@@ -87,6 +87,7 @@ class Machine:
     recorded_noise: Mapping[str, Noise] = field(default_factory=dict, compare=False, repr=False)
     name: str = field(init=False, compare=False)
     axes: tuple[Axis, ...] = field(init=False, compare=False, repr=False)
+    axis_names: tuple[str, ...] = field(init=False, compare=False, repr=False)
     bodies: tuple[Body, ...] = field(init=False, compare=False, repr=False)
     geometry: Mapping[str, Any] = field(init=False, compare=False, repr=False)
     gravity: float = field(init=False, compare=False, repr=False)
@@ -115,6 +116,7 @@ class Machine:
         derived = {
             "name": str(document.get("name", self.path.stem if self.path else "machine")),
             "axes": tuple(axis for name, (_, axis) in parsed.items() if name in driven),
+            "axis_names": tuple(axis.name for name, (_, axis) in parsed.items() if name in driven),
             "bodies": tuple(
                 Body(name, float(table["mass_kg"]), tuple(table["centre_of_mass_m"]), tuple(table["inertia_kg_m2"]))
                 for name, table in document.get("body", {}).items()
@@ -134,10 +136,6 @@ class Machine:
     def where(self) -> str:
         """Name of this machine in messages: its file, or its name."""
         return str(self.path or self.document.get("name", "machine"))
-
-    @property
-    def axis_names(self) -> tuple[str, ...]:
-        return tuple(axis.name for axis in self.axes)
 
     @property
     def kinds(self) -> dict[str, str]:

@@ -136,13 +136,11 @@ def files_of(path: Path) -> list[Path]:
 
 def state_of_model(path: Path) -> bytes:
     """Digest of an MJCF and the files that it names: equal while none of them changes. Meshes count by size and time of change."""
+    files: tuple[Path, ...] = ()
     texts: tuple[bytes, ...] = ()
-    while True:  # an included file may name others: repeat until the list of files belongs to the texts as they are now
-        files = (Path(path.name), *_named_in(path, texts))
-        now = tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
-        if now == texts:
-            break
-        texts = now
+    while (named := (Path(path.name), *_named_in(path, texts))) != files:  # an included file may name others
+        files = named
+        texts = tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
     digest = hashlib.sha256(b"\0".join(texts))
     for file in files:
         if file.suffix.lower() != ".xml" and (path.parent / file).is_file():
