@@ -97,7 +97,7 @@ def test_batches_hold_compatible_runs_up_to_the_maximum(mikron: Machine) -> None
     def one(of: SimulationJob, plant_of=None):
         return prepared_run(of.machine, of.setpoints, plant_of or of.plant_of, noise_seed=of.noise_seed)
 
-    full = MOST_AXES // len(mikron.axes)
+    full = MOST_AXES // len(job(mikron, 0.5).machine.axes)
     prepared = [one(job(mikron, 0.5)) for _ in range(full + 1)]
     prepared += [
         one(job(mikron, 0.1)),

@@ -15,7 +15,7 @@ smaller, they add up in phase.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,9 +131,13 @@ def budget_over(
     `residual` is the position residual of the corrected machine in each run (None: not measured), `noise` the noise of each recorded signal [SI].
     """
     tool = ToolPoint(machine)
-    both = simulated_each(
-        [(view, own, machine.axis_names) for own in (corrected, machine) for view in views], mapper, lambda i, trace: trace
-    )
+    read = {LOAD, *(axis.recorded_as(signal) for axis in machine.axes for signal in SIGNALS)}
+
+    def motion(_: int, trace: Trace | None) -> Trace | None:
+        """Copies of the signals that a change reads, without the record of the simulation."""
+        return trace and replace(trace, signals={key: values.copy() for key, values in trace.signals.items() if key[1] in read})
+
+    both = simulated_each([(view, own, machine.axis_names) for own in (corrected, machine) for view in views], mapper, motion)
     plan, nominal = both[: len(views)], both[len(views) :]
     jobs = [(part, run) for part in parts for run in range(len(views))]
     requested = [(views[run], own, part.moved) for part, run in jobs for own in (part.without, part.alone)]

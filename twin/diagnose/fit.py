@@ -9,7 +9,7 @@ of its tolerance. theta is eliminated, so that an effect is credited only with w
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 import math
@@ -298,15 +298,15 @@ def _name(free: Free, settings: Sequence[Setting]) -> Slope:
     return (settings[free.setting].key, free.parameter.name)
 
 
-def simulated_response(group: Group, settings: Sequence[Setting]) -> np.ndarray:
-    """Simulated response of the group's channels to these effects (row,)."""
-    return all_or_raise(simulated_responses(group, [settings]))[0]
+def simulated_response(group: Group, settings: Sequence[Setting], key: Hashable = None) -> np.ndarray:
+    """Simulated response of the group's channels to these effects (row,); remembered under a key, if one is given."""
+    return all_or_raise(simulated_responses(group, [settings], [key]))[0]
 
 
-def simulated_responses(group: Group, several: Sequence[Sequence[Setting]]) -> list[np.ndarray | TwinError]:
-    """Response to each of several sets of effects, or the error of its simulation."""
+def simulated_responses(group: Group, several: Sequence[Sequence[Setting]], keys: Sequence[Hashable] = ()) -> list[np.ndarray | TwinError]:
+    """Response to each of several sets of effects, or the error of its simulation; `keys` as in `Group.responses`."""
     moved = [moved_by(settings, group) for settings in several]
-    return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)])
+    return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)], keys=keys)
 
 
 def _slopes(group: Group, settings: tuple[Setting, ...], response: np.ndarray, sizes: Sequence[tuple[Free, float]]) -> list[np.ndarray]:

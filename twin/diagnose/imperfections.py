@@ -139,4 +139,4 @@ def rebased(group: Group, machine_of: Variant) -> Group:
             c = replace(c, residual=c.residual - shift[c.rows])
         channels.append(c)
     views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
-    return replace(group, views=views, channels=channels, nominal=nominal, shaken=shaken)
+    return replace(group, views=views, channels=channels, nominal=nominal, shaken=shaken, answers={})

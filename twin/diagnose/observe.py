@@ -60,8 +60,8 @@ class Group:
     seed: int
     shakes: bool = False  # all responses are simulated with noise in the loop
     mapper: Mapper = field(default=map, repr=False, compare=False)  # maps over batches of simulations
-    answers: dict[Hashable, np.ndarray | TwinError] = field(init=False, default_factory=dict, repr=False, compare=False)
-    """Remembered responses (row,), not weighted, in single precision."""
+    answers: dict[Hashable, np.ndarray | TwinError] = field(default_factory=dict, repr=False, compare=False)
+    """Remembered responses (row,), not weighted, in single precision. Groups about the same machine share them, whatever their weights."""
 
     def __post_init__(self) -> None:
         placed, at = [], 0
@@ -114,9 +114,10 @@ class Group:
 
         With `shaken` both simulations have the same noise in the loop: an axis that creeps at rest creeps because of noise. `keys` name variations whose response is remembered for the next call (None: not remembered).
         """
-        keys = keys or [None] * len(variations)
+        shaken = shaken or self.shakes
+        keys = [None if key is None else (key, shaken) for key in keys or [None] * len(variations)]
         known = [None if key is None else self.answers.get(key) for key in keys]
-        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken or self.shakes))
+        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken))
         out: list[np.ndarray | TwinError] = []
         for key, answer in zip(keys, known):
             rows = next(new) if answer is None else answer
@@ -184,9 +185,12 @@ class Group:
         """
         plain, remaining = change / self.weights, residual / self.weights
         channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
-        group = replace(self, channels=channels)
-        group.answers.update(self.answers)  # the rows are the same
-        return group
+        return replace(self, channels=channels)
+
+    def searched(self) -> Group:
+        """The group without what only a search asks for again: remembered responses, and the realisations of the noise."""
+        self.answers.clear()
+        return replace(self, channels=[replace(c, scatter=None) for c in self.channels])
 
     @functools.cached_property
     def expected_loss(self) -> float:

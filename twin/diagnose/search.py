@@ -53,7 +53,8 @@ def search(group: Group, setup: Setup) -> GroupState:
         retuned = no_effect(group, tuning)
         rigid = GroupState(group, group, tuning, retuned, inflation(group, retuned))
         state = min(state, _search_rounds(rigid, setup), key=_cost)
-    return replace(state, response_cache={})  # only the search asks for responses again
+    group = state.group.searched()
+    return replace(state, response_cache={}, group=group, rigid=group if state.rigid is state.group else state.rigid.searched())
 
 
 def _cost(state: GroupState) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 from typing import NamedTuple
@@ -130,25 +130,31 @@ class Tuning:
         return replace(tuning_from(self.nuisances, columns, self.spread, self.prior_weight, self.further), base=self.base)
 
 
-def tuning_of(group: Group, settings: Sequence[Setting] = (), response: np.ndarray | float = 0.0) -> Tuning:
-    """The tuning of all toleranced parameters of the machine with these effects, whose own response is `response` (row,)."""
+def tuning_of(group: Group, settings: Sequence[Setting] = (), response: np.ndarray | float = 0.0, key: Hashable = None) -> Tuning:
+    """The tuning of all toleranced parameters of the machine with these effects, whose own response is `response` (row,); `key` as in `linearised`."""
     nuisances = nuisances_of(group.machine, group.axes)
     spread = group.machine.parameter_tolerance * UNIFORM
     if spread <= 0.0:
         nuisances = ()
     columns = Columns([np.zeros(group.size)] * len(nuisances), group.size)
     nothing = tuning_from(nuisances, columns, spread).with_free(zeros_of(group), 1.0)  # encoder zeros are further columns
-    return linearised(nothing, group, settings, response)
+    return linearised(nothing, group, settings, response, key=key)
 
 
 def linearised(
-    tuning: Tuning, group: Group, settings: Sequence[Setting], response: np.ndarray | float, only: Collection[str] = ()
+    tuning: Tuning,
+    group: Group,
+    settings: Sequence[Setting],
+    response: np.ndarray | float,
+    only: Collection[str] = (),
+    key: Hashable = None,
 ) -> Tuning:
     """The tuning with the simulated response to its nuisances on the machine with these effects; `only` restricts it to these quantities.
 
+    The simulations are remembered under a key of the machine, if one is given.
     The response depends on the effects: backlash, for example, decides when the load changes sides.
     """
-    own, steps, variations = moved_by(settings, group), {}, []
+    own, steps, variations, keys = moved_by(settings, group), {}, [], []
     for i, nuisance in enumerate(tuning.nuisances):
         if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # creep is only visible with noise in the loop
             continue
@@ -159,10 +165,11 @@ def linearised(
             steps[i] = max(T.within_mode * abs(float(tuning.base[i])), 1.05 * T.least_imperfection * group.machine.parameter_tolerance)
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
         variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + steps[i]), settings, axes))
+        keys.append(None if key is None else (key, nuisance))
     if not steps:
         return tuning
     columns = list(tuning.of_nuisances.each)
-    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations))):
+    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations, keys=keys))):
         columns[i] = ((changed - response) * (tuning.spread / step)).astype(np.float32)
     return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 

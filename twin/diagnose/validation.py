@@ -113,6 +113,8 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
         # where laws leave no considerable gap, other weights of the samples find no better ones
         if least_share < T.remaining or (best.laws and not best.with_law & best.remaining(setup.machine)):
             break
+    for state in validated.states:
+        state.rigid.answers.clear()  # only the search for laws asks for them again
     return best
 
 

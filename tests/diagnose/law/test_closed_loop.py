@@ -282,10 +282,10 @@ def test_an_effect_is_preferred_to_an_equivalent_law():
     """A sine over the motor turn is found as a law; the equivalent effect replaces it."""
     wave = {"name": "cyclic_error", "axis": "X", "amplitude": 4e-6, "phase_rad": 0.5}
     loop = loop_of(observed(runs_of([wave])))
-    alone = _search_from(loop, (), (), lambda _: None)
+    alone = _search_from(loop, loop.start(()), (), lambda _: None)
     assert alone is not None
     assert alone.laws
-    both = _search_from(loop, (), settings_of(with_effects(X, [wave])), lambda _: None)
+    both = _search_from(loop, loop.start(()), settings_of(with_effects(X, [wave])), lambda _: None)
     assert both is not None
     assert not both.laws
     assert names(both.fitted.settings) == ["cyclic_error"]
@@ -301,7 +301,7 @@ def test_a_law_is_found_although_the_noise_of_all_channels_is_overestimated():
     first = loop.start(())
     assert first is not None
     assert first.held_out < loop.expected
-    found = _search_from(loop, (), (), lambda _: None)
+    found = _search_from(loop, loop.start(()), (), lambda _: None)
     assert found is not None
     (law,) = found.fitted.settings
     assert law.parameters["height"] == pytest.approx(-300.0, rel=0.1)
@@ -319,7 +319,7 @@ def test_a_single_run_is_predicted_half_by_half():
     tuning = no_tuning(group.size).with_free(columns_of(columns))
     fit = fit_with_fixed_effects(free, tuning, (), np.zeros(group.size))
     alone = ClosedLoop(free, "X", halved(Parts(((slice(0, group.size),),)), 0, np.ones(group.size)))
-    assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone._with_cost(fit).held_out
+    assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone.with_cost(fit).held_out
 
 
 @pytest.mark.parametrize(("left_by_effect", "named"), [(15.0, ["backlash"]), (20.0, ["law"])])
@@ -428,7 +428,7 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
         return fit
 
     loop.refit, loop.start = refit, lambda settings: refit(None, settings)
-    found = _search_from(loop, (), (), lambda _: None, (STRONG, WEAK))
+    found = _search_from(loop, loop.start(()), (), lambda _: None, (STRONG, WEAK))
     return [str(name) for (name, _, _), _ in found.laws.values()]
 
 

@@ -111,9 +111,10 @@ class ClosedLoop:
 
     def start(self, settings: Settings) -> Fitted | None:
         """The fit from these settings on the machine file, re-tuned with their slopes; None if they cannot be simulated."""
+        key = "start", repr([s.table() for s in settings])  # the same with other weights
         try:
-            response = simulated_response(self.group, settings) if settings else np.zeros(self.group.size)
-            tuning = tuning_of(self.group, settings, response)
+            response = simulated_response(self.group, settings, key) if settings else np.zeros(self.group.size)
+            tuning = tuning_of(self.group, settings, response, key)
         except TwinError:
             return None
         return self._fitted(settings, tuning, self._inflation(self.group.residual - response), FEW_STEPS)
@@ -128,7 +129,7 @@ class ClosedLoop:
         known = like.fit.slopes if like else {}
         moving = {i for i, s in enumerate(settings) if self._is_free(s, settings)}
         fit = fit_effects(self.group, tuning, settings, steps, moving=moving, known=known)
-        return None if fit is None else self._with_cost(fit)
+        return None if fit is None else self.with_cost(fit)
 
     def _is_free(self, setting: Setting, settings: Settings) -> bool:
         """Normal imperfections keep their sizes. The spring of an axis with a law between its encoders is fitted again with its damping, because
@@ -137,7 +138,7 @@ class ClosedLoop:
             return False
         return not setting.effect.normal or (setting.effect.name == SPRING_EFFECT and any(is_between_encoders(s) for s in settings))
 
-    def _with_cost(self, fit: Fit) -> Fitted:
+    def with_cost(self, fit: Fit) -> Fitted:
         """The fit with its cost. A term with an implausible size, or with one that may be zero, costs `IMPOSSIBLE`."""
         group = self.group
         left = linear_in(group, fit, self.parts.rows).held_out([[i] for i in range(len(self.parts.rows))], 1.0)

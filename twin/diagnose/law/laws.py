@@ -199,7 +199,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     if first is None:
         return None
     loop = loop.halving_its_only_loud_fold(first)
-    best = _search_from(loop, settings, own, progress, (STRONG, WEAK))
+    best = _search_from(loop, loop.with_cost(first.fit), own, progress, (STRONG, WEAK))
     bent = any(not is_normal(machine, s) for s in drive_train_of(settings, axis))
     if best is None or (not own and (not bent or best.left < LITTLE_LEFT)):
         return best
@@ -210,7 +210,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
         starts += [(*with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     for start in starts:
         most, beat = (MOST_LAWS, math.inf) if len(own) <= MOST_EFFECTS else (1, best.fitted.cost)
-        alone = _search_from(loop, start, own, progress, most=most, beat=beat)
+        alone = _search_from(loop, loop.start(start), own, progress, most=most, beat=beat)
         if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
             best = alone
             if best.left < LITTLE_LEFT:
@@ -220,7 +220,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
 
 def _search_from(
     loop: ClosedLoop,
-    settings: Settings,
+    first: Fitted | None,
     effects: Settings,
     progress: Progress,
     selections: Sequence[Selection] = (STRONG,),
@@ -232,7 +232,6 @@ def _search_from(
 
     Candidates of each of the `selections` are tried if none of the one before lowers the cost.
     """
-    first = loop.start(settings)
     if first is None:
         return None
     fitted, at_first = first, loop.above_noise(first)
