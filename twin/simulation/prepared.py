@@ -30,7 +30,7 @@ MAX_RECORDED = 15_000_000
 """Largest record, in samples of all axes: 50 minutes of five axes at 1 kHz, 2 GB."""
 MAX_TICKS = 1_000_000_000
 """Longest run in ticks: 35 hours at a tick of 125 us, which take hours to simulate."""
-STRETCH_TICKS = 40_000
+STRETCH_TICKS = 16_000
 """Ticks in one call of the loop. Bounds the memory of a run beside its trace, and the time between two progress reports."""
 
 DIVERGED_SPEED = 3.0
