@@ -246,7 +246,7 @@ class Klartext(Reader):
             if match["alone"]:
                 name, number = _ALONE[match["alone"].replace(" ", "")]
             else:
-                name, number = self.state.slot_of.get(match["name"], match["name"]), self.number_of(match["value"], place)
+                name, number = self.state.slot_of.get(str(match["name"]), str(match["name"])), self.number_of(match["value"], place)
             if name == "F" and block.m and block.m[-1] in (128, 140):
                 name = f"F{block.m[-1]}"
             block.put(name, Item(number, "IC" if match["inc"] else "", place))
