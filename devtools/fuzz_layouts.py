@@ -237,8 +237,8 @@ def judge(case: Case, folder: Path) -> tuple[str, str]:
     from twin.recordings.formats.by_content import read_recording
     from twin.recordings.mapping import read_map, runs_of
     from twin.recordings.proposed import proposal_of
+    from twin.recordings.recorded_run import run_of_recordings
     from twin.recordings.signals import ReadOptions
-    from twin.recordings.understand import understand
 
     file, map_file = folder / "case.log", folder / "map.toml"
     file.write_bytes(case.text.encode(case.encoding))
@@ -252,7 +252,7 @@ def judge(case: Case, folder: Path) -> tuple[str, str]:
         as_recorded = replace(mapping, settings=structs.replace(mapping.settings, skew="report", offsets="report"))
         wanted = frozenset(c.name for c in mapping.columns)
         recording = read_recording(paths[0], ReadOptions(mapping.clock, wanted, folder / "scratch", mapping.dialect))
-        known = understand(as_recorded, run, [recording])
+        known = run_of_recordings(as_recorded, run, [recording])
     except InputError as error:
         return "asked", str(error)
     except Exception as error:

@@ -18,9 +18,9 @@ from twin.recordings.trace import Trace, write_trace
 from twin.simulation.campaign_gap import gap
 from twin.simulation.encoder_zeros import aligned, clear_zeros, with_common_zeros, zeros_left
 from twin.simulation.gap import gap_of, predict
+from twin.simulation.motor_and_scale import motor_minus_scale, shifted
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
-from twin.simulation.two_encoders import motor_minus_scale, shifted
 
 YZ = load_machine().with_axes(["Y", "Z"])
 SPRING = {"name": "transmission_compliance", "axis": "Z", "stiffness": 1e9}

@@ -13,9 +13,9 @@ from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
 from twin.simulation.campaign_gap import AS_EXPECTED, gap
+from twin.simulation.motor_and_scale import shifted
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
-from twin.simulation.two_encoders import shifted
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "campaign"
 ON_MOTOR = load_machine().with_axes(["X"]).with_values({"axis.X.encoder": "motor", "measurement.motor_encoder_noise_m": 5e-8})

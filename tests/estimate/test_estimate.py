@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from twin.estimate.evidence import mean_log_rms, predicts_better
+from twin.estimate.held_out_gain import mean_log_rms, predicts_better
 from twin.estimate.linearised import linearised
 from twin.estimate.problem import Free, Values
 from twin.estimate.search import level_of, search

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin import load_machine
 from twin.history.columns import Direction, directions_of
-from twin.history.judge import Judgement, judged
+from twin.history.judge import Judgement, judge_recording
 from twin.history.limits import Limit
 from twin.history.projection import Projection
 from twin.history.series import LOAD, SCATTER
@@ -56,7 +56,7 @@ def everyday(d: Direction, week: int, rng: np.random.Generator) -> float:
 
 
 def judge(rows: list[Row]) -> Judgement:
-    return judged(rows, directions())
+    return judge_recording(rows, directions())
 
 
 def test_seasons_tools_and_programs_raise_no_alarm() -> None:
@@ -103,7 +103,7 @@ def test_a_growing_fault_is_one_change_with_a_forecast() -> None:
     ahead = change.forecast
     assert ahead is not None
     assert ahead.earliest <= (17 + 25) * 7.0 <= ahead.latest
-    (change,) = judged(history(5, growing), directions(), lambda _direction, _size: Limit(2.0, "twice")).changes
+    (change,) = judge_recording(history(5, growing), directions(), lambda _direction, _size: Limit(2.0, "twice")).changes
     assert change.forecast is not None
     assert change.forecast.earliest <= (17 + 50) * 7.0 <= change.forecast.latest
 

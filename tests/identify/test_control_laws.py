@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from twin.identify.axis_run import AxisRun, axis_run
+from twin.identify.check_recording import setpoint_shift
 from twin.identify.drive_balance import simulated_torque_weight
 from twin.identify.drive_position_loop import _fitted, drive_position_loop
-from twin.identify.findings import setpoint_shift
 from twin.identify.position_control import fit_position_control
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.other_structures import slides, write_slides
-from twin.estimate.evidence import predicts_better
+from twin.estimate.held_out_gain import predicts_better
 from twin.geometry.scurve import moves_in_turn
 from twin.identify.drive_fit import FOLDS, DriveFits, fit_drives, folds_of
 from twin.identify.parameters import with_drives

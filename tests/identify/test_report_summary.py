@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from twin.identify.findings import Finding, told
+from twin.identify.check_recording import Finding, told
 from twin.identify.report import _number, _summary
 from twin.identify.result import Range
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.builders.identify_campaigns import SHORT_QUICK, campaign, recorded
 from twin.diagnose.check import notes_of
-from twin.identify.findings import missing_signals
+from twin.identify.check_recording import missing_signals
 from twin.machine.machine import Machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.profile_speed import PROFILE, answers_position

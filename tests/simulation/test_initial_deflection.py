@@ -7,9 +7,9 @@ from twin.effects import with_effects
 from twin.effects.setting import check_setting
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
+from twin.simulation.motor_and_scale import deflection_at_start
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
-from twin.simulation.two_encoders import deflection_at_start
 
 DEFLECTION = 6e-6
 """Deflection of A beyond equilibrium at the first sample [rad]."""

@@ -210,7 +210,7 @@ def test_an_optimum_inside_the_range_has_one_ranking_and_no_slope(tmp_path: Path
 def test_a_lead_is_read_in_mm_per_revolution(tmp_path: Path) -> None:
     factor = '[[factor]]\nname = "lead"\npath = "axis.X.screw_lead_m_per_rev"\nrange = [0.016, 0.024]\n'
     lead = read_study(write_spec(tmp_path, factor + GRID)).factors[0]
-    assert (lead.titled, lead.said(0.02)) == ("lead [mm/rev]", "20 mm/rev")
+    assert (lead.titled, lead.value_text(0.02)) == ("lead [mm/rev]", "20 mm/rev")
 
 
 def test_effects_that_the_design_cannot_separate_are_omitted() -> None:

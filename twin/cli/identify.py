@@ -32,7 +32,7 @@ ARGUMENTS = (
 
 def carry_out(args: argparse.Namespace) -> None:
     """Identify; write machine file, report and JSON; print the table."""
-    from twin.identify.findings import told
+    from twin.identify.check_recording import told
     from twin.identify.identify import identify
     from twin.identify.report import write_report
     from twin.identify.write import as_json, write_identified

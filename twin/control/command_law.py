@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from twin.estimate.evidence import held_out, is_better, pieces_of
+from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.estimate.regression import solved
 
 LONGEST_DIFFERENCE = 6

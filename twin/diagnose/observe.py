@@ -35,9 +35,9 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.roughness import step_of
 from twin.recordings.trace import Trace
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
+from twin.simulation.motor_and_scale import BOTH, has_both, motor_minus_scale, with_equal_means
 from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.run import Run, all_or_raise
-from twin.simulation.two_encoders import BOTH, has_both, motor_minus_scale, with_equal_means
 
 
 class Variation(NamedTuple):

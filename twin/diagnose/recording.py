@@ -21,7 +21,7 @@ from twin.replay.events import TELLING, Event
 from twin.simulation.gap import COMPARED
 
 if TYPE_CHECKING:
-    from twin.replay.curves import Curve
+    from twin.replay.curves import PlotLine
 
 
 def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Path) -> None:
@@ -45,7 +45,7 @@ def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Pat
     write_recording(path, diagnosis.machine, runs, summary=f"run {name}\n{verdict_sentence(document)}", also=marks, steps=steps)
 
 
-def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list[Curve]:
+def _effect_by_effect(diagnosis: Diagnosis, run: MeasuredRun, name: str) -> list[PlotLine]:
     """Position residual of an axis in a run for the machine file, after re-tuning, and after each added effect, largest at the tool point first.
     Empty if its position was not recorded or a machine cannot be simulated.
     """

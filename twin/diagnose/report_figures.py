@@ -25,7 +25,7 @@ from twin.report import Figure as Picture
 from twin.report import figure_svg, new_figure
 from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.gap import gap_unit, is_moving, sensor_noise
-from twin.simulation.two_encoders import has_both, motor_minus_scale
+from twin.simulation.motor_and_scale import has_both, motor_minus_scale
 from twin.units import plain
 
 MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"

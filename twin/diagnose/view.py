@@ -15,11 +15,11 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import Motion
 from twin.simulation.gap import encoders_noise, is_moving
+from twin.simulation.motor_and_scale import has_both, motor_minus_scale
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.position_command import delay_weights
 from twin.simulation.recorded_times import SAME_PERIOD, simulated_period
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
-from twin.simulation.two_encoders import has_both, motor_minus_scale
 
 
 @dataclass(frozen=True)

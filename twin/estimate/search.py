@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.estimate.evidence import mean_log_rms, rms_of
+from twin.estimate.held_out_gain import mean_log_rms, rms_of
 from twin.estimate.linearised import Linearised, linearised
 from twin.estimate.problem import Free, Problem, Residuals, Values, by_part
 

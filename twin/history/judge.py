@@ -107,7 +107,7 @@ def causes_of(series: Sequence[Series]) -> dict[Cause, tuple[int, list[int]]]:
     return found
 
 
-def judged(
+def judge_recording(
     rows: Sequence[Row],
     directions: dict[tuple[str, ...], list[Direction]],
     limit_of: LimitOf = lambda *_: USUAL,

@@ -55,7 +55,7 @@ class Store(RowFile):
         """All campaigns in the order of their judgement."""
         found = []
         for name, digest, content in self.select("name, digest, content"):
-            with self.said():
+            with self.in_one_line():
                 day, program, noise, groups = _CONTENT.decode(zlib.decompress(content))
                 projections = {}
                 for axes, gram, right in groups:

@@ -20,7 +20,7 @@ from twin.effects import Setting
 from twin.errors import InputError, TwinError
 from twin.history.columns import directions_of
 from twin.history.dated import Dated, dated_campaigns
-from twin.history.judge import Judgement, judged
+from twin.history.judge import Judgement, judge_recording
 from twin.history.limits import limits_of
 from twin.history.projection import Linearised, Noise, Projection, Reference
 from twin.history.series import same_program
@@ -86,7 +86,7 @@ def watch(
         groups = sorted({axes for row in rows.values() for axes in row.projections}, key=lambda axes: machine.axis_names.index(axes[0]))
         limit_of = limits_of(machine, limits, tolerance, lambda: last()[0])
         by_day = sorted(rows.values(), key=lambda row: (row.day, row.name))
-        return judged(by_day, {axes: reference.directions(axes) for axes in groups}, limit_of, sizes_on(linearised)), notes
+        return judge_recording(by_day, {axes: reference.directions(axes) for axes in groups}, limit_of, sizes_on(linearised)), notes
 
 
 def row_of(one: Dated, reference: Reference, known: Iterable[Row] = ()) -> Row:

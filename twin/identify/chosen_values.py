@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, SimulationError
+from twin.identify.check_recording import Finding
 from twin.identify.drive_residuals import position_is_informative
-from twin.identify.findings import Finding
 from twin.identify.held_out import Division, Table
 from twin.machine.loops import loops_of
 from twin.machine.machine import Machine

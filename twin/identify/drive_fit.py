@@ -20,14 +20,14 @@ import math
 import numpy as np
 
 from twin.errors import SimulationError
-from twin.estimate.evidence import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
+from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
 from twin.estimate.search import Solution, search
 from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveFit, DriveResiduals, follows_recorded_path, with_constant_forces
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.gap import is_moving
-from twin.simulation.two_encoders import BOTH
+from twin.simulation.motor_and_scale import BOTH
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
 REFERENCE_INTEGRAL_S = 0.01

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import firwin
 
-from twin.estimate.evidence import rms_of
+from twin.estimate.held_out_gain import rms_of
 from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun
 from twin.identify.position_control import loop_position

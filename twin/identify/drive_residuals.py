@@ -25,12 +25,12 @@ from twin.machine.toleranced import path_of
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import is_moving
+from twin.simulation.motor_and_scale import BOTH
 from twin.simulation.nominal_motion import motion_of, nominal_motion
 from twin.simulation.recorded_times import at_times, simulated_period
 from twin.simulation.result import Run
 from twin.simulation.run import SimulationJob, simulate_each
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
-from twin.simulation.two_encoders import BOTH
 
 CLUSTER_S = 0.1
 

@@ -39,7 +39,7 @@ from twin.identify.recorded_axis import (
     strokes_of,
 )
 from twin.machine import keys
-from twin.machine.lumped_file import LEAST_LAG_S, AxisLumps, Law, Mechanics, write_lumped_machine
+from twin.machine.lumped_file import LEAST_LAG_S, AxisControl, AxisLumps, Mechanics, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.force_sign import recorded_sign
@@ -98,7 +98,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     speeds, accelerations = zip(*(map(_largest, slopes_of(path, r.trace.period)) for path, r in zip(paths, moved)))
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
-        moved[0].trace.period, Law(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
+        moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
         min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes),
     )  # fmt: skip
 
@@ -170,7 +170,7 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     return replace(one, law=law) if law is not None else _with_lag(one, own)
 
 
-def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> Law | None:
+def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> AxisControl | None:
     """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none."""
     effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
     unit = keys.EFFORTS[effort].unit if effort else ""
@@ -183,13 +183,13 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> Law | None:
     found = command_law(signals)
     if found is None:
         return None
-    return Law(
+    return AxisControl(
         found.position_gain, found.delay, found.feedforward, found.delay, integral_time=found.integral_time, speed_gain=found.speed_gain,
         mean_cycles=found.mean_cycles,
     )  # fmt: skip
 
 
-def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> Law | None:
+def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> AxisControl | None:
     """The law of a recorded speed set point, and where the position loop is closed; None if it does not follow one."""
     seen: list[AxisRun] = []
     for run in runs:
@@ -203,7 +203,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
         return None
     v = found.values
     gain = v["position_gain_per_s"]
-    law = Law(gain, max(v["position_delay_s"], 0.0), v["velocity_feedforward"], max(v["feedforward_delay_s"], 0.0))
+    law = AxisControl(gain, max(v["position_delay_s"], 0.0), v["velocity_feedforward"], max(v["feedforward_delay_s"], 0.0))
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law
@@ -218,13 +218,13 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     off = lags.get("off")
     if ahead and off and off.known and off.value - max(ahead.value, 0.0) > SHORTEST_LAG_S:  # the delay, and 1/Kv more without feedforward
         delay = max(ahead.value, 0.0)
-        return replace(one, law=Law(1.0 / (off.value - delay), delay, 1.0, delay, measured=False, by_lags=True, lag=ASSUMED_LAG_S))
+        return replace(one, law=AxisControl(1.0 / (off.value - delay), delay, 1.0, delay, measured=False, by_lags=True, lag=ASSUMED_LAG_S))
     flag = next(iter(lags), "")
     shown = lags.get(flag, Value(0.0, math.inf))
     lag = max(shown.value, SHORTEST_LAG_S)
     delay = max(lag - ASSUMED_LAG_S, 0.0)
-    delayed = Law(ASSUMED_GAIN, delay, 1.0, delay, measured=False, lag=ASSUMED_LAG_S)
-    by_gain = Law(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=max(min(2e-3, 0.1 * lag), LEAST_LAG_S))
+    delayed = AxisControl(ASSUMED_GAIN, delay, 1.0, delay, measured=False, lag=ASSUMED_LAG_S)
+    by_gain = AxisControl(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=max(min(2e-3, 0.1 * lag), LEAST_LAG_S))
     size = f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
     if not shown.known:
         size = f"below {1e3 * (abs(shown.value) + shown.half):.2g} ms"

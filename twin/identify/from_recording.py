@@ -22,7 +22,7 @@ from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.write import write_identified
 from twin.machine.commented import TRIED, assumed_values
-from twin.machine.lumped_file import AxisLumps, Law, write_lumped_machine
+from twin.machine.lumped_file import AxisControl, AxisLumps, write_lumped_machine
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
@@ -191,7 +191,7 @@ def _tuned(attempt: Attempt, lumps: Sequence[AxisLumps], say: Callable[[str], No
     kept = {one.name: one for one in lumps}
     best = attempt(list(kept.values()))
 
-    def tried(of: Iterable[str], law_of: Callable[[AxisLumps], Law]) -> None:
+    def tried(of: Iterable[str], law_of: Callable[[AxisLumps], AxisControl]) -> None:
         """Keep the changed law of each of these axes that then reproduces better."""
         given = {n: replace(kept[n], law=law_of(kept[n]), other=None) for n in of}
         found = attempt(list({**kept, **given}.values())) if given else {}

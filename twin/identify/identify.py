@@ -13,11 +13,11 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
+from twin.identify.check_recording import Finding
 from twin.identify.chosen_values import choose_stages
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
-from twin.identify.findings import Finding
 from twin.identify.held_out import Division, divide_runs, gap_or_reason
 from twin.identify.parameters import (
     LOOP_BOUNDS,

@@ -9,9 +9,9 @@ import math
 import numpy as np
 
 from twin.identify import tilting_pair
+from twin.identify.check_recording import Finding
 from twin.identify.drive_fit import DriveFits
 from twin.identify.drive_residuals import MODE, RANGES, TIMES
-from twin.identify.findings import Finding
 from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
 from twin.identify.torque_constants import Split, is_vertical

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
-from twin.identify.findings import (
+from twin.identify.check_recording import (
     LEAST_SKEW_S,
     Finding,
     channel_skews,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.identify import figures
-from twin.identify.findings import told
+from twin.identify.check_recording import told
 from twin.identify.result import Identification, Range
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.page import made_line

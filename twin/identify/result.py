@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from twin.identify.findings import Finding
+from twin.identify.check_recording import Finding
 from twin.identify.regressions import Regressions
 from twin.machine.machine import Machine
 from twin.recordings.skew import Skew

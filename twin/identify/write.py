@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.documents import flat, value_at
-from twin.identify.findings import ONE_SPEED
+from twin.identify.check_recording import ONE_SPEED
 from twin.identify.parameters import FRICTIONS
 from twin.identify.result import Identification, Range
 from twin.machine.commented import ASSUMED, BOUNDED

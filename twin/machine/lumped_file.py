@@ -32,7 +32,7 @@ LEAST_LAG_S = 0.5e-3
 
 
 @dataclass(frozen=True)
-class Law:
+class AxisControl:
     """Control of an axis: position gain [1/s], delays [s], feedforward weight. `measured`: read from the control's own signals; `by_lags`: from the lags
     of the position with and without feedforward; else assumed."""
 
@@ -98,12 +98,12 @@ class AxisLumps:
     speed: float
     acceleration: float
     period: float
-    law: Law
+    law: AxisControl
     mechanics: Mechanics | None
     noise: float
     effort_noise: float
     notes: tuple[str, ...] = field(default=())
-    other: Law | None = None  # another position controller with the same lag
+    other: AxisControl | None = None  # another position controller with the same lag
 
     @property
     def forces(self) -> Mechanics | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.recordings.grid import Source
+from twin.recordings.grid import TimedSignal
 from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
 from twin.recordings.relations import without_sign_bit
 from twin.recordings.signals import Signal
@@ -40,7 +40,7 @@ class Channel:
     """A mapped column: its source, conversion and timing."""
 
     column: ColumnMap
-    source: Source
+    source: TimedSignal
     conversion: Conversion
     file: str
 

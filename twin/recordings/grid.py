@@ -26,7 +26,7 @@ _GRID_ROUNDING_S = 1e-9
 
 
 @dataclass(frozen=True)
-class Source:
+class TimedSignal:
     """A signal with its timing, and its lateness relative to the position [s]."""
 
     signal: Signal
@@ -52,7 +52,7 @@ class Piece:
         return self.begin + self.period * np.arange(first, last)
 
 
-def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: float, fill: bool) -> list[Piece]:
+def pieces_of(sources: Sequence[TimedSignal], period: float, begin_s: float, end_s: float, fill: bool) -> list[Piece]:
     """Grids over the times with samples of all signals. Unless gaps are filled, a grid ends at a gap of any signal."""
     spans = [(begin_s, end_s)]
     bridged = 0
@@ -77,7 +77,7 @@ def pieces_of(sources: Sequence[Source], period: float, begin_s: float, end_s: f
     return out
 
 
-def on_grid(source: Source, piece: Piece, first: int, last: int, fill: bool = False) -> np.ndarray:
+def on_grid(source: TimedSignal, piece: Piece, first: int, last: int, fill: bool = False) -> np.ndarray:
     """Values (last - first,) of a signal at rows first to last - 1 of a piece."""
     times = piece.times(first, last) + source.skew_s
     signal, stretches = source.signal, source.timing.stretches
@@ -111,7 +111,7 @@ def _samples(signal: Signal, own: Stretch, times: np.ndarray) -> tuple[np.ndarra
     return base, values[kept]
 
 
-def block_with_most_travel(source: Source, piece: Piece, fill: bool) -> tuple[int, int]:
+def block_with_most_travel(source: TimedSignal, piece: Piece, fill: bool) -> tuple[int, int]:
     """Rows (first, last) of the block of a piece with the farthest travel of the signal; the whole piece if it is short."""
     best, most = (0, min(piece.count, BLOCK)), -1.0
     for first in range(0, piece.count, BLOCK):

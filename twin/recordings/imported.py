@@ -17,8 +17,8 @@ from twin.progress import Progress
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.mapping import Map, runs_of
 from twin.recordings.overview import draw_run, understood_table
+from twin.recordings.recorded_run import run_of_recordings
 from twin.recordings.signals import ReadOptions
-from twin.recordings.understand import understand
 from twin.recordings.write import write_campaign, write_run
 
 MOST_PICTURES = 6
@@ -46,7 +46,7 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
             with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=out) as scratch:
                 options = [ReadOptions(mapping.clock, wanted, Path(scratch) / str(i), mapping.dialect) for i in range(len(paths))]
                 recordings = [read_recording(path, own) for path, own in zip(paths, options)]
-                known = understand(mapping, run, recordings)
+                known = run_of_recordings(mapping, run, recordings)
                 # the start of a run: from the map, else from the clocks of the files relative to the first run, else 0
                 started = known.started.replace(tzinfo=known.started.tzinfo or UTC) if known.started is not None else None
                 first = first or started

@@ -11,8 +11,8 @@ import numpy as np
 
 from twin.recordings.map_text import grouped
 from twin.recordings.propose import Proposal
+from twin.recordings.recorded_run import Understood
 from twin.recordings.signals import Recording, Signal
-from twin.recordings.understand import Understood
 from twin.recordings.write import ERROR, Written
 from twin.report.curves import Curve, Panel, curves_figure
 from twin.report.figure import save_png

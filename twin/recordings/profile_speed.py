@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.estimate.evidence import held_out, pieces_of
+from twin.estimate.held_out_gain import held_out, pieces_of
 from twin.recordings.trace import Trace
 
 SIGNAL = "velocity_setpoint"

@@ -18,9 +18,9 @@ from twin.files import beside, stamped, write_whole
 from twin.recordings.campaign import EVENTS, ChannelFact
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
+from twin.recordings.recorded_run import Understood
 from twin.recordings.signals import BLOCK
 from twin.recordings.trace import Trace, unit_of, written
-from twin.recordings.understand import Understood
 from twin.units import UNITS
 
 ERROR = "_error"

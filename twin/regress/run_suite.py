@@ -147,7 +147,7 @@ def compared(case: Case, golden: Golden | None, out: Path | None) -> Verdict:
     text = sentence(case, checks, place, outcome.failed)
     written = None
     if out is not None:
-        from twin.regress.evidence import write_evidence
+        from twin.regress.failed_case import write_evidence
 
         written = write_evidence(out / case.name, case, golden, outcome, checks, place, text)
     return Verdict(case, FAILED, checks=checks, text=text, place=place, note=note, new=new, golden=golden, written=written, stopped=stopped)

@@ -12,7 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from twin.files import write_json, write_whole
-from twin.regress.evidence import check_table
+from twin.regress.failed_case import check_table
 from twin.regress.golden import versions
 from twin.regress.run_suite import BROKEN, FAILED, SKIPPED, Verdict
 from twin.simulation.summary import table

@@ -96,14 +96,14 @@ def choose(
     """Changes of a machine that bring the contour error of a motion to the goal, or as near as they can."""
     left, refused = candidates(machine, control)
     chosen: list[Change] = []
-    now = judged(machine, on)
+    now = error_on(machine, on)
     left = [c for c in left if c.function != PULSE or now.peaks.get(c.axis, 0.0) > 0.0]
     errors = [now.rms]
     # what was changed, then what is displaced, then what is late, then what was too small beside the rest
     for functions in ((SET_BACK,), (TABLE, BACKLASH), (PULSE,), (SET_BACK, TABLE, BACKLASH)):
         if PULSE in functions and not goal.met(now):
             raised, base = faster(with_changes(machine, chosen), on, asked), with_changes(machine, chosen)
-            after = judged(with_changes(base, raised), on)
+            after = error_on(with_changes(base, raised), on)
             if raised and after.rms < (1.0 - WORTH) * now.rms and not _harm(raised, base, on, elsewhere, asked):
                 errors += [e.rms for e in errors_of([with_changes(base, raised[: i + 1]) for i in range(len(raised))], on)]
                 chosen, now = [*chosen, *raised], after
@@ -118,7 +118,7 @@ def choose(
             if goal.met(now):
                 break
             base, change = with_changes(machine, chosen), tried[i]
-            if not judged(change.applied(base), on).rms < (1.0 - WORTH) * now.rms:
+            if not error_on(change.applied(base), on).rms < (1.0 - WORTH) * now.rms:
                 continue
             left.remove(pool[i])
             best, after, harm = _tried(change, base, on, elsewhere, asked, control)
@@ -131,7 +131,7 @@ def choose(
     return Chosen(tuple(chosen), tuple(errors), tuple(refused))
 
 
-def judged(machine: Machine, on: Motionful) -> ToolError:
+def error_on(machine: Machine, on: Motionful) -> ToolError:
     """The error of a machine on a motion; an infinite one where the simulation diverges."""
     return errors_of([machine], on)[0]
 
@@ -154,7 +154,7 @@ def _tried(
         other = tuned(change, base, [on, *elsewhere], shaped=True)
         if not _harm([other], base, on, elsewhere, asked):
             change, harm = other, ""
-    return change, judged(change.applied(base), on), harm
+    return change, error_on(change.applied(base), on), harm
 
 
 def _harm(changes: Sequence[Change], base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked) -> str:

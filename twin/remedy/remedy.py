@@ -17,7 +17,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE
 from twin.remedy.change import Change
-from twin.remedy.choose import Chosen, Goal, Refused, choose, judged
+from twin.remedy.choose import Chosen, Goal, Refused, choose, error_on
 from twin.remedy.control_data import CONTROLS
 from twin.remedy.margins import Asked
 from twin.remedy.motions import slowed
@@ -95,7 +95,7 @@ def remedy(
     if not goal.met(after):
         say("trying a slower feed")
         for share in OVERRIDES:
-            slower.append((share, judged(remedied, slowed(on, machine, share))))
+            slower.append((share, error_on(remedied, slowed(on, machine, share))))
             if goal.met(slower[-1][1]):
                 break
     return Remedy(

@@ -24,7 +24,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 from rerun.encodings import Plane3D, TimeInt
 
-from twin.replay.curves import Curve
+from twin.replay.curves import PlotLine
 from twin.replay.legends import GROUND as KEY_GROUND
 from twin.replay.legends import colour_bar_view
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, axis_entity
@@ -72,7 +72,7 @@ def layout(
     scene_root: str,
     part_frame: str,
     scene_bounds: np.ndarray,
-    curves: Sequence[Curve],
+    curves: Sequence[PlotLine],
     axes: tuple[str, ...],
     keys: Mapping[str, str],
     paths: Sequence[PathView],
@@ -82,7 +82,7 @@ def layout(
     legend_title: str = "",
     has_events: bool = False,
     states: Sequence[str] = (),
-    steps: Sequence[Curve] = (),
+    steps: Sequence[PlotLine] = (),
     stretch: tuple[float, float] | None = None,
 ) -> rrb.Blueprint:
     """The blueprint of a recording with this content; `stretch` is start and end [s] of a part to play in a loop."""
@@ -194,7 +194,7 @@ def _eye(bounds: np.ndarray, distance: float, view_from: np.ndarray = VIEW_FROM)
     )
 
 
-def contour_view(curves: Sequence[Curve], states: Sequence[str], keys: Mapping[str, str]) -> rrb.View | rrb.Container | None:
+def contour_view(curves: Sequence[PlotLine], states: Sequence[str], keys: Mapping[str, str]) -> rrb.View | rrb.Container | None:
     """Tabs with the contour error of all runs and with the limits and sticking of the axes; None without either."""
     views: list[rrb.View | rrb.Container] = []
     errors = [float(curve.values.max()) for curve in curves if curve.path.startswith(CONTOUR_ERROR)]
@@ -207,7 +207,7 @@ def contour_view(curves: Sequence[Curve], states: Sequence[str], keys: Mapping[s
 
 
 def axis_tabs(
-    curves: Sequence[Curve], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str, steps: Sequence[Curve] = ()
+    curves: Sequence[PlotLine], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str, steps: Sequence[PlotLine] = ()
 ) -> rrb.Container | None:
     """A tab of plots for each axis, `first_axis` in front, and a tab of `steps`; None without curves."""
     tabs = []
@@ -230,7 +230,7 @@ def axis_tabs(
     return rrb.Tabs(*tabs, active_tab=min(first, len(tabs) - 1))
 
 
-def _steps_view(steps: Sequence[Curve]) -> rrb.View:
+def _steps_view(steps: Sequence[PlotLine]) -> rrb.View:
     """Overlaid steps; the first and last are visible, the legend toggles the others."""
     hidden: dict[Any, Any] = {curve.path: rr.SeriesLines.from_fields(visible_series=[False]) for curve in steps[1:-1]}
     legend = rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop)
@@ -242,7 +242,7 @@ def _plot(origin: str, name: str, axis_y: rrb.ScalarAxis | None = None) -> rrb.V
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False), axis_y=axis_y)
 
 
-def _even_range(curves: Sequence[Curve], root: str) -> rrb.ScalarAxis | None:
+def _even_range(curves: Sequence[PlotLine], root: str) -> rrb.ScalarAxis | None:
     """A range that ends at even numbers, so that the plot shows more than one of them beside its grid."""
     values = [
         v for curve in curves if curve.path.startswith(f"{root}/") and len(curve.values) for v in (curve.values.min(), curve.values.max())
@@ -267,7 +267,7 @@ def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str | None
     return rrb.Vertical(above, strip, row_shares=[11.0, 1.0], name=name)
 
 
-def _unit_title(curves: Sequence[Curve], axis: str, group: str) -> str:
+def _unit_title(curves: Sequence[PlotLine], axis: str, group: str) -> str:
     """Title of a plot with the unit of its curves; '' without curves."""
     root = axis_entity(axis, group) + "/"
     name = next((curve.name for curve in curves if curve.path.startswith(root)), "")

@@ -34,7 +34,7 @@ SAME_TIME = 1e-9
 
 
 @dataclass(frozen=True)
-class Curve:
+class PlotLine:
     """One line of a plot: entity path, name with unit, and samples in that unit.
 
     `key` is its entry in the key below the plots. `run` is the index of its run: the first is drawn wide, later ones thin upon it.
@@ -54,9 +54,9 @@ def line_width(run: int, several: bool) -> float:
     return (4.0, 1.5, 0.75)[min(run, 2)] if several else 1.75
 
 
-def axis_curves(machine: Machine, runs: Mapping[str, Trace]) -> list[Curve]:
+def axis_curves(machine: Machine, runs: Mapping[str, Trace]) -> list[PlotLine]:
     """Curves of all axes and runs; differences are later runs minus the first."""
-    curves: list[Curve] = []
+    curves: list[PlotLine] = []
     labels = list(runs)
     for order, axis in enumerate(machine.axes):
         for i, label in enumerate(labels):
@@ -68,17 +68,17 @@ def axis_curves(machine: Machine, runs: Mapping[str, Trace]) -> list[Curve]:
     return curves
 
 
-def contour_curve(label: str, time: np.ndarray, error: np.ndarray, order: int, alone: bool) -> Curve:
+def contour_curve(label: str, time: np.ndarray, error: np.ndarray, order: int, alone: bool) -> PlotLine:
     """The contour error of one run [um]."""
     name = "contour error" + ("" if alone else f", {label}") + " [um]"
-    return Curve(entity(CONTOUR_ERROR, label), name, run_colour(order, CONTOUR_COLOUR), time, error * 1e6, label, order)
+    return PlotLine(entity(CONTOUR_ERROR, label), name, run_colour(order, CONTOUR_COLOUR), time, error * 1e6, label, order)
 
 
-def step_curves(axis: Axis, time: np.ndarray, steps: Mapping[str, np.ndarray]) -> list[Curve]:
+def step_curves(axis: Axis, time: np.ndarray, steps: Mapping[str, np.ndarray]) -> list[PlotLine]:
     """Curves of a quantity of an axis after each step: name -> values (sample,) [m or rad]."""
     unit, factor = AXIS_UNITS[axis.kind].error
     return [
-        Curve(entity(STEPS, f"{i:02d} {name}"), f"{name} [{unit}]", _between(i, len(steps)), time, factor * values)
+        PlotLine(entity(STEPS, f"{i:02d} {name}"), f"{name} [{unit}]", _between(i, len(steps)), time, factor * values)
         for i, (name, values) in enumerate(steps.items())
     ]
 
@@ -127,17 +127,17 @@ def not_recorded(trace: Trace, machine: Machine) -> list[str]:
     return [f"{', '.join(axes)}: {lacking}" for lacking, axes in axes_that_lack.items()]
 
 
-def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alone: bool) -> Iterator[Curve]:
+def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alone: bool) -> Iterator[PlotLine]:
     units = AXIS_UNITS[axis.kind]
     first = run == 0
     mine = run_colour(run, axis_colour(axis.name, order))
     behind = "" if alone else f", {label}"
 
-    def curve(group: str, what: str, unit: str, values: np.ndarray, colour: Colour, leaf: str = label, key: str = label) -> Curve:
+    def curve(group: str, what: str, unit: str, values: np.ndarray, colour: Colour, leaf: str = label, key: str = label) -> PlotLine:
         name = f"{axis.name} {what}{behind} [{unit}]"
-        return Curve(axis_entity(axis.name, group, leaf), name, colour, trace.time, values, key, run)
+        return PlotLine(axis_entity(axis.name, group, leaf), name, colour, trace.time, values, key, run)
 
-    def recorded(group: str, signal: str, what: str, unit: tuple[str, float], colour: Colour, **words: str) -> Iterator[Curve]:
+    def recorded(group: str, signal: str, what: str, unit: tuple[str, float], colour: Colour, **words: str) -> Iterator[PlotLine]:
         if trace.has(axis.name, signal):
             yield curve(group, what, unit[0], trace.get(axis.name, signal) * unit[1], colour, **words)
 
@@ -164,7 +164,7 @@ def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alon
             yield curve("torque", f"torque, {part}", unit, values, TORQUE_COLOURS[part], f"{part}_{label}", part)
 
 
-def _limits(axis: Axis, runs: Sequence[Trace]) -> Iterator[Curve]:
+def _limits(axis: Axis, runs: Sequence[Trace]) -> Iterator[PlotLine]:
     """Current limits as two straight lines, if a run comes near them; otherwise they would compress the current."""
     limit = axis.motor.peak_current_a
     reached = max((float(np.abs(t.get(axis.name, "current")).max()) for t in runs if t.has(axis.name, "current")), default=0.0)
@@ -173,10 +173,10 @@ def _limits(axis: Axis, runs: Sequence[Trace]) -> Iterator[Curve]:
     ends = runs[0].time[[0, -1]]
     for sign, word in ((1.0, "upper"), (-1.0, "lower")):
         path = axis_entity(axis.name, "current", f"{word}_limit")
-        yield Curve(path, f"{axis.name} current limit [A]", LIMIT_COLOUR, ends, np.full(2, sign * limit), "limit")
+        yield PlotLine(path, f"{axis.name} current limit [A]", LIMIT_COLOUR, ends, np.full(2, sign * limit), "limit")
 
 
-def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str, run: int) -> Iterator[Curve]:
+def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str, run: int) -> Iterator[PlotLine]:
     """Second run minus first, on the samples of the first."""
     units = AXIS_UNITS[axis.kind]
     inside = (first.time >= second.time[0] - 1e-9) & (first.time <= second.time[-1] + 1e-9)
@@ -188,7 +188,7 @@ def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str,
             values = (other - first.get(axis.name, signal)[inside]) * factor
             word = "speed" if signal == "velocity" else signal
             path = axis_entity(axis.name, f"difference_{word}", label)
-            yield Curve(path, f"{axis.name} {word}, {what} [{unit}]", run_colour(run, SETPOINT_COLOUR), time, values, label, run)
+            yield PlotLine(path, f"{axis.name} {word}, {what} [{unit}]", run_colour(run, SETPOINT_COLOUR), time, values, label, run)
 
 
 def sampled(trace: Trace, axis: str, signal: str, time: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 import rerun as rr
 import rerun.blueprint as rrb
 
-from twin.replay.curves import Curve, line_width
+from twin.replay.curves import PlotLine, line_width
 from twin.replay.names import CONTOUR_ERROR, KEY, entity
 from twin.report.colours import Colour
 
@@ -21,7 +21,7 @@ HEIGHT, SAMPLE, SPACE, FONT_SIZE = 30, 46, 26, 17
 LEAST_WIDTH = 1200
 
 
-def log_keys(recording: rr.RecordingStream, curves: Sequence[Curve]) -> dict[str, str]:
+def log_keys(recording: rr.RecordingStream, curves: Sequence[PlotLine]) -> dict[str, str]:
     """Log a key for every axis, and '' for the contour error of several runs. Returns their entities."""
     found: dict[str, str] = {}
     for axis in dict.fromkeys(_axis_of(curve) for curve in curves):
@@ -47,7 +47,7 @@ def key_picture(entries: Sequence[tuple[str, Colour, int]], least_width: int = L
     return np.asarray(picture)
 
 
-def _axis_of(curve: Curve) -> str:
+def _axis_of(curve: PlotLine) -> str:
     """Axis of a curve, '' for the contour error."""
     return "" if curve.path.startswith(CONTOUR_ERROR) else curve.path.split("/")[2]
 

@@ -17,7 +17,7 @@ from twin.geometry.body_poses import local_poses
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import layout
-from twin.replay.curves import Curve, axis_curves, contour_curve, following_error, line_width
+from twin.replay.curves import PlotLine, axis_curves, contour_curve, following_error, line_width
 from twin.replay.decimate import decimate
 from twin.replay.events import MOST_EVENTS, Event, find_events
 from twin.replay.legends import log_keys
@@ -56,7 +56,7 @@ def write_recording(
     summary: str = "",
     full: bool = False,
     also: Sequence[Event] = (),
-    steps: Sequence[Curve] = (),
+    steps: Sequence[PlotLine] = (),
 ) -> Written:
     """Write the runs (label -> trace) of one machine as a recording for the viewer.
 
@@ -198,7 +198,7 @@ def pose_steps(time: np.ndarray, full: bool) -> np.ndarray:
     return np.unique(np.r_[np.arange(0, len(time), stride), len(time) - 1])
 
 
-def log_curves(recording: rr.RecordingStream, curves: Sequence[Curve], full: bool) -> None:
+def log_curves(recording: rr.RecordingStream, curves: Sequence[PlotLine], full: bool) -> None:
     """Log curves with names and colours; thinned to the common budget unless `full`."""
     if not curves:
         return

@@ -16,7 +16,7 @@ _NAMES = ("run.rrd", "diagnosis.rrd", "cut.rrd", "compare.rrd")
 
 
 @dataclass(frozen=True)
-class Source:
+class ReplaySource:
     """A recording, a trace, or both; the label in plots; a note if one of several was chosen."""
 
     path: Path
@@ -26,7 +26,7 @@ class Source:
     note: str = ""
 
 
-def source_of(path: Path) -> Source:
+def source_of(path: Path) -> ReplaySource:
     """The source at a path; InputError if nothing there can be replayed."""
     from twin.replay.viewer import check_recording
 
@@ -36,9 +36,9 @@ def source_of(path: Path) -> Source:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; {_WHAT}")
     if ending == ".rrd":
-        return Source(path, _label(path), check_recording(path), _trace_in(path.parent) if path.name == "run.rrd" else None)
+        return ReplaySource(path, _label(path), check_recording(path), _trace_in(path.parent) if path.name == "run.rrd" else None)
     if ending in TRACE_ENDINGS:
-        return Source(path, _label(path), None, path)
+        return ReplaySource(path, _label(path), None, path)
     if ending in MODEL_ENDINGS:
         raise InputError(f"{path}: a model comes first; give its trace after it")
     raise InputError(f"{path}: '{ending or path.name}' cannot be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}")
@@ -62,12 +62,12 @@ def effects_beside(trace: Path) -> str:
     return ", ".join(f"{one.get('name', '')} {one.get('axis', '')}".replace("_", " ") for one in tables)
 
 
-def _of_folder(path: Path) -> Source:
+def _of_folder(path: Path) -> ReplaySource:
     from twin.replay.viewer import check_recording
 
     recordings, trace, name = _recordings_in(path), _trace_in(path), path.resolve().name
     if recordings or trace is not None:
-        return Source(path, name, check_recording(recordings[0]) if recordings else None, trace)
+        return ReplaySource(path, name, check_recording(recordings[0]) if recordings else None, trace)
     if (path / "campaign.toml").is_file():
         runs = _tables_of(path / "campaign.toml").get("run", [])
         named = [path / str(run.get("file", "")) for run in (runs if isinstance(runs, list) else []) if isinstance(run, dict)]
@@ -75,12 +75,12 @@ def _of_folder(path: Path) -> Source:
         if files:
             others = ", ".join(file.name for file in files[1:])
             note = f"{files[0].name} of {len(files)} runs of the campaign is shown; others: {others}" if others else ""
-            return Source(path, files[0].stem, None, files[0], note)
+            return ReplaySource(path, files[0].stem, None, files[0], note)
     # each case of a regression or an examination has a folder
     below = sorted(path.rglob("*.rrd"))
     if below:
         note = f"{below[0].relative_to(path)} of {len(below)} recordings in this folder is shown"
-        return Source(path, below[0].parent.name, check_recording(below[0]), None, note)
+        return ReplaySource(path, below[0].parent.name, check_recording(below[0]), None, note)
     programs, pages = sorted(path.glob("*.mpf")), sorted(path.glob("*.html"))
     if programs:
         raise InputError(f"{path}: this folder has part programs but no run; simulate one: twin run {programs[0]}")

@@ -20,7 +20,7 @@ from twin.geometry.tool_path import Contour, contour_of, search_window
 from twin.machine.machine import Machine
 from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.blueprint import PathView
-from twin.replay.curves import Curve
+from twin.replay.curves import PlotLine
 from twin.replay.legends import log_colour_bar
 from twin.replay.names import LEGEND, TIMELINE, axis_entity, entity
 from twin.replay.scene import Scene
@@ -249,7 +249,7 @@ def log_tip_path(
     return (PathView("At the tip: machine and path", root, (path,), np.array([points.min(axis=0), points.max(axis=0)]), ()),)
 
 
-def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray]) -> list[Curve]:
+def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray]) -> list[PlotLine]:
     """Position and speed of each joint, in the units of slides and hinges."""
     curves = []
     for order, (name, values) in enumerate(joints.items()):
@@ -257,12 +257,12 @@ def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarra
         units = AXIS_UNITS["linear" if slide else "rotary"]
         colour = axis_colour(name, order)
         curves.append(
-            Curve(
+            PlotLine(
                 axis_entity(name, "position", "motion"), f"{name} position [{units.position[0]}]", colour, time, values * units.position[1]
             )
         )
         speed = np.gradient(values, time) * units.speed[1]
-        curves.append(Curve(axis_entity(name, "speed", "motion"), f"{name} speed [{units.speed[0]}]", colour, time, speed))
+        curves.append(PlotLine(axis_entity(name, "speed", "motion"), f"{name} speed [{units.speed[0]}]", colour, time, speed))
     return curves
 
 

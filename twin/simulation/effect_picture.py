@@ -20,9 +20,9 @@ from twin.recordings.trace import Trace
 from twin.report import new_figure, save_png
 from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal
 from twin.simulation.errors_of_run import delayed_set_point
+from twin.simulation.motor_and_scale import motor_minus_scale
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
-from twin.simulation.two_encoders import motor_minus_scale
 from twin.units import AXIS_UNITS
 
 _PERIOD = 1e-3

@@ -19,7 +19,7 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.gap import encoders_noise
-from twin.simulation.two_encoders import has_both, motor_minus_scale, shifted
+from twin.simulation.motor_and_scale import has_both, motor_minus_scale, shifted
 from twin.units import AXIS_UNITS
 
 LEAST = 20.0

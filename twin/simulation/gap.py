@@ -21,13 +21,13 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
+from twin.simulation.motor_and_scale import BOTH, with_equal_means
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.prepared import PlantInterface
 from twin.simulation.recorded_times import as_recorded, simulated_period
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
-from twin.simulation.two_encoders import BOTH, with_equal_means
 from twin.system import cores
 from twin.units import AXIS_UNITS
 

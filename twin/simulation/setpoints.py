@@ -19,7 +19,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.simulation import recorded_forces
 from twin.simulation.added_feedforward import added_feedforward
-from twin.simulation.two_encoders import deflection_at_start
+from twin.simulation.motor_and_scale import deflection_at_start
 from twin.units import AXIS_UNITS
 
 _OVERLAP = 40

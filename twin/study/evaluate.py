@@ -38,7 +38,7 @@ FAULT = "fault in the twin"
 
 
 @dataclass(frozen=True)
-class Source:
+class RunMotion:
     """Motion of one run: set points, or a program file if its interpolation depends on the variant.
 
     `part` is the part to cut. `commanded` is the tool path of the set points at the times of the trace, None if it depends on the variant.
@@ -60,7 +60,7 @@ class Work:
     """Data shared by all variants of a study; `files` (name, content) are for workers on other computers."""
 
     study: Study
-    sources: tuple[Source, ...]
+    sources: tuple[RunMotion, ...]
     files: tuple[tuple[str, bytes], ...] = ()
     version: str = twin.__version__
 
@@ -180,19 +180,19 @@ def _answer(machine: Machine, work: Work) -> Answer:
     return Answer(responses, "; ".join(broken_by(study.constraints, responses)) or None)
 
 
-def _source(study: Study, run: StudyRun, part: Part | None) -> Source:
+def _source(study: Study, run: StudyRun, part: Part | None) -> RunMotion:
     machine = study.machine
     if not is_program(run.input):
         trace = read_trace(run.input, axes=machine.kinds, need=("setpoint",))
         setpoints = setpoints_of(trace, machine)
         # with varying geometry the same axis positions give another tool path on each variant
         commanded = None if varies(study, GEOMETRY) else _commanded(setpoints, machine)
-        return Source(run.name, run.feedforward, setpoints, commanded=commanded, part=part)
+        return RunMotion(run.name, run.feedforward, setpoints, commanded=commanded, part=part)
     from twin.program import read_program
 
     program, folder = read_program(run.input, machine), run.input.parent
     files = tuple((file.relative_to(folder).as_posix(), file.read_bytes()) for file in (run.input, *program.files))
-    source = Source(run.name, run.feedforward or program.feedforward, program=files, folder=str(folder), part=part)
+    source = RunMotion(run.name, run.feedforward or program.feedforward, program=files, folder=str(folder), part=part)
     # the interpolator depends on limits, travels, cycles, frames, tools and, for exact stops, on the position gain
     if varies(study, (*GEOMETRY, "control")) or any(word in p for p in study.varied for word in (".max_", ".travel_", ".position_gain_")):
         return source
@@ -217,7 +217,7 @@ def _commanded(setpoints: Setpoints, machine: Machine) -> ToolPath | None:
     return path_of_axes(kinematics, setpoints.at(time), time) if machine.axis_names == kinematics.names else None
 
 
-def motion_of(source: Source, machine: Machine) -> tuple[Setpoints, ToolPath | None]:
+def motion_of(source: RunMotion, machine: Machine) -> tuple[Setpoints, ToolPath | None]:
     """Set points of a run on a machine, and the programmed path if there is a part to cut."""
     if source.setpoints is not None:
         return source.setpoints, source.programmed
@@ -245,7 +245,7 @@ def _planning_key(machine: Machine) -> tuple[object, ...]:
     return repr(tables), axes, settling, str(machine.model_path), state_of_model(machine.model_path)
 
 
-def _planned(source: Source, machine: Machine, programmed: bool) -> tuple[Setpoints, ToolPath | None]:
+def _planned(source: RunMotion, machine: Machine, programmed: bool) -> tuple[Setpoints, ToolPath | None]:
     """Interpolate a program on a machine, and optionally compute its programmed path."""
     from twin.program import interpolate, read_program
     from twin.surface.levels import programmed_path

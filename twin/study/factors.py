@@ -65,7 +65,7 @@ class Factor:
         """Name and unit for tables and plots."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
-    def said(self, value: float) -> str:
+    def value_text(self, value: float) -> str:
         """A value with its unit: '850 kg', '0.7 times nominal', or the name of a catalogue entry."""
         return f"{self.shown(value)} {self.unit}".rstrip()
 

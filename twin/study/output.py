@@ -77,7 +77,7 @@ def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:
 def comparison_text(answers: Answers, numbers: Sequence[int]) -> str:
     """Factors and responses of some variants side by side, as a text table."""
     rows = [answers.row(n) for n in numbers]
-    lines = [[factor.name, *(factor.said(factors[i]) for _, factors, _, _ in rows)] for i, factor in enumerate(answers.definitions)]
+    lines = [[factor.name, *(factor.value_text(factors[i]) for _, factors, _, _ in rows)] for i, factor in enumerate(answers.definitions)]
     for name in answers.looked:
         lines.append([label_of(name), *(valued(name, found[name]) if name in found else "-" for _, _, found, _ in rows)])
     return table(["design", *(f"variant {n}" for n in numbers)], lines)

@@ -46,7 +46,7 @@ def sentences(answers: Answers) -> list[str]:
         if r.swings:
             s = r.swings[0]
             text += f"; largest influence: {s.factor}, {changed(r.name, s.swing)}, "
-            text += f"least at {answers.said_of(s.factor, s.least_at)}, largest at {answers.said_of(s.factor, s.largest_at)}"
+            text += f"least at {answers.value_text_of(s.factor, s.least_at)}, largest at {answers.value_text_of(s.factor, s.largest_at)}"
         elif r.surrogate:
             text += "; too few variants, or too irregular, to rank the factors"
         said.append(text)
@@ -69,7 +69,7 @@ def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
     lines, straight = [], {e.factors[0]: e for e in r.effects if len(e.factors) == 1}
     for s in r.swings:
         moves = s.swing > ROUNDING * float(np.abs(r.y).max())
-        places = [answers.said_of(s.factor, place) if moves else "-" for place in (s.least_at, s.largest_at)]
+        places = [answers.value_text_of(s.factor, place) if moves else "-" for place in (s.least_at, s.largest_at)]
         effect, i = straight.get(s.factor), answers.factors.index(s.factor)
         slope = "-"
         ends = float(r.table[:, i].min()), float(r.table[:, i].max())
@@ -91,7 +91,7 @@ def _step(factor: Factor, width: float) -> tuple[float, str]:
     if factor.relative:
         return 0.1, "10 %"
     tenth = float(f"{width / 10.0:.1g}")
-    return (100.0, "100 kg") if factor.unit == "kg" else (tenth, factor.said(tenth))
+    return (100.0, "100 kg") if factor.unit == "kg" else (tenth, factor.value_text(tenth))
 
 
 def effect_rows(r: Response) -> list[list[str]]:

@@ -79,13 +79,13 @@ class Answers:
         """The factors of a variant as text, catalogue entries by name."""
         return [factor.shown(value) for factor, value in zip(self.definitions, values)]
 
-    def said_of(self, name: str, value: float) -> str:
+    def value_text_of(self, name: str, value: float) -> str:
         """A value of one factor with its unit."""
-        return self.definitions[self.factors.index(name)].said(value)
+        return self.definitions[self.factors.index(name)].value_text(value)
 
     def design_of(self, number: int) -> str:
         """The factors of a variant with names and units: 'screw lead 0.02 m/rev, rotor inertia 0.8 times nominal'."""
-        return ", ".join(f"{factor.name} {factor.said(value)}" for factor, value in zip(self.definitions, self.row(number)[1]))
+        return ", ".join(f"{factor.name} {factor.value_text(value)}" for factor, value in zip(self.definitions, self.row(number)[1]))
 
     @property
     def headings(self) -> list[str]:

@@ -24,10 +24,10 @@ class RowFile:
         """Open the file, or create it with a `table` of `columns`. Raises InputError for a file in use, or of another owner: `other` says what it holds."""
         self.path = output_file(output_folder(folder) / file)  # no link, which the library would follow
         self.table = table
-        with self.said():
+        with self.in_one_line():
             self.connection = sqlite3.connect(self.path, timeout=0.2, isolation_level=None)
         try:
-            with self.said():
+            with self.in_one_line():
                 self.connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # until it is closed
                 self.connection.execute("BEGIN IMMEDIATE")
                 self.connection.execute("CREATE TABLE IF NOT EXISTS owner (name TEXT)")
@@ -43,7 +43,7 @@ class RowFile:
             raise
 
     @contextlib.contextmanager
-    def said(self) -> Iterator[None]:
+    def in_one_line(self) -> Iterator[None]:
         """Context: an error of the file becomes a message of one line."""
         try:
             yield
@@ -57,12 +57,12 @@ class RowFile:
 
     def select(self, columns: str, order: str = "rowid") -> list[tuple[Any, ...]]:
         """These columns of all rows."""
-        with self.said():
+        with self.in_one_line():
             return self.connection.execute(f"SELECT {columns} FROM {self.table} ORDER BY {order}").fetchall()
 
     def insert(self, row: tuple[Any, ...], instead: bool = False) -> None:
         """Commit a row; `instead` of one with the same key, which is refused otherwise."""
-        with self.said():
+        with self.in_one_line():
             self.connection.execute(f"INSERT {'OR REPLACE ' * instead}INTO {self.table} VALUES ({', '.join('?' * len(row))})", row)
 
     def close(self) -> None:

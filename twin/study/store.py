@@ -33,7 +33,7 @@ class Store(RowFile):
         columns = "number INTEGER PRIMARY KEY, factors TEXT, responses TEXT, reason TEXT"
         other = "holds another study (factors, runs, machine, part, a mesh, design or the version of twin differ)"
         super().__init__(folder, FILE, "variant", columns, fingerprint, other)
-        with self.said():  # a variant that an error of the program ended is computed again
+        with self.in_one_line():  # a variant that an error of the program ended is computed again
             self.connection.execute("DELETE FROM variant WHERE reason LIKE ?", (FAULT + "%",))
         if (done := len(self.done())) and not resume:
             self.close()
@@ -50,7 +50,7 @@ class Store(RowFile):
     def rows(self) -> list[Row]:
         """All rows in the order of the design."""
         found = self.select("number, factors, responses, reason", "number")
-        with self.said():
+        with self.in_one_line():
             rows = [(n, _numbers(list, f), _numbers(dict, r), None if reason is None else str(reason)) for n, f, r, reason in found]
             if len({len(factors) for _, factors, _, _ in rows}) > 1:
                 raise ValueError("rows of different length")

@@ -27,9 +27,9 @@ from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
+from twin.simulation.motor_and_scale import shifted
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
-from twin.simulation.two_encoders import shifted
 
 X = load_machine().with_axes(["X"])
 BELL = {

@@ -32,7 +32,7 @@ from twin.diagnose.view import RunView
 from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
-from twin.simulation.two_encoders import has_both, motor_minus_scale
+from twin.simulation.motor_and_scale import has_both, motor_minus_scale
 
 OTHER_PERIOD_S = 4e-3
 """Sample period of motor minus scale. That of a force balance is a fifth of the smoothing window of the motion."""

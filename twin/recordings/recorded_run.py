@@ -15,7 +15,7 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.recordings.convert import Channel, conversion_of, kinds_of
 from twin.recordings.force_sign import ForceSign, force_sign
-from twin.recordings.grid import Piece, Source, block_with_most_travel, on_grid, pieces_of
+from twin.recordings.grid import Piece, TimedSignal, block_with_most_travel, on_grid, pieces_of
 from twin.recordings.import_notes import (
     constant_channels,
     interval_notes,
@@ -88,7 +88,7 @@ class Understood:
         return piece.period * (before - 0.5 * float(speed(0, 1)[0]) + np.cumsum(own) - 0.5 * own)
 
 
-def understand(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
+def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
     """Analyse a run before it is written. Raises InputError if the map does not fit or units are contradictory."""
     channels, kinds, notes = _channels(mapping, run, recordings)
     fill = mapping.settings.gaps == "fill"
@@ -188,7 +188,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
             notes += [n for n in timing.notes if n not in notes]
-        source = Source(signal, timings[id(signal.time)], column.skew_ms * 1e-3)
+        source = TimedSignal(signal, timings[id(signal.time)], column.skew_ms * 1e-3)
         channels.append(Channel(column, source, conversion, recording.path.name))
     return tuple(channels), kinds, notes
 
