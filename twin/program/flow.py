@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+import re
 from typing import Any
 
 from twin.program.expressions import WordError, needed
@@ -32,14 +33,32 @@ Table = dict[int, tuple[int, ...]]
 class Statement:
     """Statement of the flow in a line.
 
-    `text` is a condition, a target or arguments, starting at `column`; `rest`: further data for this `kind`.
+    `key`: name of its structure, label or program; `text`: condition, first value or arguments, starting at `column`; `target`: label or
+    variable; `way` to it (F forwards, B backwards, C: it may be missing, S: the start); `last`: the end of a part or loop.
     """
 
     kind: str
+    column: int = 1
     key: str = ""
     text: str = ""
-    column: int = 1
-    rest: tuple = ()
+    target: str = ""
+    way: str = ""
+    last: str = ""
+    times: str = ""
+
+
+Forms = tuple[tuple[str, re.Pattern[str]], ...]
+"""Kinds of statements with their patterns, whose groups are the parts of the statement; a group `kind` is its kind."""
+
+
+def statement_of(forms: Forms, text: str) -> Statement | None:
+    """The statement of the first form that fits a line."""
+    for kind, pattern in forms:
+        if match := pattern.match(text):
+            parts = {"kind": kind} | {name: part for name, part in match.groupdict().items() if part is not None}
+            column = match.start("text") if "text" in parts else len(text) - len(text.lstrip())
+            return Statement(**parts | {"kind": parts["kind"].lower()}, column=column + 1)  # type: ignore[arg-type]
+    return None
 
 
 MOST_BLOCKS = 2_000_000  # that run, with repeats
@@ -176,7 +195,7 @@ class Flow:
         if kind in ("label", "endif"):
             return False
         if kind == "goto":
-            if s.rest[0] and not self._value(s.rest[0], s.column):
+            if s.text and not self._value(s.text, s.column):
                 return False
             self.jump_to(frame, s)
         elif kind == "repeat_label":
@@ -221,9 +240,8 @@ class Flow:
         if s.kind == "while":
             return bool(self._value(s.text, s.column))
         if s.kind == "for":
-            name, first, last = s.rest
-            self.language.assign(name, self._value(first, s.column), s.column)
-            return self._value(name, s.column) <= self._value(last, s.column)
+            self.language.assign(s.target, self._value(s.text, s.column), s.column)
+            return self._value(s.target, s.column) <= self._value(s.last, s.column)
         frame.counters[at] = int(self._value(s.text, s.column))
         return frame.counters[at] > 0
 
@@ -233,9 +251,9 @@ class Flow:
             frame.counters[first] = frame.counters.get(first, 1) - 1
             return frame.counters[first] > 0
         if s.kind == "endfor":
-            name, _, last = frame.unit.statements[first].rest
-            self.language.assign(name, self._value(name, s.column) + 1.0, s.column)
-            return self._value(name, s.column) <= self._value(last, s.column)
+            loop = frame.unit.statements[first]
+            self.language.assign(loop.target, self._value(loop.target, s.column) + 1.0, s.column)
+            return self._value(loop.target, s.column) <= self._value(loop.last, s.column)
         return bool(self._value(s.text, s.column)) == (s.kind == "while")
 
     def _value(self, text: str, column: int) -> float:
@@ -266,9 +284,8 @@ class Flow:
 
     def jump_to(self, frame: Frame, s: Statement) -> None:
         """Continue at the target of a jump."""
-        _, direction, target = s.rest
         self._jump(s.column)
-        place = frame.first if direction == "S" else self.place(frame, target, direction, s.column)
+        place = frame.first if s.way == "S" else self.place(frame, s.target, s.way, s.column)
         frame.repeats = [r for r in frame.repeats if r[2] <= place <= r[0]]
         frame.at = place
 
@@ -297,23 +314,22 @@ class Flow:
         return found[0]
 
     def _repeat(self, frame: Frame, at: int, s: Statement) -> None:
-        word, name, end, times_text = s.rest
         labels = self.labels(frame.unit)
 
         def label(text: str) -> int:
             return needed(labels.get(text), f"there is no label '{text}'; add '{text}:' before the part to repeat", s.column)[0]
 
-        first = label(name)
-        if end:
-            last = label(end)
-        elif word == "REPEATB":
+        first = label(s.target)
+        if s.last:
+            last = label(s.last)
+        elif s.way == "B":
             last = first
         else:
             closing = [i for i in labels.get("ENDLABEL", []) if i >= first]
             last = closing[0] if closing and (closing[0] < at or first > at) else (at - 1 if first < at else len(frame.unit.lines) - 1)
         if last < first or first <= at <= last:
-            raise WordError(f"REPEAT {name}: the part to repeat holds the REPEAT itself or is empty; move the labels", s.column)
-        times = int(self.language.number_of(times_text, s.column)) if times_text else 1
+            raise WordError(f"REPEAT {s.target}: the part to repeat holds the REPEAT itself or is empty; move the labels", s.column)
+        times = int(self.language.number_of(s.times, s.column)) if s.times else 1
         if len(frame.repeats) >= 20:
             raise WordError("more than 20 REPEAT inside each other; correct the labels", s.column)
         if times <= 0:
@@ -376,13 +392,7 @@ def partners(table: Table, at: int, s: Statement) -> tuple[int, ...]:
 def loop_around(table: Table, unit: Unit, at: int, s: Statement) -> tuple[int, ...]:
     """The loop with the key of a BREAK or CONTINUE."""
     for places in table.values():
-        opener = unit.statements.get(places[0])
-        if (
-            len(places) > 1
-            and places[0] < at < places[-1]
-            and isinstance(opener, Statement)
-            and opener.kind != "if"
-            and opener.key == s.key
-        ):
+        inside = 0 <= places[0] < at < places[-1]
+        if inside and (opener := unit.statements[places[0]]).kind != "if" and opener.key == s.key:
             return places
     raise WordError(f"{s.kind.upper()} is outside the loop {s.key}; correct its number", s.column)

@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.expressions import FANUC, ISO, NUMBER, Expression, Null, WordError, as_number, needed
-from twin.program.flow import Frame, Statement
+from twin.program.flow import Forms, Frame, Statement, statement_of
 from twin.program.frames import AXES
 from twin.program.iso_values import IsoValues
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader
@@ -30,18 +30,26 @@ POLAR = ("@", "^")
 """Words of a radius and an angle (LinuxCNC)."""
 
 
-OWORD = re.compile(
-    r"\s*(?:N[\d.]+\s*)?O\s*(<[^>]*>|\d+|\[.*?\]|#\d+|#<[^>]*>)\s*"
-    r"(SUB|ENDSUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|CONTINUE)\b\s*(.*)$",
-    re.A,
+_O = r"\s*(?:N[\d.]+\s*)?O\s*(?P<key><[^>]*>|\d+|\[.*?\]|#\d+|#<[^>]*>)\s*"
+PROGRAM = re.compile(r"\s*[O:]\s*(?P<key>\d+|<[^>]*>)\s*$", re.A)
+OWORD = re.compile(rf"{_O}(?P<kind>SUB|ENDSUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE|ENDWHILE|DO|BREAK|CONTINUE)\b\s*(?P<text>.*)$", re.A)
+OWORDS: Forms = (
+    ("", OWORD),
+    ("times", re.compile(rf"{_O}REPEAT\b\s*(?P<text>.*)$", re.A)),
+    ("endtimes", re.compile(rf"{_O}ENDREPEAT\b\s*(?P<text>.*)$", re.A)),
+    ("program", PROGRAM),
 )
-PROGRAM = re.compile(r"\s*[O:]\s*(\d+|<[^>]*>)\s*$", re.A)
 _NUMBERED = re.compile(r"\s*N\s*(\d+)(?:\.\d*)?", re.A)
-_IF = re.compile(r"\s*IF\s*(\[.*\])\s*(?:GO(?:TO)?\s*(.+?)|TH(?:EN)?\s*(.+?))\s*$", re.A)
-_WHILE = re.compile(r"\s*WH(?:ILE)?\s*(\[.*\])\s*DO\s*(\d+)\s*$", re.A)
-_DO = re.compile(r"\s*(DO|END?)\s*(\d+)\s*$", re.A)
-_GOTO = re.compile(r"\s*GO(?:TO)?\s*(.+?)\s*$", re.A)
-_WORDS_GOTO = re.compile(r"(\s*(?:N\d+\s*)?#.*?=.*?[\d\]\s.])GO(?:TO)?\s*(\d+|#.+|\[.+\])\s*$", re.A)
+_N = r"\s*(?:N\s*\d+(?:\.\d*)?\s*)?"
+FORMS: Forms = (
+    ("goto", re.compile(rf"{_N}IF\s*(?P<text>\[.*\])\s*GO(?:TO)?\s*(?P<target>.+?)\s*$", re.A)),
+    ("then", re.compile(rf"{_N}IF\s*(?P<text>\[.*\])\s*TH(?:EN)?\s*(?P<key>.+?)\s*$", re.A)),
+    ("while", re.compile(rf"{_N}WH(?:ILE)?\s*(?P<text>\[.*\])\s*DO\s*(?P<key>\d+)\s*$", re.A)),
+    ("loop", re.compile(rf"{_N}DO\s*(?P<key>\d+)\s*$", re.A)),
+    ("endwhile", re.compile(rf"{_N}END?\s*(?P<key>\d+)\s*$", re.A)),
+    ("goto", re.compile(rf"{_N}GO(?:TO)?\s*(?P<target>.+?)\s*$", re.A)),
+    ("words_goto", re.compile(r"(?P<key>\s*(?:N\d+\s*)?#.*?=.*?[\d\]\s.])GO(?:TO)?\s*(?P<target>\d+|#.+|\[.+\])\s*$", re.A)),
+)
 _MAIN_BLOCK = re.compile(r"(\s*):(\d+)(?=\s*[A-Z])", re.A)
 COMMENT = re.compile(r"\(([^()]*(?:\([^()]*\)[^()]*)*)\)?")
 _ACTIVE = re.compile(r"\s*(DEBUG|PRINT|MSG)\s*,(.*)$", re.S | re.I)
@@ -138,30 +146,12 @@ class Iso(Reader):
     def statement(self, text: str) -> Statement | None:
         """The statement of the flow in a line."""
         body = text.split(SEPARATOR)[0]
-        if match := OWORD.match(body):
-            word = match[2].lower()
-            kind = {"repeat": "times", "endrepeat": "endtimes"}.get(word, word)
-            return Statement(kind, plain_key(match[1]), match[3], match.start(3) + 1)
-        if match := PROGRAM.match(body):
-            return Statement("program", match[1].lstrip("0") or "0")
-        if SEPARATOR in text:
+        found = statement_of(OWORDS if SEPARATOR in text else (*OWORDS, *FORMS), body)
+        if found is None:
             return None
-        number = _NUMBERED.match(body)
-        start = number.end() if number and re.match(r"\s*(?:IF|WH(?:ILE)?|DO|END?|GO(?:TO)?)(?:\b|\s*\d)", body[number.end() :]) else 0
-        rest = " " * start + body[start:]
-        if match := _IF.match(rest):
-            if match[2]:
-                return Statement("goto", column=match.start(1) + 1, rest=(match[1], "", _target(match[2])))
-            return Statement("then", match[3], match[1], match.start(1) + 1, (match.start(3),))
-        if match := _WHILE.match(rest):
-            return Statement("while", f"DO{match[2]}", match[1], match.start(1) + 1)
-        if match := _DO.match(rest):
-            return Statement("loop" if match[1] == "DO" else "endwhile", f"DO{match[2]}")
-        if match := _GOTO.match(rest):
-            return Statement("goto", column=match.start(1) + 1, rest=("", "", _target(match[1])))
-        if match := _WORDS_GOTO.match(rest):
-            return Statement("words_goto", match[1], column=match.start(2) + 1, rest=("", "", _target(match[2])))
-        return None
+        target = found.target and (f"N{int(found.target)}" if found.target.isdigit() else f"={found.target}")
+        key = {"then": found.key.rjust(len(body.rstrip())), "words_goto": found.key}.get(found.kind, plain_key(found.key))
+        return replace(found, key=key, target=target)
 
     def labels_of(self, line: str) -> Iterator[str]:
         """Block number (N100), number of a program (O100) and name of a subprogram of O-words (SUB 100, SUB <name>) of a line."""
@@ -171,9 +161,9 @@ class Iso(Reader):
         if "O" in text or ":" in text:
             body = COMMENT.sub("", text.split(";")[0])
             if match := PROGRAM.match(body):
-                yield f"O{match[1].lstrip('0') or '0'}"
-            elif (match := OWORD.match(body)) and match[2] == "SUB":
-                yield f"SUB {plain_key(match[1])}"
+                yield f"O{plain_key(match['key'])}"
+            elif (match := OWORD.match(body)) and match["kind"] == "SUB":
+                yield f"SUB {plain_key(match['key'])}"
 
     # ------------------------------------------------------------------ words of a block
 
@@ -242,7 +232,7 @@ class Iso(Reader):
         """O-words of calls, program numbers, IF .. THEN."""
         if s.kind == "then":
             if self.number_of(s.text, s.column):
-                self.words(" " * s.rest[0] + s.key)
+                self.words(s.key)
         elif s.kind == "words_goto":
             self.words(s.key)
             self.flow.jump_to(frame, s)
@@ -362,10 +352,6 @@ class Iso(Reader):
             raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
         self.values.returned_value = (0.0, 0.0)
         self.flow.call(found, at + 1, arguments, name, style="oword", column=s.column)
-
-
-def _target(text: str) -> str:
-    return f"N{int(text)}" if text.isdigit() else f"={text}"
 
 
 def between_percents(unit: Unit) -> Unit:

@@ -15,8 +15,8 @@ from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.control import Move
 from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError, needed, no_value
+from twin.program.flow import Forms, Statement, statement_of
 from twin.program.flow import Frame as Call
-from twin.program.flow import Statement
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader
 from twin.program.source import Unit
 from twin.program.state import NOTE, UNKNOWN, Item, Word
@@ -28,10 +28,15 @@ JOINT = " | "
 _HEAD = re.compile(r"\A(\s*)(\d+)(?:\s+(?=[A-Z*;])|\s*\Z)")
 _PART = re.compile(r"CYCL DEF (\d+)\.(\d+)\b")
 _CONTOUR = re.compile(r"(?:L|LP|C|CP|CR|CT|CTP)\b")
-_NAME = r"(?:LBL\s*)?(\d+|\"[^\"]*\"|Q[LR]?\d+)"
-LABEL = re.compile(rf"LBL\s*{_NAME}\s*\Z")
-CALL = re.compile(rf"CALL LBL\s*{_NAME}(?:\s+REP\s*(\d+|Q[LR]?\d+)(?:/\d+)?)?\s*\Z")
-JUMP = re.compile(rf"FN\s*(?:9|10|11|12)\s*:\s*IF\s+(.+?)\s+GOTO\s+{_NAME}\s*\Z")
+_NAME = r"(?:LBL\s*)?(?P<target>\d+|\"[^\"]*\"|Q[LR]?\d+)"
+FORMS: Forms = (
+    ("lbl", LABEL := re.compile(rf"\s*LBL\s*{_NAME}\s*\Z")),
+    ("repeat_label", re.compile(rf"\s*CALL LBL\s*{_NAME}\s+REP\s*(?P<times>\d+|Q[LR]?\d+)(?:/\d+)?\s*\Z")),
+    ("call_label", re.compile(rf"\s*CALL LBL\s*{_NAME}\s*\Z")),
+    ("goto", re.compile(rf"\s*FN\s*(?:9|10|11|12)\s*:\s*IF\s+(?P<text>.+?)\s+GOTO\s+{_NAME}\s*\Z")),
+    ("call_program", re.compile(r"\s*CALL PGM\s*(?P<target>.+)\Z")),
+    ("end", re.compile(r"\s*END PGM")),
+)
 FORMULA = re.compile(r"(?:FN\s*(?P<fn>\d+)\s*:\s*)?(?P<name>Q[LR]?\d+)\s*=(?P<text>.*)\Z")
 
 _WORD = re.compile(
@@ -180,25 +185,12 @@ class Klartext(Reader):
 
     def statement(self, text: str) -> Statement | None:
         """Labels, calls and jumps."""
-        body, _ = without_number(text)
-        column = len(body) - len(body.lstrip()) + 1
-        body = body.strip()
-        if match := LABEL.match(body):
-            return Statement("lbl", match[1])
-        if match := CALL.match(body):
-            if match[2]:
-                return Statement("repeat_label", column=column, rest=("REPEAT", f"LBL {match[1]}", None, match[2]))
-            return Statement("call_label", f"LBL {match[1]}", column=column)
-        if match := JUMP.match(body):
-            return Statement("goto", column=column, rest=(match[1], "", f"LBL {match[2]}"))
-        if match := re.match(r"CALL PGM\s*(.+)\Z", body):
-            return Statement("call_program", match[1].strip(' "'), column=column)
-        return Statement("end") if body.startswith("END PGM") else None
+        return statement_of(FORMS, without_number(text)[0])
 
     def labels_of(self, line: str) -> Iterator[str]:
         """The label of a line."""
-        if (match := LABEL.match(without_number(line)[0].strip())) and match[1] != "0":
-            yield f"LBL {match[1]}"
+        if (match := LABEL.match(without_number(line)[0])) and match["target"] != "0":
+            yield match["target"]
 
     # ------------------------------------------------------------------ blocks
 
@@ -246,7 +238,8 @@ class Klartext(Reader):
             if match["alone"]:
                 name, number = _ALONE[match["alone"].replace(" ", "")]
             else:
-                name, number = self.state.slot_of.get(str(match["name"]), str(match["name"])), self.number_of(match["value"], place)
+                name, number = str(match["name"]), self.number_of(match["value"], place)
+                name = self.state.slot_of.get(name, name)
             if name == "F" and block.m and block.m[-1] in (128, 140):
                 name = f"F{block.m[-1]}"
             block.put(name, Item(number, "IC" if match["inc"] else "", place))
@@ -327,13 +320,13 @@ class Klartext(Reader):
         """Labels, calls, and the end of a program."""
         if s.kind != "lbl":
             self.settle()
-        elif s.key == "0" and frame.style == "lbl":
+        elif s.target == "0" and frame.style == "lbl":
             self.flow.back()
         if s.kind == "call_label":
-            place = self.flow.place(frame, s.key, "", s.column)
-            self.flow.call(frame.unit, place + 1, frame.variables, s.key, style="lbl", column=s.column)
+            place = self.flow.place(frame, s.target, "", s.column)
+            self.flow.call(frame.unit, place + 1, frame.variables, f"LBL {s.target}", style="lbl", column=s.column)
         elif s.kind == "call_program":
-            name = s.key.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".H")
+            name = s.target.strip(' "').replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".H")
             unit = self.folder.find(name)
             if unit is not None:
                 if not any("BEGIN PGM" in line for line in unit.lines[:50]):

@@ -13,7 +13,7 @@ import numpy as np
 from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.expressions import NUMBER, SINUMERIK, Value, WordError, as_text, needed, outside_quotes
-from twin.program.flow import Frame, Statement
+from twin.program.flow import Forms, Frame, Statement, statement_of
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
 from twin.program.sinumerik_values import SinumerikValues, Store, Word, split_arguments, split_words
@@ -30,27 +30,31 @@ _FLOW = re.compile(
     r"\s*(IF|ELSE|ENDIF|WHILE|ENDWHILE|FOR|ENDFOR|LOOP|ENDLOOP|UNTIL|GOTO[FBCS]?|REPEATB?|CASE|ENDLABEL|PROC|DEF|REDEF|DEFINE|EXTERN)\b(?!\s*=[^=])",
     re.A,
 )
-_SYNCHRONISED = re.compile(r"\s*(?:IDS?\s*=\s*\d+\s*)?(?:\b(?:WHEN|WHENEVER|EVERY|FROM)\b.*)?\bDO\b(.*)\Z", re.A)
-_BLOCK_CALL = re.compile(r"\s*CALL\s+BLOCK\s+([A-Z_N][A-Z0-9_]*)\s+TO\s+([A-Z_N][A-Z0-9_]*)\s*\Z", re.A)
+_LABELS = r"(?P<target>[A-Z_N][A-Z0-9_]*)"
+FORMS: Forms = (
+    ("goto", re.compile(r"\s*(?:IF\b(?P<text>.*?)\b)?GOTO(?P<way>[FBCS]?)(?:(?<=S)|\s+(?P<target>[A-Z0-9_]+))\s*\Z", re.A)),
+    ("", re.compile(r"\s*(?P<kind>IF|WHILE|UNTIL)\b(?!.*\bGOTO[FBCS]?\b)(?P<text>.*)\Z", re.A)),
+    ("", re.compile(r"\s*(?P<kind>ELSE|ENDIF|ENDWHILE|ENDFOR|LOOP|ENDLOOP|REPEAT)B?\s*\Z", re.A)),
+    ("repeat_label", re.compile(
+        rf"\s*REPEAT(?P<way>B?)\s+{_LABELS}(?:\s+(?!P\s*=?\s*[\dR])(?P<last>[A-Z_][A-Z0-9_]*))?(?:\s+P\s*=?\s*(?P<times>\d+|R\d+|[A-Z_]\w*))?\s*\Z", re.A)),
+    ("for", re.compile(r"\s*FOR\s*(?P<target>[A-Z_][A-Z0-9_]*(?:\[[^\]]*\])?)\s*=\s*(?P<text>.+?)\s+TO\s+(?P<last>.+)\Z", re.A)),
+    ("label", re.compile(r"\s*ENDLABEL\b", re.A)),
+    ("", re.compile(r"\s*(?P<text>(?P<kind>CASE|PROC|DEF|REDEF|DEFINE|EXTERN)\b.*)\Z", re.A)),
+)  # fmt: skip
+"""Statements that begin with a word of the flow."""
+OTHER_FORMS: Forms = (
+    ("label", re.compile(r"\s*\Z")),
+    ("repeat_label", re.compile(rf"\s*CALL\s+BLOCK\s+{_LABELS}\s+TO\s+(?P<last>[A-Z_N][A-Z0-9_]*)\s*\Z", re.A)),
+    ("synchronised", re.compile(r"\s*(?:IDS?\s*=\s*\d+\s*)?(?:\b(?:WHEN|WHENEVER|EVERY|FROM)\b.*)?\bDO\b(?P<text>.*)\Z", re.A)),
+)
+_GOTO = "GOTO needs one label or block number, e.g. GOTOF END1"
+_REPEAT = "REPEAT needs a label, e.g. REPEAT PART1 P=3 or REPEAT FROM1 TO1"
+HINTS = {"IF": _GOTO, "GOTO": _GOTO, "REPE": _REPEAT, "FOR": "FOR needs a variable and its ends, e.g. FOR I=1 TO 10"}
+"""What to do where a statement does not fit, by the first letters of its word."""
 _COMMENT = re.compile(
     r"((?:^|:)\s*(?:N\d+\s*)?|\s[A-KM-Z]=?[-+]?(?:\d+\.?\d*|\.\d+)\s*|\b[A-Z_]\w*\s*=\s*[-+]?(?:\d+\.?\d*|\.\d+)\s+)\(([^()\"]*(?:\([^()\"]*\)[^()\"]*)*)\)(?=\s*(?:[A-Z]|\Z))",
     re.A,
 )
-_GOTO = re.compile(r"\s*(?:IF\b(.*?)\b)?GOTO([FBCS]?)(?:\s+([A-Z0-9_]+))?\s*\Z", re.A)
-_REPEAT = (
-    re.compile(
-        r"\s*(REPEATB?)\s+([A-Z_N][A-Z0-9_]*)(?:\s+(?!P\s*=?\s*[\dR])([A-Z_][A-Z0-9_]*))?(?:\s+P\s*=?\s*(\d+|R\d+|[A-Z_]\w*))?\s*\Z", re.A
-    ),
-    "repeat_label",
-    "REPEAT needs a label, e.g. REPEAT PART1 P=3 or REPEAT FROM1 TO1",
-)
-_FOR = (
-    re.compile(r"\s*FOR\s*([A-Z_][A-Z0-9_]*(?:\[[^\]]*\])?)\s*=\s*(.+?)\s+TO\s+(.+)\Z", re.A),
-    "for",
-    "FOR needs a variable and its ends, e.g. FOR I=1 TO 10",
-)
-_PARTS = {"REPEAT": _REPEAT, "REPEATB": _REPEAT, "FOR": _FOR}
-"""Statements of several parts: their pattern, their kind, and what to do where it does not fit."""
 ADD_FILE = "add the file, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 _DEFINE = re.compile(r"\s*DEFINE\s+([A-Z_][A-Z0-9_]*)\s+AS\s+(.+?)\s*\Z", re.A)
 _QUIET = re.compile(
@@ -60,7 +64,6 @@ _QUIET = re.compile(
 _CASE = re.compile(r"\s*CASE\s*(.+?)\s+OF\b(.*)\Z", re.A)
 _CASE_PART = re.compile(r"\s*(DEFAULT|[^\s].*?)\s+(GOTO[FBC]?)\s+([A-Z0-9_]+)", re.A)
 _PROC = re.compile(r"\s*PROC\s+([A-Z_][A-Z0-9_]*)\s*(?:\((.*?)\))?", re.A)
-_ALONE = ("ELSE", "ENDIF", "ENDWHILE", "ENDFOR", "LOOP", "ENDLOOP")
 _INDEXED_AXES = {"POS", "POSA", "AX"}
 _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
 
@@ -150,34 +153,12 @@ class Sinumerik(Reader):
     def statement(self, text: str) -> Statement | None:
         """The statement of the flow in a line."""
         body, _ = self.body(text)
-        if not body.strip():
-            return Statement("label")
-        match = _FLOW.match(body)
-        if not match:
-            if call := _BLOCK_CALL.match(body):
-                return Statement("repeat_label", column=call.start(1) + 1, rest=("REPEAT", call[1], call[2], None))
-            if "DO" in body and (action := _SYNCHRONISED.match(body)):
-                return Statement("synchronised", text=action[1], column=action.start(1) + 1)
-            return None
-        word, column, rest = match[1], match.start(1) + 1, body[match.end(1) :]
-        if word.startswith("GOTO") or (word == "IF" and re.search(r"\bGOTO[FBCS]?\b", rest)):
-            jump = _GOTO.match(body)
-            if not jump or not (jump[3] or jump[2] == "S"):
-                raise WordError("GOTO needs one label or block number, e.g. GOTOF END1", column)
-            return Statement("goto", column=max(column, jump.start(1) + 1), rest=jump.groups())
-        if word in ("IF", "WHILE", "UNTIL"):
-            return Statement(word.lower(), text=rest, column=match.end(1) + 1)
-        if word in _ALONE and rest.strip():
-            raise WordError(f"{word} must be alone in its block; write the rest in the next one", column)
-        if word == "ENDLABEL":
-            return Statement("label")
-        if word in _ALONE or (word in ("REPEAT", "REPEATB") and not rest.strip()):
-            return Statement(word.lower().removesuffix("b"), column=column)
-        if word not in _PARTS:
-            return Statement(word.lower(), text=body, column=column)
-        pattern, kind, hint = _PARTS[word]
-        parts = needed(pattern.match(body), hint, column)
-        return Statement(kind, column=column, rest=parts.groups())
+        word = _FLOW.match(body)
+        found = statement_of(FORMS if word else OTHER_FORMS, body)
+        if word and found is None:
+            alone = f"{word[1]} must be alone in its block; write the rest in the next one"
+            raise WordError(HINTS.get(word[1][:4], alone), word.start(1) + 1)
+        return found
 
     def labels_of(self, line: str) -> Iterator[str]:
         """Label and block number of a line."""
@@ -276,7 +257,7 @@ class Sinumerik(Reader):
         value = as_text(self.value_of(match[1], s.column))
         for part in _CASE_PART.finditer(match[2]):
             if part[1] == "DEFAULT" or as_text(self.value_of(part[1], s.column)) == value:
-                self.flow.jump_to(frame, Statement("goto", column=s.column, rest=("", part[2][4:], part[3])))
+                self.flow.jump_to(frame, Statement("goto", s.column, target=part[3], way=part[2][4:]))
                 return
 
     def call(self, word: Word, times: int) -> None:
