@@ -206,7 +206,7 @@ class Klartext(Reader):
         head = next((n for n in names if n in self.table), None)
         word = self.table.get(head or "")
         if head is None or word is None or word.handler is None:
-            what = word.meaning if word else "let the CAM system output L, C or CR (docs/programs.md lists what is read)"
+            what = word.meaning if word else "let the CAM system output L, C or CR (docs/program_words.md lists what is read)"
             shown = head or (names[0] if match[1] else names[-1] if len(names[-1]) > 1 else body[:20])
             raise WordError(f"{shown} is not {'supported' if word else 'known'}: {what}", column)
         begin = match.start(2) if match[1] else 0 if head in ("M", "Q", "QL", "QR", "FN") else len(head)
@@ -226,7 +226,7 @@ class Klartext(Reader):
             raise WordError(f"{block.head} takes parameters as Q201=-10; correct them", block.column)
         block.text = text if number >= 200 else " ".join(re.sub(r"^CYCL DEF \d+\.\d+\s*", "", part) for part in parts)
 
-    def scan(self, block: Block, where: str = "here; docs/programs.md lists the words") -> None:
+    def scan(self, block: Block, where: str = "here; docs/program_words.md lists the words") -> None:
         """All words of the text of a block. F behind M128 or M140 is that of its own motion: the words F128 and F140."""
         at, text = 0, block.text.rstrip()
         while at < len(text):

@@ -205,7 +205,7 @@ class Sinumerik(Reader):
             raise WordError("R is an R-parameter here (X=R1, R1=5); the radius of an arc is CR=, R in .ngc files only", word.column)
         elif len(name) == 1:
             raise WordError(
-                f"word '{name}' is not known; remove it or replace it by moves (docs/programs.md lists what is read)", word.column
+                f"word '{name}' is not known; remove it or replace it by moves (docs/program_words.md lists what is read)", word.column
             )
         elif meaning is not None and not (meaning.kind == REFUSED and name.startswith("CYCLE") and self.find(name) is not None):
             block.names.append(word)

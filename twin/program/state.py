@@ -1,4 +1,4 @@
-"""The modal state of the control, for all languages: frame, modes, units, tools; and the words of their tables, printed in docs/programs.md.
+"""The modal state of the control, for all languages: frame, modes, units, tools; and the words of their tables, printed in docs/program_words.md.
 
 Program coordinates x become machine coordinates by the frame: M x + offset (`matrix`, `offset`; the matrix turns, mirrors and
 scales). Lengths are in m and rad; a front end converts the programmed values.
@@ -316,7 +316,7 @@ class State:
     def check_code(self, letter: str, number: float, entry: Word | None, column: int) -> None:
         """Refuse a G or M code that its table does not know or refuses, and note one without effect."""
         if entry is None:
-            text = "is not known; remove it or replace it by moves (docs/programs.md lists what is read)"
+            text = "is not known; remove it or replace it by moves (docs/program_words.md lists what is read)"
             raise WordError(f"{letter}{number:g} {text}", column)
         if entry[0] == REFUSED:
             raise WordError(f"{letter}{number:g} is not supported: {entry[1]}", column)
