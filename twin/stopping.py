@@ -7,7 +7,6 @@ after `GRACE_S` if the main thread is still in compiled code or waiting for work
 
 from __future__ import annotations
 
-import atexit
 from collections.abc import Callable, Iterator
 import contextlib
 import os
@@ -101,25 +100,15 @@ def until_ctrl_c() -> Iterator[None]:
         _received = None
 
 
-_left_behind = False
-
-
-def leave_behind() -> None:
-    """Mark that a library's thread will never end (the disk is full), so that the command does not wait for it."""
-    global _left_behind
-    _left_behind = True
-
-
 def ended(code: int) -> NoReturn:
-    """End the process with the exit code of a finished command. The interpreter would take a second to unload its modules.
+    """End the process with the exit code of a finished command, without the interpreter: it takes a second to unload its modules, and waits for
+    the thread of a library that will never end because the disk is full.
 
     A library may have swallowed the exception of a signal, for example in a callback: the command was stopped all the same.
     """
     if _received is not None and code != _received.code:
         say(_received.number)
         code = _received.code
-    if not _left_behind and _received is None:
-        atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()

@@ -35,7 +35,7 @@ from twin.recordings.campaign import COPY, Campaign, MeasuredRun, without_copies
 from twin.simulation.encoder_zeros import clear_zeros, notes_of_zeros, with_common_zeros, zeros_left
 from twin.simulation.gap_level import levels_at_rest_too
 from twin.simulation.recorded_noise import with_recorded_noise
-from twin.system import cores
+from twin.system import cores, return_memory
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -100,10 +100,11 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
         if corrected and not setup.quick:
             with contextlib.suppress(TwinError):  # nearly unstable: keep the search with the axis as in the file
                 machines = [functools.reduce(lambda machine, of: of(machine), corrected, view.machine) for view in group.views]
-                state = search(replace(group, views=[replace(v, machine=m) for v, m in zip(group.views, machines)]), setup)
+                state = search(replace(group, views=[replace(v, machine=m) for v, m in zip(group.views, machines)], answers={}), setup)
         return final_state(state, setup.quick)
 
     views = list(mapper(lambda run: view_of(nominal, run), campaign.runs))
+    return_memory()
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
     groups = axis_groups(nominal, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
     largest_first = sorted(groups, key=len, reverse=True)
@@ -239,6 +240,7 @@ def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], p
     if program is not None:
         view = view_of(setup.nominal, program)
         on_program = program.name, budget_over(parts, machine, corrected, [view], [None], noise, setup.mapper)
+    return_memory()
     order = [row.setting.key for row in budget.rows if row.setting is not None]
     settings = sorted(diagnosis.settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
     return replace(diagnosis, budget=budget, on_program=on_program, settings=settings)

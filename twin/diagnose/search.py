@@ -36,6 +36,7 @@ from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, clo
 from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
 from twin.errors import TwinError
+from twin.system import return_memory
 
 
 def search(group: Group, setup: Setup) -> GroupState:
@@ -44,6 +45,7 @@ def search(group: Group, setup: Setup) -> GroupState:
     A ballbar radius does not separate normal imperfections from effects. Imperfections that are fitted first may absorb an effect. The axes
     of a ballbar are therefore searched a second time without imperfections at the start; the state with the lower cost is returned.
     """
+    return_memory()  # of the observation
     initial = _initial_state(group)
     initial = initial if setup.quick else with_refitted_slip(initial)
     state = _search_rounds(initial, setup)
@@ -54,7 +56,9 @@ def search(group: Group, setup: Setup) -> GroupState:
         rigid = GroupState(group, group, tuning, retuned, inflation(group, retuned))
         state = min(state, _search_rounds(rigid, setup), key=_cost)
     group = state.group.searched()
-    return replace(state, response_cache={}, group=group, rigid=group if state.rigid is state.group else state.rigid.searched())
+    state = replace(state, response_cache={}, group=group, rigid=group if state.rigid is state.group else state.rigid.searched())
+    return_memory()
+    return state
 
 
 def _cost(state: GroupState) -> float:

@@ -33,6 +33,7 @@ from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import Motion
 from twin.simulation.encoder_zeros import aligned
 from twin.simulation.gap_level import levels, signal_levels
+from twin.system import return_memory
 
 Runs = Sequence[MeasuredRun]
 Motions = Sequence[Motion]
@@ -115,6 +116,7 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
             break
     for state in validated.states:
         state.rigid.answers.clear()  # only the search for laws asks for them again
+    return_memory()
     return best
 
 

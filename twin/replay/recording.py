@@ -28,7 +28,6 @@ from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import summary_text
 from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of, tool_point
 from twin.simulation.errors_of_run import error_without_delay
-from twin.stopping import leave_behind
 
 POSES_PER_SECOND = 50.0
 """Logged poses of the bodies a second [1/s]."""
@@ -146,7 +145,6 @@ def _abandon(recording: rr.RecordingStream) -> None:
     """Keep a recording whose writer has stopped, and exit without waiting for it."""
     _STALLED.append(recording)
     atexit.unregister(rr.rerun_shutdown)
-    leave_behind()
 
 
 def _flushed(recording: rr.RecordingStream, partial: Path) -> bool:

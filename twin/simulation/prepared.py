@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -237,7 +237,7 @@ def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], No
     limited = np.zeros((axes, 2), np.int64)
     all_axes = tuple(axis for one in prepared for axis in one.machine.axes)
     load_sums = empty_sums(all_axes) if prepared[0].count_load else NO_SUMS
-    generators = {one.noise_key: _Generators.of(one.noise_seed) for one in prepared}
+    generators = {one.noise_key: _generators(one.noise_seed) for one in prepared}
     for first, ticks in _stretches(schedule, longest.ticks, prepared[0].actual.lead_ticks):
         lead_in = first < 0  # nothing is recorded or counted before the first sample
         diverged_at = loop.advance(
@@ -294,19 +294,14 @@ def _padded(values: np.ndarray, count: int, last: np.ndarray | float = 0.0) -> n
     return values if missing <= 0 else np.concatenate([values, np.broadcast_to(last, (missing, *values.shape[1:]))])
 
 
-class _Generators(NamedTuple):
-    """Random numbers of a run: for the sensors that its control reads, and for the encoder that no loop reads. The first are the same with
-    and without the second."""
-
-    read: np.random.Generator
-    beside: np.random.Generator
-
-    @classmethod
-    def of(cls, seed: int | None) -> _Generators:
-        return cls(np.random.default_rng(seed), np.random.default_rng(None if seed is None else [seed, 1]))
+def _generators(seed: int | None) -> tuple[np.random.Generator, np.random.Generator]:
+    """Random numbers of a run: for the sensors that its control reads, and for the encoder that no loop reads, independent of each other."""
+    return np.random.default_rng(seed), np.random.default_rng(None if seed is None else [seed, 1])
 
 
-def _sensing(prepared: Sequence[PreparedRun], generators: Mapping[object, _Generators], ticks: int) -> loop.Sensing:
+def _sensing(
+    prepared: Sequence[PreparedRun], generators: Mapping[object, tuple[np.random.Generator, np.random.Generator]], ticks: int
+) -> loop.Sensing:
     """Noise of all prepared runs over a stretch. Prepared runs with equal seeds share random numbers; each has the deviations of its own sensors."""
     axes = [axis for one in prepared for axis in one.machine.axes]
     flat = [one.machine.noise(axis) for one in prepared for axis in one.machine.axes]
@@ -315,9 +310,9 @@ def _sensing(prepared: Sequence[PreparedRun], generators: Mapping[object, _Gener
     first = dict(zip(axes_of, np.cumsum([0, *axes_of.values()]).tolist()))
     drawn, beside = np.zeros((0, 0, 3)), np.zeros((0, 0))
     if prepared[0].noise_seed is not None:
-        drawn = np.concatenate([generators[key].read.standard_normal((ticks, n, 3)) for key, n in axes_of.items()], axis=1)
+        drawn = np.concatenate([generators[key][0].standard_normal((ticks, n, 3)) for key, n in axes_of.items()], axis=1)
         if any(other for _, other in encoders):
-            beside = np.concatenate([generators[key].beside.standard_normal((ticks, n)) for key, n in axes_of.items()], axis=1)
+            beside = np.concatenate([generators[key][1].standard_normal((ticks, n)) for key, n in axes_of.items()], axis=1)
     return loop.Sensing(
         drawn=drawn,
         beside=beside,
