@@ -45,17 +45,13 @@ class Columns:
         """Each row multiplied by `scale` (row,)."""
         return Columns((c * scale for c in self.each), self.rows)
 
-    def part(self, rows: slice) -> np.ndarray:
-        """Some rows (row, n) in double precision."""
+    def part(self, rows: slice | None = None) -> np.ndarray:
+        """Some or all rows (row, n) in double precision."""
+        rows = rows or slice(0, self.rows)
         out = np.empty((rows.stop - rows.start, len(self)), order="F")
         for i, column in enumerate(self.each):
             out[:, i] = column[rows]
         return out
-
-    @property
-    def dense(self) -> np.ndarray:
-        """All rows (row, n) in double precision: for few columns."""
-        return self.part(slice(0, self.rows))
 
     def times(self, coefficients: np.ndarray) -> np.ndarray:
         """Sum (row,) of the columns with these coefficients (n,)."""

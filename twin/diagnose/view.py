@@ -108,7 +108,8 @@ def _command(view: RunView, axis: Axis) -> np.ndarray:
     tp, d = view.machine.position_cycle, axis.loops.feedforward_delay_s
     if axis.loops.velocity_feedforward == 0.0:
         return np.zeros(len(view.trace.time))
-    added = view.setpoints.part((view.machine.axis_names.index(axis.name),)).added_feedforward_at(view.trace.time - view.trace.time[0])
+    own = view.setpoints.part((view.machine.axis_names.index(axis.name),))
+    added = own.held(own.added_feedforward, view.trace.time - view.trace.time[0])
     slope = (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
     return axis.loops.velocity_feedforward * slope + (added[:, 0] if isinstance(added, np.ndarray) else added)
 

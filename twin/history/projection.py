@@ -162,7 +162,7 @@ def _projected(columns: np.ndarray, group: Group) -> np.ndarray:
     """
     weight = np.sqrt(group.credit)[:, None]
     columns *= weight
-    zeros = zeros_of(group).dense * weight
+    zeros = zeros_of(group).part() * weight
     parts = list(zip(_parts(columns), _parts(zeros), _parts(weight * group.weights[:, None])))
     gram, cross = sum(c.T.astype(float) @ c for c, _, _ in parts), sum(z.T @ c for c, z, _ in parts)
     left = np.linalg.solve(zeros.T @ zeros + FREE * np.eye(zeros.shape[1]), cross)

@@ -29,7 +29,7 @@ from twin.effects import Change
 from twin.machine.machine import Machine
 from twin.simulation import loop
 from twin.simulation.engine_calls import call_address_2, call_address_3, call_address_4, engine_function_address
-from twin.simulation.plant_spec import Plant, build_plant, full_inertia, inertial_key
+from twin.simulation.plant_spec import Plant, build_plant, inertial_key
 
 # layout of the constants: header, constants of each degree of freedom, series
 _H, _COUNT, _ROWS, _ROW_TICKS = range(4)
@@ -207,7 +207,6 @@ def joined(plants: Sequence[DecoupledPlant]) -> _Memory:
 
 
 _MAX_CACHED = 64
-_cache: OrderedDict[object, _Loads] = OrderedDict()
 _lock = threading.Lock()
 
 
@@ -219,7 +218,7 @@ def loads_along(change: Change, motion: Motion, machine: Machine | None = None) 
     edited = b"" if plant is None else _bodies_of(plant.model)
     key = (inertial_key(machine), edited, machine.base_tick)
     with _lock:
-        known = _cache.get(key) or motion.loads.get(key)
+        known = motion.loads.get(key)
     if known is not None:
         return known
     plant = plant or build_plant(machine)
@@ -235,26 +234,11 @@ def loads_along(change: Change, motion: Motion, machine: Machine | None = None) 
         reference=2.0 / (impedance * np.maximum(model.dof_solref[plant.load_dof, 0], 2.0 * machine.base_tick)),
         softness=(1.0 - impedance) / impedance * model.dof_invweight0[plant.load_dof],
     )
-    # uncoupled linear axes have the same loads on every motion
-    cache = _cache if _independent_of_motion(plant) else motion.loads
     with _lock:
-        cache[key] = loads
-        while len(cache) > _MAX_CACHED:
-            cache.popitem(last=False)
+        motion.loads[key] = loads
+        while len(motion.loads) > _MAX_CACHED:
+            motion.loads.popitem(last=False)
     return loads
-
-
-def _independent_of_motion(plant: Plant) -> bool:
-    """Whether inertia and bias of the loads are constant on every motion: slides only, without coupling."""
-    model, data = plant.model, plant.data
-    if np.any(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
-        return False
-    full = full_inertia(model, data)
-    return bool(np.abs(full - np.diag(np.diag(full))).max() <= COUPLED * np.diag(full).max())
-
-
-COUPLED = 1e-9
-"""Largest off-diagonal inertia of uncoupled axes, as a fraction of the largest inertia."""
 
 
 def _bodies_of(model: mujoco.MjModel) -> bytes:

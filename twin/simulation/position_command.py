@@ -74,8 +74,9 @@ def _evaluated(setpoints: Setpoints, laws: list[_CommandLaw], kernels: list[np.n
         acceleration = (now - 2.0 * before + earlier) / tp**2
         torque[:, a] = law.commissioned_inertia * acceleration / law.ratio
     has_feedforward = np.array([law.velocity_feedforward != 0.0 for law in laws])
-    velocity += setpoints.added_feedforward_at(np.arange(first, first + count) * tp) * has_feedforward
-    torque += setpoints.injected_at(first, count, tp)
+    times = np.arange(first, first + count) * tp
+    velocity += setpoints.held(setpoints.added_feedforward, times) * has_feedforward
+    torque += setpoints.held(setpoints.injected, times)
     return Command(setpoint, velocity, torque, setpoints.external_force_at(first, count, tp))
 
 

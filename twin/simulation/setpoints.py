@@ -133,14 +133,6 @@ class Setpoints:
             out.append(known[lead + first : lead + first + count])
         return out
 
-    def injected_at(self, first: int, count: int, period: float) -> np.ndarray | float:
-        """Injected torque (cycle, axis) [Nm] at position cycles; 0 without injection."""
-        return self._held(self.injected, np.arange(first, first + count) * period)
-
-    def added_feedforward_at(self, times: np.ndarray) -> np.ndarray | float:
-        """Speed (time, axis) [m/s, rad/s] that the control adds to its velocity feedforward; 0 without it."""
-        return self._held(self.added_feedforward, times)
-
     def external_force_at(self, first: int, count: int, period: float) -> np.ndarray:
         """External force (cycle, axis, 2), the mean over each position cycle, which preserves the impulse; no cycles without it."""
         if self.external_force is None:
@@ -162,8 +154,8 @@ class Setpoints:
         """External force (axis,) before the first motion [N, Nm at the axis]."""
         return 0.0 if self.external_force is None else self.external_force[0].sum(axis=-1)
 
-    def _held(self, values: np.ndarray | None, times: np.ndarray) -> np.ndarray | float:
-        """Zero-order hold of values (time, axis); zero outside the samples."""
+    def held(self, values: np.ndarray | None, times: np.ndarray) -> np.ndarray | float:
+        """Zero-order hold of `injected` or `added_feedforward`, (time, axis); zero outside the samples, and where there is none."""
         if values is None:
             return 0.0
         rows = np.floor(times / self.period + 1e-6).astype(int)

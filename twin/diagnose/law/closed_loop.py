@@ -102,7 +102,7 @@ class ClosedLoop:
         """Orthonormal response (row, n) to the encoder zeros. Each run has its own; no other run predicts them."""
         columns = zeros_of(self.group)
         seen = columns.chosen(i for i, column in enumerate(columns.each) if column.any())
-        return np.asarray(np.linalg.qr(seen.dense)[0])
+        return np.asarray(np.linalg.qr(seen.part())[0])
 
     @property
     def only_fold(self) -> int | None:
