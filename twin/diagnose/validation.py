@@ -136,7 +136,8 @@ def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
     of_signal = loudest(signal_levels(validated.held_out.gaps(setup.machine, validated.runs)))
 
     def is_loud(axis: str) -> bool:
-        imitated = any(_several_in_one_block(f, axis) for f in found)
+        blocks = [s.effect.block for f in found for s in f.fit.settings if s.axis == axis]
+        imitated = len(set(blocks)) < len(blocks)  # a backlash and a spring, for example, imitate a hardening spring
         return needs_a_law(before.get(axis, 0.0), after.get(axis, 0.0), of_signal.get(axis, 0.0), imitated)
 
     loud = [axis for axis in few if is_loud(axis)]
@@ -151,12 +152,6 @@ def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
 def _recorded_axes(found: GroupState) -> list[str]:
     """Axes of a group with recorded signals besides set points."""
     return [axis for axis in found.group.axes if any(channel.axis == axis for channel in found.group.channels)]
-
-
-def _several_in_one_block(found: GroupState, axis: str) -> bool:
-    """Whether several effects share a block of an axis. They may imitate one law: a backlash and a spring, for example, a hardening spring."""
-    blocks = [s.effect.block for s in found.fit.settings if s.axis == axis]
-    return len(set(blocks)) < len(blocks)
 
 
 def _effect_count(found: GroupState, axis: str) -> int:
