@@ -16,7 +16,7 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.program import flow
 from twin.program import moves as mv
-from twin.program.collect import Collector
+from twin.program.build import Collector
 from twin.program.read import understand
 
 FEWER_JUMPS = 300

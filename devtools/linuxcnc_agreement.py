@@ -22,7 +22,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.program import moves as mv
-from twin.program.collect import Collector
+from twin.program.build import Collector
 from twin.program.read import understand
 
 MESSAGES_ONLY = {"machine-coord-params", "rotation/abs-pts"}

@@ -18,7 +18,7 @@ from tests.builders.recording_read import read_layout, read_recording
 from tests.conftest import ROOT
 from twin.cli import main
 from twin.diagnose import diagnose, report
-from twin.diagnose.check import notes_of
+from twin.diagnose.check_campaign import notes_of
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.output import write_proposal
 from twin.diagnose.wording import effect_title, interval_text, parameters_of, times, verdict_sentence, where_text

@@ -51,7 +51,7 @@ def test_a_group_remembers_named_responses(monkeypatch):
     monkeypatch.setattr(Group, "_simulated", answers)
     one, two = Variation(lambda m: m, axes=("X",)), Variation(lambda m: m, axes=("X", "Y"))
     first = group.responses([one, two], keys=["one", None])
-    doubted = group.doubted(np.full(group.size, 2.0), np.full(group.size, 1.0))
+    doubted = group.with_model_error(np.full(group.size, 2.0), np.full(group.size, 1.0))
     second = doubted.responses([one, two], keys=["one", None])
     assert simulated == [("X",), ("X", "Y"), ("X", "Y")]
     np.testing.assert_allclose(first[0], group.weights)

@@ -14,7 +14,7 @@ import pytest
 
 from tests.builders.other_structures import machine_text, slides, write_slides
 from twin.cli import main
-from twin.diagnose.check import check_campaign
+from twin.diagnose.check_campaign import check_campaign
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.view import view_of
 from twin.effects import with_effects

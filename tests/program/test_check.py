@@ -15,8 +15,8 @@ from tests.conftest import ROOT
 from twin.cli import main
 from twin.errors import InputError
 from twin.machine.machine import Machine
-from twin.program import check, interpolate, interpolator, read_program
-from twin.program.place import KEEP, OutsideTravel, axes_of, placed
+from twin.program import check_folder, interpolate, interpolator, read_program
+from twin.program.part_placement import KEEP, OutsideTravel, axes_of, placed
 from twin.recordings.trace import Trace
 from twin.simulation.setpoint_limits import LimitWatch, limit_warnings
 from twin.simulation.setpoints import setpoints_of
@@ -97,8 +97,8 @@ def test_check_holds_a_block_of_set_points_and_finds_what_the_whole_shows(
             sizes.append(len(block.time))
             yield block
 
-    monkeypatch.setattr(check, "set_point_blocks", blocks)
-    found = check.check_program(path, mikron)
+    monkeypatch.setattr(check_folder, "set_point_blocks", blocks)
+    found = check_folder.check_program(path, mikron)
     assert max(sizes) <= 2 * 101 < len(whole.position)
     assert found.duration_s == trace.time[-1]
     for axis, (low, high) in found.reach.items():
@@ -123,7 +123,7 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_part_that_fits_nowhere_is_understood(tmp_path: Path, mikron: Machine) -> None:
     file = tmp_path / "long.mpf"
     file.write_text("G1 X-2000 F1000\nX2000\n", encoding="utf-8")
-    found = check.check_program(file, mikron, place=True)
+    found = check_folder.check_program(file, mikron, place=True)
     assert (found.understood, found.fits, found.moves) == (True, False, 2)
 
 
@@ -135,11 +135,11 @@ def test_words_that_would_open_programs_are_counted(tmp_path, mikron, capsys) ->
     for name, body in bodies.items():
         (tmp_path / f"{name}.mpf").write_text(f"G1 X1 F100\n{body}\nX5\n")
     (tmp_path / "g.h").write_text("BEGIN PGM A MM\nL X+1 F100\nFL PR+3\nL X+2\nEND PGM A MM\n")
-    found = [check.check_program(path, mikron, plan=False) for path in check.programs_in(tmp_path)]
+    found = [check_folder.check_program(path, mikron, plan=False) for path in check_folder.programs_in(tmp_path)]
     unread = {one.path.stem: set(one.unread) for one in found}
     assert unread == {"a": {"POCKET1"}, "b": {"POCKET1", "G33"}, "c": {"G33"}, "d": set(), "e": set(), "f": {"POCKET1"}, "g": {"FL"}}
-    assert check.opening_words(found) == [("POCKET1", 2, 3), ("G33", 1, 2), ("FL", 1, 1)]
-    assert check.document(found, mikron)["words"][0] == {"word": "POCKET1", "opens": 2, "stops": 3}
+    assert check_folder.opening_words(found) == [("POCKET1", 2, 3), ("G33", 1, 2), ("FL", 1, 1)]
+    assert check_folder.document(found, mikron)["words"][0] == {"word": "POCKET1", "opens": 2, "stops": 3}
     assert main(["check", str(tmp_path), "--read-only"]) == 0
     assert "POCKET1 (2 / 3), G33 (1 / 2), FL (1 / 1)" in capsys.readouterr().out
     assert SHOWN >= 3

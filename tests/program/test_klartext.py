@@ -12,7 +12,7 @@ import pytest
 from devtools import fuzz_programs
 from tests.conftest import ROOT
 from twin.errors import InputError
-from twin.program import check, read_program
+from twin.program import check_folder, read_program
 from twin.program.klartext import KLARTEXT, KLARTEXT_M
 from twin.program.moves import ARC, LINE, RAPID
 from twin.program.read import understand
@@ -379,8 +379,8 @@ def test_no_word_beside_a_block_is_ignored(write, equipped, block: str) -> None:
 def test_klartext_in_a_folder_is_seen(tmp_path: Path, mikron) -> None:
     (tmp_path / "part.h").write_text("0 BEGIN PGM A MM\n" + "QL1 = 1\n" * 9 + "1 L X+10 F500\n2 L X+20\n3 END PGM A MM\n")
     (tmp_path / "header.h").write_text("#include <stdio.h>\nint main(void);\n")
-    assert [p.name for p in check.programs_in(tmp_path)] == ["part.h"]
-    assert check.check_program(tmp_path / "part.h", mikron).verdict == "ok"
+    assert [p.name for p in check_folder.programs_in(tmp_path)] == ["part.h"]
+    assert check_folder.check_program(tmp_path / "part.h", mikron).verdict == "ok"
 
 
 def test_mutated_klartext(mikron, tmp_path) -> None:
@@ -393,7 +393,7 @@ def test_mutated_klartext(mikron, tmp_path) -> None:
 
 def test_the_example_of_a_plate(mikron) -> None:
     """`plate.h`: the tool stays 5 mm outside the outline of 100 mm by 60 mm, and the holes end 12 mm deep."""
-    found = check.check_program(ROOT / "examples" / "plate.h", mikron)
+    found = check_folder.check_program(ROOT / "examples" / "plate.h", mikron)
     assert found.verdict == "ok", found.reason
     program = read_program(ROOT / "examples" / "plate.h", mikron)
     ends = program.moves.target[~program.moves.traori, :3] * 1e3

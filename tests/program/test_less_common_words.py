@@ -10,7 +10,7 @@ import pytest
 from twin.errors import InputError
 from twin.program.moves import LINE, RAPID
 from twin.program.read import dialect, understand
-from twin.program.source import Source
+from twin.program.source import ProgramText
 
 
 def places(program, axes: int = 2) -> list[list[float]]:
@@ -242,7 +242,7 @@ def test_unsupported_arguments_of_a_cycle_are_refused(read, block: str, message:
     ],
 )  # fmt: skip
 def test_the_language_of_a_file_is_detected(write, name: str, text: str, language: str) -> None:
-    assert dialect(Source(write(text, name))) == language
+    assert dialect(ProgramText(write(text, name))) == language
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_the_language_of_a_file_is_detected(write, name: str, text: str, languag
 )
 def test_other_languages_are_named(write, text: str, language: str) -> None:
     with pytest.raises(InputError, match=language):
-        dialect(Source(write(text, "part.nc")))
+        dialect(ProgramText(write(text, "part.nc")))
 
 
 def test_parameters_of_a_zero_offset_begin_with_its_x(read) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from twin.errors import InputError
-from twin.program import check, is_program, read_program
+from twin.program import check_folder, is_program, read_program
 from twin.program.iso import ISO_M
 from twin.program.moves import ARC, LINE
 from twin.program.read import dialect, understand
 from twin.program.sinumerik import SINUMERIK_M
-from twin.program.source import Source
+from twin.program.source import ProgramText
 
 
 def ends(program) -> np.ndarray:
@@ -119,7 +119,7 @@ def test_an_m_code_that_is_not_known_is_not_known(write, mikron, name: str, tabl
 )
 def test_din_iso_of_heidenhain_is_named(write, text: str) -> None:
     with pytest.raises(InputError, match="HEIDENHAIN program in DIN/ISO"):
-        dialect(Source(write(text, "part.nc")))
+        dialect(ProgramText(write(text, "part.nc")))
 
 
 def test_h_chooses_another_length_while_g43_is_in_force(write, mikron) -> None:
@@ -201,12 +201,12 @@ def test_what_is_a_program_by_its_text(tmp_path: Path) -> None:
     (tmp_path / "part.txt").write_text(programs[0])
     (tmp_path / "notes").write_text(others[3])
     (tmp_path / "part").unlink()
-    assert [p.name for p in check.programs_in(tmp_path)] == ["part.txt"]
+    assert [p.name for p in check_folder.programs_in(tmp_path)] == ["part.txt"]
 
 
 def test_a_program_that_only_computes_is_understood(write, mikron) -> None:
     for text in ("#1=[2+3]\n(debug, #1)\nM2\n", "G21\nG0 X1\nM2\n"):
-        found = check.check_program(write(text, "part.ngc"), mikron)
+        found = check_folder.check_program(write(text, "part.ngc"), mikron)
         assert found.verdict == "ok"
         assert found.duration_s == 0.0
         assert "moves no axis" in found.reason

@@ -293,11 +293,11 @@ def test_every_word_of_the_iso_table_acts_or_is_noted_or_is_refused(write, mikro
         "G0 X0 Y0 Z5\nG1 X1 Y1 F100 S100\n",
         "G20 G18 G91 G93 G99 G90.1 G61 G16 G55 G52 X1\nG92 X3\nG51 P2\nG17 G90 G20\nG1 X1 F1\nG81 Z-1 R1 F1\nG19 G91 G42.1 D1\n",
     )
-    from twin.program.source import Source, units_of
+    from twin.program.source import ProgramText, units_of
 
     def run(text: str) -> tuple:
         path = write(text, "part.nc")
-        front = Iso(path, mikron, units_of(Source(path))[0], execute, linuxcnc=False)
+        front = Iso(path, mikron, units_of(ProgramText(path))[0], execute, linuxcnc=False)
         front.flow.run()
         return fingerprint(front.out, front), tuple(front.out.notes)
 
@@ -369,7 +369,7 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
 
     RET, ENDPROC and G40 act on what follows: other tests hold them.
     """
-    from twin.program.source import Source, units_of
+    from twin.program.source import ProgramText, units_of
 
     states = (
         "G0 X0 Y0 Z5\nG1 X1 Y1 F100 S100\nTRAFOOF\n",
@@ -380,7 +380,7 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
     def run(text: str) -> tuple:
         path = write(f"$TC_DP6[1,1]=1\nT1 D1\n{text}")
         write("G91 X1\nG90\nM17\n", "SUB1.SPF")
-        front = Sinumerik(path, mikron, units_of(Source(path)), SINUMERIK_NAMES, carry_out)
+        front = Sinumerik(path, mikron, units_of(ProgramText(path)), SINUMERIK_NAMES, carry_out)
         front.run()
         return fingerprint(front.out, front), tuple(front.out.feeds), len(front.out.notes)
 

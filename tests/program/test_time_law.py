@@ -56,7 +56,7 @@ def two_section_time(ways: np.ndarray, speeds: np.ndarray, limits: nodes.Limits)
     return found
 
 
-def planned(ways: np.ndarray, speeds: np.ndarray, machine: Machine) -> tuple[lookahead.Law, np.ndarray, blend.Spline, axis_path.Frames]:
+def planned(ways: np.ndarray, speeds: np.ndarray, machine: Machine) -> tuple[lookahead.TimeLaw, np.ndarray, blend.Spline, axis_path.Frames]:
     """The law of a straight way of X with two feeds, and the times of its nodes."""
     u = np.concatenate([[0.0], np.cumsum(ways)])
     points = np.zeros((3, 5))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import SHORT_QUICK, campaign, recorded
-from twin.diagnose.check import notes_of
+from twin.diagnose.check_campaign import notes_of
 from twin.identify.check_recording import missing_signals
 from twin.machine.machine import Machine
 from twin.recordings.campaign import read_campaign

@@ -16,7 +16,7 @@ from twin.diagnose.output import summary_text
 from twin.diagnose.search import search
 from twin.diagnose.setup import Setup
 from twin.diagnose.sizes import without_implausible
-from twin.diagnose.verdict import named
+from twin.diagnose.verdict import named_effects
 from twin.diagnose.view import view_of
 from twin.diagnose.where import _assign_effect, _merge_echoes
 from twin.effects import EFFECTS, Setting
@@ -69,10 +69,10 @@ def test_an_effect_that_shrinks_below_belief_is_taken_out_of_the_machine_too(tmp
     """An effect that is not named is not in the corrected machine."""
     group, _ = observed(tmp_path, "single", "coulomb_friction", "X")
     found = searched(group)
-    assert len(named([found])) == 1
+    assert len(named_effects([found])) == 1
     small = replace(found.fit.settings[0], parameters={"factor": 1.001})
     found = without_implausible(replace(found, fit=replace(found.fit, settings=(small,))))
-    assert found.fit.settings == () == tuple(named([found]))
+    assert found.fit.settings == () == tuple(named_effects([found]))
 
 
 def test_each_of_two_effects_keeps_its_own_place():

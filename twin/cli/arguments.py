@@ -147,7 +147,7 @@ def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> 
 def program_of_input(source: Path, machine: Machine, place: str) -> Program:
     """Read a program; print a note for each word without effect."""
     from twin.program import read_program
-    from twin.program.place import OutsideTravel, placed
+    from twin.program.part_placement import OutsideTravel, placed
 
     try:
         program = read_program(source, machine)

@@ -24,7 +24,7 @@ ARGUMENTS = (
 
 def carry_out(args: argparse.Namespace) -> None:
     """Check every program; print a line for each, then the most frequent reasons."""
-    from twin.program.check import check_program, document, opening_words, programs_in, reasons
+    from twin.program.check_folder import check_program, document, opening_words, programs_in, reasons
     from twin.simulation.summary import table
 
     machine = machine_of(args)

@@ -71,7 +71,7 @@ def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Pa
 
 def _since(args: argparse.Namespace, inputs: list[Path]) -> None:
     """What is different from earlier campaigns: diagnose the latest of them first, unless the machine has effects already, then compare."""
-    from twin.diagnose.check import same_machine
+    from twin.diagnose.check_campaign import same_machine
     from twin.diagnose.first.raw import machine_of_campaign
     from twin.history.dated import day_of
     from twin.history.since_output import diagnosed_since, write_since

@@ -92,7 +92,7 @@ class Channel:
         many = max(len(self.sigma) / T.shapes, 1.0)
         return np.sqrt(self.credit / (self.sigma**2 * self.correlation + faults * many))
 
-    def doubted(self, change: np.ndarray, residual: np.ndarray, period: float) -> Channel:
+    def with_model_error(self, change: np.ndarray, residual: np.ndarray, period: float) -> Channel:
         """The channel with the model error of effects whose response is `change` (sample,); `period` of the record [s].
 
         The error is a share of the response. Where the mean square of `residual` (sample,) around a sample exceeds noise, the excess is added.

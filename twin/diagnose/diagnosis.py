@@ -14,7 +14,7 @@ from twin.diagnose.budget import Budget, document_of
 from twin.diagnose.corrected import normal_imperfections
 from twin.diagnose.fit import Sizes
 from twin.diagnose.judgement import explained
-from twin.diagnose.law.laws import Law
+from twin.diagnose.law.laws import FoundLaw
 from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
@@ -50,7 +50,7 @@ class Diagnosis:
     budget: Budget | None = None
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
     predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
-    laws: tuple[Law, ...] = ()
+    laws: tuple[FoundLaw, ...] = ()
     without_laws: Mapping[str, float] = field(default_factory=dict)  # level of each axis after correction without laws
     decided: bool = True  # False: a quick look found no effect but a gap remains
 

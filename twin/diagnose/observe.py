@@ -179,12 +179,12 @@ class Group:
                     rows[channel.rows] = values[key] - of_nominal
         return out
 
-    def doubted(self, change: np.ndarray, residual: np.ndarray) -> Group:
+    def with_model_error(self, change: np.ndarray, residual: np.ndarray) -> Group:
         """The group with the model error of effects whose response is `change` (row,) added to the noise, and more where `residual` (row,) exceeds
         noise; both weighted.
         """
         plain, remaining = change / self.weights, residual / self.weights
-        channels = [c.doubted(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
+        channels = [c.with_model_error(plain[c.rows], remaining[c.rows], self.views[c.run].trace.period) for c in self.channels]
         return replace(self, channels=channels)
 
     def searched(self) -> Group:

@@ -12,12 +12,12 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose.axis_groups import axis_groups
 from twin.diagnose.budget import budget_over, noise_of, parts_of, positions_left
-from twin.diagnose.check import check_campaign, notes_of
+from twin.diagnose.check_campaign import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_by
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.judgement import LOUD, above_noise, final_verdict
-from twin.diagnose.law.laws import Law, Laws
+from twin.diagnose.law.laws import FoundLaw, Laws
 from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.search import search
@@ -25,7 +25,7 @@ from twin.diagnose.setup import Setup
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import is_normal
 from twin.diagnose.validation import Validated, validated, with_laws
-from twin.diagnose.verdict import final_state, named
+from twin.diagnose.verdict import final_state, named_effects
 from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, settings_of, with_effects
@@ -117,7 +117,7 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
 def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[str, float]) -> Diagnosis:
     """The diagnosis before verdict, budget and places are final: effects of the corrected machine, gaps and notes."""
     machine, states, held_out = setup.machine, correction.states, correction.held_out
-    settings = named(states)
+    settings = named_effects(states)
     if correction.laws is not None:
         settings = effects_beside_laws(correction.laws, settings)
     settings, laws = _as_probable_as_complete(correction, settings, machine)
@@ -179,14 +179,14 @@ def effects_beside_laws(laws: Laws, settings: Named) -> list[tuple[Setting, Grou
     """
     corrected = laws.corrected
     held = {s.key: s for s in settings_of(corrected)}
-    named = [item for item in settings if item[0].key in held and laws.beside.get(item[0].key, 1.0) > 0.0]
-    kept = [(held[setting.key], setting, state, p * laws.beside.get(setting.key, 1.0)) for setting, state, p in named]
+    named_effects = [item for item in settings if item[0].key in held and laws.beside.get(item[0].key, 1.0) > 0.0]
+    kept = [(held[setting.key], setting, state, p * laws.beside.get(setting.key, 1.0)) for setting, state, p in named_effects]
     return [(now, state, p) for now, found, state, p in kept if not is_normal(corrected, now) or is_normal(corrected, found)]
 
 
 def _as_probable_as_complete(
     correction: Validated, settings: Named, machine: Machine
-) -> tuple[list[tuple[Setting, GroupState, float]], tuple[Law, ...]]:
+) -> tuple[list[tuple[Setting, GroupState, float]], tuple[FoundLaw, ...]]:
     """Effects and laws; where a law or something unknown is beside one, it is at most as probable as the share of its axis' gap that the correction closes:
     what only resembles the true cause leaves a part of it.
     """

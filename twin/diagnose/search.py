@@ -195,7 +195,7 @@ def _with_accepted(state: GroupState, winners: Sequence[Fitted]) -> GroupState:
     fit = fit_effects(state.group, state.tuning, settings, T.refit_steps, known=known)
     if fit is None:
         return state
-    state = replace(state, fit=fit).doubted(fit.response)
+    state = replace(state, fit=fit).with_model_error(fit.response)
     residual = state.rigid.residual - state.fit.response
     tuning = with_imperfections(state.tuning, state.rigid, residual)
     group, tuning = on_imperfect_machine(state.rigid, tuning, residual)

@@ -29,7 +29,7 @@ def with_final_sizes(state: GroupState) -> GroupState:
         state = replace(state, tuning=linearised(state.fit.about, state.group, state.fit.settings, state.fit.response))
     change = state.fit.response / state.group.weights
     for _ in range(T.size_rounds):
-        state = state.doubted(change * state.group.weights, state.fit.residual(state.group))
+        state = state.with_model_error(change * state.group.weights, state.fit.residual(state.group))
         known = slopes_of_linear_effects(state.fit.slopes, state.fit.settings)
         fit = fit_effects(state.group, state.tuning, state.fit.settings, T.refit_steps, narrowest=T.slope, known=known)
         if fit is None:

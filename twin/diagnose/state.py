@@ -141,13 +141,13 @@ class GroupState:
         """The state with the inflation computed from its fit."""
         return replace(self, inflation=inflation(self.group, self.fit))
 
-    def doubted(self, change: np.ndarray, residual: np.ndarray | None = None) -> GroupState:
+    def with_model_error(self, change: np.ndarray, residual: np.ndarray | None = None) -> GroupState:
         """The state with the model error of effects whose response is `change` (row,) added to the noise, and more where the fit leaves
         `residual` (row,); both weighted. The fit is reweighted.
         """
         old = self.group.weights
         residual = np.zeros(self.group.size) if residual is None else residual
-        rigid, group = self.rigid.doubted(change, residual), self.group.doubted(change, residual)
+        rigid, group = self.rigid.with_model_error(change, residual), self.group.with_model_error(change, residual)
         scale = group.weights / old
         tuning = self.tuning.reweighted(scale)
         about = tuning if self.fit.about is self.tuning else self.fit.about.reweighted(scale)

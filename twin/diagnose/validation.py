@@ -72,7 +72,7 @@ class Validated:
         return {axis for axis, before in self.before.items() if gap_remains(before, after.get(axis, 1.0))}
 
     @property
-    def with_law(self) -> set[str]:
+    def axes_with_law(self) -> set[str]:
         """Axes with an unlisted law."""
         return {law.axis for law in self.laws.laws} if self.laws else set()
 
@@ -80,7 +80,7 @@ class Validated:
         """Axes with an unlisted law or a considerable gap, and those above noise in a group with a residual that no effect explains."""
         after = self.left(machine)
         unknown = {axis for f in self.states if f.unknown for axis in f.group.axes if after.get(axis, 1.0) > QUIET}
-        return self.with_law | unknown | self._with_considerable(after)
+        return self.axes_with_law | unknown | self._with_considerable(after)
 
 
 def validated(setup: Setup, runs: Runs, motions: Motions, states: list[GroupState]) -> Validated:
@@ -112,7 +112,7 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
         if share <= least_share:
             best, least_share = corrected, share
         # where laws leave no considerable gap, other weights of the samples find no better ones
-        if least_share < T.remaining or (best.laws and not best.with_law & best.remaining(setup.machine)):
+        if least_share < T.remaining or (best.laws and not best.axes_with_law & best.remaining(setup.machine)):
             break
     for state in validated.states:
         state.rigid.answers.clear()  # only the search for laws asks for them again

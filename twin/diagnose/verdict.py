@@ -29,7 +29,7 @@ def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list
     return [state.group.confidence(c.key[1]) * float(p) for c, p in zip(candidates, softmax(evidence / T.temperature))]
 
 
-def named(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float]]:
+def named_effects(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float]]:
     """Effects of all groups, most evidence first, with their probability in the round that accepted them."""
     out = []
     for f in states:

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose import diagnose
 from twin.diagnose.budget import Part, budget_over, document_of
-from twin.diagnose.check import check_campaign
+from twin.diagnose.check_campaign import check_campaign
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.simulations import Mapper
 from twin.effects import Setting, settings_of

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.diagnose.check import check_campaign
+from twin.diagnose.check_campaign import check_campaign
 from twin.effects import Setting
 from twin.errors import InputError, TwinError
 from twin.history.columns import directions_of

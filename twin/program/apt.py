@@ -18,11 +18,11 @@ from twin.machine.machine import Machine
 from twin.program import apt_words as words
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.collect import NO_RADIUS_COMPENSATION
+from twin.program.build import NO_RADIUS_COMPENSATION
 from twin.program.control import KEPT, Control
 from twin.program.expressions import WordError, needed
 from twin.program.frames import Frame
-from twin.program.source import Source
+from twin.program.source import ProgramText
 from twin.program.state import INCH, REFUSED, State
 
 UNITS = {"MM": 1e-3, "CM": 1e-2, "M": 1.0, "INCH": INCH, "INCHES": INCH, "IN": INCH}
@@ -36,7 +36,7 @@ OFF_AXIS = 1e-3
 class AptReader:
     """Tool, frames and feeds while statements are read."""
 
-    def __init__(self, source: Source, machine: Machine) -> None:
+    def __init__(self, source: ProgramText, machine: Machine) -> None:
         self.source, self.reading = source, source.path
         self.state = State(source.path, machine, "apt", ("system",))
         self.state.feed_word = "FEDRAT/ before this GOTO"

@@ -17,7 +17,7 @@ TURN_STEP = np.radians(0.1)
 MOST_POINTS = 20_000  # per move
 
 
-class Curve(NamedTuple):
+class PathCurve(NamedTuple):
     """Poses (P, 5): points [m] in the part frame, A and C [rad]; length along them (P,) [m], the move that leads to each (P,)."""
 
     poses: np.ndarray
@@ -25,7 +25,7 @@ class Curve(NamedTuple):
     row: np.ndarray
 
 
-def programmed_curve(program: Program) -> Curve:
+def programmed_curve(program: Program) -> PathCurve:
     """The programmed curve before rounding of corners; a move without motion has no point.
 
     A straight move needs no points within it if its tool axis turns on the great circle between its ends.
@@ -47,7 +47,7 @@ def programmed_curve(program: Program) -> Curve:
     axes = ~m.traori[row]
     poses[axes] = mv.tips_at(program.kinematics, poses[axes], m.tool_length[row[axes]])
     steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
-    return Curve(poses, np.concatenate([[0.0], np.cumsum(steps)]), row)
+    return PathCurve(poses, np.concatenate([[0.0], np.cumsum(steps)]), row)
 
 
 @compiled(allocates=True)

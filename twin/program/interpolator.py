@@ -22,7 +22,7 @@ from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Machine, load_machine
 from twin.program import axis_path, blend, elements, lookahead, sampling
-from twin.program.collect import travel_text
+from twin.program.build import travel_text
 from twin.program.moves import Program
 from twin.program.nodes import Feeds, Limits, Way, split_at_feeds
 from twin.program.read import read_program
@@ -162,7 +162,7 @@ class _Motion:
                     left -= min(left, BLOCK)
             report(1.0)
 
-    def _samples(self, way: Way, law: lookahead.Law, times: np.ndarray, slower: float, count: int) -> Iterator[_Samples]:
+    def _samples(self, way: Way, law: lookahead.TimeLaw, times: np.ndarray, slower: float, count: int) -> Iterator[_Samples]:
         """The set points of a stretch, at most BLOCK at once; its start is the last sample of the previous stretch."""
         for begin in range(0, count, BLOCK):
             n = min(BLOCK, count - begin)

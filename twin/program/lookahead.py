@@ -28,7 +28,7 @@ SPEED_MARGIN, ACCELERATION_MARGIN, JERK_MARGIN = 0.9998, 0.9995, 0.999
 """Factors on the limits in planning, because limits may be exceeded slightly between two nodes."""
 
 
-class Law(NamedTuple):
+class TimeLaw(NamedTuple):
     """The time law of a stretch: nodes (N + 1,), piece of the spline per interval (N,), a and a' at the nodes (N + 1,)."""
 
     nodes: np.ndarray
@@ -112,9 +112,9 @@ def _window(way: Way, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray) ->
 def plan(
     way: Way,
     progress: Callable[[float], None] | None = None,
-    eased: tuple[Law, np.ndarray] | None = None,
+    eased: tuple[TimeLaw, np.ndarray] | None = None,
     kept: Windows | None = None,
-) -> Law:
+) -> TimeLaw:
     """The time law of a stretch; `progress` is called with the share done.
 
     `eased`: an earlier law, and factors (2, interval) on its acceleration and jerk limits for the new plan. Windows in `kept` whose factors
@@ -129,7 +129,7 @@ def plan(
         c = _window(way, nodes, piece, ease)
     else:
         c = _plan_long(way, nodes, piece, ease, progress, {} if kept is None else kept)
-    return Law(nodes, piece, *node_values(np.diff(nodes), c))
+    return TimeLaw(nodes, piece, *node_values(np.diff(nodes), c))
 
 
 @compiled(allocates=True)

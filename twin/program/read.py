@@ -8,7 +8,7 @@ import re
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.program.apt import AptReader
-from twin.program.collect import Collector
+from twin.program.build import Collector
 from twin.program.expressions import WordError
 from twin.program.iso import execute
 from twin.program.iso_blocks import LINUXCNC, Iso
@@ -18,7 +18,7 @@ from twin.program.moves import Program, place_of
 from twin.program.reader import Reader
 from twin.program.sinumerik import SINUMERIK_NAMES, carry_out
 from twin.program.sinumerik_blocks import Sinumerik
-from twin.program.source import Source, units_of
+from twin.program.source import ProgramText, units_of
 
 SINUMERIK_ENDINGS = (".mpf", ".spf")
 _OF_ISO = ".ngc .nc .iso .tap .cnc .gcode .gc .g .ncc .eia .min .ncd .nci .pim .prg .dnc .fnc"
@@ -87,7 +87,7 @@ _OTHER = (
 """Languages that are not read, by one mark or by several together."""
 
 
-def dialect(source: Source) -> str:
+def dialect(source: ProgramText) -> str:
     """Language of a program: 'sinumerik', 'linuxcnc', 'iso', 'klartext' or 'apt'.
 
     Raises:
@@ -115,9 +115,9 @@ def dialect(source: Source) -> str:
     return "iso"
 
 
-def understand(program: str | Path | Source, machine: Machine) -> Collector:
+def understand(program: str | Path | ProgramText, machine: Machine) -> Collector:
     """The moves of a program, or of one whose lines are read already; not yet checked against the machine."""
-    source = program if isinstance(program, Source) else Source(Path(program))
+    source = program if isinstance(program, ProgramText) else ProgramText(Path(program))
     path, language = source.path, dialect(source)
     front: Reader | AptReader
     if language == "apt":

@@ -10,7 +10,7 @@ from typing import Any
 
 from twin.machine.machine import Machine
 from twin.program import moves as mv
-from twin.program.collect import Collector
+from twin.program.build import Collector
 from twin.program.control import Control
 from twin.program.corners import Corners
 from twin.program.expressions import Expression, Grammar, Value, as_number

@@ -16,7 +16,7 @@ _HEAD = re.compile(r"%_N_(\w+?)_(MPF|SPF)\b|%(?:MPF|SPF)[ \t]*(\w+)", re.A | re.
 _PREFIX = re.compile(r"^.*[/\\](?=.)|_N_|[_.](?:MPF|SPF)$", re.A)
 
 
-class Source:
+class ProgramText:
     """The lines of a program file, checked to be text."""
 
     def __init__(self, path: Path) -> None:
@@ -76,7 +76,7 @@ def plain_name(name: str) -> str:
     return _PREFIX.sub("", name.upper().strip())
 
 
-def units_of(source: Source) -> list[Unit]:
+def units_of(source: ProgramText) -> list[Unit]:
     """The programs in one file; an archive of a SINUMERIK has several, each after its line %_N_NAME_MPF."""
     heads = [(i, m) for i, line in enumerate(source.lines) if line.startswith("%") and (m := _HEAD.match(line))]
     own = plain_name(source.path.stem)
@@ -122,7 +122,7 @@ class Folder:
         for name in map(plain_name, names):
             found = self.files.get(name)
             if found is not None and name not in self.units and found.is_file():
-                self.units[name] = units_of(Source(found))[0]
+                self.units[name] = units_of(ProgramText(found))[0]
                 self.used.append(found)
             if name in self.units:
                 return self.units[name]

@@ -20,7 +20,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.program import arcs
-from twin.program.collect import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
+from twin.program.build import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
 from twin.program.compensation import Compensation
 from twin.program.expressions import WordError
 from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame

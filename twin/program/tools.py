@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
-from twin.program.collect import Collector
+from twin.program.build import Collector
 from twin.program.expressions import Value, WordError, as_text
 
 

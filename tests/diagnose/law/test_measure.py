@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twin.diagnose.law.candidates import position_in_play, remembered_direction
-from twin.diagnose.law.known_physics import looks_like
+from twin.diagnose.law.known_physics import known_causes
 from twin.diagnose.law.measure import excess, measured_laws
 from twin.diagnose.law.proposals import STRONG
 from twin.diagnose.law.residual import Samples
@@ -138,6 +138,6 @@ def test_a_sine_over_the_turn_is_a_harmonic_of_it():
 
 
 def test_known_causes_match_laws():
-    assert [k.name for k in looks_like("friction", "speed", "gaussian", -1)] == ["slide way with plastic lining"]
-    assert [k.name for k in looks_like("force", "direction", "line", -1)] == ["cable chain"]
-    assert looks_like("torque", "current", "bending", 0)[0].name == "magnetic saturation"
+    assert [k.name for k in known_causes("friction", "speed", "gaussian", -1)] == ["slide way with plastic lining"]
+    assert [k.name for k in known_causes("force", "direction", "line", -1)] == ["cable chain"]
+    assert known_causes("torque", "current", "bending", 0)[0].name == "magnetic saturation"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin.diagnose.law.candidates import variable_of
-from twin.diagnose.law.laws import Law
+from twin.diagnose.law.laws import FoundLaw
 from twin.diagnose.law.wording import BAND
 from twin.effects.law import VARIABLES, law_in
 from twin.effects.law_shapes import JITTER
@@ -20,7 +20,7 @@ HARDLY = 0.002
 """Largest fraction of the samples at a point that is hardly measured."""
 
 
-def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyped-def]
+def laws_figure(laws: Sequence[FoundLaw], machine: Machine):  # type: ignore[no-untyped-def]
     """One panel per law: the measured curve with its band and the formula; points with few samples are marked."""
     figure, places = new_figure(len(laws), 1, 8.6, 3.1)
     for place, law in zip(places[:, 0], laws):
@@ -64,7 +64,7 @@ def laws_figure(laws: Sequence[Law], machine: Machine):  # type: ignore[no-untyp
     return figure
 
 
-def _sample_density(law: Law, at: np.ndarray) -> np.ndarray:
+def _sample_density(law: FoundLaw, at: np.ndarray) -> np.ndarray:
     """Fraction of the samples closest to each point (point,)."""
     x = variable_of(law.samples, law.measured.candidate)
     period = law.measured.candidate.wraps

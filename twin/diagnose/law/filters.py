@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from twin.diagnose.law.candidates import Candidate
-from twin.diagnose.law.measure import Curve
+from twin.diagnose.law.measure import MeasuredCurve
 from twin.diagnose.law.residual import ControllerRun, Samples
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.settings import T
@@ -157,7 +157,9 @@ def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.
     return [np.log([t]) for t in times], np.log([0.1 * cycle]), np.log([longest])
 
 
-def _measured_response(candidate: Candidate, runs: Sequence[_SpectralSums], frequency: np.ndarray, predicts: float, better: float) -> Curve:
+def _measured_response(
+    candidate: Candidate, runs: Sequence[_SpectralSums], frequency: np.ndarray, predicts: float, better: float
+) -> MeasuredCurve:
     """Magnitude of the measured response over frequency [Hz] in bands above noise. The standard deviation includes noise and the scatter between
     runs."""
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, RESPONSE_POINTS + 1)
@@ -173,4 +175,4 @@ def _measured_response(candidate: Candidate, runs: Sequence[_SpectralSums], freq
         x.append(float(np.mean(frequency[rows])))
         y.append(abs(mean))
         band.append(math.sqrt(1.0 / own.sum() + float(share**2 @ np.abs(of_run - mean) ** 2)))
-    return Curve(candidate, predicts, better, np.array(x), np.array(y), np.array(band))
+    return MeasuredCurve(candidate, predicts, better, np.array(x), np.array(y), np.array(band))

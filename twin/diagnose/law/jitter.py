@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from twin.diagnose.law.candidates import Candidate
-from twin.diagnose.law.measure import Curve
+from twin.diagnose.law.measure import MeasuredCurve
 from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.shapes import Described
 from twin.recordings.roughness import robust_deviation
@@ -82,7 +82,7 @@ def jitter_of(samples: Samples) -> Described | None:
     candidate = Candidate("measurement", "displacement", "speed")
     power = tau**2 * float(np.mean(speed**2))
     band = y / np.sqrt(2.0 * np.bincount(of, minlength=BINS)[full])
-    curve = Curve(candidate, power / (rest**2 + power), runs_better, x, y, band)
+    curve = MeasuredCurve(candidate, power / (rest**2 + power), runs_better, x, y, band)
     return Described(candidate, "jitter", {"deviation_s": tau}, curve.predicts, curve, np.zeros(len(samples)))
 
 

@@ -86,7 +86,7 @@ KNOWN = (
 )  # fmt: skip
 
 
-def looks_like(output: str, variable: str, shape: str | None, sign: int) -> tuple[Known, ...]:
+def known_causes(output: str, variable: str, shape: str | None, sign: int) -> tuple[Known, ...]:
     """Entries that match a law: those with its shape, or else those without a shape."""
     suited = [k for k in KNOWN if k.output == output and variable in k.variables and k.sign in (0, sign)]
     exact = [k for k in suited if shape in k.shapes]

@@ -40,7 +40,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Law:
+class FoundLaw:
     """One law: its setting, its measurement, and the fraction of the gap of its axis that it closes on runs left out."""
 
     setting: Setting
@@ -68,7 +68,7 @@ class Laws:
     a law: what its removal costs there.
     """
 
-    laws: tuple[Law, ...]
+    laws: tuple[FoundLaw, ...]
     states: tuple[GroupState, ...]
     corrected: Machine
     beside: Mapping[Key, float] = field(default_factory=dict)
@@ -88,7 +88,7 @@ def laws_of(
     The search gives little weight to samples with large errors. A law may act just there, so all samples weigh the same, unless `doubted`.
     """
     machine = found[0].group.machine
-    laws: list[Law] = []
+    laws: list[FoundLaw] = []
     states: list[GroupState] = []
     beside: dict[Key, float] = {}
     for state in found:
@@ -121,12 +121,12 @@ def laws_of(
     return Laws(tuple(laws), tuple(states), corrected_machine(machine, states), beside, instead)
 
 
-def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> Law | None:
+def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> FoundLaw | None:
     """The jitter of an axis' scale. Random errors have no response that could be fitted in closed loop; they are sized from the residual."""
     for samples in blocks:
         if samples.block == "transmission" and (found := jitter_of(samples)):
             setting = check_setting(found.table(axis), state.group.machine, "a measured law")
-            return Law(setting, found, samples, found.predicts, state.group.confidence(axis), {})
+            return FoundLaw(setting, found, samples, found.predicts, state.group.confidence(axis), {})
     return None
 
 
@@ -156,7 +156,7 @@ class _AxisLaws:
     without: Mapping[Key, Fitted]
 
 
-def _laws_in(found: _AxisLaws) -> list[Law]:
+def _laws_in(found: _AxisLaws) -> list[FoundLaw]:
     """The laws of an axis with their share of the gap and their probability."""
     loop = found.loop
     cap = loop.group.confidence(loop.axis) if loop.only_fold is None else T.confidence_in_one_run
@@ -165,7 +165,7 @@ def _laws_in(found: _AxisLaws) -> list[Law]:
         (description, samples, _), closed = found.laws[setting.key]
         probability = min(_certain(found, setting), cap)
         deviations = found.fitted.deviations(setting.key, T.model_error)
-        laws.append(Law(setting, description, samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold))
+        laws.append(FoundLaw(setting, description, samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold))
     return laws
 
 

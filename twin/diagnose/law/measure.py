@@ -128,7 +128,7 @@ def basis_of(x: np.ndarray, variable: str, period: float = 0.0) -> Basis | None:
 
 
 @dataclass(frozen=True)
-class Curve:
+class MeasuredCurve:
     """A measured law: candidate, points with band (standard deviation), and prediction of runs left out.
 
     `predicts` is the fraction by which the curve reduces the cross-validated loss; `runs_better` the fraction of the runs, weighted by their
@@ -208,7 +208,7 @@ CORRELATED = 5.0
 """Number of correlated samples, after smoothing, that count as one."""
 
 
-def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixed: np.ndarray, scale: float) -> Curve | None:
+def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixed: np.ndarray, scale: float) -> MeasuredCurve | None:
     """The curve of a candidate in addition to `fixed` columns (sample, n), with its prediction beyond them; None for a constant variable."""
     x = variable_of(samples, candidate)
     basis = basis_of(x, candidate.variable, candidate.period)
@@ -236,7 +236,7 @@ def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixe
     centred = shown - own_curves @ np.linalg.lstsq(own_curves, shown, rcond=None)[0]
     band = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", centred, covariance, centred), 0.0))
     better = base.of_part - best.of_part
-    return Curve(
+    return MeasuredCurve(
         candidate,
         1.0 - best.total / max(base.total, 1e-300),
         float(np.sum(base.of_part * (better > 0.0)) / max(base.of_part.sum(), 1e-300)),
@@ -265,7 +265,7 @@ def loss_without_law(samples: Samples) -> tuple[np.ndarray, float, Loss]:
     return columns, scale, cross_validated_loss(samples, columns, scale)
 
 
-def measured_laws(samples: Samples, axis: Axis) -> list[Curve]:
+def measured_laws(samples: Samples, axis: Axis) -> list[MeasuredCurve]:
     """Curves of all candidates of a block that improve the prediction, best first."""
     columns, scale, base = loss_without_law(samples)
     left = samples.y - columns @ base.coefficients

@@ -7,7 +7,7 @@ import contextlib
 from dataclasses import dataclass, replace
 
 from twin.diagnose.law.filters import filters_of
-from twin.diagnose.law.measure import Curve, excess, measured_laws
+from twin.diagnose.law.measure import MeasuredCurve, excess, measured_laws
 from twin.diagnose.law.residual import MECHANICS, SPRING, Samples
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
 from twin.diagnose.law.springs import stage_over_force
@@ -51,7 +51,7 @@ class Measured:
 
     samples: Samples
     loudness: float
-    curves: list[Curve]
+    curves: list[MeasuredCurve]
     filters: list[Described]
 
 
@@ -77,7 +77,7 @@ def propose_laws(
     for m in measured:
         s = m.samples
         suited = [c for c in m.curves if c.predicts > selection.predicts and c.runs_better >= LEAST_RUNS]
-        distinct: dict[tuple[str, str, str, bool], Curve] = {}
+        distinct: dict[tuple[str, str, str, bool], MeasuredCurve] = {}
         for c in suited:
             distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
         near = [c for c in distinct.values() if c.predicts > selection.near_best * suited[0].predicts][: selection.most + 1]

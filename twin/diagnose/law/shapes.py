@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.special import huber
 
 from twin.diagnose.law.candidates import Candidate, contribution_to_residual, variable_of
-from twin.diagnose.law.measure import HUBER, Curve, Loss, cross_validated_loss, loss_without_law
+from twin.diagnose.law.measure import HUBER, Loss, MeasuredCurve, cross_validated_loss, loss_without_law
 from twin.diagnose.law.residual import Samples
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
@@ -70,7 +70,7 @@ class Described:
     shape: str | None
     numbers: Mapping[str, float]
     predicts: float
-    curve: Curve
+    curve: MeasuredCurve
     column: np.ndarray = field(repr=False)  # (sample,) contribution to the residual
     points: tuple[tuple[float, float], ...] = ()
     spring: float | None = None  # stiffness of the spring that a law over the windup complements [N/m, Nm/rad], if measured with it
@@ -91,7 +91,7 @@ class Described:
         return {**head, **self.numbers, **length}
 
 
-def described(samples: Samples, curve: Curve, axis: Axis) -> Described:
+def described(samples: Samples, curve: MeasuredCurve, axis: Axis) -> Described:
     """The curve as the formula with the best prediction, or as a table."""
     columns, scale, base = loss_without_law(samples)
     names = ("sine",) if curve.candidate.period else SUITS.get(curve.candidate.variable, ())
@@ -102,7 +102,7 @@ def described(samples: Samples, curve: Curve, axis: Axis) -> Described:
     return best
 
 
-def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
+def _as_table(samples: Samples, curve: MeasuredCurve, axis: Axis) -> Described:
     """The curve as a table of a few points; its level belongs to the nominal machine and is removed."""
     places = np.unique(np.linspace(0, len(curve.x) - 1, TABLE_POINTS).round().astype(int))
     x = variable_of(samples, curve.candidate)
@@ -117,7 +117,7 @@ def _as_table(samples: Samples, curve: Curve, axis: Axis) -> Described:
 class _ShapeFit:
     """One shape of one candidate on the samples: its linear columns as a function of its nonlinear parameters."""
 
-    def __init__(self, samples: Samples, curve: Curve, axis: Axis, shape: Shape) -> None:
+    def __init__(self, samples: Samples, curve: MeasuredCurve, axis: Axis, shape: Shape) -> None:
         self.samples, self.candidate, self.axis, self.shape = samples, curve.candidate, axis, shape
         self.x = variable_of(samples, curve.candidate)
         self.has_memory = curve.candidate.variable in ("direction", "slack")
@@ -199,7 +199,9 @@ def _search_space(
     return ["limit"], [tuple((low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98]))], [False], {}
 
 
-def _fit_shape(samples: Samples, curve: Curve, axis: Axis, shape: Shape, fixed: np.ndarray, base: Loss, scale: float) -> Described | None:
+def _fit_shape(
+    samples: Samples, curve: MeasuredCurve, axis: Axis, shape: Shape, fixed: np.ndarray, base: Loss, scale: float
+) -> Described | None:
     problem = _ShapeFit(samples, curve, axis, shape)
     weights = base.weights
     orthogonal, _ = np.linalg.qr(fixed * np.sqrt(weights)[:, None])

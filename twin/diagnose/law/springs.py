@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from twin.diagnose.fit import simulated_responses
 from twin.diagnose.imperfections import SHARES
 from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Settings, is_between_encoders
-from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, Curve, cross_validated_loss, nuisances_in, scale_of
+from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, MeasuredCurve, cross_validated_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import Samples, deflection_of, transmitted_force
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.settings import T
@@ -76,7 +76,7 @@ def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted) -> Fitted:
     return new if new is not None and new.cost + T.evidence < fitted.cost else fitted
 
 
-def stage_over_force(samples: Samples, curve: Curve) -> Described | None:
+def stage_over_force(samples: Samples, curve: MeasuredCurve) -> Described | None:
     """A drive train in two stages, measured as deflection over transmitted force; None if one stage explains it as well.
 
     A stiff stage is steep over the deflection, so that the noise of the encoders hides its stiffness there. Over the force F it is flat:

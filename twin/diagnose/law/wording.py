@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.law.known_physics import Known, looks_like
-from twin.diagnose.law.laws import Law
+from twin.diagnose.law.known_physics import Known, known_causes
+from twin.diagnose.law.laws import FoundLaw
 from twin.effects.law import VARIABLES, law_in
 from twin.effects.law_shapes import TABLE
 from twin.effects.readable import display_unit, readable
@@ -23,14 +23,14 @@ BAND = 1.96
 """Half width of a 95 % interval in standard deviations."""
 
 
-def matching_causes(law: Law) -> tuple[Known, ...]:
+def matching_causes(law: FoundLaw) -> tuple[Known, ...]:
     """Known physical causes that match a law."""
     c = law.measured.candidate
     height = next((v for k, v in law.setting.parameters.items() if k in ("height", "amplitude")), 0.0)
-    return looks_like(c.output, c.variable, law.measured.shape, int(np.sign(height)))
+    return known_causes(c.output, c.variable, law.measured.shape, int(np.sign(height)))
 
 
-def _value(law: Law, name: str, axis: Axis, source: Axis, signed: bool = False) -> str:
+def _value(law: FoundLaw, name: str, axis: Axis, source: Axis, signed: bool = False) -> str:
     """A value with its uncertainty in display units: '(485 +- 2) N'; the magnitude only, unless `signed`."""
     value, deviation = law.setting.parameters[name], law.deviations.get(name, 0.0)
     parameter = law.setting.effect.parameter(name)
@@ -43,7 +43,7 @@ def _value(law: Law, name: str, axis: Axis, source: Axis, signed: bool = False) 
     return f"({factor * value:.{digits}f} +- {BAND * factor * deviation:.{digits}f}) {quantity}".removesuffix(" 1").rstrip()
 
 
-def _display_unit(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
+def _display_unit(law: FoundLaw, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
     """Display unit and factor of a parameter of the shape."""
     described = law_in(law.setting)
     of = next((n.of for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
@@ -56,7 +56,7 @@ def _display_unit(law: Law, name: str, axis: Axis, source: Axis) -> tuple[str, f
     return shown_in("length", axis) if of == "length" else None
 
 
-def sentence(law: Law, machine: Machine) -> str:
+def sentence(law: FoundLaw, machine: Machine) -> str:
     """The law in one sentence: 'a friction on X that is (485 +- 2) N lower below (9.0 +- 0.1) mm/s'."""
     axis = machine.axis(law.axis)
     source = machine.axis(law.setting.from_axis) if law.setting.from_axis else axis
@@ -94,7 +94,7 @@ def sentence(law: Law, machine: Machine) -> str:
     return f"{head} over the {over}, {described.shape.words} ({numbers})"
 
 
-def entry(law: Law, machine: Machine) -> dict[str, Any]:
+def entry(law: FoundLaw, machine: Machine) -> dict[str, Any]:
     """The law as an entry of `diagnosis.json`: SI, 95 % intervals, measured points with their standard deviations."""
     axis = machine.axis(law.axis)
     table = law.setting.table()

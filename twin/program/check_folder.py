@@ -13,11 +13,11 @@ import numpy as np
 
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
-from twin.program.collect import MovesNothing
+from twin.program.build import MovesNothing
 from twin.program.interpolator import set_point_blocks
-from twin.program.place import OutsideTravel, placed
+from twin.program.part_placement import OutsideTravel, placed
 from twin.program.read import PROGRAM_ENDINGS, is_program, read_program, understand
-from twin.program.source import Source
+from twin.program.source import ProgramText
 from twin.simulation.setpoint_limits import LimitWatch
 from twin.simulation.setpoints import setpoints_of
 from twin.units import AXIS_UNITS
@@ -110,9 +110,9 @@ def unread_words(path: Path, machine: Machine, reason: str) -> tuple[str, ...]:
     Empty where the program then still lacks something else, such as a subprogram.
     """
     words: dict[str, None] = {}
-    source: Source | None = None
+    source: ProgramText | None = None
     while (word := _UNREAD.search(reason)) and (line := re.match(re.escape(str(path)) + r": line (\d+)", reason)):
-        source = source or Source(path)
+        source = source or ProgramText(path)
         words[word[1]] = None
         if len(words) > MOST_WORDS or not source.lines[int(line[1]) - 1]:
             return ()

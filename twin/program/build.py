@@ -18,7 +18,7 @@ from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.machine.machine import Machine
 from twin.program import moves as mv
 from twin.program.orientation import OK, choose_angles, unreachable_text
-from twin.program.place import OutsideTravel, axes_of
+from twin.program.part_placement import OutsideTravel, axes_of
 from twin.units import AXIS_UNITS, rad_from_deg
 
 DEFAULT_TOLERANCE = 10e-6
