@@ -102,11 +102,12 @@ def choose(
     # what was changed, then what is displaced, then what is late, then what was too small beside the rest
     for functions in ((SET_BACK,), (TABLE, BACKLASH), (PULSE,), (SET_BACK, TABLE, BACKLASH)):
         if PULSE in functions and not goal.met(now):
-            raised, base = faster(with_changes(machine, chosen), on, asked), with_changes(machine, chosen)
-            after = error_on(with_changes(base, raised), on)
-            if raised and after.rms < (1.0 - WORTH) * now.rms and not _harm(raised, base, on, elsewhere, asked):
-                errors += [e.rms for e in errors_of([with_changes(base, raised[: i + 1]) for i in range(len(raised))], on)]
-                chosen, now = [*chosen, *raised], after
+            base = with_changes(machine, chosen)
+            raised = faster(base, on, asked)
+            steps = errors_of([with_changes(base, raised[: i + 1]) for i in range(len(raised))], on)
+            if steps and steps[-1].rms < (1.0 - WORTH) * now.rms and not _harm(raised, base, on, elsewhere, asked):
+                errors += [error.rms for error in steps]
+                chosen, now = [*chosen, *raised], steps[-1]
         pool = [c for c in left if c.function in functions]
         if goal.met(now) or not pool:
             continue

@@ -14,7 +14,7 @@ from twin.machine.machine import Axis, Machine
 from twin.remedy.advice import ADVICE, BACKLASH, GAIN, PULSE, TABLE
 from twin.remedy.change import Change, held
 from twin.remedy.margins import Asked
-from twin.remedy.predict import Motionful, errors_of
+from twin.remedy.predict import Motionful, errors_of, with_changes
 
 AMPLITUDES = (0.25, 0.5, 0.75, 1.0)
 """First amplitudes of a pulse, in units of 2 Mc r / Kp: the step of the speed set point that turns Coulomb friction round."""
@@ -73,9 +73,7 @@ def faster(machine: Machine, on: Motionful, asked: Asked) -> list[Change]:
         changes = [
             Change(a.name, GAIN, None, {"position_gain_per_s": float(f"{factor * a.loops.position_gain_per_s:.3g}")}) for a in driven
         ]
-        raised = machine
-        for change in changes:
-            raised = change.applied(raised)
+        raised = with_changes(machine, changes)
         if not any(asked.missed_by(raised, a.name) for a in driven):
             return changes
         factor *= 0.9

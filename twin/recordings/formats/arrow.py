@@ -7,6 +7,7 @@ from pathlib import Path
 from twin.limits import refuse_bytes
 from twin.recordings.formats.parquet import list_columns, table_recording
 from twin.recordings.signals import ReadOptions, Recording
+from twin.recordings.table_file import REMEDY
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -19,6 +20,6 @@ def read(path: Path, options: ReadOptions) -> Recording:
         for i in range(file.num_record_batches):
             batches.append(file.get_batch(i))
             taken += batches[-1].nbytes
-            refuse_bytes(taken, str(path), "export the recording in parts")
+            refuse_bytes(taken, str(path), REMEDY)
     table = pa.Table.from_batches(batches, file.schema)
     return table_recording(table, "Arrow", path, options, list_columns(table))

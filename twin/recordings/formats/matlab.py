@@ -10,7 +10,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.limits import most_bytes, refuse_bytes
 from twin.recordings.formats import hdf5
-from twin.recordings.formats.arrays import arrays_recording
+from twin.recordings.formats.arrays import REMEDY, arrays_recording
 from twin.recordings.signals import ReadOptions, Recording, head_of
 from twin.system import tried
 
@@ -47,7 +47,7 @@ def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
     # a damaged file can crash the library, so it is first read in a process of its own
     trial = tried(_TRIAL, str(path), str(most_bytes()), most_bytes=LOADED_BYTES + 2 * most_bytes(), seconds=60)
     if trial is not None and (said := trial.stdout.strip()).isdigit():
-        refuse_bytes(int(said), str(path), "save fewer signals, or in parts")
+        refuse_bytes(int(said), str(path), REMEDY)
     problem = "does not end" if trial is None else {0: "", 1: "", 3: "fills the memory"}.get(trial.returncode, "crashes")
     if problem:
         raise InputError(f"{path}: a damaged MATLAB file (reading it {problem}); save it again")

@@ -18,8 +18,8 @@ from twin.errors import InputError
 from twin.limits import refuse_bytes
 from twin.recordings.formats import arrays, delimited
 from twin.recordings.signals import ReadOptions, Recording, head_of
+from twin.recordings.table_file import REMEDY
 
-REMEDY = "export the recording in parts"
 _BLOCK = 1 << 22
 
 
