@@ -5,10 +5,10 @@ The structure of an axis (`structure = "P/PI/PI"`) is a list of the first blocks
 position_controller   P, speed and torque feedforward               friction_pulse     pulse on the speed set point at a reversal
 drive_position_loop   position loop closed in the drive             set_point_filters  lag and moving average of the set points
 speed_controller      P or PI; measured or differentiated speed     structures         lists of blocks: P/PI/PI, P/PI, P/P
-current_controller    PI and winding, or an ideal actuator          linear             sampled linear systems for the margins
+current_controller    PI and winding, or an ideal actuator          stepper            field and rotor of a stepper motor, open loop
 
 block, library        what a listed block is, and all of them       command_law        the law of a control whose command is recorded
-number                bounds, unit, key, machine datum
+number                bounds, unit, key, machine datum              linear             sampled linear systems for the margins
 
 Other rooms ask the blocks (`axis.actuator`, `axis.blocks`) and know no structure by name.
 

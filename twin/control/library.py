@@ -1,6 +1,6 @@
 """All blocks that a machine file may list: importing this module fills `block.BLOCKS`. One line here for each file."""
 
-from twin.control import backlash_value, friction_pulse, pid, position_correction, set_point_filters
+from twin.control import backlash_value, friction_pulse, pid, position_correction, set_point_filters, stepper
 from twin.control.block import BLOCKS
 
-__all__ = ["BLOCKS", "backlash_value", "friction_pulse", "pid", "position_correction", "set_point_filters"]
+__all__ = ["BLOCKS", "backlash_value", "friction_pulse", "pid", "position_correction", "set_point_filters", "stepper"]
