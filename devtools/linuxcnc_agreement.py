@@ -16,14 +16,17 @@ import math
 from pathlib import Path
 import re
 import tempfile
+from typing import ClassVar
 
 import numpy as np
 
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.program import moves as mv
+from twin.program import read
 from twin.program.build import Collector
-from twin.program.read import understand
+from twin.program.expressions import WordError
+from twin.program.iso_blocks import Iso
 
 MESSAGES_ONLY = {"machine-coord-params", "rotation/abs-pts"}
 """Tests whose script keeps only the messages."""
@@ -36,7 +39,49 @@ INCH = 25.4e-3
 """[m]"""
 WITHOUT_M98 = "test-no-fanuc.ini"
 """A configuration of LinuxCNC that switches M98 off, which no program can: runs with it are left out."""
+_ACTIVE = re.compile(r"[(;]\s*(DEBUG|PRINT|MSG)\s*,([^()]*(?:\([^()]*\)[^()]*)*)", re.I)
+_IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 _CALL = re.compile(r"(?:N\S*\s+)?([A-Z][A-Z0-9_]+)\((.*)\)\s*$")
+
+
+class Talking(Iso):
+    """The reader, which also keeps the texts of MSG, DEBUG and PRINT with the values behind their block."""
+
+    messages: ClassVar[list[str]] = []
+    block = ""
+
+    def run(self) -> None:
+        self.messages.clear()
+        super().run()
+        self.speak("")
+
+    def fast(self, text: str, line: int) -> bool:
+        self.speak(text)
+        return super().fast(text, line)
+
+    def speak(self, following: str) -> None:
+        """The texts of the block that has run."""
+        for kind, text in _ACTIVE.findall(self.block):
+            places = 6
+
+            def value(match: re.Match[str]) -> str:
+                nonlocal places
+                if not match[2]:
+                    places = {"%d": 0, "%f": 4}.get(match[0], int(match[1] or 6))
+                    return ""
+                try:
+                    return f"{self.number_of('#' + match[2].upper(), 1):.{places}f}"
+                except WordError:
+                    return "######"
+
+            self.messages.append(text if kind.upper() == "MSG" else _IN_MESSAGE.sub(value, text))
+        self.block = following
+
+
+def understand(program: Path, machine: Machine) -> Collector:
+    """The moves of a program; `Talking` keeps its messages."""
+    read.Iso = Talking  # type: ignore[misc]
+    return read.understand(program, machine)
 
 
 @dataclass
@@ -114,8 +159,8 @@ def replay(lines: list[str]) -> Canon:
 
 
 def ours(out: Collector) -> Canon:
-    """The reader's moves in the same form."""
-    canon = Canon(messages=[m.strip() for m in out.messages])
+    """The reader's moves and messages in the same form."""
+    canon = Canon(messages=[m.strip() for m in Talking.messages])
     here = np.zeros(5)
     for row, (kind, target) in enumerate(zip(out.kinds, out.targets)):
         if kind == mv.DWELL:

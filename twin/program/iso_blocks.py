@@ -52,7 +52,6 @@ FORMS: Forms = (
 )
 _MAIN_BLOCK = re.compile(r"(\s*):(\d+)(?=\s*[A-Z])", re.A)
 COMMENT = re.compile(r"\(([^()]*(?:\([^()]*\)[^()]*)*)\)?")
-_ACTIVE = re.compile(r"\s*(DEBUG|PRINT|MSG)\s*,(.*)$", re.S | re.I)
 _LOG = re.compile(r"\s*(LOGOPEN|LOGAPPEND|LOGCLOSE|LOG|PROBEOPEN|PROBECLOSE|PY|ABORT)\b\s*,?", re.I)
 LINUXCNC = re.compile(r"^\s*(?:N\d+\s*)?O[ \t]*(?:<[^>]*>|\d+[ \t]*(?:SUB|IF|WHILE|DO|REPEAT|CALL)\b)|#[ \t]*<", re.I | re.M)
 _OUTPUT = re.compile(r"(?:N\d+\s*)?(?:[BD]P(?:RNT)?\s*\[|PO(?:PEN)?\b\s*$|PC(?:LOS)?\b\s*$)", re.A)
@@ -60,8 +59,6 @@ _OUTPUT = re.compile(r"(?:N\d+\s*)?(?:[BD]P(?:RNT)?\s*\[|PO(?:PEN)?\b\s*$|PC(?:L
 MACRO = dict(zip("ABCIJKDEFHMQRSTUVWXYZ", (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26)))
 """Letter of G65 -> variable that it sets."""
 MOST_REPEATS = 10_000
-SEPARATOR = "\x01"
-_IN_MESSAGE = re.compile(r"%[df]|%\.(\d)f|#(<[^>]*>|\d+)")
 
 
 class Iso(Reader):
@@ -113,14 +110,11 @@ class Iso(Reader):
     # ------------------------------------------------------------------ lines
 
     def clean(self, text: str) -> str:
-        """The block in capitals without comments; text that a comment prints follows a separator."""
-        messages: list[str] = []
+        """The block in capitals without comments."""
 
         def comment(match: re.Match[str]) -> str:
             inner = match[1]
-            if active := _ACTIVE.match(inner):
-                messages.append(f"{active[1].upper()},{active[2]}")
-            elif (log := _LOG.match(inner)) and log[1].upper() not in ("PY", "ABORT"):
+            if (log := _LOG.match(inner)) and log[1].upper() not in ("PY", "ABORT"):
                 self.state.note(f"({log[1].upper()}): understood, no effect on the motion")
             elif log and "," in inner:
                 raise WordError(f"({log[1].lower()},..) runs code of the control, which is not simulated; remove it", match.start() + 1)
@@ -131,8 +125,6 @@ class Iso(Reader):
             text = COMMENT.sub(comment, head)
             if semicolon and (log := _LOG.match(tail)) and log[1].upper() in ("PY",) and "," in tail[:6]:
                 raise WordError(";py,.. runs code of the control, which is not simulated; remove it", len(head) + 1)
-            if semicolon and (active := _ACTIVE.match(tail)):
-                messages.append(f"{active[1].upper()},{active[2]}")
         text = text.upper().rstrip()
         stripped = text.lstrip()
         if stripped.startswith(":") and (main := _MAIN_BLOCK.match(text)):
@@ -141,16 +133,15 @@ class Iso(Reader):
             text = ""
         elif stripped.startswith("/"):
             text = re.sub(r"/\d?", lambda m: " " * len(m[0]), text, count=1)  # block skip is off: the block runs
-        return text + "".join(SEPARATOR + m for m in messages)
+        return text
 
     def statement(self, text: str) -> Statement | None:
         """The statement of the flow in a line."""
-        body = text.split(SEPARATOR)[0]
-        found = statement_of(OWORDS if SEPARATOR in text else (*OWORDS, *FORMS), body)
+        found = statement_of((*OWORDS, *FORMS), text)
         if found is None:
             return None
         target = found.target and (f"N{int(found.target)}" if found.target.isdigit() else f"={found.target}")
-        key = {"then": found.key.rjust(len(body.rstrip())), "words_goto": found.key}.get(found.kind, plain_key(found.key))
+        key = {"then": found.key.rjust(len(text.rstrip())), "words_goto": found.key}.get(found.kind, plain_key(found.key))
         return replace(found, key=key, target=target)
 
     def labels_of(self, line: str) -> Iterator[str]:
@@ -168,14 +159,10 @@ class Iso(Reader):
     # ------------------------------------------------------------------ words of a block
 
     def words(self, text: str) -> None:
-        body, *messages = text.split(SEPARATOR)
         if self.parameter_lines:
-            self.parameter_lines = "G11" not in body
-            return
-        if body.strip():
-            self.carry_out(self.words_of(body))
-        for message in messages:
-            self.out.messages.append(message_text(message, self.number_of))
+            self.parameter_lines = "G11" not in text
+        else:
+            self.carry_out(self.words_of(text))
 
     def words_of(self, text: str) -> Block:
         """The words of a block; assigned variables are set after the block is read."""
@@ -365,22 +352,3 @@ def between_percents(unit: Unit) -> Unit:
 
 def plain_key(key: str) -> str:
     return str(int(key)) if key.isdigit() else key.replace(" ", "")
-
-
-def message_text(text: str, number_of: Callable[[str, int], float]) -> str:
-    """The text of MSG, DEBUG or PRINT with the values of its parameters filled in."""
-    kind, _, rest = text.partition(",")
-    places = 6
-
-    def value(match: re.Match[str]) -> str:
-        nonlocal places
-        if not match[2]:
-            places = {"%d": 0, "%f": 4}.get(match[0], int(match[1] or 6))
-            return ""
-        try:
-            number = number_of("#" + match[2].upper(), 1)
-        except WordError:
-            return "######"
-        return f"{number:.{places}f}"
-
-    return rest if kind == "MSG" else _IN_MESSAGE.sub(value, rest)

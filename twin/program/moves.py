@@ -7,7 +7,7 @@ otherwise the axes X Y Z; A and C are always the axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +80,7 @@ class Program:
     """A part program: start of the axes (5,), moves, and modes that the program set.
 
     `feedforward`: set by the first FFWON or FFWOF (None if neither: the machine file decides). `notes`: one line for each word
-    without an effect here (spindle, coolant); `messages`: the texts of MSG; `files`: subprograms that were read from other files.
+    without an effect here (spindle, coolant).
     """
 
     path: Path
@@ -89,8 +89,6 @@ class Program:
     kinematics: Kinematics
     feedforward: str | None = None
     notes: tuple[str, ...] = ()
-    messages: tuple[str, ...] = field(default=())
-    files: tuple[Path, ...] = ()
 
     def __len__(self) -> int:
         return len(self.moves)

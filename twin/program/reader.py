@@ -59,7 +59,7 @@ class Reader:
         self.control = Control(self.state)
         self.corners = Corners(self.control)
         self.flow = Flow(unit, self.state, self)
-        self.folder = Folder(path, self.out.files)
+        self.folder = Folder(path)
 
     @property
     def reading(self) -> Path:

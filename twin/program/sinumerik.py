@@ -148,7 +148,7 @@ def _settable(m: Sinumerik, _: Block, number: float) -> None:
 
 
 def _later(m: Sinumerik, b: Block, word: Written) -> None:
-    """A name that the block itself carries out, behind its modes."""
+    """A name without effect here, or one that the block itself carries out, behind its modes."""
 
 
 def _bare(word: Written) -> None:
@@ -191,11 +191,6 @@ def _feed_axes(m: Sinumerik, _: Block, word: Written) -> None:
     axes = {m.state.slot_of.get(t, t) for t, _ in split_arguments(word.text or "")} - {""}
     m.out.set_modes(replace(m.out.modes, feed_of_all=bool(axes & set(ROTARY))))
     m.state.note("FGROUP: F counts X Y Z alone, or with A or C all axes, a degree as a mm (FGREF as delivered)")
-
-
-def _message(m: Sinumerik, _: Block, word: Written) -> None:
-    text = (word.text or "").strip()
-    m.out.messages.append(text.strip('"') if text.count('"') <= 2 else text)
 
 
 def _zero_only(m: Sinumerik, _: Block, word: Written) -> None:
@@ -290,7 +285,7 @@ SINUMERIK_NAMES: dict[str, Word[NameHandler]] = {
     **named(ACTS, "A and C turn linearly", "ORIMKS ORIAXES", _mode),
     **named(ACTS, "A2= B2= C2= are angles about turned axes, or about fixed ones", "ORIEULER ORIRPY ORIVIRT1 ORIRPY2", _angles),
     **named(ACTS, "feedforward", "FFWON FFWOF", _mode), **named(ACTS, "jerk limited or not", "SOFT BRISK", _mode), **named(NOTE, NOTHING, "DRIVE SOFTA BRISKA DRIVEA"),
-    **named(ACTS, "text for the operator", "MSG", _message),
+    **named(ACTS, "text for the operator", "MSG", _later),
     **named(ACTS, "programmable frame: new, or in addition (A..); alone it is cleared", "TRANS ATRANS ROT AROT SCALE ASCALE MIRROR AMIRROR ROTS AROTS", _later),
     **named(ACTS, "machine coordinates in this block", "SUPA", _later),
     **named(ACTS, "tolerance (mm) and rounding of free-form surfaces", "CYCLE832", cycles.carry_out), **named(ACTS, "tilted plane", "CYCLE800", cycles.carry_out),
