@@ -91,7 +91,7 @@ def test_where_linuxcnc_and_fanuc_differ_a_note_or_an_error_says_so(write, mikro
         except InputError:
             return
         of_block = [k for k, line in enumerate(out.lines) if line > 3]
-        modes = [str((out.all_modes[out.mode_of[k]].exact_stop, out.all_modes[out.mode_of[k]].tolerance)) for k in of_block]
+        modes = [str((out.all_modes[out.mode_of[k]].rounding, out.all_modes[out.mode_of[k]].tolerance)) for k in of_block]
         feeds = [out.feeds[k] for k in of_block]
         found.append((str(([out.targets[k] for k in of_block], feeds, out.pauses, list(out.arcs.values()), modes)), set(out.notes)))
     (nc, notes), (ngc, others) = found

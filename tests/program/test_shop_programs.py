@@ -251,8 +251,6 @@ def fingerprint(out, front) -> tuple:
         "centre_absolute",
         "unit",
         "feed",
-        "rounding",
-        "tolerance",
         "offset",
         "comp",
         "cycle",

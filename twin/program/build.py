@@ -8,8 +8,8 @@ line and block.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,12 +40,12 @@ class Modes:
 
     traori: bool = False
     workpiece_orientation: bool = True  # ORIWKS: great circle; ORIMKS: A and C linear
-    exact_stop: bool = False
+    rounding: int = 64  # 60: exact stop; 641: within ADIS and ADISPOS, where they are above 0; else within the tolerances
     stop_window: str = "G601"
     tolerance: float = DEFAULT_TOLERANCE
     angle_tolerance: float = DEFAULT_ANGLE_TOLERANCE
-    distance: float = math.inf
-    rapid_distance: float = math.inf
+    adis: float = 0.0
+    adispos: float = 0.0  # between rapid moves
     feed_mode: int = 94
     feed_unit: float = 1e-3  # m
     feed_of_all: bool = False  # F counts the ways of X Y Z A C together, a degree as a unit of length; else that of X Y Z
@@ -102,11 +102,11 @@ class Collector:
         """An error at a place of the program."""
         return InputError(f"{mv.place_of(self.path, line, block)}: {text}")
 
-    def set_modes(self, modes: Modes) -> None:
-        """Set the modes of the following moves."""
-        if modes != self.modes:
-            self.modes = modes
-            self.all_modes.append(modes)
+    def change(self, **modes: Any) -> None:
+        """Change modes of the following moves."""
+        if (new := replace(self.modes, **modes)) != self.modes:
+            self.modes = new
+            self.all_modes.append(new)
 
     def add(
         self, kind: int, target: tuple[float, ...], tool_axis: tuple[float, float, float] | None, feed: float, line: int, block: int
@@ -149,15 +149,17 @@ class Collector:
             self.settled = end
         return self.last_angles
 
-    def change_frame(self, modes: Modes) -> None:
+    def change_frame(self, **modes: Any) -> None:
         """Switch TRAORI or the tool: the axes stay, the point gets its new coordinates."""
+        if replace(self.modes, **modes) == self.modes:
+            return
         point = np.array([[*self.position[:3], *self.settle()]])
         if self.modes.traori:
             point = mv.axes_at(self.kinematics, point, np.array([self.modes.tool_length]))
-        if modes.traori:
-            point = mv.tips_at(self.kinematics, point, np.array([modes.tool_length]))
+        self.change(**modes)
+        if self.modes.traori:
+            point = mv.tips_at(self.kinematics, point, np.array([self.modes.tool_length]))
         self.position = point[0].tolist()
-        self.set_modes(modes)
 
     def finish(self) -> mv.Program:
         """The checked program."""
@@ -173,7 +175,8 @@ class Collector:
             raise self.fail(self.lines[far[0]], self.blocks[far[0]], "a coordinate is too large; correct it")
         mode_of = np.array(self.mode_of)
         columns = {f.name: np.array([getattr(m, f.name) for m in modes])[mode_of] for f in fields(Modes)}
-        exact, traori, brisk, length = (columns[name] for name in ("exact_stop", "traori", "brisk", "spindle_tool_length"))
+        traori, brisk, length, adis = (columns[name] for name in ("traori", "brisk", "spindle_tool_length", "adis"))
+        exact, by_distance = columns["rounding"] == 60, columns["rounding"] == 641
 
         centre, normal, angle = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
         for row, (c, axis, turn) in self.arcs.items():
@@ -194,8 +197,10 @@ class Collector:
         stop[-1] = True
         both_rapid = np.concatenate([(kind[1:] == mv.RAPID) & (kind[:-1] == mv.RAPID), [False]])
         factor = np.where(both_rapid, RAPID_TOLERANCE_FACTOR, 1.0)
-        distance = np.where(kind == mv.RAPID, columns["rapid_distance"], columns["distance"])
-        modes_of_path = columns["tolerance"] * factor, columns["angle_tolerance"] * factor, distance, brisk, columns["feedforward"], length
+        distance = np.where(kind == mv.RAPID, columns["adispos"], adis)
+        distance = np.where(by_distance & (distance > 0.0), distance, np.inf)
+        tolerance = np.where(by_distance & (adis > 0.0), adis, columns["tolerance"]) * factor
+        modes_of_path = tolerance, columns["angle_tolerance"] * factor, distance, brisk, columns["feedforward"], length
         motion = kind, target, traori, columns["workpiece_orientation"], np.array(self.feeds), np.zeros(n, bool), stop, pause
         moves = mv.Moves(*motion, *modes_of_path, centre, normal, angle, np.array(self.blocks), np.array(self.lines))
         program = self._with_start(moves)

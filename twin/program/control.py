@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 import math
 from typing import NamedTuple
 
@@ -350,9 +349,10 @@ class Control:
             length = math.hypot(move.arc[2] * radius, element.across[1] - element.across[0])
         mode = s.out.all_modes[move.mode]
         if mode.feed_mode == 93:  # G93 gives the time of the contour; the tool keeps the same speed
-            s.out.set_modes(replace(s.out.modes, feed_mode=94))
+            now = s.out.modes.feed_mode
+            s.out.change(feed_mode=94)
             move = move._replace(feed=move.feed * length / mode.feed_unit, mode=len(s.out.all_modes) - 1)
-            s.out.set_modes(mode)
+            s.out.change(feed_mode=now)
             element.move = move
         s.programmed = point.copy()
         s.comp.add(element)
@@ -361,9 +361,7 @@ class Control:
         """Emit a finished element of the compensation."""
         s = self.state
         a, b, c = arcs.PLANES[s.plane]
-        comp, s.comp = s.comp, None
-        after, s.after_compensation = s.after_compensation, False
-        start, point = s.here(), np.zeros(3)
+        start, point = s.to_program(np.array(s.out.position[:3])), np.zeros(3)
         point[[a, b]], point[c] = e.b, e.across[1]
         arc, kind, whole = None, e.move.kind, e.whole and float(np.hypot(*(e.b - start[[a, b]]))) < GOUGE
         if whole:  # a corner that rounding made must not turn it into an arc of no length
@@ -377,7 +375,6 @@ class Control:
             kind = mv.LINE
         if moves:
             self._put(e.move._replace(kind=kind, point=point, arc=arc))
-        s.comp, s.after_compensation = comp, after
 
 
 def _gap(start: np.ndarray, end: np.ndarray, centre: np.ndarray, a: int, b: int) -> float:

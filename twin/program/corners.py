@@ -65,7 +65,10 @@ class Corners:
         if self.every_corner and corner is None and move.kind != mv.RAPID:
             corner = "RNDM", self.every_corner
         if self.held is not None:
-            move = self._cut_corner(self.held, move)
+            *earlier, move = self._cut_corner(self.held, move)
+            self.held = None
+            for one in earlier:
+                self._go(one)
         if corner is not None and corner[1] > 0.0:
             self.held = Held(*corner, move._replace(point=move.point.copy()), self.state.here())
             return
@@ -86,13 +89,11 @@ class Corners:
                 raise WordError(f"a move in the plane must follow {what}; add it or remove {what}")
             self._go(move)
 
-    def _cut_corner(self, held: Held, following: Move) -> Move:
-        """Emit the waiting move, then the chamfer or rounding before the following one; that one from its new start on."""
+    def _cut_corner(self, held: Held, following: Move) -> list[Move]:
+        """The waiting move, the chamfer or rounding if there is one, and the following move from its new start on."""
         what, size, before, start = held
-        self.held = None
         if following.kind == mv.RAPID and what == "RNDM":
-            self._go(before)
-            return following
+            return [before, following]
         lines = before.arc is None and following.arc is None and following.kind != mv.RAPID
         if lines and what not in ("RND", "RNDM", ",R"):
             return self._chamfer(held, following)
@@ -102,14 +103,12 @@ class Corners:
         if following.kind == mv.RAPID or min(ways) < 1e-9 or not (self.control.in_plane(before) and self.control.in_plane(following)):
             if what == "RNDM":
                 self.state.note("RNDM: corners outside the plane and beside rotary axes are not rounded")
-                self._go(before)
-                return following
+                return [before, following]
             raise WordError(f"{what} needs a move in the plane G{self.state.plane} on both sides; select the plane, or write the corner")
         t, u = one.direction(True), two.direction(False)
         turn = math.atan2(t[0] * u[1] - t[1] * u[0], float(t @ u))
         if abs(turn) < 1e-6:
-            self._go(before)
-            return following
+            return [before, following]
         if max(abs(before.point[axis] - start[axis]), abs(following.point[axis] - before.point[axis])) > 1e-9:
             raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane")
         if what not in ("RND", "RNDM", ",R"):
@@ -119,13 +118,12 @@ class Corners:
         first, last, centre = (before.point.copy() for _ in cut)
         for place, p in zip((first, last, centre), cut):
             place[list(arcs.PLANES[self.state.plane][:2])] = p
-        self._go(self._from(before, start, first))
         rounding = self.control.arc_about(first, last, centre, turn < 0.0)
-        self._go(before._replace(kind=mv.ARC, point=last, angles=KEPT, vector=None, arc=rounding, machine=False))
-        return self._from(following, last, following.point)
+        corner = before._replace(kind=mv.ARC, point=last, angles=KEPT, vector=None, arc=rounding, machine=False)
+        return [self._from(before, start, first), corner, self._from(following, last, following.point)]
 
-    def _chamfer(self, held: Held, following: Move) -> Move:
-        """Emit the waiting line, then the chamfer before the following line."""
+    def _chamfer(self, held: Held, following: Move) -> list[Move]:
+        """The waiting line, the chamfer, and the following line."""
         what, size, before, start = held
         ways = before.point - start, following.point - before.point
         lengths = [float(np.linalg.norm(way)) for way in ways]
@@ -137,11 +135,9 @@ class Corners:
         if turn > 1e-6 and (turn > math.pi - 1e-6 or cut > min(lengths) + 1e-9):
             raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller")
         if turn < 1e-6:
-            self._go(before)
-            return following
-        self._go(before._replace(point=before.point - cut * t))
-        self._go(before._replace(point=before.point + cut * u, angles=KEPT, vector=None, machine=False))
-        return following
+            return [before, following]
+        corner = before._replace(point=before.point + cut * u, angles=KEPT, vector=None, machine=False)
+        return [before._replace(point=before.point - cut * t), corner, following]
 
     def _from(self, move: Move, start: np.ndarray, end: np.ndarray) -> Move:
         """The move with other ends on the same line or circle."""

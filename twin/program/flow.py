@@ -78,6 +78,7 @@ class Frame:
     variables: dict[Any, Any] = field(default_factory=dict)
     repeats: list[list[int]] = field(default_factory=list)  # [last line, line to return to, first line, times left]
     counters: dict[int, int] = field(default_factory=dict)
+    loop: int = -1  # the line of a loop whose end was reached, and which decides whether it runs once more
     style: str = ""  # how it was called, where the end must fit
     on_return: Callable[[], None] | None = None
 
@@ -213,7 +214,7 @@ class Flow:
         return True
 
     def _structure(self, frame: Frame, at: int, s: Statement) -> int:
-        """The program goes on behind this line: it enters or skips a loop or branch, and goes on or back at the end of a loop."""
+        """The program goes on behind this line: it enters or skips a loop or branch, or leaves a loop at its end."""
         kind, opens, statements = s.kind, self.table(frame.unit).get(at, (at,))[0] == at, frame.unit.statements
         if opens and kind in ("while", "for", "times") and self._enters(frame, at, s):
             return at
@@ -229,32 +230,22 @@ class Flow:
             return last
         if opens:
             return at if kind in ("loop", "repeat", "do") else last
-        to_its_test = kind in ("endwhile", "endloop")
-        if not to_its_test and not self._again(frame, first, s):
-            return at
-        self._jump(s.column)
-        return first - to_its_test
+        if kind not in ("until", "while") or bool(self._value(s.text, s.column)) == (kind == "while"):
+            self._jump(s.column)
+            frame.loop = first
+            return first - 1
+        return at
 
     def _enters(self, frame: Frame, at: int, s: Statement) -> bool:
-        """Whether a loop runs from its beginning on."""
+        """Whether a loop runs, from its beginning on or once more."""
+        again, frame.loop = frame.loop == at, -1
         if s.kind == "while":
             return bool(self._value(s.text, s.column))
         if s.kind == "for":
-            self.language.assign(s.target, self._value(s.text, s.column), s.column)
+            self.language.assign(s.target, self._value(s.target, s.column) + 1.0 if again else self._value(s.text, s.column), s.column)
             return self._value(s.target, s.column) <= self._value(s.last, s.column)
-        frame.counters[at] = int(self._value(s.text, s.column))
+        frame.counters[at] = frame.counters.get(at, 1) - 1 if again else int(self._value(s.text, s.column))
         return frame.counters[at] > 0
-
-    def _again(self, frame: Frame, first: int, s: Statement) -> bool:
-        """Whether a loop that began at the line `first` runs once more."""
-        if s.kind == "endtimes":
-            frame.counters[first] = frame.counters.get(first, 1) - 1
-            return frame.counters[first] > 0
-        if s.kind == "endfor":
-            loop = frame.unit.statements[first]
-            self.language.assign(loop.target, self._value(loop.target, s.column) + 1.0, s.column)
-            return self._value(loop.target, s.column) <= self._value(loop.last, s.column)
-        return bool(self._value(s.text, s.column)) == (s.kind == "while")
 
     def _value(self, text: str, column: int) -> float:
         """The value of a condition or of the bound of a loop."""

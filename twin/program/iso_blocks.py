@@ -90,7 +90,7 @@ class Iso(Reader):
         self.offsets = self.values.offsets
         letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         self.plain_block = re.compile(rf"\s*(?:N(\d+)\s*)?(?:G0?([01])(?!\d)\s*)?{letters}{3 * NO_GROUP}(?:F({NUMBER})\s*)?;?\s*$", re.A)
-        self.out.set_modes(replace(self.out.modes, feed_of_all=not linuxcnc))
+        self.out.change(feed_of_all=not linuxcnc)
         counts = "all axes, a degree as a unit of length, as on a Fanuc; in .ngc files X Y Z alone"
         counts = "X Y Z alone, as on LinuxCNC" if linuxcnc else counts
         self.out.mixed_feed = f"F beside X Y Z with A or C: it counts {counts}"

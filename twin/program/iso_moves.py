@@ -221,12 +221,11 @@ def path_mode(m: Iso, b: Block, number: float) -> None:
     elif number == 61.1 and not m.linuxcnc:
         s.note("G61.1: high accuracy of Mazak and Mitsubishi, corners are rounded as under G64; in .ngc files an exact stop")
     elif number == 61 and m.linuxcnc:
-        s.tolerance = 1e-6
+        s.out.change(tolerance=1e-6)
         s.note("G61: exact path, a rounding of 1 um")
     elif number == 61:
         s.note("G61: exact stop; in .ngc files exact path, without a stop")
-    s.rounding = 60 if number == (61.1 if m.linuxcnc else 61) else 64
-    s.round_corners()
+    s.out.change(rounding=60 if number == (61.1 if m.linuxcnc else 61) else 64)
 
 
 def _radius_of(m: Iso, d: Item) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 import re
 
 from twin.program import klartext_cycles as cycles
@@ -58,7 +57,7 @@ def tcpm(m: Klartext, b: Block) -> None:
     wrong = re.sub(r"\b(?:F TCP|AXIS POS|PATHCTRL (?:AXIS|VECTOR)|REFPNT TIP-TIP)\b", "", b.text).strip()
     if wrong != ("TCPM" if b.head == "FUNCTION RESET" else "") or (b.head == "FUNCTION RESET" and b.text.strip() != "TCPM"):
         raise WordError(f"'{wrong or b.text.strip()}' is not supported; write F TCP AXIS POS and PATHCTRL AXIS or VECTOR", b.column)
-    m.out.set_modes(replace(m.out.modes, workpiece_orientation="VECTOR" in b.text))
+    m.out.change(workpiece_orientation="VECTOR" in b.text)
     m.state.transform(b.head == "FUNCTION TCPM")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from pathlib import Path
 import re
@@ -148,7 +148,7 @@ class Klartext(Reader):
         self.turn_to: tuple[float, float] | None = None  # A and C that the next move goes to (SEQ)
         self.cycle: int | None = None  # that a call carries out
         self.cycle_everywhere = False  # M89
-        state.out.set_modes(replace(state.out.modes, workpiece_orientation=False, feed_of_all=True))
+        state.out.change(workpiece_orientation=False, feed_of_all=True)
         state.out.mixed_feed = "F beside X Y Z with A B C: it counts all axes, a degree as a unit of length; M128 counts the tool tip"
         letters = "".join(rf"(?:{letter}({NUMBER})\s*)?" for letter in self.out.kinematics.letters)
         self.plain_block = re.compile(rf"\s*(\d*)\s+L\s+{NO_GROUP}{letters}{3 * NO_GROUP}(?:R0\s*)?(?:F\s*(MAX|{NUMBER})\s*)?$", re.A)

@@ -167,7 +167,6 @@ def tolerance(m: Klartext, b: Block) -> None:
     b.text = re.sub(r"\bHSC-MODE:\s*\d", "", b.text)
     words = m.only_words(b, "T TA", " and HSC-MODE")
     m.state.set_tolerances(*(words[n].value if n in words else 0.0 for n in ("T", "TA")))
-    m.state.round_corners()
 
 
 # ------------------------------------------------------------------ drilling

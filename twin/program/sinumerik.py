@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from twin.program import sinumerik_cycles as cycles
@@ -93,9 +92,7 @@ def _values(m: Sinumerik, b: Block) -> None:
         raise WordError(f"OVR={100 * s.override:g} is out of range; give 1 to 200 percent")
     if given := {name: item.value for name, item in b.pick("CTOL", "OTOL", "ADIS", "ADISPOS").items()}:
         s.set_tolerances(given.get("CTOL"), given.get("OTOL"))
-        for name in given.keys() & {"ADIS", "ADISPOS"}:
-            setattr(s, name.lower(), max(0.0, given[name]) * s.unit)
-        s.round_corners()
+        s.out.change(**{name.lower(): max(0.0, given[name]) * s.unit for name in given.keys() & {"ADIS", "ADISPOS"}})
 
 
 def _name(m: Sinumerik, b: Block, word: Written) -> None:
@@ -122,12 +119,11 @@ def _plane(m: Sinumerik, b: Block, number: float) -> None:
 
 
 def _rounding(m: Sinumerik, _: Block, number: float) -> None:
-    m.state.rounding = int(number) if number in (60, 64, 641) else 642
-    m.state.round_corners()
+    m.out.change(rounding=int(number) if number in (60, 64, 641) else 642)
 
 
 def _stop_window(m: Sinumerik, _: Block, number: float) -> None:
-    m.out.set_modes(replace(m.out.modes, stop_window=f"G{int(number)}"))
+    m.out.change(stop_window=f"G{int(number)}")
 
 
 def _compensation(m: Sinumerik, b: Block, number: float) -> None:
@@ -179,7 +175,7 @@ def _mode(m: Sinumerik, _: Block, word: Written) -> None:
     _bare(word)
     if word.name in ("FFWON", "FFWOF") and m.out.feedforward is None:
         m.out.feedforward = "velocity+torque" if word.name == "FFWON" else "off"
-    m.out.set_modes(replace(m.out.modes, **dict([CHANGES[word.name]])))
+    m.out.change(**dict([CHANGES[word.name]]))
 
 
 def _angles(m: Sinumerik, _: Block, word: Written) -> None:
@@ -189,7 +185,7 @@ def _angles(m: Sinumerik, _: Block, word: Written) -> None:
 
 def _feed_axes(m: Sinumerik, _: Block, word: Written) -> None:
     axes = {m.state.slot_of.get(t, t) for t, _ in split_arguments(word.text or "")} - {""}
-    m.out.set_modes(replace(m.out.modes, feed_of_all=bool(axes & set(ROTARY))))
+    m.out.change(feed_of_all=bool(axes & set(ROTARY)))
     m.state.note("FGROUP: F counts X Y Z alone, or with A or C all axes, a degree as a mm (FGREF as delivered)")
 
 

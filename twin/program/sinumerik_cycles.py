@@ -276,10 +276,9 @@ def smooth(m: Sinumerik, a: Arguments, word: Word) -> None:
     if not oriented and a.has(2) and a[2] != 1.0:
         m.state.note("CYCLE832: its third value is a tolerance only after _ORI_.. or a second value with 1 in its tens; ignored")
     m.state.set_tolerances(tolerance, a[2] if oriented and a.has(2) and isinstance(a[2], float) else 0.0)
-    m.state.rounding = 642 if tolerance else 64
     if tolerance and m.out.feedforward is None:
         m.out.feedforward = "velocity+torque"
-    m.state.round_corners(**({"brisk": False, "feedforward": True} if tolerance else {}))
+    m.out.change(**{"rounding": 642, "brisk": False, "feedforward": True} if tolerance else {"rounding": 64})
 
 
 OTHERS = {"CYCLE832": smooth, "CYCLE800": swivel, **dict.fromkeys(("HOLES1", "HOLES2", "CYCLE801", "CYCLE802"), holes)}

@@ -10,7 +10,7 @@ REFUSED: known but not simulated; the text says what to do.
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import math
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -29,10 +29,9 @@ from twin.units import rad_from_deg
 
 INCH = 0.0254
 
-MODES = (
-    "motion", "plane", "absolute", "centre_absolute", "rounding", "tolerance", "angle_tolerance", "adis", "adispos", "retract_to_start",
-)  # fmt: skip
-"""Modes that are kept and brought back as they are."""
+MODES = ("motion", "plane", "absolute", "centre_absolute", "retract_to_start")
+OF_MOVES = ("rounding", "tolerance", "angle_tolerance", "adis", "adispos", "stop_window", "brisk", "feedforward", "workpiece_orientation")
+"""Modes that are kept and brought back as they are: of the state, and of the moves."""
 
 
 Handler = TypeVar("Handler")
@@ -126,9 +125,6 @@ class State:
         self.absolute = True
         self.centre_absolute = False  # G90.1
         self.unit = 1e-3
-        self.adis = self.adispos = 0.0
-        self.tolerance, self.angle_tolerance = DEFAULT_TOLERANCE, DEFAULT_ANGLE_TOLERANCE
-        self.rounding = 64
         self.matrix: np.ndarray | None = None  # None: no turning
         self.offset = [0.0] * 5
         self.other_axes = dict.fromkeys(OTHER, 0.0)
@@ -224,13 +220,13 @@ class State:
 
     def set_spindle(self, value: float) -> None:
         """The S word [1/min]."""
-        self.out.set_modes(replace(self.out.modes, spindle=abs(value)))
+        self.out.change(spindle=abs(value))
         self.note("S: the spindle is not simulated; its speed only serves G95")
 
     def set_feed_mode(self, number: int) -> None:
         """G93, G94 or G95; a feed in other units does not carry over."""
         if number != self.out.modes.feed_mode:
-            self.out.set_modes(replace(self.out.modes, feed_mode=number))
+            self.out.change(feed_mode=number)
             self.feed = math.nan
             self.settle_plain()
 
@@ -238,30 +234,15 @@ class State:
         """Millimetres or inches, for lengths and, if `feed`, for the feed."""
         if feed and unit != self.out.modes.feed_unit:
             self.feed *= self.out.modes.feed_unit / unit  # the speed in force stays
-            self.out.set_modes(replace(self.out.modes, feed_unit=unit))
+            self.out.change(feed_unit=unit)
         self.unit = unit
 
     def set_tolerances(self, path: float | None, angle: float | None) -> None:
         """Tolerance of the path [program units] and of A and C [deg]; 0 stands for the default, None for no change."""
         if path is not None:
-            self.tolerance = path * self.unit if path > 0.0 else DEFAULT_TOLERANCE
+            self.out.change(tolerance=path * self.unit if path > 0.0 else DEFAULT_TOLERANCE)
         if angle is not None:
-            self.angle_tolerance = rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE
-
-    def round_corners(self, **changes: object) -> None:
-        """The modes of corner rounding from the active G code and its parameters."""
-        by_distance = self.rounding == 641
-        adis, adispos = (self.adis or math.inf, self.adispos or math.inf) if by_distance else (math.inf, math.inf)
-        wide = by_distance and self.adis > 0.0
-        modes = replace(
-            self.out.modes,
-            exact_stop=self.rounding == 60,
-            tolerance=self.adis if wide else self.tolerance,
-            angle_tolerance=self.angle_tolerance,
-            distance=adis,
-            rapid_distance=adispos,
-        )
-        self.out.set_modes(replace(modes, **changes))  # type: ignore[arg-type]
+            self.out.change(angle_tolerance=rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE)
 
     def closing(self, radius: float) -> float:
         """The largest difference of the radii of an arc [m]; for ISO LinuxCNC's rule: 28 um or a thousandth, at most 2.8 mm."""
@@ -288,8 +269,7 @@ class State:
         """Switch TRAORI on or off."""
         if self.comp is not None:
             raise WordError("the transformation changes inside G41 or G42; write G40 and a move before")
-        if self.out.modes.traori != on:
-            self.out.change_frame(replace(self.out.modes, traori=on))
+        self.out.change_frame(traori=on)
 
     def kept(self, *more: tuple[object, tuple[str, ...]], frames: Iterable[str] = (), with_feed: bool = False) -> Callable[[], None]:
         """A function that brings back the modes in force now; `more`: attributes of other parts that it brings back, too."""
@@ -305,8 +285,7 @@ class State:
             self.set_unit(unit, feed=modes.feed_unit != self.out.modes.feed_unit)
             self.set_feed_mode(modes.feed_mode)
             self.feed = feed if with_feed else self.feed
-            same = ("stop_window", "brisk", "feedforward", "workpiece_orientation")
-            self.round_corners(**{name: getattr(modes, name) for name in same})
+            self.out.change(**{name: getattr(modes, name) for name in OF_MOVES})
             self.set_frames(**inner)
 
         return restore

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from twin.errors import nearest
 from twin.machine.machine import Machine
@@ -54,8 +53,7 @@ class Tools:
             length = spindle
         if "H" in words and not self.iso:
             self.out.notes["H: understood, no effect on the motion"] = None
-        if (new := replace(modes, tool_length=length, spindle_tool_length=spindle)) != modes:
-            self.out.change_frame(new)
+        self.out.change_frame(tool_length=length, spindle_tool_length=spindle)
 
     def radius(self, name: str, column: int) -> float:
         """Radius [m] of a tool with its wear, from the program ($TC_DP6, G10, #13001) or the machine file."""
