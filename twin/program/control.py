@@ -65,8 +65,8 @@ class Control:
         s, out = self.state, self.state.out
         if any(n in words and (words[n].how not in ("", "AC") or not s.absolute) for n in ROTARY):
             out.position[3:] = [float(v) for v in out.settle()]
-        if machine and s.comp is not None:
-            raise WordError("a block in machine coordinates is inside G41 or G42; write G40 and a move before")
+        if machine:
+            s.outside_compensation("a block in machine coordinates is")
         if start is None:
             start = np.array(out.position[:3]) if machine else s.here()
         point, angles = start.copy(), [math.nan, math.nan]
@@ -207,8 +207,7 @@ class Control:
 
     def stop(self, pause: float) -> None:
         """An exact stop at the end of the last move, then a pause [s] (G9, M0)."""
-        if self.state.comp is not None:
-            raise WordError("an exact stop or a halt inside G41 or G42 is not simulated; write it after G40")
+        self.state.outside_compensation("an exact stop or a halt is")
         if self.state.out.kinds:
             self.state.out.stops[len(self.state.out.kinds) - 1] = pause
 

@@ -6,7 +6,7 @@ after the arrival over the hole; the reader moves there and makes them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 import math
 from typing import NamedTuple
@@ -57,13 +57,13 @@ def pecks(depths: Iterable[float], way: float, short: bool) -> tuple[Peck, ...]:
     return tuple(Peck(depth, way, short) for depth in depths)
 
 
-def levels(top: float, bottom: float, step: float, less: float = 0.0, least: float = 0.0) -> list[float]:
-    """Depths of the infeeds, the last is the bottom; each step is `less` smaller than the one before, not below `least`."""
+def levels(top: float, bottom: float, step: float, following: Callable[[float, float], float] = lambda step, _: step) -> list[float]:
+    """Depths of the infeeds, the last is the bottom; `following`: the step behind one, from that one and the way left to the bottom."""
     down, at, found = math.copysign(1.0, bottom - top), top, []
     while step > 0.0 and abs(bottom - at) > step + 1e-9:
         at += down * step
         found.append(at)
-        step = max(step - less, least if least > 0.0 else (step if less <= 0.0 else 1e-3 * step))
+        step = following(step, abs(bottom - at))
         if len(found) > MOST_PECKS:
             raise WordError(f"more than {MOST_PECKS} pecks in one hole; give a larger step")
     return [*found, bottom]

@@ -120,8 +120,7 @@ def closing(line: str, at: int) -> int:
 class Grammar:
     """Grammar of one language: brackets, operators with their precedence, functions."""
 
-    opening: str
-    closing: str
+    brackets: str
     operators: dict[str, tuple[int, Callable]]
     functions: dict[str, Callable]
     constants: dict[str, float]
@@ -129,8 +128,7 @@ class Grammar:
 
 
 SINUMERIK = Grammar(
-    "(",
-    ")",
+    "()",
     {
         "OR": (1, _LOGIC["OR"]), "XOR": (2, _LOGIC["XOR"]), "AND": (3, _LOGIC["AND"]), **{sign: (4, test) for sign, test in COMPARE.items()},
         "<<": (5, lambda a, b: as_text(a) + as_text(b)), "B_OR": (6, _bits(operator.or_)), "B_XOR": (7, _bits(operator.xor)), "B_AND": (8, _bits(operator.and_)),
@@ -147,8 +145,7 @@ SINUMERIK = Grammar(
     {"PI": math.pi, "$PI": math.pi, "TRUE": 1.0, "FALSE": 0.0},
 )  # fmt: skip
 ISO = Grammar(
-    "[",
-    "]",
+    "[]",
     {
         **{name: (1, test) for name, test in _LOGIC.items()},
         **{name: (2, COMPARE[sign]) for name, sign in zip(("EQ", "NE", "LT", "GT", "LE", "GE"), COMPARE)},
@@ -267,10 +264,12 @@ class Expression:
             self.at += 1
             signed = as_number(self.atom(), self.column + at)
             return -signed if char == "-" else signed
-        if char == self.grammar.opening:
+        if char == self.grammar.brackets[0]:
             self.at += 1
             inner = self.value()
-            self.close(at)
+            if self.peek() != self.grammar.brackets[1]:
+                raise self.fail("bracket is not closed", at)
+            self.at += 1
             return inner
         if char == '"':
             self.at = self.text.find('"', at + 1) + 1
@@ -300,7 +299,7 @@ class Expression:
             return 0.0
         if name in self.grammar.constants:
             return self.grammar.constants[name]
-        if name in self.grammar.functions and self.peek() == self.grammar.opening:
+        if name in self.grammar.functions and self.peek() == self.grammar.brackets[0]:
             arguments = self.arguments()
             if name in ("ATAN", "AT") and self.peek() == "/":
                 self.at += 1
@@ -309,7 +308,7 @@ class Expression:
         if name in self.grammar.functions and self.grammar.bare:
             return self._apply(name, self.grammar.functions[name], (self.atom(),), at)
         if name in self.grammar.functions:
-            raise self.fail(f"{name} needs its argument in brackets {self.grammar.opening} {self.grammar.closing}", at)
+            raise self.fail(f"{name} needs its argument in brackets {' '.join(self.grammar.brackets)}", at)
         value: Value = self.variable(self, name, at)
         return value
 
@@ -325,8 +324,3 @@ class Expression:
             raise self.fail(f"bracket is not closed, '{close}' is missing", at)
         self.at += 1
         return values
-
-    def close(self, at: int) -> None:
-        if self.peek() != self.grammar.closing:
-            raise self.fail("bracket is not closed", at)
-        self.at += 1

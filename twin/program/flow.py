@@ -67,7 +67,7 @@ DEEPEST_CALL = 40
 
 
 @dataclass
-class Frame:
+class Call:
     """One running program or subprogram."""
 
     unit: Unit
@@ -92,12 +92,12 @@ class Flow:
 
     def __init__(self, unit: Unit, state: State, language: Any) -> None:
         self.state, self.language = state, language
-        self.frames = [Frame(unit, unit.first)]
+        self.frames = [Call(unit, unit.first)]
         self.ran = self.jumps = 0
         self.ended = False
 
     @property
-    def frame(self) -> Frame:
+    def frame(self) -> Call:
         """The running program or subprogram."""
         return self.frames[-1]
 
@@ -122,7 +122,7 @@ class Flow:
                     self.language.runs_into("the end of the file", 1)
                 self.back()
 
-    def _run_line(self, frame: Frame, at: int, text: str) -> None:
+    def _run_line(self, frame: Call, at: int, text: str) -> None:
         """Execute one line and advance `frame.at`, except at a jump, and at a call, which advances it at its end."""
         known = frame.unit.statements.get(at)
         if known is None:
@@ -141,7 +141,7 @@ class Flow:
             return ""
         return self.language.statement(clean) or clean
 
-    def advance(self, frame: Frame) -> None:
+    def advance(self, frame: Call) -> None:
         """Advance to the next line, or back to the start of a repeated part at its end."""
         self._count()
         at = frame.at
@@ -164,11 +164,11 @@ class Flow:
     # ------------------------------------------------------------------ calls
 
     def call(self, unit: Unit, at: int, variables: dict[Any, Any], name: str, *, times: int = 1, column: int = 1, **more: Any) -> None:
-        """Run a subprogram from line `at`; the caller continues after its block. `more`: further fields of its `Frame`."""
+        """Run a subprogram from line `at`; the caller continues after its block. `more`: further fields of its `Call`."""
         if len(self.frames) > DEEPEST_CALL:
             raise WordError(f"more than {DEEPEST_CALL} calls inside each other; {name} calls itself without end", column)
         if times > 0:
-            self.frames.append(Frame(unit, at, name, times - 1, at, variables, **more))
+            self.frames.append(Call(unit, at, name, times - 1, at, variables, **more))
 
     def back(self, target: str = "") -> None:
         """The end of a program or subprogram: RET, M17, M99, endsub, or the end of its lines."""
@@ -190,7 +190,7 @@ class Flow:
 
     # ------------------------------------------------------------------ structures
 
-    def _follow(self, frame: Frame, at: int, s: Statement) -> bool:
+    def _follow(self, frame: Call, at: int, s: Statement) -> bool:
         """Execute a statement; True if it has set the next line."""
         kind = s.kind
         if kind in ("label", "endif"):
@@ -213,7 +213,7 @@ class Flow:
             return False
         return True
 
-    def _structure(self, frame: Frame, at: int, s: Statement) -> int:
+    def _structure(self, frame: Call, at: int, s: Statement) -> int:
         """The program goes on behind this line: it enters or skips a loop or branch, or leaves a loop at its end."""
         kind, opens, statements = s.kind, self.table(frame.unit).get(at, (at,))[0] == at, frame.unit.statements
         if opens and kind in ("while", "for", "times") and self._enters(frame, at, s):
@@ -236,7 +236,7 @@ class Flow:
             return first - 1
         return at
 
-    def _enters(self, frame: Frame, at: int, s: Statement) -> bool:
+    def _enters(self, frame: Call, at: int, s: Statement) -> bool:
         """Whether a loop runs, from its beginning on or once more."""
         again, frame.loop = frame.loop == at, -1
         if s.kind == "while":
@@ -252,7 +252,7 @@ class Flow:
         value: float = self.language.number_of(text, column)
         return value
 
-    def _behind(self, frame: Frame, place: int) -> None:
+    def _behind(self, frame: Call, place: int) -> None:
         """Continue after a line; a repeated part that ends among the skipped lines is finished."""
         if frame.repeats and frame.at <= frame.repeats[-1][0] < place:
             place = frame.repeats[-1][0]
@@ -273,7 +273,7 @@ class Flow:
 
     # ------------------------------------------------------------------ jumps
 
-    def jump_to(self, frame: Frame, s: Statement) -> None:
+    def jump_to(self, frame: Call, s: Statement) -> None:
         """Continue at the target of a jump."""
         self._jump(s.column)
         place = frame.first if s.way == "S" else self.place(frame, s.target, s.way, s.column)
@@ -289,7 +289,7 @@ class Flow:
                     unit.labels.setdefault(name, []).append(i)
         return unit.labels
 
-    def place(self, frame: Frame, target: str, direction: str, column: int) -> int:
+    def place(self, frame: Call, target: str, direction: str, column: int) -> int:
         """Line of a label or block number; `direction` F: forwards, B: backwards, C: a missing target is ignored."""
         if target.startswith("="):  # a block number by an expression
             target = f"N{int(self.language.number_of(target[1:], column))}"
@@ -304,7 +304,7 @@ class Flow:
             raise WordError(f"there is no label or block '{target}'{way}; add it or correct the jump", column)
         return found[0]
 
-    def _repeat(self, frame: Frame, at: int, s: Statement) -> None:
+    def _repeat(self, frame: Call, at: int, s: Statement) -> None:
         labels = self.labels(frame.unit)
 
         def label(text: str) -> int:

@@ -50,7 +50,7 @@ NO_LIMIT = 1e9
 Progress = Callable[[float], None]
 
 
-def limits_of(machine: Machine, brisk: bool = False, kinematics: Kinematics | None = None) -> Limits:
+def limits_of(machine: Machine, brisk: bool | np.bool_ = False, kinematics: Kinematics | None = None) -> Limits:
     """Limits of X Y Z, tilting and turning axis. Under BRISK the jerk limit is replaced by one that allows a full change of acceleration in one
     interpolation cycle."""
     names = (kinematics or kinematics_of(machine, sites_needed=False)).names
@@ -106,10 +106,11 @@ def _standing(at: np.ndarray, row: int, count: int) -> _Piece:
 
 def way_of(program: Program, machine: Machine, stretch: Stretch) -> Way:
     """The input of the time law: the path of a stretch in the coordinates of the program, with a break at each change of feed."""
-    feeds = Feeds(program.moves.feed[stretch.row], program.moves.rotary[stretch.row])
+    moves, first = program.moves, stretch.row[0]
+    feeds = Feeds(moves.feed[stretch.row], moves.rotary[stretch.row])
     spline = blend.blend(stretch.elements, stretch.tolerance, stretch.angle_tolerance, stretch.distance)[0]
-    frames = axis_path.frames_of(program.kinematics.with_tool_length(stretch.tool_length), stretch.traori)
-    limits = limits_of(machine, stretch.brisk, program.kinematics)
+    frames = axis_path.frames_of(program.kinematics.with_tool_length(float(moves.tool_length[first])), moves.traori[first])
+    limits = limits_of(machine, moves.brisk[first], program.kinematics)
     return Way(split_at_feeds(spline, stretch.elements, feeds), stretch.elements, frames, limits, feeds)
 
 

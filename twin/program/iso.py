@@ -69,8 +69,8 @@ def execute(m: Iso, b: Block) -> None:
             b.pick(*WORDS_OF_NOTES.get(number, ""))
         elif word.handler is not None:
             word.handler(m, b, number)
-    if s.plane != plane and s.comp is not None:
-        raise WordError("the plane changes inside G41 or G42; write G40 before")
+    if s.plane != plane:
+        s.outside_compensation("the plane changes")
     if motion is not None and motion > 3:
         if m.cycle is None:
             m.sticky, m.initial = {}, float(s.here()[arcs.PLANES[s.plane][2]])

@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.program.expressions import FANUC, ISO, NUMBER, Expression, Null, WordError, as_number, needed
-from twin.program.flow import Forms, Frame, Statement, statement_of
+from twin.program.flow import Call, Forms, Statement, statement_of
 from twin.program.frames import AXES
 from twin.program.iso_values import IsoValues
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader
@@ -215,7 +215,7 @@ class Iso(Reader):
 
     # ------------------------------------------------------------------ subprograms
 
-    def other(self, s: Statement, frame: Frame) -> None:
+    def other(self, s: Statement, frame: Call) -> None:
         """O-words of calls, program numbers, IF .. THEN."""
         if s.kind == "then":
             if self.number_of(s.text, s.column):

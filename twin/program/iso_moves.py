@@ -290,18 +290,19 @@ def drill_holes(m: Iso, b: Block, places: dict[str, Item]) -> None:
         raise WordError(f"G{number} needs Q, the depth of one peck, above 0; add it")
     if not s.feed > 0.0:
         m.control.feed_given(0.0)
-    if s.comp is not None:
-        raise WordError("a drilling cycle is inside G41 or G42; write G40 before")
+    s.outside_compensation("a drilling cycle is")
     if repeats > MOST_REPEATS:
         raise WordError(f"the cycle repeats more than {MOST_REPEATS} times")
     initial, start_height = m.initial / s.unit, float(s.here()[across]) / s.unit
-    as_given = {"R": s.absolute, "Z": s.absolute} if linuxcnc else m.given_absolute
-    safe = m.sticky["R"] + (0.0 if as_given["R"] else initial)
-    depth = m.sticky["Z"] + (0.0 if as_given["Z"] else safe)
-    if (as_given["R"], as_given["Z"]) != (m.given_absolute["R"], m.given_absolute["Z"]):
-        s.note("G90, G91 in an active cycle: R and Z are taken anew by the mode in force, as on LinuxCNC; other controls keep the levels")
-    elif not linuxcnc and not s.absolute == as_given["R"] == as_given["Z"]:
-        s.note("G90, G91 in an active cycle: R and Z keep their levels, as on a Fanuc; in .ngc files they are taken anew")
+    kept = m.given_absolute["R"], m.given_absolute["Z"]
+    of_r, of_z = (s.absolute, s.absolute) if linuxcnc else kept
+    safe = m.sticky["R"] + (0.0 if of_r else initial)
+    depth = m.sticky["Z"] + (0.0 if of_z else safe)
+    if kept != (s.absolute, s.absolute):
+        here = "are taken anew by the mode in force, as on LinuxCNC; other controls keep the levels"
+        s.note(
+            f"G90, G91 in an active cycle: R and Z {here if linuxcnc else 'keep their levels, as on a Fanuc; in .ngc files they are taken anew'}"
+        )
     if linuxcnc and s.plane != 17 and number in (74, 84):
         raise WordError(f"G{number} outside G17 is not read: LinuxCNC itself moves other axes there; write the moves")
     if (depth > safe) != (number == 87) and depth != safe:

@@ -26,8 +26,7 @@ def tool_call(m: Klartext, b: Block) -> None:
     b.text, b.column = b.text[match.end() :], column + match.end()
     words = m.only_words(b, "S F DL DR DR2", "; give the tool in [tool] of the machine file")
     if match[3]:
-        if state.comp is not None:
-            raise WordError("the tool changes inside RL or RR; write R0 and a move before", column)
+        state.outside_compensation("the tool changes")
         state.plane = m.pole_plane = _PLANE_OF[match[3]]
     if "S" in words:
         state.set_spindle(words["S"].value)
@@ -82,11 +81,6 @@ def with_code(m: Klartext, b: Block, head: str, code: str, text: str) -> None:
     path.move(m, b)
 
 
-def noted(m: Klartext, b: Block) -> None:
-    """A word without effect on the motion."""
-    m.state.note(f"{b.head}: {KLARTEXT[b.head].meaning}")
-
-
 def stray(m: Klartext, b: Block) -> None:
     """A word that is read together with another block, and stands alone."""
     where = "stands behind a move in the plane and before another" if b.head in ("RND", "CHF") else "is incomplete"
@@ -131,11 +125,11 @@ KLARTEXT: dict[str, Word[Handler]] = {
     "CYCL DEF 247": Word(ACTS, _FRAMES, cycles.preset),
     "TRANS DATUM": Word(ACTS, "as CYCL DEF 7", cycles.trans_datum), "CYCL DEF 9": Word(ACTS, "dwell", cycles.dwell), "CYCL DEF 32": Word(ACTS, "tolerance T, of the orientation TA", cycles.tolerance),
     **named(ACTS, "drilling, reaming, boring, pecking, tapping, bore milling; Q200 and so on", ", ".join(f"CYCL DEF {n}" for n in cycles.NEEDS), cycles.drilling),
-    "CYCL CALL": Word(ACTS, "carries out the cycle; with POS at a place", call_cycle), "CYCL DEF 13": Word(NOTE, "turns the spindle, " + NOTHING, noted),
+    "CYCL CALL": Word(ACTS, "carries out the cycle; with POS at a place", call_cycle), "CYCL DEF 13": Word(NOTE, "turns the spindle, " + NOTHING),
     **named(ACTS, "subprogram or repeated part; program beside this one", "LBL, CALL LBL, CALL PGM", stray),
     "FN": Word(ACTS, "0 to 13: values and jumps; 15 and 16 print and are noted; others are refused", function), **named(ACTS, "parameter = formula", "Q, QL, QR", function),
     "STOP": STOPS._replace(handler=stop), "BEGIN PGM": Word(ACTS, "begin and end, unit MM or INCH", begin), "END PGM": Word(ACTS, "begin and end, unit MM or INCH", stray),
-    "BLK FORM": Word(NOTE, "the blank, without effect on the motion", noted), "M": Word(ACTS, "M codes alone in a block", path.move),
+    "BLK FORM": Word(NOTE, "the blank, without effect on the motion"), "M": Word(ACTS, "M codes alone in a block", path.move),
     **named(REFUSED, "free contours; let the CAM system output L, C or CR", "FL, FLT, FC, FCT, FPOL, FSELECT"),
     **named(REFUSED, "use PLANE SPATIAL", "PLANE PROJECTED, PLANE EULER, PLANE VECTOR, PLANE POINTS, PLANE RELATIV, PLANE AXIAL"),
     **named(REFUSED, "write the moves", "APPR PLT, APPR PLN, APPR PCT, APPR PLCT, DEP PLCT"),

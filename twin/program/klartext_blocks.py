@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import math
 from pathlib import Path
 import re
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,11 +14,10 @@ from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.control import Move
 from twin.program.expressions import COMPARE, FUNCTIONS, NUMBER, SUMS, Expression, Grammar, WordError, needed, no_value
-from twin.program.flow import Forms, Statement, statement_of
-from twin.program.flow import Frame as Call
+from twin.program.flow import Call, Forms, Statement, statement_of
 from twin.program.reader import ADD_CALL, NO_GROUP, Reader
 from twin.program.source import Unit
-from twin.program.state import NOTE, UNKNOWN, Item, Word
+from twin.program.state import NOTE, REFUSED, UNKNOWN, Item, Word
 from twin.program.state import Block as Words
 
 VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+|Q[LR]?\d+)"
@@ -52,8 +50,7 @@ _ALONE = {
 """Words without a number: the name that they have in a block, and the number that they stand for."""
 
 FORMULAS = Grammar(
-    "(",
-    ")",
+    "()",
     {
         **{name: (1, COMPARE[sign]) for name, sign in (("EQU", "=="), ("NE", "<>"), ("GT", ">"), ("LT", "<"))},
         "+": (2, SUMS["+"]), "-": (2, SUMS["-"]), "*": (3, SUMS["*"]), "/": (3, SUMS["/"]), "DIV": (3, SUMS["/"]), "^": (4, lambda a, b: a**b),
@@ -116,16 +113,6 @@ class Block(Words):
         return int(self.take(SIDE)) if SIDE in self.w else None
 
 
-class Approach(NamedTuple):
-    """APPR until the first element of the contour: its kind, point (3,), side (1: RL), sizes, and feed to its first point (infinite: rapid)."""
-
-    kind: str
-    point: np.ndarray
-    side: int
-    sizes: dict[str, float]
-    before: float
-
-
 Handler = Callable[["Klartext", Block], None]
 """Carries out a block."""
 
@@ -143,7 +130,7 @@ class Klartext(Reader):
         self.pole_plane = 17  # of its coordinates
         self.tool_feed, self.extra_radius = math.nan, 0.0  # F and DR of TOOL CALL
         self.shorter_way = False  # M126
-        self.waiting: Approach | None = None
+        self.waiting: tuple[np.ndarray, Callable[[Move], None]] | None = None  # APPR: its point, and how it makes its moves
         self.tilt_angles: dict[str, float] = {}
         self.turn_to: tuple[float, float] | None = None  # A and C that the next move goes to (SEQ)
         self.cycle: int | None = None  # that a call carries out
@@ -205,7 +192,7 @@ class Klartext(Reader):
         names = [f"{match[1]} {match[2]}"] if match[1] else [" ".join(match[0].split()), match[3]]
         head = next((n for n in names if n in self.table), None)
         word = self.table.get(head or "")
-        if head is None or word is None or word.handler is None:
+        if head is None or word is None or word.kind == REFUSED:
             what = word.meaning if word else "let the CAM system output L, C or CR (docs/program_words.md lists what is read)"
             shown = head or (names[0] if match[1] else names[-1] if len(names[-1]) > 1 else body[:20])
             raise WordError(f"{shown} is not {'supported' if word else 'known'}: {what}", column)
@@ -213,7 +200,10 @@ class Klartext(Reader):
         block = Block(column=column + begin, head=head, text=body[begin:])
         if match[1]:
             self._define_cycle(block, int(match[2]))
-        word.handler(self, block)
+        if word.kind == NOTE:
+            self.state.note(f"{head}: {word.meaning}")
+        elif word.handler is not None:
+            word.handler(self, block)
 
     def _define_cycle(self, block: Block, number: int) -> None:
         """The text of CYCL DEF: the parts 7.1, 7.2 .. of an old cycle, or what stands behind the number of a new one."""
@@ -290,7 +280,7 @@ class Klartext(Reader):
 
     def start(self) -> np.ndarray:
         """Start (3,) of the next element."""
-        return self.corners.start() if self.waiting is None else self.waiting.point
+        return self.corners.start() if self.waiting is None else self.waiting[0]
 
     def emit(self, move: Move, corner: tuple[str, float] | None = None) -> None:
         """Make a move, or hold it until the next one defines its corner."""

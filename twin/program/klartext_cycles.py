@@ -183,8 +183,7 @@ def cycle_here(m: Klartext) -> None:
     """Carry out the cycle in force at this place."""
     m.settle()
     state, control, number = m.state, m.control, m.cycle
-    if state.comp is not None:
-        raise WordError("a cycle is called inside RL or RR; write R0 and a move before")
+    state.outside_compensation("a cycle is called")
     if number is None:
         raise WordError("no cycle is defined that a call could carry out; add CYCL DEF before")
 
@@ -227,7 +226,10 @@ def _drilling(number: int, q: Parameters, safe: float, bottom: float, mm: float)
         return Drilling(safe, bottom, safe, tuple(infeeds), out=FEED, out_scale=share, between=share)
     if number == 200:
         return replace(plain, pecks=pecks(levels(surface, bottom, q(202)), stop, False), dwell_out=q(210))
-    depths = levels(surface, bottom, q(202), q(212), q(205))
+    less, least = q(212), q(205)
+    depths = levels(
+        surface, bottom, q(202), lambda step, _: max(step - less, least if least > 0.0 else step if less <= 0.0 else 1e-3 * step)
+    )
     if number == 203:
         breaks = int(q(213))
         infeeds = [Peck(d, q(256, stop), True) if breaks and k % (breaks + 1) else Peck(d, stop, False) for k, d in enumerate(depths)]

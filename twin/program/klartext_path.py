@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 import math
 import re
 
@@ -14,7 +15,7 @@ from twin.program.arcs import Arc
 from twin.program.control import Move, Vector
 from twin.program.expressions import WordError, needed
 from twin.program.frames import AXES, INDEX, LINEAR, ROTARY, rotation
-from twin.program.klartext_blocks import SENSE, VALUE, Approach, Block, Klartext, all_parts
+from twin.program.klartext_blocks import SENSE, VALUE, Block, Klartext, all_parts
 from twin.program.klartext_cycles import cycle_here
 from twin.program.state import Item
 
@@ -37,8 +38,8 @@ def move(m: Klartext, block: Block) -> None:
         vector = (x, y, z) if x or y or z else None
         if vector and not m.out.modes.traori:
             raise WordError("TX TY TZ need M128 or FUNCTION TCPM; switch it on before", column)
-    if side is not None or (m.waiting is None and m.state.comp is None):
-        m.compensate(side or 0, column)
+    if side is not None:
+        m.compensate(side, column)
     kind, plane = mv.RAPID if rapid else mv.LINE, m.state.plane
     m.state.plane = m.pole_plane if head in ("LP", "C", "CP", "CTP") else plane
     element = None if head == "M" else element_of(m, block, kind, vector, machine)
@@ -46,7 +47,8 @@ def move(m: Klartext, block: Block) -> None:
     if element is not None:
         corner = corner_of(m, corners, column)
         if m.waiting is not None:
-            carry_out_approach(m, element)
+            begin, m.waiting = m.waiting[1], None
+            begin(element)
         m.emit(element, corner)
         if m.cycle_everywhere and 99 not in block.m:
             cycle_here(m)
@@ -175,7 +177,7 @@ def approach(m: Klartext, block: Block) -> None:
     if not side and kind != "LT":
         raise WordError(f"{block.head} needs RL or RR, which gives its side; add it", block.column)
     block.all_used()
-    m.waiting = Approach(kind, point, side, sizes, math.inf if rapid else feed)
+    m.waiting = point, partial(_approach, m, kind, point, side, sizes, math.inf if rapid else feed)
 
 
 def _soft(m: Klartext, block: Block, axes: Sequence[str]) -> tuple[np.ndarray, dict[str, float]]:
@@ -187,11 +189,9 @@ def _soft(m: Klartext, block: Block, axes: Sequence[str]) -> tuple[np.ndarray, d
     return m.control.target(block.pick(*axes), start=m.corners.start())[0], sizes
 
 
-def carry_out_approach(m: Klartext, element: Move) -> None:
-    """The moves to the first point of the contour: in the plane, then to its depth, then on the approach."""
-    assert m.waiting is not None
-    kind, to, side, sizes, before = m.waiting
-    m.waiting, across = None, arcs.PLANES[m.state.plane][2]
+def _approach(m: Klartext, kind: str, to: np.ndarray, side: int, sizes: dict[str, float], before: float, element: Move) -> None:
+    """The moves to the first point `to` (3,) of the contour: in the plane at the feed `before` (infinite: rapid), to its depth, on the approach."""
+    across = arcs.PLANES[m.state.plane][2]
     t = element.point - to if element.arc is None else np.cross(element.arc[1], to - element.arc[0])
     t[across] = 0.0
     if not np.linalg.norm(t) > 1e-12:

@@ -14,27 +14,37 @@ from twin.program.build import Collector
 from twin.program.control import Control
 from twin.program.corners import Corners
 from twin.program.expressions import Expression, Grammar, Value, as_number
-from twin.program.flow import Flow, Frame, Statement
+from twin.program.flow import Call, Flow, Statement
 from twin.program.source import Folder, Unit
-from twin.program.state import Block, Item, State
+from twin.program.state import OF_MOVES, Block, Item, State
 from twin.units import rad_from_deg
 
 NO_GROUP = "((?!))?"
 ADD_CALL = "add it, or list it in [program] calls_without_motion of the machine file if it moves no axis"
 
 
-MODES: dict[float, tuple[str, Any]] = {
+MODES: dict[float | str, tuple[str, Any]] = {
     **{number: ("motion", number) for number in range(4)},
     17: ("plane", 17), 18: ("plane", 18), 19: ("plane", 19), 90: ("absolute", True), 91: ("absolute", False),
     90.1: ("centre_absolute", True), 91.1: ("centre_absolute", False), 98: ("retract_to_start", True), 99: ("retract_to_start", False),
+    **{number: ("rounding", min(number, 642)) for number in (60, 64, *range(641, 647))},
+    **{number: ("stop_window", f"G{number}") for number in (601, 602, 603)}, 450: ("corners_meet", False), 451: ("corners_meet", True),
+    **dict.fromkeys(("ORIWKS", "ORIVECT", "ORIPLANE"), ("workpiece_orientation", True)),
+    **dict.fromkeys(("ORIMKS", "ORIAXES"), ("workpiece_orientation", False)),
+    "FFWON": ("feedforward", True), "FFWOF": ("feedforward", False), "BRISK": ("brisk", True), "SOFT": ("brisk", False),
+    "ORIRPY": ("angles_are_rpy", True), "ORIEULER": ("angles_are_rpy", False), **dict.fromkeys(("ORIVIRT1", "ORIRPY2"), ("angles_are_rpy", None)),
 }  # fmt: skip
-"""G code -> the attribute of the state that it sets, and its value."""
+"""G code or name -> the mode of the moves, of the state or of the reader that it sets, and its value."""
 
 
-def set_mode(m: Reader, _: object, number: float) -> None:
-    """A G code that only sets a mode of the state."""
-    setattr(m.state, *MODES[number])
-    m.state.settle_plain()
+def set_mode(m: Reader, _: object, word: float | str) -> None:
+    """A word that only sets a mode."""
+    name, value = MODES[word]
+    if name in OF_MOVES:
+        m.out.change(**{name: value})
+    else:
+        setattr(m.state if hasattr(m.state, name) else m, name, value)
+        m.state.settle_plain()
 
 
 class Reader:
@@ -46,7 +56,7 @@ class Reader:
     hashed: Callable[[Expression, int], Value] | None = None
     """The value of what follows a `#`."""
     assign: Callable[..., None]
-    other: Callable[[Statement, Frame], None]
+    other: Callable[[Statement, Call], None]
     """Carries out a statement that the flow does not know."""
     plain_now: Callable[[], bool]
     """Whether no mode of the language acts on a block of coordinates alone."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from twin.program import sinumerik_cycles as cycles
 from twin.program import sinumerik_moves as moves
@@ -11,8 +10,7 @@ from twin.program.expressions import WordError, as_text
 from twin.program.frames import AXES, ROTARY
 from twin.program.reader import set_mode
 from twin.program.sinumerik_blocks import Block, Sinumerik
-from twin.program.sinumerik_values import Word as Written
-from twin.program.sinumerik_values import split_arguments
+from twin.program.sinumerik_values import Written, split_arguments
 from twin.program.source import plain_name
 from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, named
 
@@ -112,28 +110,16 @@ def _name(m: Sinumerik, b: Block, word: Written) -> None:
 
 
 def _plane(m: Sinumerik, b: Block, number: float) -> None:
-    if m.state.comp is not None and m.state.plane != number:
-        raise WordError("the plane changes inside G41 or G42; write G40 before", b.column)
+    if m.state.plane != number:
+        m.state.outside_compensation("the plane changes")
     m.corners.release()
     set_mode(m, b, number)
-
-
-def _rounding(m: Sinumerik, _: Block, number: float) -> None:
-    m.out.change(rounding=int(number) if number in (60, 64, 641) else 642)
-
-
-def _stop_window(m: Sinumerik, _: Block, number: float) -> None:
-    m.out.change(stop_window=f"G{int(number)}")
 
 
 def _compensation(m: Sinumerik, b: Block, number: float) -> None:
     m.corners.release()
     radius = 0.0 if number == 40 else m.state.tools.radius(m.state.tools.name, b.column)
     m.control.compensate({40: 0, 41: 1, 42: -1}[int(number)], radius, along_next=True, corners_meet=m.corners_meet)
-
-
-def _corner(m: Sinumerik, _: Block, number: float) -> None:
-    m.corners_meet = number == 451
 
 
 def _settable(m: Sinumerik, _: Block, number: float) -> None:
@@ -163,24 +149,11 @@ def _transformation(m: Sinumerik, _: Block, word: Written) -> None:
     m.state.transform(word.name == "TRAORI")
 
 
-CHANGES: dict[str, tuple[str, Any]] = {
-    **dict.fromkeys(("ORIWKS", "ORIVECT", "ORIPLANE"), ("workpiece_orientation", True)),
-    **dict.fromkeys(("ORIMKS", "ORIAXES"), ("workpiece_orientation", False)),
-    "FFWON": ("feedforward", True), "FFWOF": ("feedforward", False), "BRISK": ("brisk", True), "SOFT": ("brisk", False),
-}  # fmt: skip
-"""Name -> the mode that it sets."""
-
-
-def _mode(m: Sinumerik, _: Block, word: Written) -> None:
+def _mode(m: Sinumerik, b: Block, word: Written) -> None:
     _bare(word)
     if word.name in ("FFWON", "FFWOF") and m.out.feedforward is None:
         m.out.feedforward = "velocity+torque" if word.name == "FFWON" else "off"
-    m.out.change(**dict([CHANGES[word.name]]))
-
-
-def _angles(m: Sinumerik, _: Block, word: Written) -> None:
-    _bare(word)
-    m.angles_are_rpy = {"ORIRPY": True, "ORIEULER": False}.get(word.name)
+    set_mode(m, b, word.name)
 
 
 def _feed_axes(m: Sinumerik, _: Block, word: Written) -> None:
@@ -231,9 +204,9 @@ SINUMERIK_G: dict[float, Word[Handler]] = {
     43: Word(REFUSED, "use T and D with a table [tool] in the machine file; G43 H is for .ngc files"), 49: Word(NOTE, NOTHING), 80: Word(NOTE, NOTHING), 53: Word(ACTS, "machine coordinates in this block"), 153: Word(ACTS, "machine coordinates in this block"),
     54: Word(ACTS, "settable frame [frame.G54]", _settable, "offset"), **dict.fromkeys((55, 56, 57, *range(505, 600)), Word(ACTS, "settable frame", _settable, "offset")),
     58: Word(ACTS, "programmable shift, absolute"), 59: Word(ACTS, "programmable shift in addition to G58"), 500: Word(ACTS, "no settable frame", _settable, "offset"),
-    60: Word(ACTS, "exact stop", _rounding, "path"), 64: Word(ACTS, "rounding by 10 um", _rounding, "path"), 641: Word(ACTS, "rounding by ADIS", _rounding, "path"),
-    **dict.fromkeys(range(642, 647), Word(ACTS, "rounding within CTOL", _rounding, "path")),
-    601: Word(ACTS, "exact stop waits 3/Kv", _stop_window, "window"), 602: Word(ACTS, "exact stop waits 1/Kv", _stop_window, "window"), 603: Word(ACTS, "exact stop does not wait", _stop_window, "window"),
+    60: Word(ACTS, "exact stop", set_mode, "path"), 64: Word(ACTS, "rounding by 10 um", set_mode, "path"), 641: Word(ACTS, "rounding by ADIS", set_mode, "path"),
+    **dict.fromkeys(range(642, 647), Word(ACTS, "rounding within CTOL", set_mode, "path")),
+    601: Word(ACTS, "exact stop waits 3/Kv", set_mode, "window"), 602: Word(ACTS, "exact stop waits 1/Kv", set_mode, "window"), 603: Word(ACTS, "exact stop does not wait", set_mode, "window"),
     70: Word(ACTS, "inch, not the feed", None, "unit"), 71: Word(ACTS, "mm, not the feed", None, "unit"), 700: Word(ACTS, "inch, the feed too", None, "unit"), 710: Word(ACTS, "mm, the feed too", None, "unit"),
     74: Word(ACTS, "to the reference point: the zero of the axes named"), 75: Word(ACTS, "to the fixed point: [frame.G75] of the axes named"),
     90: Word(ACTS, "absolute", set_mode, "distance"), 91: Word(ACTS, "incremental", set_mode, "distance"), 93: Word(ACTS, "F is 1/min of the block", None, "feed"), 94: Word(ACTS, "F per minute", None, "feed"), 95: Word(ACTS, "F per turn of the spindle", None, "feed"),
@@ -241,7 +214,7 @@ SINUMERIK_G: dict[float, Word[Handler]] = {
     971: Word(NOTE, NOTHING), 110: Word(ACTS, "pole from the last position"), 111: Word(ACTS, "pole in the work coordinates"), 112: Word(ACTS, "pole from the last pole"),
     **dict.fromkeys((147, 148, 247, 248, 347, 348), Word(REFUSED, "soft approach; write the moves")),
     290: Word(NOTE, "the language of SINUMERIK"), 291: Word(REFUSED, "ISO blocks inside a SINUMERIK program; write them in another file"),
-    450: Word(ACTS, "round outside corners on an arc", _corner, "corner"), 451: Word(ACTS, "outside corners to the point where the paths meet", _corner, "corner"),
+    450: Word(ACTS, "round outside corners on an arc", set_mode, "corner"), 451: Word(ACTS, "outside corners to the point where the paths meet", set_mode, "corner"),
     **dict.fromkeys((140, 141, 142, 143, 340, 341, 62), Word(NOTE, "of soft approaches and corners, " + NOTHING)),
     **dict.fromkeys((460, 461, 462, 621), Word(NOTE, NOTHING)), **dict.fromkeys(range(810, 826), Word(NOTE, "set by the machine builder, " + NOTHING)),
 }  # fmt: skip
@@ -279,7 +252,7 @@ SINUMERIK_NAMES: dict[str, Word[NameHandler]] = {
     **named(ACTS, "five-axis transformation on or off; X Y Z are then the tool tip in the part frame", "TRAORI TRAFOOF", _transformation),
     **named(ACTS, "the tool axis turns on a great circle", "ORIWKS ORIVECT ORIPLANE", _mode),
     **named(ACTS, "A and C turn linearly", "ORIMKS ORIAXES", _mode),
-    **named(ACTS, "A2= B2= C2= are angles about turned axes, or about fixed ones", "ORIEULER ORIRPY ORIVIRT1 ORIRPY2", _angles),
+    **named(ACTS, "A2= B2= C2= are angles about turned axes, or about fixed ones", "ORIEULER ORIRPY ORIVIRT1 ORIRPY2", _mode),
     **named(ACTS, "feedforward", "FFWON FFWOF", _mode), **named(ACTS, "jerk limited or not", "SOFT BRISK", _mode), **named(NOTE, NOTHING, "DRIVE SOFTA BRISKA DRIVEA"),
     **named(ACTS, "text for the operator", "MSG", _later),
     **named(ACTS, "programmable frame: new, or in addition (A..); alone it is cleared", "TRANS ATRANS ROT AROT SCALE ASCALE MIRROR AMIRROR ROTS AROTS", _later),

@@ -13,14 +13,13 @@ import numpy as np
 from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.expressions import NUMBER, SINUMERIK, Value, WordError, as_text, needed, outside_quotes
-from twin.program.flow import Forms, Frame, Statement, statement_of
+from twin.program.flow import Call, Forms, Statement, statement_of
 from twin.program.frames import INDEX, OTHER
 from twin.program.reader import Reader
-from twin.program.sinumerik_values import SinumerikValues, Store, Word, split_arguments, split_words
+from twin.program.sinumerik_values import SinumerikValues, Store, Written, split_arguments, split_words
 from twin.program.source import Unit, plain_name
-from twin.program.state import REFUSED, Item
+from twin.program.state import REFUSED, Item, Word
 from twin.program.state import Block as Words
-from twin.program.state import Word as Meaning
 
 SINUMERIK_FRAMES = ("basic", "settable", "fine", "program", "plane")
 """Outermost first; `fine` is G59."""
@@ -73,8 +72,8 @@ class Block(Words):
     """The words of one block by their use."""
 
     tool: dict[str, tuple[Value, int]] = field(default_factory=dict)  # T D H M6: value and column
-    names: list[Word] = field(default_factory=list)  # words without a number
-    calls: list[Word] = field(default_factory=list)  # subprograms
+    names: list[Written] = field(default_factory=list)  # words without a number
+    calls: list[Written] = field(default_factory=list)  # subprograms
     curve: str = ""  # CIP or CT
 
     def has(self, *names: str) -> bool:
@@ -88,7 +87,7 @@ class Sinumerik(Reader):
     grammar = SINUMERIK
 
     def __init__(
-        self, path: Path, machine: Machine, units: list[Unit], names: Mapping[str, Meaning], carry_out: Callable[[Sinumerik, Block], None]
+        self, path: Path, machine: Machine, units: list[Unit], names: Mapping[str, Word], carry_out: Callable[[Sinumerik, Block], None]
     ) -> None:
         super().__init__(path, machine, "sinumerik", units[0], SINUMERIK_FRAMES)
         self.known, self.carry_out = names, partial(carry_out, self)
@@ -179,7 +178,7 @@ class Sinumerik(Reader):
             self._sort(block, word, self.state.slot_of.get(word.name, word.name))
         self.carry_out(block)
 
-    def _sort(self, block: Block, word: Word, name: str) -> None:
+    def _sort(self, block: Block, word: Written, name: str) -> None:
         """Put a word where it is used; a variable gets its value at once."""
         values, with_number = self.values, word.value is not None or word.assigned
         meaning = self.known.get(name)
@@ -214,7 +213,7 @@ class Sinumerik(Reader):
         else:
             block.calls.append(word)
 
-    def _axis(self, block: Block, word: Word, name: str) -> None:
+    def _axis(self, block: Block, word: Written, name: str) -> None:
         """A coordinate: X, X1, AX[..], POS[..]."""
         if word.index and name not in _INDEXED_AXES:
             raise WordError(f"{name}[..] is not an axis; write {name} and its place, or AX[..]", word.column)
@@ -229,7 +228,7 @@ class Sinumerik(Reader):
 
     # ------------------------------------------------------------------ subprograms
 
-    def other(self, s: Statement, frame: Frame) -> None:
+    def other(self, s: Statement, frame: Call) -> None:
         """CASE, DEF, PROC and the like."""
         if s.kind == "case":
             self._case(s, frame)
@@ -251,7 +250,7 @@ class Sinumerik(Reader):
         elif s.kind == "extern":
             self.state.note("EXTERN: a declaration, without effect on the motion")
 
-    def _case(self, s: Statement, frame: Frame) -> None:
+    def _case(self, s: Statement, frame: Call) -> None:
         """CASE: the jump of the first value that fits."""
         match = needed(_CASE.match(s.text), "CASE needs values, e.g. CASE (R1) OF 1 GOTOF A1 DEFAULT GOTOF B1", s.column)
         value = as_text(self.value_of(match[1], s.column))
@@ -260,7 +259,7 @@ class Sinumerik(Reader):
                 self.flow.jump_to(frame, Statement("goto", s.column, target=part[3], way=part[2][4:]))
                 return
 
-    def call(self, word: Word, times: int) -> None:
+    def call(self, word: Written, times: int) -> None:
         """A subprogram by its name or L number."""
         name, unit = self._unit_of(word)
         if unit is None and name == "L":
@@ -286,7 +285,7 @@ class Sinumerik(Reader):
 
         self.flow.call(unit, first, variables, name, times=times, column=word.column, on_return=restore)
 
-    def _unit_of(self, word: Word) -> tuple[str, Unit | None]:
+    def _unit_of(self, word: Written) -> tuple[str, Unit | None]:
         """The name of a subprogram, and its program."""
         name = word.name if word.name != "L" or word.value is None else f"L{word.value:g}"
         return name, self.find(name)
@@ -305,7 +304,7 @@ class Sinumerik(Reader):
 
         return restore
 
-    def arguments(self, unit: Unit, word: Word) -> tuple[dict[str, Store], int, list[tuple[str, Store, int]]]:
+    def arguments(self, unit: Unit, word: Written) -> tuple[dict[str, Store], int, list[tuple[str, Store, int]]]:
         """The values of a call: the variables of its PROC, the line that it begins at, and the VAR values to write back to their targets."""
         values = [(t, word.text_column + c) for t, c in split_arguments(word.text or "")]
         bodies = ((at, self.body(self.clean(line))[0].strip()) for at, line in enumerate(unit.lines))
@@ -336,7 +335,7 @@ class Sinumerik(Reader):
             raise WordError(f"{unit.name} takes {len(variables)} values; the call gives {len(values)}", word.column)
         return variables, at + 1, written
 
-    def modal_call(self, word: Word) -> Callable[[], None]:
+    def modal_call(self, word: Written) -> Callable[[], None]:
         """The subprogram of MCALL, which is called behind each block with motion."""
         _, unit = self._unit_of(word)
         if unit is None:

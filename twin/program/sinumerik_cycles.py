@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import math
 
 import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.cycles import FEED, MOST_PECKS, Drilling, pecks
+from twin.program.cycles import FEED, RAPID, Drilling, levels, pecks
 from twin.program.expressions import WordError
 from twin.program.frames import Frame, rotation, shifted
 from twin.program.sinumerik_blocks import Block, Sinumerik
-from twin.program.sinumerik_values import Word, split_arguments
+from twin.program.sinumerik_values import Written, split_arguments
 from twin.program.state import ACTS
 
 PITCHES = {
@@ -27,15 +28,16 @@ POSITIONS = 9
 
 
 LAYOUTS: dict[str, dict[str, int]] = {
-    "CYCLE81": {"dwell": 5, "gmode": 6, "amode": 8}, "CYCLE82": {"dwell": 5, "gmode": 6, "amode": 8}, "CYCLE83": {"gmode": 17, "amode": 19, "axis": 12},
-    "CYCLE84": {"dwell": 5, "gmode": 21, "axis": 12, "pitch_unit": 13, "pecks": 15}, "CYCLE840": {"dwell": 5, "gmode": 17, "axis": 11, "pitch_unit": 12},
-    "CYCLE85": {"dwell": 5, "gmode": 8, "amode": 10}, "CYCLE86": {"dwell": 5, "gmode": 11, "amode": 13}, "CYCLE87": {}, "CYCLE88": {"dwell": 5},
-    "CYCLE89": {"dwell": 5},
+    **{name: {"dwell": 5, "gmode": 6, "amode": 8} for name in ("CYCLE81", "CYCLE82")}, "CYCLE83": {"dwell": 8, "last": 15, "outside": 9, "gmode": 17, "amode": 19, "axis": 12},
+    "CYCLE84": {"dwell": 5, "size": 7, "pitch": 8, "speed": 10, "speed_out": 11, "axis": 12, "pitch_unit": 13, "pecks": 15, "gmode": 21},
+    "CYCLE840": {"dwell": 5, "size": 9, "pitch": 10, "axis": 11, "pitch_unit": 12, "gmode": 17},
+    "CYCLE85": {"dwell": 5, "feed": 6, "feed_out": 7, "gmode": 8, "amode": 10}, "CYCLE86": {"dwell": 5, "u": 7, "v": 8, "lift": 9, "gmode": 11, "amode": 13},
+    "CYCLE87": {}, "CYCLE88": {"dwell": 5}, "CYCLE89": {"dwell": 5},
 }  # fmt: skip
 """Positions of the arguments of a drilling cycle, counted from 0.
 
 `gmode` 1: the depth is that of the shank, not of the tip. `amode`: its second digit 2 gives the dwell in turns. `axis`: the tool
-axis, 1 or 2 for the first or second geometry axis. `pitch_unit`: 2 threads an inch, 3 inches, 4 modules.
+axis, 1 or 2 for the first or second geometry axis. `pitch_unit`: 2 threads an inch, 3 inches, 4 modules. `u`, `v`, `lift`: step off the wall.
 """
 
 
@@ -64,7 +66,7 @@ class Arguments(list):
         return int(value)
 
 
-def arguments_of(m: Sinumerik, word: Word) -> Arguments:
+def arguments_of(m: Sinumerik, word: Written) -> Arguments:
     """The arguments of a cycle call."""
     out = Arguments()
     for text, at in split_arguments(word.text or ""):
@@ -75,13 +77,13 @@ def arguments_of(m: Sinumerik, word: Word) -> Arguments:
     return out
 
 
-def modal_cycle(m: Sinumerik, b: Block) -> Word | None:
+def modal_cycle(m: Sinumerik, b: Block) -> Written | None:
     """The cycle behind MCALL, which is repeated and not carried out at once."""
     cycles = (w for w in b.names if w.name.startswith("CYCLE8") and m.known[w.name].kind == ACTS)
     return next(cycles, None) if b.has("MCALL") else None
 
 
-def carry_out(m: Sinumerik, b: Block, word: Word) -> None:
+def carry_out(m: Sinumerik, b: Block, word: Written) -> None:
     """One cycle call, made at once or repeated by MCALL."""
     m.corners.release()
     if word is not modal_cycle(m, b):
@@ -91,12 +93,24 @@ def carry_out(m: Sinumerik, b: Block, word: Word) -> None:
             drilling(m, word)()
 
 
-def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
+def drilling(m: Sinumerik, word: Written) -> Callable[[], None]:
     """A drilling cycle as a function that makes its moves at the current position."""
     name, a, s, spindle = word.name, arguments_of(m, word), m.state, m.out.modes.spindle
     if name not in LAYOUTS:
         raise WordError(f"{name} is not read here", word.column)
     layout, rtp, rfp, relative = LAYOUTS[name], a.number(0, None), a.number(1), abs(a.number(4))
+
+    def of(part: str) -> float:
+        return a.number(layout.get(part))
+
+    def time(part: str) -> float:
+        value = of(part)
+        if value >= 0.0 and not (value > 0.0 and int(of("amode")) // 10 % 10 == 2):
+            return value
+        if not spindle:
+            raise WordError(f"{name}: a dwell in turns needs a spindle speed; give S before", word.column)
+        return abs(value) * 60.0 / spindle
+
     down = -1.0 if rtp >= rfp else 1.0
     depth, safe = a.number(3, math.nan), rfp - down * abs(a.number(2))
     if relative:  # the control takes DPR where both are given
@@ -107,47 +121,28 @@ def drilling(m: Sinumerik, word: Word) -> Callable[[], None]:
         raise WordError(f"{name} needs the depth DP or DPR; add it", word.column)
     if (depth - safe) * down <= 0.0:
         raise WordError(f"{name}: the depth {depth:g} does not lie below the reference plane {rfp:g}; correct one", word.column)
-    if int(a.number(layout.get("gmode"))) == 1:
+    if int(of("gmode")) == 1:
         s.note(f"{name}: its depth is that of the shank (_GMODE 1); here the tip goes to it, since the angle of the tip is not known")
-    if (axis := int(a.number(layout.get("axis")))) in (1, 2) and axis != arcs.PLANES[s.plane][2] + 1:
+    if (axis := int(of("axis"))) in (1, 2) and axis != arcs.PLANES[s.plane][2] + 1:
         raise WordError(f"{name} along geometry axis {axis} is not supported; select its plane with G17, G18 or G19", word.column)
-    if int(a.number(layout.get("pecks"))):
+    if int(of("pecks")):
         s.note(f"{name}: one stroke to its depth; intermediate strokes (_VARI) are omitted")
-    in_turns = int(a.number(layout.get("amode"))) // 10 % 10 == 2
-
-    def time(k: int | None) -> float:
-        value = a.number(k)
-        if value >= 0.0 and not (in_turns and value > 0.0):
-            return value
-        if not spindle:
-            raise WordError(f"{name}: a dwell in turns needs a spindle speed; give S before", word.column)
-        return abs(value) * 60.0 / spindle
-
-    feed: float | None = None
+    if name in ("CYCLE87", "CYCLE88"):
+        s.note(f"{name}: the halt at the bottom is omitted")
+    feed, share = of("feed") or None, 1.0
+    if "pitch" in layout:
+        lead = _lead(m, abs(of("pitch")), int(of("pitch_unit"))) or PITCHES.get(abs(of("size")), 0.0)
+        speed = of("speed") or spindle
+        feed, share = lead * speed or None, (of("speed_out") or speed) / speed if speed else 1.0
+        if name == "CYCLE84" and feed is None:
+            raise WordError("CYCLE84 needs the pitch (MPIT or PIT) and a speed (SST or S); add them", word.column)
+    elif of("feed_out") and (feed or s.feed):
+        share = of("feed_out") / (feed or s.feed)
+    out, aside = FEED if name in ("CYCLE84", "CYCLE840", "CYCLE85", "CYCLE89") else RAPID, (of("u"), of("v"))
+    dwells = {"dwell": time("dwell"), "dwell_last": time("last"), "dwell_out": time("outside")}
+    cycle = Drilling(safe, depth, rtp, **dwells, out=out, out_scale=share, aside=aside, lift=abs(of("lift")))
     if name == "CYCLE83":
-        cycle = _deep(m, a, rfp, safe, depth, rtp, down, time)
-    else:
-        pause, out, share, aside, lift = time(layout.get("dwell")), FEED, 1.0, (0.0, 0.0), 0.0
-        if name in ("CYCLE84", "CYCLE840"):
-            rigid = name == "CYCLE84"
-            size, pitch = (7, 8) if rigid else (9, 10)
-            lead = _lead(m, abs(a.number(pitch)), int(a.number(layout.get("pitch_unit")))) or PITCHES.get(abs(a.number(size)), 0.0)
-            speed = (a.number(10) if rigid else 0.0) or spindle
-            share = ((a.number(11) if rigid else 0.0) or speed) / speed if speed else 1.0
-            feed = lead * speed if lead and speed else None
-            if rigid and feed is None:
-                raise WordError("CYCLE84 needs the pitch (MPIT or PIT) and a speed (SST or S); add them", word.column)
-        elif name == "CYCLE85":
-            feed = a.number(6) or None
-            base = feed or s.feed
-            share = a.number(7) / base if a.number(7) and base else 1.0
-        elif name != "CYCLE89":
-            out = Drilling.out
-        if name == "CYCLE86":
-            aside, lift = (a.number(7), a.number(8)), abs(a.number(9))
-        if name in ("CYCLE87", "CYCLE88"):
-            s.note(f"{name}: the halt at the bottom is omitted")
-        cycle = Drilling(safe, depth, rtp, dwell=pause, out=out, out_scale=share, aside=aside, lift=lift)
+        cycle = _deep(m, a, cycle, rfp, down)
 
     def hole() -> None:
         with m.control.own_feed(feed and feed * (s.unit / m.out.modes.feed_unit)):
@@ -163,42 +158,31 @@ def _lead(m: Sinumerik, pitch: float, unit: int) -> float:
     return {2: 25.4e-3 / pitch, 3: 25.4e-3 * pitch, 4: math.pi * 1e-3 * pitch}.get(unit, pitch * m.state.unit) / m.state.unit
 
 
-def _deep(
-    m: Sinumerik, a: Arguments, rfp: float, safe: float, depth: float, rtp: float, down: float, time: Callable[[int | None], float]
-) -> Drilling:
-    """CYCLE83: the first depth, then steps that shrink by DAM; `time` gives the dwell [s] of an argument."""
-    first = a.number(5) if a.has(5) else rfp
+def _deep(m: Sinumerik, a: Arguments, cycle: Drilling, rfp: float, down: float) -> Drilling:
+    """CYCLE83 with its infeeds: the first depth, then steps that shrink by DAM."""
+    first, shrink, depth = a.number(5, rfp), a.number(7), cycle.depth
     if first == rfp:
         first = rfp + down * abs(a.number(6))
     if (first - rfp) * down <= 0.0:
         first = depth
-    size, shrink, least = abs(first - rfp), a.number(7), abs(a.number(13))
-    levels, at = [], first
-    while (depth - at) * down > 1e-9:
-        levels.append(at)
-        if len(levels) > MOST_PECKS:
-            raise WordError(f"more than {MOST_PECKS} pecks in one hole; give a larger step")
+
+    def following(size: float, left: float) -> float:
         if shrink > 0.0:
             size = size - shrink if size - shrink > shrink else min(size, shrink)
         elif shrink < 0.0:
             size *= abs(shrink) if abs(shrink) < 1.0 else 1.0
-        size = max(size, least)
-        if size <= 0.0:
-            break
-        left = abs(depth - at)
-        if size < left < 2.0 * size and shrink > 0.0:
-            size = 0.5 * left  # the control halves the last two steps
-        at += down * size
+        size = max(size, abs(a.number(13)))
+        return 0.5 * left if size < left < 2.0 * size and shrink > 0.0 else size  # the control halves the last two steps
+
     share, removal, deep_mm = a.number(10, 1.0), a.number(11) == 1.0, abs(depth - rfp) * m.state.unit * 1e3
     # where feed begins again above the last depth, the control's own rule [mm]
     before = (0.6 if deep_mm <= 30.0 else min(deep_mm / 50.0, 7.0)) if removal else 1.0
     back = abs(a.number(16 if removal else 14)) or before * 1e-3 / m.state.unit
-    way = pecks([*levels, depth], back, not removal)
-    first_scale = share if 0.0 < share <= 1.0 else 1.0
-    return Drilling(safe, depth, rtp, way, dwell=time(8), dwell_last=time(15), dwell_out=time(9), first_scale=first_scale)
+    way = pecks(levels(rfp, depth, abs(first - rfp), following), back, not removal)
+    return replace(cycle, pecks=way, first_scale=share if 0.0 < share <= 1.0 else 1.0)
 
 
-def holes(m: Sinumerik, a: Arguments, word: Word) -> None:
+def holes(m: Sinumerik, a: Arguments, word: Written) -> None:
     """The cycle of MCALL at each place of a pattern."""
     name = word.name
     if m.modal is None:
@@ -236,7 +220,7 @@ def holes(m: Sinumerik, a: Arguments, word: Word) -> None:
             raise WordError(f"{name} with a subprogram by MCALL is not supported; write the places", word.column)
 
 
-def swivel(m: Sinumerik, a: Arguments, word: Word) -> None:
+def swivel(m: Sinumerik, a: Arguments, word: Written) -> None:
     """CYCLE800(_FR,_TC,_ST,_MODE,_X0,_Y0,_Z0,_A,_B,_C,_X1,_Y1,_Z1,..): a plane by its rotations; without arguments it ends."""
     numbers, mode, state = [a.number(k) for k in range(4, 13)], int(a.number(3, 57.0)), int(a.number(2))
     if not any(numbers):
@@ -259,7 +243,7 @@ def swivel(m: Sinumerik, a: Arguments, word: Word) -> None:
     m.state.tilt(m.state.frames["plane"] @ plane if state % 10 == 1 and m.state.tilted else plane)
 
 
-def smooth(m: Sinumerik, a: Arguments, word: Word) -> None:
+def smooth(m: Sinumerik, a: Arguments, word: Written) -> None:
     """CYCLE832(tolerance, machining, orientation tolerance): G642 with this tolerance, SOFT and FFWON; 0 or no argument switches it off.
 
     The last digit 0 of `machining` switches off, too; its second digit 1 or a name _ORI_.. says that the third value is the tolerance

@@ -12,7 +12,7 @@ from twin.program.control import Vector
 from twin.program.expressions import WordError, needed
 from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, rotation, rotation_xyz
 from twin.program.sinumerik_blocks import Block, Sinumerik
-from twin.program.sinumerik_values import Word
+from twin.program.sinumerik_values import Written
 from twin.program.state import Item
 
 _ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
@@ -198,7 +198,7 @@ def note_increments(m: Sinumerik, coordinates: dict[str, Item]) -> None:
             )
 
 
-def frame_words(m: Sinumerik, b: Block, word: Word | None) -> None:
+def frame_words(m: Sinumerik, b: Block, word: Written | None) -> None:
     """TRANS, ROT, SCALE, MIRROR and their additions; G58, G59."""
     m.corners.release()
     values, shift = {n: i.value for n, i in b.pick(*AXES).items()}, min(b.codes & {58, 59}, default=None)

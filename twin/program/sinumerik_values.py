@@ -16,8 +16,7 @@ import numpy as np
 
 from twin.errors import nearest
 from twin.program.expressions import NUMBER, SINUMERIK, Expression, Value, WordError, as_number, as_text, closing, needed, outside_quotes
-from twin.program.flow import Frame as Call
-from twin.program.flow import Statement
+from twin.program.flow import Call, Statement
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, OTHER, Frame, mirrored, rotation_xyz, shifted
 from twin.program.reader import Reader
 from twin.program.state import Item
@@ -47,7 +46,7 @@ Store = dict[tuple, Value]
 
 
 @dataclass(frozen=True)
-class Word:
+class Written:
     """One word: `value` of an address, `text` right of an assignment or between brackets (None if there is none)."""
 
     name: str
@@ -59,7 +58,7 @@ class Word:
     index: str | None = None
 
 
-def split_words(line: str) -> list[Word]:
+def split_words(line: str) -> list[Written]:
     """The words of a line in capitals, without comment."""
     words, e = [], Expression(line, SINUMERIK, None)
     while e.peek():
@@ -67,7 +66,7 @@ def split_words(line: str) -> list[Word]:
     return words
 
 
-def _word(e: Expression) -> Word:
+def _word(e: Expression) -> Written:
     """The word at the place of the expression, which goes behind it."""
     at, line, text, column, index = e.at, e.text, None, 0, None
     if match := _ASSIGN.match(line, at):
@@ -78,7 +77,7 @@ def _word(e: Expression) -> Word:
                 raise WordError(f"'{match[1]}[{index}]' is not given a value; add '='", at + 1)
         begin = e.at = e.at + 1
         e.value()
-        return Word(match[1], at + 1, None, line[begin : e.at].rstrip(), True, begin + 1, index)
+        return Written(match[1], at + 1, None, line[begin : e.at].rstrip(), True, begin + 1, index)
     match = needed(_OTHER.match(line, at), f"'{line[at]}' starts no word", at + 1)
     e.at, value = match.end(), float(match[2]) if match[2] else None
     if value is not None and not math.isfinite(value):
@@ -90,7 +89,7 @@ def _word(e: Expression) -> Word:
     elif behind == '"' and match[3] in ("CALL", "PCALL", "EXTCALL"):
         column = e.at + 1
         text = f'"{e.atom()}"'
-    return Word(match[1] or match[3], at + 1, value, text, False, column)
+    return Written(match[1] or match[3], at + 1, value, text, False, column)
 
 
 def _inside(e: Expression) -> str:
@@ -243,14 +242,14 @@ class SinumerikValues:
             raise WordError(f"{name} has more than {MOST_ELEMENTS} elements", column)
         store[index] = as_number(value, column) if name == "R[]" else value
 
-    def value(self, word: Word) -> float:
+    def value(self, word: Written) -> float:
         if word.assigned:
             return self.m.number_of(word.text or "", word.text_column)
         if word.value is None:
             raise WordError(f"'{word.name}' needs a number", word.column)
         return word.value
 
-    def item(self, word: Word) -> Item:
+    def item(self, word: Written) -> Item:
         """A coordinate and its mode (absolute, incremental, ...)."""
         if word.assigned and (match := _WRAPPED.match(word.text or "")):
             return Item(self.m.number_of(match[2], word.text_column + match.start(2)), match[1], word.column)
@@ -258,14 +257,14 @@ class SinumerikValues:
             raise WordError(f"'{word.name}({word.text})' is not a coordinate; write {word.name}=AC(..) or {word.name}=IC(..)", word.column)
         return Item(self.value(word), "", word.column)
 
-    def axis_of(self, word: Word) -> str:
+    def axis_of(self, word: Written) -> str:
         """The axis of POS[X], AX[_AXIS] and the like: its name, or a variable of type AXIS."""
         text = (word.index or "").strip()
         if text not in AXIS_NAMES:
             text = as_text(self.m.value_of(text, word.column)).strip()
         return text.removesuffix("1")
 
-    def of_group(self, word: Word) -> float:
+    def of_group(self, word: Written) -> float:
         """The G code of G[6]=1: the first of group 6."""
         group = int(self.m.number_of(word.index or "", word.column))
         number = int(self.value(word))
@@ -276,7 +275,7 @@ class SinumerikValues:
             raise WordError(f"G[{group}]={number} is not read; write the G code itself", word.column)
         return float(codes[number - 1])
 
-    def assignment(self, word: Word) -> None:
+    def assignment(self, word: Written) -> None:
         """A variable of any kind; frames are written whole or by component."""
         name, index = word.name, self.indices(word.index, word.column)
         value = self.m.value_of(word.text or "", word.text_column)
@@ -289,7 +288,7 @@ class SinumerikValues:
                 self.state.note("$TC_DP3: tool lengths are those of the table [tool] of the machine file")
             self.assign(name, value, word.column, index)
 
-    def _write_frame(self, word: Word, index: tuple, value: Value) -> None:
+    def _write_frame(self, word: Written, index: tuple, value: Value) -> None:
         """A frame of the control or a variable of type FRAME: whole, CTRANS(..):CROT(..), or one component."""
         name, new = word.name, value
         if parts := [self.state.slot_of.get(i, i) for i in index if isinstance(i, str)]:

@@ -167,13 +167,19 @@ class State:
         """Whether a coordinate counts from the position."""
         return how == "IC" or (how == "" and not self.absolute)
 
+    def outside_compensation(self, what: str) -> None:
+        """Refuse what cannot be while the tool follows a contour."""
+        if self.comp is not None:
+            raise WordError(
+                f"{what} inside {'G41 or G42; write G40' if 'inner' not in self.frames else 'RL or RR; write R0'} and a move before"
+            )
+
     def set_frames(self, **changed: Frame) -> None:
         """Change some of the frames; all of them hold for the following blocks.
 
         The tool stands across a tilted plane. Its transformation counts from the part frame, so the frames outside it do, too.
         """
-        if self.comp is not None:
-            raise WordError("the zero offset changes inside G41 or G42; write G40 and a move before")
+        self.outside_compensation("the zero offset changes")
         self.frames |= changed
         whole, self.fixed_axis = NO_FRAME, None
         for name, frame in self.frames.items():
@@ -267,8 +273,7 @@ class State:
 
     def transform(self, on: bool) -> None:
         """Switch TRAORI on or off."""
-        if self.comp is not None:
-            raise WordError("the transformation changes inside G41 or G42; write G40 and a move before")
+        self.outside_compensation("the transformation changes")
         self.out.change_frame(traori=on)
 
     def kept(self, *more: tuple[object, tuple[str, ...]], frames: Iterable[str] = (), with_feed: bool = False) -> Callable[[], None]:

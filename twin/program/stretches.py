@@ -31,9 +31,6 @@ class Stretch:
     tolerance: np.ndarray
     angle_tolerance: np.ndarray
     distance: np.ndarray
-    traori: bool
-    brisk: bool
-    tool_length: float
 
 
 def stretches(program: mv.Program) -> list[tuple[int, int]]:
@@ -60,8 +57,7 @@ def stretch_of(program: mv.Program, starts: np.ndarray, first: int, last: int, g
     def joints(values: np.ndarray) -> np.ndarray:
         return np.concatenate([values[row[:1]], values[row]])
 
-    tolerances = joints(m.tolerance), joints(m.angle_tolerance), joints(m.distance)
-    return Stretch(elements, row, *tolerances, bool(m.traori[first]), bool(m.brisk[first]), float(m.tool_length[first]))
+    return Stretch(elements, row, joints(m.tolerance), joints(m.angle_tolerance), joints(m.distance))
 
 
 def great_circle_rows(program: mv.Program, starts: np.ndarray) -> np.ndarray:
