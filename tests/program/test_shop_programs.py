@@ -383,7 +383,8 @@ def test_every_word_of_sinumerik_that_acts_changes_something(write, mikron) -> N
 
     context = {4: "F1", 25: "X1", 26: "X1", 331: "Z3 K1", 332: "Z3 K1", 63: "Z3", 41: "X9", 42: "X9", 53: "X3", 153: "X3", 58: "X5", 59: "X5", 74: "X1=0", 75: "X1=0",
                2: "X2 Z3 Y1 I3 K3 CR=5", 3: "X5 Y5 CR=9", 9: "X7", 110: "X4", 111: "X4", 112: "X4", 0: "X7", 1: "X7"}  # fmt: skip
-    words = [NAMES_IN_CONTEXT.get(n, f"{n}=1") for n, (kind, *_) in SINUMERIK_NAMES.items() if kind == ACTS and n not in ("RET", "ENDPROC", "MSG")]
+    others = ("RET", "ENDPROC", "MSG")
+    words = [NAMES_IN_CONTEXT.get(n, f"{n}=1") for n, (kind, *_) in SINUMERIK_NAMES.items() if kind == ACTS and n not in others]
     words += [f"G{n:g} {context.get(n, '')}" for n, (kind, *_) in SINUMERIK_G.items() if kind == ACTS and n != 40]
     before = [run(state) for state in states]
     silent = []
