@@ -86,6 +86,7 @@ class Collector:
         self.arcs: dict[int, tuple[np.ndarray, np.ndarray, float]] = {}
         self.pauses: dict[int, float] = {}
         self.notes: dict[str, None] = {}
+        self.files: list[Path] = []  # subprograms in other files
         self.missing: tuple[int, int, str] | None = None  # an axis that this machine lacks: where it first moved
         self.feedforward: str | None = None
         self.mixed_feed = ""  # note where F meets X Y Z and A C in one block
@@ -223,7 +224,7 @@ class Collector:
             if moves.traori[0]:
                 start = mv.axes_at(self.kinematics, start[None], moves.tool_length[:1])[0]
             moves = moves.take(np.arange(1, len(moves)))
-        program = mv.Program(self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes))
+        program = mv.Program(self.path, start, moves, self.kinematics, self.feedforward, tuple(self.notes), tuple(self.files))
         if not len(moves) or not np.any((np.abs(program.starts() - moves.target) > 1e-12).any(axis=1) | (moves.kind == mv.ARC)):
             text = f"{self.path}: the program moves no axis from its start; a first rapid move defines the start, so add a move after it"
             raise MovesNothing(text, program.notes)

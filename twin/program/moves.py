@@ -80,7 +80,7 @@ class Program:
     """A part program: start of the axes (5,), moves, and modes that the program set.
 
     `feedforward`: set by the first FFWON or FFWOF (None if neither: the machine file decides). `notes`: one line for each word
-    without an effect here (spindle, coolant).
+    without an effect here (spindle, coolant); `files`: subprograms that were read from other files.
     """
 
     path: Path
@@ -89,6 +89,7 @@ class Program:
     kinematics: Kinematics
     feedforward: str | None = None
     notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
 
     def __len__(self) -> int:
         return len(self.moves)

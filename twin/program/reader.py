@@ -69,7 +69,7 @@ class Reader:
         self.control = Control(self.state)
         self.corners = Corners(self.control)
         self.flow = Flow(unit, self.state, self)
-        self.folder = Folder(path)
+        self.folder = Folder(path, self.out.files)
 
     @property
     def reading(self) -> Path:

@@ -139,8 +139,8 @@ def drilling(m: Sinumerik, word: Written) -> Callable[[], None]:
     elif of("feed_out") and (feed or s.feed):
         share = of("feed_out") / (feed or s.feed)
     out, aside = FEED if name in ("CYCLE84", "CYCLE840", "CYCLE85", "CYCLE89") else RAPID, (of("u"), of("v"))
-    dwells = {"dwell": time("dwell"), "dwell_last": time("last"), "dwell_out": time("outside")}
-    cycle = Drilling(safe, depth, rtp, **dwells, out=out, out_scale=share, aside=aside, lift=abs(of("lift")))
+    dwells = time("dwell"), time("last"), time("outside")
+    cycle = Drilling(safe, depth, rtp, (), *dwells, out=out, out_scale=share, aside=aside, lift=abs(of("lift")))
     if name == "CYCLE83":
         cycle = _deep(m, a, cycle, rfp, down)
 

@@ -102,8 +102,8 @@ class Folder:
     BESIDE = ("subs", "sub", "subroutines", "macros", "SUBS", "SPF", "spf")
     ENDINGS = ("", ".spf", ".mpf", ".ngc", ".nc", ".sub", ".min", ".cnc", ".tap", ".prg", ".txt", ".h")
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, used: list[Path]) -> None:
+        self.path, self.used = path, used  # the files that were read are added to `used`
         self.files: dict[str, Path] | None = None
         self.units: dict[str, Unit] = {}
 
@@ -123,6 +123,7 @@ class Folder:
             found = self.files.get(name)
             if found is not None and name not in self.units and found.is_file():
                 self.units[name] = units_of(ProgramText(found))[0]
+                self.used.append(found)
             if name in self.units:
                 return self.units[name]
         return None
