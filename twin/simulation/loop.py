@@ -23,11 +23,10 @@ from twin.control.current_controller import current_controller, winding
 from twin.control.drive_position_loop import drive_position_loop
 from twin.control.position_controller import position_controller
 from twin.control.speed_controller import speed_controller, speed_seen
-from twin.simulation import loop_terms
+from twin.simulation import loop_record, loop_terms
 from twin.simulation.cascade import Drives, DriveState
 from twin.simulation.drive_load import count_tick, count_work
 from twin.simulation.engine_calls import call_address_2, call_address_4
-from twin.simulation.loop_record import record_control, record_forces
 from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED, VOLTAGE, TermTable
 
 CURRENT_LIMIT, VOLTAGE_LIMIT = 0, 1
@@ -95,7 +94,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
     """Advance by `ticks` ticks from `first_tick`; returns -1, or tick * axes + axis of a divergence.
 
     `first_tick` is a multiple of the position cycle and of the record period. `command` (a Command) covers the position cycles of this
-    stretch. Every record_ticks-th tick fills a row of `record` (a Record). `limited` (axis, 2) counts cycles at the current and voltage
+    stretch. Every record_ticks-th tick fills a row of `record`. `limited` (axis, 2) counts cycles at the current and voltage
     limit. `load_sums` (a DriveSums) accumulates the load of the drives; it has no axes if the load is not counted.
     """
     engine, schedule, drives, state, terms, signals = simulation
@@ -164,12 +163,12 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
             if has_record:
                 call_axis_terms(terms, RECORD, signals, a)
             if recorded:
-                record_control(a, row, record, drives, state, signals)
-                record.velocity[row, a] = measured_speed if differentiated else motor_speed
-                record.seen_position[row, a] = scale
-                record.seen_motor_position[row, a] = motor_position
-                record.seen_velocity[row, a] = measured_speed if sensing.drawn.size > 0 or differentiated else motor_speed
-                record.seen_current[row, a] = measured_current + (signals[a, loop_terms.X_RECORDED_CURRENT] - current)
+                loop_record.record_control(a, row, record, drives, state, signals)
+                record[row, a, loop_record.VELOCITY] = measured_speed if differentiated else motor_speed
+                record[row, a, loop_record.SEEN_POSITION] = scale
+                record[row, a, loop_record.SEEN_MOTOR_POSITION] = motor_position
+                record[row, a, loop_record.SEEN_VELOCITY] = measured_speed if sensing.drawn.size > 0 or differentiated else motor_speed
+                record[row, a, loop_record.SEEN_CURRENT] = measured_current + (signals[a, loop_terms.X_RECORDED_CURRENT] - current)
             # winding: the back-EMF follows the speed of the motor encoder
             mean_current = winding(a, drives, state, motor_speed * drives.per_ratio[a])
             engine.ctrl[engine.actuator[a]] = drives.torque_constant[a] * mean_current
@@ -190,7 +189,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
                 count_work(a, load_sums, engine.ctrl[engine.actuator[a]], before * per_ratio, after * per_ratio, schedule.tick)
         if recorded:
             for a in range(axes):
-                record_forces(a, row, record, engine, drives, signals)
+                loop_record.record_forces(a, row, record, engine, drives, signals)
 
     if has_force:
         for a in range(axes):

@@ -1,70 +1,63 @@
-"""Channels that the compiled loop records for each axis: encoders and drive at a tick, and the torque balance of the following step."""
+"""Channels that the compiled loop records for each axis: encoders and drive at a tick, and the torque balance of the following step.
+
+A record is one array (row, axis, channel) in SI, torques in Nm at the motor. An array for each channel costs the loop as
+much time for their addresses, at every tick, as all its laws.
+"""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
 from twin.compiled_functions import compiled
 from twin.simulation.loop_terms import X_FRICTION_FORCE, X_LOAD_POSITION, X_MOTOR_POSITION, X_RECORDED_CURRENT, X_SCALE
 
-
-class Record(NamedTuple):
-    """Recorded channels, each (row, axis) in SI; torques in Nm at the motor. The `seen_` channels include noise and quantisation."""
-
-    position: np.ndarray  # direct measuring system
-    motor_position: np.ndarray  # motor encoder, axis units
-    load_position: np.ndarray  # true position of the load
-    velocity: np.ndarray  # motor speed, axis units
-    velocity_setpoint: np.ndarray  # output of the NC's position controller
-    current: np.ndarray  # A, or the command of an axis without current loop
-    current_setpoint: np.ndarray
-    torque: np.ndarray  # motor torque
-    torque_feedforward: np.ndarray  # active in the drive
-    torque_friction: np.ndarray  # torque against friction
-    torque_gravity: np.ndarray  # torque against gravity and Coriolis forces
-    drive_velocity_setpoint: np.ndarray  # active in the drive
-    seen_position: np.ndarray
-    seen_motor_position: np.ndarray
-    seen_velocity: np.ndarray
-    seen_current: np.ndarray
-
-    def rows(self, first: int) -> Record:
-        """The record from row `first`."""
-        return Record(*(values[first:] for values in self))
-
-
-SEEN = "seen_"
-RECORDED = tuple(name for name in Record._fields if not name.startswith(SEEN))
+RECORDED = (
+    "position",  # direct measuring system
+    "motor_position",  # motor encoder, axis units
+    "load_position",  # true position of the load
+    "velocity",  # motor speed, axis units
+    "velocity_setpoint",  # output of the NC's position controller
+    "current",  # A, or the command of an axis without current loop
+    "current_setpoint",
+    "torque",  # motor torque
+    "torque_feedforward",  # active in the drive
+    "torque_friction",  # torque against friction
+    "torque_gravity",  # torque against gravity and Coriolis forces
+    "drive_velocity_setpoint",  # active in the drive
+)
 """Channels without measuring noise."""
 
-MEASURED = tuple(name.removeprefix(SEEN) for name in Record._fields if name.startswith(SEEN))
-"""Channels that are also recorded as the control sees them."""
+MEASURED = ("position", "motor_position", "velocity", "current")
+"""Channels that are also recorded as the control sees them, with noise and quantisation; they follow the others."""
+
+(
+    POSITION, MOTOR_POSITION, LOAD_POSITION, VELOCITY, VELOCITY_SETPOINT, CURRENT, CURRENT_SETPOINT, TORQUE, TORQUE_FEEDFORWARD,
+    TORQUE_FRICTION, TORQUE_GRAVITY, DRIVE_VELOCITY_SETPOINT, SEEN_POSITION, SEEN_MOTOR_POSITION, SEEN_VELOCITY, SEEN_CURRENT,
+) = range(len(RECORDED) + len(MEASURED))  # fmt: skip
 
 
-def empty_record(rows: int, axes: int) -> Record:
-    """An uninitialised record; the channels of a row are contiguous in memory."""
-    return Record(*np.moveaxis(np.empty((rows, axes, len(Record._fields))), -1, 0))
+def empty_record(rows: int, axes: int) -> np.ndarray:
+    """An uninitialised record."""
+    return np.empty((rows, axes, len(RECORDED) + len(MEASURED)))
 
 
 @compiled(inline=True)
 def record_control(a, row, record, drives, state, signals):  # type: ignore[no-untyped-def]
     """Record encoders and drive of axis `a` at the tick, after its controllers."""
-    record.position[row, a] = signals[a, X_SCALE]
-    record.motor_position[row, a] = signals[a, X_MOTOR_POSITION]
-    record.load_position[row, a] = signals[a, X_LOAD_POSITION]
-    record.velocity_setpoint[row, a] = state.commanded_speed[a] * drives.ratio[a]
-    record.drive_velocity_setpoint[row, a] = state.speed_setpoint[a] * drives.ratio[a]
-    record.current[row, a] = signals[a, X_RECORDED_CURRENT]
-    record.current_setpoint[row, a] = state.current_setpoint[a]
-    record.torque[row, a] = drives.torque_constant[a] * state.current[a]
-    record.torque_feedforward[row, a] = state.torque_feedforward[a]
+    record[row, a, POSITION] = signals[a, X_SCALE]
+    record[row, a, MOTOR_POSITION] = signals[a, X_MOTOR_POSITION]
+    record[row, a, LOAD_POSITION] = signals[a, X_LOAD_POSITION]
+    record[row, a, VELOCITY_SETPOINT] = state.commanded_speed[a] * drives.ratio[a]
+    record[row, a, DRIVE_VELOCITY_SETPOINT] = state.speed_setpoint[a] * drives.ratio[a]
+    record[row, a, CURRENT] = signals[a, X_RECORDED_CURRENT]
+    record[row, a, CURRENT_SETPOINT] = state.current_setpoint[a]
+    record[row, a, TORQUE] = drives.torque_constant[a] * state.current[a]
+    record[row, a, TORQUE_FEEDFORWARD] = state.torque_feedforward[a]
 
 
 @compiled(inline=True)
 def record_forces(a, row, record, engine, drives, signals):  # type: ignore[no-untyped-def]
     """Record the torque balance of axis `a` in the step after the tick."""
     dof = engine.friction_dof[a]
-    record.torque_friction[row, a] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
-    record.torque_gravity[row, a] = engine.bias[engine.load_dof[a]] * drives.ratio[a]
+    record[row, a, TORQUE_FRICTION] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
+    record[row, a, TORQUE_GRAVITY] = engine.bias[engine.load_dof[a]] * drives.ratio[a]

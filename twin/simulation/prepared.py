@@ -8,7 +8,7 @@ computes alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -210,11 +210,11 @@ def _check_held(machine: Machine, current: np.ndarray, drives: cascade.Drives) -
 class LoopResults:
     """Results of prepared runs that have run in one loop; axes of all prepared runs in order.
 
-    `record` holds (row, axis) arrays, `limited` (axis, 2) the cycles at the current and voltage limit, `load_sums` the drive loads.
+    `record` is (row, axis, channel), `limited` (axis, 2) the cycles at the current and voltage limit, `load_sums` the drive loads.
     `diverged_at` is -1, or tick * axes + axis of the first divergence.
     """
 
-    record: loop_record.Record
+    record: np.ndarray
     limited: np.ndarray
     load_sums: DriveSums
     diverged_at: int
@@ -223,7 +223,7 @@ class LoopResults:
         """Results of run number `i`."""
         first = sum(one.axes for one in prepared[:i])
         axes = slice(first, first + prepared[i].axes)
-        record = loop_record.Record(*(values[: prepared[i].rows, axes] for values in self.record))
+        record = self.record[: prepared[i].rows, axes]
         load_sums = DriveSums(*(values[axes] for values in self.load_sums))
         return LoopResults(record, self.limited[axes], load_sums, -1)
 
@@ -237,16 +237,16 @@ def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], No
     limited = np.zeros((axes, 2), np.int64)
     all_axes = tuple(axis for one in prepared for axis in one.machine.axes)
     load_sums = empty_sums(all_axes) if prepared[0].count_load else NO_SUMS
-    generators = {one.noise_key: _generators(one.noise_seed) for one in prepared}
+    sensing, generators = _sensing(prepared), _generators(prepared)
     for first, ticks in _stretches(schedule, longest.ticks, prepared[0].actual.lead_ticks):
         lead_in = first < 0  # nothing is recorded or counted before the first sample
         diverged_at = loop.advance(
             simulation,
             _command(prepared, first // schedule.position_ticks, -(-ticks // schedule.position_ticks)),
-            _sensing(prepared, generators, ticks),
+            _with_noise(sensing, generators, ticks),
             first,
             ticks,
-            loop_record.empty_record(-first // schedule.record_ticks + 1, axes) if lead_in else record.rows(first // schedule.record_ticks),
+            loop_record.empty_record(-first // schedule.record_ticks + 1, axes) if lead_in else record[first // schedule.record_ticks :],
             np.zeros_like(limited) if lead_in else limited,
             NO_SUMS if lead_in else load_sums,
         )
@@ -294,32 +294,40 @@ def _padded(values: np.ndarray, count: int, last: np.ndarray | float = 0.0) -> n
     return values if missing <= 0 else np.concatenate([values, np.broadcast_to(last, (missing, *values.shape[1:]))])
 
 
-def _generators(seed: int | None) -> tuple[np.random.Generator, np.random.Generator]:
-    """Random numbers of a run: for the sensors that its control reads, and for the encoder that no loop reads, independent of each other."""
-    return np.random.default_rng(seed), np.random.default_rng(None if seed is None else [seed, 1])
+def _generators(prepared: Sequence[PreparedRun]) -> list[tuple[int, np.random.Generator, np.random.Generator]]:
+    """Number of axes and random numbers of each noise key, none without noise: for the sensors that the control reads, and for the encoder that no
+    loop reads, independent of each other."""
+    keys = {one.noise_key: (one.axes, one.noise_seed) for one in prepared if one.noise_seed is not None}
+    return [(axes, np.random.default_rng(seed), np.random.default_rng([seed, 1])) for axes, seed in keys.values()]
 
 
-def _sensing(
-    prepared: Sequence[PreparedRun], generators: Mapping[object, tuple[np.random.Generator, np.random.Generator]], ticks: int
-) -> loop.Sensing:
-    """Noise of all prepared runs over a stretch. Prepared runs with equal seeds share random numbers; each has the deviations of its own sensors."""
-    axes = [axis for one in prepared for axis in one.machine.axes]
-    flat = [one.machine.noise(axis) for one in prepared for axis in one.machine.axes]
-    encoders = [(n.motor, n.position) if axis.encoder == "motor" else (n.position, n.motor) for n, axis in zip(flat, axes)]
+def _sensing(prepared: Sequence[PreparedRun]) -> loop.Sensing:
+    """Sensors of all prepared runs, without noise. Those with equal seeds share random numbers; each has the deviations of its own sensors."""
+    noise = [(axis.encoder, one.machine.noise(axis)) for one in prepared for axis in one.machine.axes]
     axes_of = {one.noise_key: one.axes for one in prepared}
     first = dict(zip(axes_of, np.cumsum([0, *axes_of.values()]).tolist()))
-    drawn, beside = np.zeros((0, 0, 3)), np.zeros((0, 0))
-    if prepared[0].noise_seed is not None:
-        drawn = np.concatenate([generators[key][0].standard_normal((ticks, n, 3)) for key, n in axes_of.items()], axis=1)
-        if any(other for _, other in encoders):
-            beside = np.concatenate([generators[key][1].standard_normal((ticks, n)) for key, n in axes_of.items()], axis=1)
+    encoders = [(n.motor, n.position) if encoder == "motor" else (n.position, n.motor) for encoder, n in noise]
     return loop.Sensing(
-        drawn=drawn,
-        beside=beside,
+        drawn=np.zeros((0, 0, 3)),
+        beside=np.zeros((0, 0)),
         row=np.concatenate([first[one.noise_key] + np.arange(one.axes) for one in prepared]),
-        deviation=np.array([(closing, n.speed, n.current, other) for n, (closing, other) in zip(flat, encoders)]),
-        position_resolution=np.array([n.position_resolution for n in flat]),
-        motor_resolution=np.array([n.motor_resolution for n in flat]),
+        deviation=np.array([(closing, n.speed, n.current, other) for (_, n), (closing, other) in zip(noise, encoders)]),
+        position_resolution=np.array([n.position_resolution for _, n in noise]),
+        motor_resolution=np.array([n.motor_resolution for _, n in noise]),
+    )
+
+
+def _with_noise(
+    sensing: loop.Sensing, generators: Sequence[tuple[int, np.random.Generator, np.random.Generator]], ticks: int
+) -> loop.Sensing:
+    """The sensors with their noise over the next stretch."""
+    if not generators:
+        return sensing
+    drawn = np.concatenate([own.standard_normal((ticks, axes, 3)) for axes, own, _ in generators], axis=1)
+    if not sensing.deviation[:, 3].any():
+        return sensing._replace(drawn=drawn)
+    return sensing._replace(
+        drawn=drawn, beside=np.concatenate([other.standard_normal((ticks, axes)) for axes, _, other in generators], axis=1)
     )
 
 
