@@ -18,21 +18,21 @@ from twin.recordings.signals import known_unit
 from twin.units import dimension_recorded
 
 _WORDS = {
-    "pos": "pos position lage weg winkel angle joint_position posn",
-    "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse",
-    "current": "current curr cur amp strom iq amps courant",
-    "torque": "torque moment drehmoment trq couple effort",
+    "pos": "pos position lage weg winkel angle joint_position posn posizione posicion",
+    "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse velocita velocidad",
+    "current": "current curr cur amp strom iq amps courant corrente corriente",
+    "torque": "torque moment drehmoment trq couple effort coppia par",
     "voltage": "voltage volt spannung tension",
     "acceleration": "acc accel acceleration beschleunigung",
-    "set": "set setpoint soll sollwert cmd command commanded des desired ref reference target nominal noml nom demand demanded vorgabe fuehrung consigne commande",
-    "act": "act actual actl ist istwert enc encoder meas measured fb feedback fbk gemessen mesure mesuree reel reelle retour",
+    "set": "set setpoint soll sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded vorgabe fuehrung consigne commande profile comandata consigna",
+    "act": "act actual actl ist istwert enc encoder meas measured fb feedback fbk gemessen mesure mesuree reel reelle retour reale real",
     "ffw": "ffw feedforward ff vorsteuerung precontrol",
     "error": "error err lag following schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
     "motor": "mot motor moteur indirect rpm",
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung storung",
     "injected": "injected injection excitation anregung",
-    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid "
+    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid lr intern internal "
     "wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 _MEANS: dict[str, set[str]] = {}
@@ -107,7 +107,8 @@ _LABELS = (
 
 
 _PATH_AXIS = re.compile(
-    r"(?:^|[._/])(?:axis|axes|achse|axe|joint|drive|antrieb|motor)?_?(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._/\]])", re.IGNORECASE
+    r"(?:^|[._/])(?:(?:mc_)?axis|axes|achse|axe|joint|drive|antrieb|antriebsachse|motor)?[_ ]?0{0,2}(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._/\]])",
+    re.IGNORECASE,
 )
 
 
@@ -140,6 +141,7 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
     tries = (
         [] if within and before else [name, re.sub(r"\s*[\[(][^\])]*[^\])\d][\])]\s*$", "", name)]
     )  # a unit that nobody knows is no part of it
+    last = _CODE.sub("", last)
     if within:
         tries += [*[last] * (last.lower() in _EXACT), " ".join([*before, re.sub(r"^(?:lr|[fnrx])(?=[A-Z])", "", last)])]
     return next((found for one in tries if (found := _meaning_of(one, unit, axis)) is not None), None)
@@ -172,7 +174,11 @@ def _words(text: str) -> list[str]:
     text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
     text = re.sub(r"(?i)torque[ -](?:generating|producing)", "", text)
     text = re.sub(r"(?i)f[ _-]error", "ferror", text)
-    text = re.sub(r"(?i)(?:mess|measuring )system ?([12])", lambda m: " motor " if m[1] == "1" else " load ", text)  # of a SINUMERIK
+    # first and second encoder of a SINUMERIK
+    text = re.sub(
+        r"(?i)(?:(?:mess|measuring )system ?([12])|([12])(?:st|nd)enc)", lambda m: " motor " if "1" in m.groups() else " load ", text
+    )
+    text = re.sub(r"\b([XYZABCUVW]\d?)(?=(?:act|cmd|com|set|soll|ist|pos|vel|cur|frt|load)[a-z]{0,5}\b)", r"\1 ", text)  # Xact
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
     return [w for w in re.split(r"[^A-Za-z0-9]+", text) if w]
 
@@ -261,6 +267,8 @@ def groups(names: Sequence[str], known: Mapping[str, str]) -> dict[str, list[str
     axes = dict.fromkeys(known.values())
     out: dict[str, list[str]] = {axis: [] for axis in axes}
     labels = {name: label_of(name) for name in names if name not in known}
+    if not known and len(set(labels.values())) == len(names) > 1 and all(label.isdigit() for label in labels.values()):
+        labels = dict.fromkeys(labels, "")  # they number the columns of a matrix
     for name in names:
         axis = known.get(name) or labels[name]
         if axis not in out and axes and name not in known:

@@ -21,6 +21,8 @@ from twin.units import RECORDED_UNITS, dimension_recorded
 
 MOST_ROWS = 1 << 14
 """Samples that are compared: those of the longest stretch around the most motion."""
+MOST_STRANGE = 128
+"""Columns without a known name whose pairs are compared."""
 ONE_WAY_TURNS = 5.0
 """An axis that turns farther than this in one direction is a spindle."""
 
@@ -78,6 +80,9 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
             del values[name]
     values |= {n: relations.without_sign_bit(values[n], bit) for n, bit in bits.items() if n in values}
     candidates = [Candidate(n, v, meanings.get(n), stated[n]) for n, v in values.items()]
+    if (strange := sum(c.meaning is None and moves(c.values) for c in candidates)) > MOST_STRANGE:
+        out.left_out = f"{called}: {strange} columns without a known name are too many to compare; give a map with those that count"
+        return out
     roles = assign(candidates, period, guess[0], timed)
     motion = next((roles.roles[s] for s in ("setpoint", "position", "motor_position", "velocity") if s in roles.roles), None)
     if motion is None:

@@ -43,7 +43,7 @@ USUAL = {"current": "A", "voltage": "V"} | dict.fromkeys(
 )
 """Units of forces without one."""
 PROFILE = "speed of the profile (slope of the set point), no output of a controller: no gain follows from it"
-_JOINT = re.compile(r"joint|robot|(^|[_. ])q(d|dd)?([_. (\[]|$)", re.IGNORECASE)
+_JOINT = re.compile(r"joint|robot|positions(?=[_.\[\d])|(^|[_. ])q(d|dd)?([_. (\[]|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def proposed_columns(
         elif not moves(role.column.values):
             column = replace(column, doubt="it never changes", unit=column.unit or USUAL.get(signal, f"{scale.unit}/s"))
         elif signal in SPEEDS:
-            column = _speed(column, role, scale, recorded, base, period, kind, timed)
+            column = _speed(column, role, scale, recorded, base, period, kind, timed, turn)
         elif signal == "acceleration":
             column = replace(column, unit=column.unit or f"{scale.unit if scale.unit in ('mm', 'm', 'um', 'deg', 'rad') else 'mm'}/s2")
         elif signal == "voltage" and relations.supplies(role.column.values):
@@ -163,8 +163,9 @@ def _speed(
     period: float,
     kind: str,
     timed: bool,
+    turn: float | None,
 ) -> Proposed:
-    """Signal, unit and sign of a speed. `timed`: `period` is in seconds."""
+    """Signal, unit and sign of a speed. `timed`: `period` is in seconds. `turn`: travel in a turn of the motor, by the first speed in turns."""
     values, s = role.column.values, recorded.get("setpoint")
     unnamed = role.column.meaning is None
     if s is not None and (column.signal == "velocity_setpoint" or (column.signal == "velocity_feedforward" and unnamed)):
@@ -199,7 +200,7 @@ def _speed(
     key = "mm_per_rev" if kind == "linear" else "deg_per_rev"
     in_mm_or_deg = RECORDED_UNITS[scale.unit][1] / RECORDED_UNITS["mm" if kind == "linear" else "deg"][1]
     if column.unit and dimension_recorded(column.unit) == "turning speed":
-        travel = A_SECOND[column.unit] / abs(found.factor) * scale.factor * in_mm_or_deg
+        travel = (turn or A_SECOND[column.unit] / abs(found.factor)) * scale.factor * in_mm_or_deg
         if kind == "rotary" and abs(travel / 360.0 - 1.0) < OWN_TURN:
             return replace(column, sign=sign, extra=(*column.extra, f"{key} = 360"), remark="turns of the axis itself")
         return replace(

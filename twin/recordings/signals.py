@@ -5,8 +5,8 @@ A new format is one module with `read(path, options) -> Recording` and one line 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 import re
@@ -85,6 +85,8 @@ class TimeSource:
     assumed   nothing states this unit; `text` says what was assumed
     text      one sentence for the user; "" if the file leaves nothing open
     question  what the user should confirm or give
+    count_s   seconds of a count since a date, and `since_s`, this date in seconds before 1970; 0: the column counts from no date
+    rest      index of a column with the part of a second that belongs to whole seconds, and seconds per number
     """
 
     kind: str = "file"
@@ -95,6 +97,9 @@ class TimeSource:
     at: int | None = None
     interval: float = 1.0
     question: str = ""
+    count_s: float = 0.0
+    since_s: float = 0.0
+    rest: tuple[int, float] | None = None
 
     @property
     def known(self) -> bool:
@@ -104,7 +109,7 @@ class TimeSource:
     @property
     def factor(self) -> float:
         """Seconds per number of the time column, or per row."""
-        return RECORDED_UNITS[self.unit][1] if self.column else self.interval
+        return self.count_s or (RECORDED_UNITS[self.unit][1] if self.column else self.interval)
 
 
 @dataclass(frozen=True)
@@ -158,9 +163,12 @@ _ALIASES = {
     "second": "s", "seconds": "s", "amp": "A", "amps": "A", "ampere": "A", "a": "A", "v": "V", "volt": "V", "nm": "Nm", "n.m": "Nm",
     "n·m": "Nm", "n*m": "Nm", "n": "N", "rpm": "rev/min", "u/min": "rev/min", "1/min": "rev/min", "u": "rev", "rev": "rev",
     "s^-1": "rev/s", "1/s": "rev/s", "min-1": "rev/min", "min^-1": "rev/min", "r": "rev", "msec": "ms", "usec": "us", "nsec": "ns",
-    "arms": "A", "ma": "mA", "mv": "mV", "kn": "kN", "-": "1",
+    "arms": "A", "aeff": "A", "ma": "mA", "mv": "mV", "kn": "kN", "-": "1", "tr": "rev", "sek": "s",
 }  # fmt: skip
 _IN_BRACKETS = re.compile(r"^(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))\s*$")
+
+
+_SCALED = re.compile(r"(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*[*x·]?\s*([^\d\s].*)")
 
 
 def known_unit(text: str) -> str:
@@ -174,6 +182,15 @@ def known_unit(text: str) -> str:
         if candidate in RECORDED_UNITS:
             return candidate
     return ""
+
+
+def scaled_unit(text: str) -> tuple[str, float]:
+    """('A', 0.01) from '0.01 A' and ('mm', 1.0) from 'mm'; ('', 1.0) if unknown."""
+    if unit := known_unit(text):
+        return unit, 1.0
+    match = _SCALED.match(text.strip().strip("[]()").strip())
+    unit = known_unit(match[2]) if match else ""
+    return (unit, float(match[1].replace(",", "."))) if match and unit else ("", 1.0)
 
 
 def split_heading(text: str) -> tuple[str, str]:
@@ -209,3 +226,11 @@ def head_of(path: Path) -> bytes:
     if not head:
         raise InputError(f"{path}: the file is empty; export the recording again")
     return head
+
+
+def told(path: Path, file: Path, read_it: Callable[[], Recording]) -> Recording:
+    """What was read from the `file` made of it, under the name of the file that the user gave, also in an error."""
+    try:
+        return replace(read_it(), path=path)
+    except InputError as error:
+        raise InputError(str(error).replace(str(file), str(path))) from None

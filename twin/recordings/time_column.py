@@ -26,8 +26,17 @@ _UNIT_OF_NAME = {"seconds": "s", "sekunden": "s", "millis": "ms"}
 _ENDING = re.compile(r"[ _](?:in )?(s|sec|ms|us|µs|ns|min)$", re.IGNORECASE)
 SLOWEST_S = 0.5
 """Longest interval of a control's recording: steps from this number on are taken as ms if nothing states the unit."""
-_SINCE_1970 = (9.4e8, 2.9e9)
+_TODAY = (9.4e8, 2.9e9)
 """Seconds from 1970 to 1999 and to 2061."""
+_DATES = (
+    (1.0, 0.0, "s since 1970"), (1e-3, 0.0, "ms since 1970"), (1e-6, 0.0, "us since 1970"), (1e-9, 0.0, "ns since 1970"),
+    (86400.0, 2209161600.0, "days since 1900"), (0.0864, 2209161600.0, "millionths of a day since 1900"), (1.0, 2082844800.0, "s since 1904"),
+    (1e-7, 11644473600.0, "100 ns since 1601"), (1e-7, 62135596800.0, "100 ns since the year 1"),
+)  # fmt: skip
+"""Counts since a date: seconds of a count, seconds from the date to 1970, what it is. Workbooks count days from 1900, LabVIEW from 1904, Windows from
+1601, .NET from the year 1."""
+_LONGEST_STEP_S = 2.0
+"""Steps of days are shorter: 40000 may also be seconds since a control was switched on."""
 UNNAMED = "column {}"
 """Name of a column that has none."""
 COUNTERS = ("", UNNAMED.format(1), "unnamed: 0", "index", "idx", "n", "nr", "no", "row", "zeile", "#", "sample", "samples", "point", "punkt", "count",
@@ -57,14 +66,15 @@ def find_time(
         ending = _ENDING.search(name)
         of_name = known_unit(ending[1]) if ending else _UNIT_OF_NAME.get(name.lower(), "")
         stated = known_unit(clock.unit) if clock.unit else units[at] or of_name
+        if (rest := _rest(names, heads, at)) is not None:
+            text = f"'{name}' and '{names[rest[0]]}' are the time"
+            return TimeSource("column", name, text=text, at=at, count_s=1.0, rest=rest)
         if (clock.unit and (not stated or dimension_recorded(stated) != "time")) or (stated and dimension_recorded(stated) != "time"):
             raise InputError(f"{where}: time column '{name}': [{clock.unit or stated}] is not a unit of time; use s, ms, us, ns or min")
-        if stated:
-            return TimeSource("column", name, stated, at=at)
-        if head is None or len(head) < 2:
-            return TimeSource("column", name, at=at)
-        if unit := _since_1970(head):
-            return TimeSource("column", name, unit, text=f"'{name}' counts {unit} since 1970", at=at)
+        if head is not None and not (clock.unit or units[at]) and (date := _since(head)):
+            return TimeSource("column", name, text=f"'{name}' counts {date[2]}", at=at, count_s=date[0], since_s=date[1])
+        if stated or head is None or len(head) < 2:
+            return TimeSource("column", name, stated or "s", at=at)
         step = float(np.median(np.diff(head)))
         if interval_s is not None and step > 0.0:
             for unit in ("s", "ms", "us", "ns"):
@@ -88,21 +98,34 @@ def find_time(
     candidates = [i for i in time_candidates(names, units) if (head := heads[i]) is None or _runs(head)]
     if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and heads[0] is not None and even_step(heads[0]):
         candidates = [0]
-    candidates = candidates or [
-        i for i, head in enumerate(heads) if not units[i] and head is not None and _runs(head) and _since_1970(head)
-    ]
+    candidates = candidates or [i for i, head in enumerate(heads) if not units[i] and head is not None and _runs(head) and _since(head)]
     if candidates:
         most = max(_distinct(heads[i]) for i in candidates)
         finest = [i for i in candidates if _distinct(heads[i]) >= 0.9 * most]
         return found(min(finest, key=lambda i: numbers_rows(heads[i])))
     if interval_s is not None:
-        return TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms by the lines above the numbers", interval=interval_s)
+        return TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms, as the file states", interval=interval_s)
     return TimeSource("rows", text=NO_TIME)
 
 
-def _since_1970(head: np.ndarray) -> str:
-    """Unit in which a column begins with a count since 1970; "" if it does not."""
-    return next((u for u in ("s", "ms", "us", "ns") if len(head) and _SINCE_1970[0] < head[0] * RECORDED_UNITS[u][1] < _SINCE_1970[1]), "")
+def _rest(names: Sequence[str], heads: Sequence[np.ndarray | None], at: int) -> tuple[int, float] | None:
+    """Index of the column with the parts of the seconds in column `at`, 'stamp.nanosec' beside 'stamp.sec', and seconds per number; None if there is none."""
+    match = re.fullmatch(r"(.*?)(?:sec|secs|seconds|tv_sec)", names[at], re.IGNORECASE)
+    for i, other in enumerate(names if match else ()):
+        part = re.fullmatch(re.escape(match[1]) + r"(?:(n|nano|tv_n)|u|micro|tv_u)(?:sec|secs|seconds|s)", other, re.IGNORECASE)  # type: ignore[index]
+        head, size = heads[i], 1e-9 if part and part[1] else 1e-6
+        if part and head is not None and len(head) and head.min() >= 0.0 and head.max() * size < 1.0:
+            return i, size
+    return None
+
+
+def _since(head: np.ndarray) -> tuple[float, float, str] | None:
+    """The one of _DATES from which a column counts; None if it does not begin today."""
+    found = next((d for d in _DATES if len(head) and _TODAY[0] < head[0] * d[0] - d[1] < _TODAY[1]), None)
+    steps = np.diff(head)
+    if found is None or "day" not in found[2]:
+        return found
+    return found if np.any(steps > 0.0) and float(np.median(steps[steps > 0.0])) * found[0] < _LONGEST_STEP_S else None
 
 
 def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
@@ -118,7 +141,26 @@ def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
     return [i for _, i in sorted(ranked)]
 
 
-def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str) -> tuple[dict[str, Signal], TimeSource, int]:
+def interval_of(name: str, value: float) -> float | None:
+    """The interval of the samples [s] that a single number states: 'Ts', 'sample_interval_ms', or a rate, 'fs'; None if it is no such number."""
+    match = _INTERVAL.search(name)
+    if match is None or not value > 0.0:
+        return None
+    unit = (match[3] or "").lower()
+    interval = 1.0 / (value * (1e3 if unit == "khz" else 1.0)) if match[1] else value * (RECORDED_UNITS[unit][1] if unit else 1.0)
+    return interval if 1e-6 <= interval <= 60.0 else None
+
+
+_INTERVAL = re.compile(
+    r"(?:^|[._/ ])(?:(fs|f_?sample|sampl(?:e|ing)_?(?:rate|freq(?:uency)?))|(ts|dt|t_?sample|delta_?t|wf_increment|cycle_?time|sampl(?:e|ing)_?(?:time|period|interval)))"
+    r"[ _]?[\[(]?(k?hz|s|ms|us|ns)?[\])]?$",
+    re.IGNORECASE,
+)
+
+
+def share_time(
+    columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str, interval_s: float | None = None
+) -> tuple[dict[str, Signal], TimeSource, int]:
     """Signals from columns (values, unit) on one time, its source, and how often it starts again. A column of another length gets no time.
 
     A unit in the heading, as in 'X.position [mm]', is taken off where the rest is unique.
@@ -128,19 +170,20 @@ def share_time(columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, wher
     columns = {own if plain.count(own) == 1 else name: (columns[name][0], columns[name][1] or unit) for name, (own, unit) in split.items()}
     names = list(columns)
     units = [unit for _, unit in columns.values()]
-    found = find_time(names, units, [np.asarray(values[:4096], float) for values, _ in columns.values()], clock, where)
+    found = find_time(names, units, [np.asarray(values[:4096], float) for values, _ in columns.values()], clock, where, interval_s)
     if found.at is None:
         rows = max((len(values) for values, _ in columns.values()), default=0)
         time = np.arange(rows) * found.factor
     else:
         values = np.asarray(columns[names[found.at]][0], float)
-        time = (values - (values[0] if found.text.endswith("since 1970") else 0.0)) * found.factor
+        time = (values - (values[0] if found.count_s else 0.0)) * found.factor
+        time = time + (columns[names[found.rest[0]]][0] * found.rest[1] if found.rest else 0.0)
     restarts = Restarts()
     time = restarts(time)
     signals = {
         name: Signal(name, np.asarray(values, float), time if len(values) == len(time) else None, unit)
         for i, (name, (values, unit)) in enumerate(columns.items())
-        if i != found.at and not is_counter(name, np.asarray(values[:4096], float))
+        if i not in (found.at, found.rest and found.rest[0]) and not is_counter(name, np.asarray(values[:4096], float))
     }
     return signals, found, restarts.count
 

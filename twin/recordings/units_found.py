@@ -27,7 +27,7 @@ TOLERANCE = {"velocity": 0.05, "velocity_feedforward": 0.4, "velocity_setpoint":
 """A speed may differ from the slope by this share: a feedforward has a weight, and a set point leads (1.17 to 1.5 with a position loop in the drive)."""
 _ROUND = [m * 10.0**e for e in range(-5, 0) for m in (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)]
 """Usual intervals of recordings [s]."""
-_TURNS = sorted({float(2**k) for k in range(8, 25)} | {m * 10.0**e for e in range(2, 8) for m in (1.0, 2.0, 2.5, 4.0, 5.0, 8.0)})
+COUNTS_OF_A_TURN = sorted({float(2**k) for k in range(8, 25)} | {m * 10.0**e for e in range(2, 8) for m in (1.0, 2.0, 2.5, 4.0, 5.0, 8.0)})
 SLOWEST_S, FASTEST_S = 0.5, 2e-5
 """Usual intervals of recordings [s]."""
 ON_GRID = 0.06
@@ -123,7 +123,7 @@ def counts(values: np.ndarray) -> bool:
 
 def counts_of_a_turn(values: np.ndarray, turn: float) -> float | None:
     """The usual number of counts in a turn within ON_COUNTS of `turn`, if the values are counts."""
-    nearest = min(_TURNS, key=lambda usual: abs(usual / turn - 1.0))
+    nearest = min(COUNTS_OF_A_TURN, key=lambda usual: abs(usual / turn - 1.0))
     return nearest if counts(values) and abs(nearest / turn - 1.0) < ON_COUNTS else None
 
 
@@ -139,7 +139,7 @@ def steps_of_a_turn(values: np.ndarray, base: float) -> float | None:
         return None
     digit = decimal_place(levels, coarsest=-3, off=1e-4)
     smallest = float(gaps[gaps > 0.5 * digit].min(initial=np.inf))
-    for turn in _TURNS:
+    for turn in COUNTS_OF_A_TURN:
         step = base / turn
         decimal = abs(float(f"{step:.3g}") - step) < 1e-9 * step  # a step of at most three digits: 0.1, 0.025
         if abs(step / smallest - 1.0) < 0.05 and step > 8.0 * digit and not decimal:

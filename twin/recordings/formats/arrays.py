@@ -1,6 +1,7 @@
 """Arrays of numbers by name as signals, and the files of numpy that hold them: .npy (one array) and .npz (several).
 
-A vector is a signal. A table has one signal a column, `name[0]`, or by the names of its columns. A record array has one signal a field.
+A vector is a signal. A table has one signal a column, `name[0]`, or by the names of its columns. A record array has one signal a field. A single
+number may be the interval of the samples: `Ts = 0.001`, `sample_rate_hz = 1000`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,15 @@ import zipfile
 import numpy as np
 
 from twin.errors import InputError
-from twin.limits import refuse_bytes
+from twin.limits import most_bytes, refuse_bytes
 from twin.recordings.signals import ReadOptions, Recording
 from twin.recordings.table_file import BYTES_PER_NUMBER
-from twin.recordings.time_column import share_time
+from twin.recordings.time_column import interval_of, share_time
+from twin.system import tried
 
 REMEDY = "save fewer signals, or in parts"
+TRIAL_BYTES, TRIAL_S = 2_000_000_000, 60
+"""Address space, before it reads, and processor time of the process that tries a file."""
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -46,7 +50,12 @@ def fields_of(name: str, array: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def arrays_recording(
-    arrays: Mapping[str, np.ndarray], kind: str, path: Path, options: ReadOptions, names: Mapping[str, Sequence[str]] | None = None
+    arrays: Mapping[str, np.ndarray],
+    kind: str,
+    path: Path,
+    options: ReadOptions,
+    names: Mapping[str, Sequence[str]] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Recording:
     """Vectors and the columns of tables as signals on the map's time column or interval. Single numbers are reported, not imported.
 
@@ -54,6 +63,7 @@ def arrays_recording(
         arrays: by name; more than two dimensions are left out
         kind: format, for the notes
         names: names of the columns of a table, if the file has them; else name[0], name[1], ...
+        units: units of vectors, if the file has them
 
     Raises:
         InputError: no array, or its length differs from that of the time
@@ -68,9 +78,22 @@ def arrays_recording(
             heads = own if len(own) == table.shape[1] else [f"{name}[{i}]" for i in range(table.shape[1])]
             vectors |= {head: (table[:, i].astype(float), "") for i, head in enumerate(heads)}
         elif values.ndim <= 2 and values.size > 1:
-            vectors[name] = (values.ravel().astype(float), "")
-    numbers = [f"{name} = {float(v.ravel()[0]):g}" for name, v in arrays.items() if v.size == 1]
-    signals, source, restarts = share_time(vectors, options.clock, str(path))
-    return Recording(
-        path, kind, signals, None, (f"{kind}: {', '.join([f'{len(vectors)} vectors', *numbers])}",), restarts=restarts, source=source
-    )
+            vectors[name] = (values.ravel().astype(float), (units or {}).get(name, ""))
+    single = {name: float(values.ravel()[0]) for name, values in arrays.items() if values.size == 1}
+    stated = next((found for name, value in single.items() if (found := interval_of(name, value))), None)
+    signals, source, restarts = share_time(vectors, options.clock, str(path), stated)
+    numbers = [f"{name} = {value:g}" for name, value in single.items()]
+    note = f"{kind}: {', '.join([f'{len(vectors)} vectors', *numbers])}"
+    return Recording(path, kind, signals, None, (note, *[source.text] * (source.kind == "interval")), restarts=restarts, source=source)
+
+
+def try_first(path: Path, kind: str, code: str, *arguments: str) -> str:
+    """What Python code that reads a file prints in a process of its own: a damaged file can crash its library, fill the memory (code 3) or never end.
+
+    An error that Python sees is none here: it is told where the file is read.
+    """
+    trial = tried(code, str(path), *arguments, most_bytes=TRIAL_BYTES + 2 * most_bytes(), seconds=TRIAL_S)
+    problem = "does not end" if trial is None else {0: "", 1: "", 3: "fills the memory"}.get(trial.returncode, "crashes")
+    if problem or trial is None:
+        raise InputError(f"{path}: a damaged {kind} file (reading it {problem}); save it again")
+    return trial.stdout.decode().strip()

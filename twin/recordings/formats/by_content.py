@@ -10,12 +10,13 @@ from typing import NamedTuple
 from twin.documents import reading
 from twin.errors import InputError
 from twin.recordings.signals import ReadOptions, Recording, head_of
+from twin.recordings.wrapped import unwrapped
 
 
 class _Format(NamedTuple):
     """A format: its name, first bytes, endings, and the package on PyPI that reads it with the extra that installs it.
 
-    `sure`: every file of it begins with these bytes.
+    `sure`: every file of it begins with these bytes. `module`: the one that reads it, if it is not called like the format.
     """
 
     name: str
@@ -24,6 +25,7 @@ class _Format(NamedTuple):
     package: str = ""
     extra: str = ""
     sure: bool = True
+    module: str = ""
 
 
 _FORMATS = {
@@ -32,11 +34,11 @@ _FORMATS = {
     "parquet": _Format("a Parquet file", (b"PAR1",), (".parquet",)),
     "matlab": _Format("a MATLAB file", (b"MATLAB ",), (".mat",), sure=False),
     "hdf5": _Format("an HDF5 file", (b"\x89HDF",), (".h5", ".hdf5"), "h5py", "hdf5"),
-    "arrow": _Format("an Arrow file", (b"ARROW1",), (".arrow", ".feather")),
+    "arrow": _Format("an Arrow file", (b"ARROW1",), (".arrow", ".feather"), module="parquet"),
     "arrays": _Format("an array of numpy", (b"\x93NUMPY",), (".npy",)),
     "packed": _Format("an archive", (b"PK\x03\x04", b"\x1f\x8b"), (".xlsx", ".npz", ".zip", ".gz")),
     "sinumerik": _Format("a SINUMERIK trace", (b"<",)),
-    "json_text": _Format("a JSON recording", (b"{", b"[{")),
+    "json_text": _Format("a JSON recording", (b"{", b"[{", b"[[")),
     "delimited": _Format("a text of numbers", sure=False),
 }
 """By the module that reads them."""
@@ -51,7 +53,7 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     """
     path = Path(path)
     head = head_of(path).removeprefix(b"\xef\xbb\xbf").removeprefix(b"\xff\xfe").removeprefix(b"\xfe\xff").replace(b"\x00", b"").lstrip()
-    begun = next((reader for reader, form in _FORMATS.items() if head.startswith(form.begins)), "")
+    begun = next((r for r, form in _FORMATS.items() if head.startswith(form.begins) or b"".join(head.split()).startswith(form.begins)), "")
     reader = begun or next((reader for reader, form in _FORMATS.items() if path.suffix.lower() in form.endings), "delimited")
     form = _FORMATS[reader]
     if not begun and form.sure:
@@ -61,7 +63,7 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     if form.package and importlib.util.find_spec(form.package.lower()) is None:
         raise InputError(f"{path}: {form.name} needs the package {form.package}; install it with: pip install 'twin[{form.extra}]'")
     with reading(path, form.name.split(" ", 1)[1]):  # the one boundary: whatever a reader or its library raises becomes one line
-        recording = importlib.import_module(f"twin.recordings.formats.{reader}").read(path, options)
+        recording = importlib.import_module(f"twin.recordings.formats.{form.module or reader}").read(path, options)
     if not recording.signals:
         raise InputError(f"{path}: holds no signal; export the recording again")
-    return recording
+    return unwrapped(recording, options.scratch)

@@ -15,11 +15,12 @@ import re
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, has_clock, has_date, read_sample
-from twin.recordings.formats.text_heading import UNUSED, Heading, read_heading
+from twin.limits import refuse_bytes
+from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, cells_of, has_clock, has_date, is_number, read_sample
+from twin.recordings.formats.text_heading import UNUSED, Heading, Named, read_heading
 from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs
 from twin.recordings.formats.text_stream import Clocks, Layout, stream
-from twin.recordings.signals import IMPOSSIBLE_VALUE, ReadOptions, Recording, Signal, TimeSource, known_unit
+from twin.recordings.signals import IMPOSSIBLE_VALUE, ReadOptions, Recording, Signal, TimeSource, known_unit, told
 from twin.recordings.time_column import UNNAMED, find_time, is_counter, numbers_rows, time_candidates
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}
@@ -27,6 +28,8 @@ _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the wanted columns (all without a map). In a long table each name is a signal with times of its own."""
+    if (upright := _upright(path, options)) is not None:
+        return told(path, upright, lambda: read(upright, options))
     layout = find_layout(path, options)
     names, wanted, rows, long = layout.names, options.wanted, layout.rows, layout.long
     if not long and wanted is not None and (words := [names[i] for i in rows.columns(WORD) if names[i] in wanted]):
@@ -38,14 +41,20 @@ def read(path: Path, options: ReadOptions) -> Recording:
     clocks = Clocks({i: layout.times[i] for i in chosen}, layout.stamps)
     columns = stream(layout, chosen, clocks, options.scratch / path.name, strict=wanted is not None)
     if long:
-        units = dict(zip(rows.texts(long.name), map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
-        signals = {name: Signal(name, values, time, units.get(name, "")) for name, (values, time) in columns.items()}
+        units = (
+            dict(zip(map(" ".join, zip(*map(rows.texts, long.names))), map(known_unit, rows.texts(long.unit))))
+            if long.unit is not None
+            else {}
+        )
+        signals = {name: Signal(name, values, time, units.get(name, "")) for name, (values, time) in columns.items() if len(values) > 1}
         signals = {name: one if wanted is None or name in wanted else Signal(name, np.empty(0), None) for name, one in signals.items()}
         more = [f"one value a row: {len(columns)} names"]
     else:
         signals = {
             # the unit as written where it is none of the twin's
-            names[i]: Signal(names[i], values, time, layout.units[i], stated_unit="" if layout.units[i] else layout.heading.written[i])
+            names[i]: Signal(
+                names[i], values, time, layout.heads[i].unit, stated_unit="" if layout.heads[i].unit else layout.heads[i].written
+            )
             for i, (values, time) in columns.items()
             if len(values)
         }
@@ -54,10 +63,36 @@ def read(path: Path, options: ReadOptions) -> Recording:
     note = f"CSV: {_SEPARATORS[rows.delimiter]}, decimal {mark}, numbers from line {rows.first + 1}, {layout.sample.encoding}"
     source = next((s for i in chosen if (s := layout.times[i]).text), layout.times[chosen[0]])
     notes = [note, *layout.notes, *more, *([source.text] if source.text else [])]
+    if layout.left_out:
+        notes.append(f"lines left out: {len(layout.left_out)}, the first '{layout.left_out[0][:40]}'")
     if clocks.restarts:
         notes.append(f"the time starts again at {clocks.restarts} row{'s' * (clocks.restarts > 1)}: each part is a run of its own")
     started = datetime.fromtimestamp(clocks.origin_ns * 1e-9, UTC) if clocks.dated and clocks.origin_ns is not None else None
     return Recording(path, "CSV", {**unread, **signals}, started, tuple(notes), restarts=clocks.restarts, source=source)
+
+
+def _upright(path: Path, options: ReadOptions) -> Path | None:
+    """A text with a signal in each line, its name first, as one with a signal in each column; None if the signals stand in columns."""
+    encoding = str(options.dialect.get("encoding") or read_sample(path).encoding)
+    with path.open(encoding=encoding) as text:
+        first = text.readline()
+        delimiter = max(_SEPARATORS, key=first.count)
+        cells = cells_of(first.strip(), delimiter)
+        if len(cells) < LONG_LINE or is_number(cells[0]) or not all(map(is_number, cells[1:])):
+            return None
+        refuse_bytes(BYTES_PER_CELL * len(cells) * path.stat().st_size / len(first), str(path), "export it with a signal in each column")
+        lines = [cells, *(cells_of(line.strip(), delimiter) for line in text if line.strip())]
+    width = len(cells)
+    if any(len(line) != width for line in lines) or len(lines) > width:
+        return None
+    file = options.scratch / "upright" / f"{path.name}.tsv"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("\n".join("\t".join(row) for row in zip(*lines)) + "\n", encoding="utf-8")
+    return file
+
+
+LONG_LINE, BYTES_PER_CELL = 100, 100.0
+"""Cells of a line that is a signal, and memory for each."""
 
 
 def find_layout(path: Path, options: ReadOptions) -> Layout:
@@ -67,19 +102,16 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
     rows = find_rows(sample, given)
     width = len(rows.kinds)
     heading = read_heading(sample.lines[: rows.first], rows.delimiter, [kind != BLANK for kind in rows.kinds], given, path)
-    pairs = names_in_pairs(rows, any(heading.names))
+    heads = list(heading.columns)
+    pairs = names_in_pairs(rows, any(head.name for head in heads))
     stamps = () if pairs and any(rows.kinds[i] == STAMP for i in pairs) else _stamps(rows)
-    names, units = list(heading.names), list(heading.units)
     if pairs:
-        names, units = [""] * width, [""] * width
-        for at, name in pairs.items():
-            names[at] = name
-    elif len(stamps) == 2 and names[-1] == "" and rows.kinds[-1] != BLANK:
-        # a date and a clock time under one name
-        names, units = ([*own[: stamps[1]], "", *own[stamps[1] : -1]] for own in (names, units))
-    elif names[-1] == "" and rows.kinds[-1] != BLANK and any(names) and numbers_rows(rows.values(0)):
-        # row numbers without a name, as R writes them
-        names, units = (["", *own[:-1]] for own in (names, units))
+        heads = [Named(pairs.get(i, "")) for i in range(width)]
+    elif heads[-1].name == "" and rows.kinds[-1] != BLANK and len(stamps) == 2:
+        heads.insert(stamps[1], heads.pop())  # a date and a clock time under one name
+    elif heads[-1].name == "" and rows.kinds[-1] != BLANK and any(head.name for head in heads) and numbers_rows(rows.values(0)):
+        heads.insert(0, heads.pop())  # row numbers without a name, as R writes them
+    names, units = [head.name for head in heads], [head.unit for head in heads]
     names = [name or (UNNAMED.format(i + 1) if rows.kinds[i] != BLANK else "") for i, name in enumerate(names)]
 
     def time_of(among: Sequence[int], stamps: Sequence[int] = ()) -> TimeSource:
@@ -93,12 +125,13 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
             clock = replace(clock, column=names[among[0]])
         stated = heading.intervals.get(among[0], heading.interval_s) if among else heading.interval_s
         found = find_time([names[i] for i in index], [units[i] for i in index], [rows.values(i) for i in index], clock, str(path), stated)
-        return found if found.at is None else replace(found, at=index[found.at])
+        rest = found.rest and (index[found.rest[0]], found.rest[1])
+        return found if found.at is None else replace(found, at=index[found.at], rest=rest)
 
-    long = None if pairs else long_table(rows, names)
+    long = None if pairs else long_table(rows, names, stamps)
     if long:
         found = time_of(long.times, [i for i in stamps if i in long.times])
-        return Layout(sample, rows, heading, tuple(names), tuple(units), (long.value,), {long.value: found}, stamps, long, ())
+        return Layout(sample, rows, heading, tuple(names), tuple(heads), (long.value,), {long.value: found}, stamps, long, ())
     groups = _groups(rows, names, units, heading) if options.clock.interval_s is None and options.clock.column is None else []
     kept, notes = _kept(rows, names, pairs, stamps)
     if len(groups) > 1:
@@ -110,12 +143,12 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         found = time_of(kept, stamps)
         huge = [i for i in kept if i != found.at and np.all(np.abs(rows.values(i)) >= IMPOSSIBLE_VALUE)]  # type: ignore[arg-type]
         notes += [f"'{names[i]}' holds numbers above {IMPOSSIBLE_VALUE:g}, such as ns since 1970: not read" for i in huge]
-        kept = [i for i in kept if i != found.at and i not in huge]
+        kept = [i for i in kept if i not in (found.at, found.rest and found.rest[0], *huge)]
         times = dict.fromkeys(kept, found)
     names, dropped = _named_once(rows, names, kept)
     kept = [i for i in kept if i not in dropped]
     notes += [f"unused, not read: {', '.join(dict.fromkeys(names[i] for i in sorted(dropped)))}"] if dropped else []
-    return Layout(sample, rows, heading, tuple(names), tuple(units), tuple(kept), times, stamps, None, tuple(notes))
+    return Layout(sample, rows, heading, tuple(names), tuple(heads), tuple(kept), times, stamps, None, tuple(notes))
 
 
 def _stamps(rows: Rows) -> tuple[int, ...]:
@@ -123,6 +156,7 @@ def _stamps(rows: Rows) -> tuple[int, ...]:
     columns = rows.columns(STAMP)
     first = {i: next(text for text in rows.texts(i) if text) for i in columns}
     both = [i for i in columns if has_clock(first[i])]
+    both = [i for i in both if len(set(rows.texts(i))) > 1] or both  # the bounds of a query never change
     if not both:
         return ()
     day = [i for i in columns if not has_clock(first[i])]

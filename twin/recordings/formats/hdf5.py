@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.limits import most_bytes, refuse_bytes
-from twin.recordings.formats.arrays import REMEDY, arrays_recording, fields_of
-from twin.recordings.signals import ReadOptions, Recording
+from twin.limits import refuse_bytes
+from twin.recordings.formats.arrays import REMEDY, arrays_recording, fields_of, try_first
+from twin.recordings.signals import ReadOptions, Recording, known_unit
 from twin.recordings.table_file import BYTES_PER_NUMBER
-from twin.system import tried
+from twin.recordings.time_column import interval_of
 
 _OF_MATLAB = "MATLAB_class"
 _NAMES = ("columns", "names", "axis0", "{}_items")
 """Where the names of a table's columns stand: an attribute of it, or a dataset beside it. pandas writes 'block0_items' for 'block0_values'."""
-LOADED_BYTES = 1_000_000_000
-"""Address space of the process that tries a file, before it reads it [bytes]."""
+_UNITS = ("unit", "units", "unit_string")
+"""Attributes of a dataset with its unit."""
 _TRIAL = """
 import sys, h5py
 with h5py.File(sys.argv[1], "r") as file:
@@ -30,13 +30,19 @@ def read(path: Path, options: ReadOptions) -> Recording:
     """Arrays as signals on the map's time column or interval."""
     import h5py
 
-    # a damaged file can crash the library, so it is first read in a process of its own; an error that Python sees is told below
-    trial = tried(_TRIAL, str(path), most_bytes=LOADED_BYTES + 2 * most_bytes(), seconds=60)
-    if trial is None or trial.returncode not in (0, 1):
-        raise InputError(f"{path}: a damaged HDF5 file (reading it {'does not end' if trial is None else 'crashes'}); save it again")
+    try_first(path, "HDF5", _TRIAL)
     arrays: dict[str, np.ndarray] = {}
     names: dict[str, list[str]] = {}
+    units: dict[str, str] = {}
     sizes = []
+
+    def attributes(item: Any, own: str) -> None:
+        for key, value in item.attrs.items():
+            text = value.decode(errors="replace") if isinstance(value, bytes) else value
+            if isinstance(text, str) and key.lower() in _UNITS:
+                units[own] = known_unit(text)
+            elif np.ndim(value) == 0 and isinstance(value, np.number) and interval_of(key, float(value)):
+                arrays[key] = np.asarray(value)
 
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset) or name.startswith("#") or not (item.dtype.names or item.dtype.kind in "iufb"):
@@ -51,12 +57,14 @@ def read(path: Path, options: ReadOptions) -> Recording:
         values = np.asarray(item).T if _OF_MATLAB in item.attrs else np.asarray(item)
         own = name.replace("/", ".")
         arrays.update(fields_of(own, values))
+        attributes(item, own)
         if heads := _heads(item):
             names[own] = heads
 
     with h5py.File(path, "r") as file:
+        attributes(file, "")
         file.visititems(visit)
-    return arrays_recording(arrays, "HDF5", path, options, names)
+    return arrays_recording(arrays, "HDF5", path, options, names, units)
 
 
 def _heads(item: Any) -> list[str]:

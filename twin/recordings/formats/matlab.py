@@ -7,15 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from twin.errors import InputError
 from twin.limits import most_bytes, refuse_bytes
 from twin.recordings.formats import hdf5
-from twin.recordings.formats.arrays import REMEDY, arrays_recording
+from twin.recordings.formats.arrays import REMEDY, arrays_recording, try_first
 from twin.recordings.signals import ReadOptions, Recording, head_of
-from twin.system import tried
 
-LOADED_BYTES = 2_000_000_000
-"""Address space of the process that tries a file, before it reads it [bytes]."""
 _TRIAL = """
 import sys
 from scipy.io import loadmat, whosmat
@@ -35,29 +31,25 @@ def read(path: Path, options: ReadOptions) -> Recording:
     """Vectors as signals on the map's time column or interval. Single numbers are reported, not imported."""
     if head_of(path).startswith(b"MATLAB 7.3"):
         return hdf5.read(path, options)
+    from scipy.io import loadmat
+
+    if (said := try_first(path, "MATLAB", _TRIAL, str(most_bytes()))).isdigit():
+        refuse_bytes(int(said), str(path), REMEDY)
     columns: dict[str, np.ndarray] = {}
-    _older(path, columns)
-    names = {name: [f"{name}({i + 1})" for i in range(min(values.shape))] for name, values in columns.items() if values.ndim == 2}
+    lists: list[list[str]] = []
+    for name, value in loadmat(path, squeeze_me=False, struct_as_record=True).items():
+        if not name.startswith("__"):
+            _collect(name, value, columns, lists)
+    tables = {name: min(values.shape) for name, values in columns.items() if values.ndim == 2}
+    names = {
+        name: next((own for own in lists if len(own) == width > 1), [f"{name}({i + 1})" for i in range(width)])
+        for name, width in tables.items()
+    }
     return arrays_recording(columns, "MATLAB", path, options, names)
 
 
-def _older(path: Path, columns: dict[str, np.ndarray]) -> None:
-    from scipy.io import loadmat
-
-    # a damaged file can crash the library, so it is first read in a process of its own
-    trial = tried(_TRIAL, str(path), str(most_bytes()), most_bytes=LOADED_BYTES + 2 * most_bytes(), seconds=60)
-    if trial is not None and (said := trial.stdout.strip()).isdigit():
-        refuse_bytes(int(said), str(path), REMEDY)
-    problem = "does not end" if trial is None else {0: "", 1: "", 3: "fills the memory"}.get(trial.returncode, "crashes")
-    if problem:
-        raise InputError(f"{path}: a damaged MATLAB file (reading it {problem}); save it again")
-    for name, value in loadmat(path, squeeze_me=False, struct_as_record=True).items():
-        if not name.startswith("__"):
-            _collect(name, value, columns)
-
-
-def _collect(name: str, value: Any, columns: dict[str, np.ndarray]) -> None:
-    """Numbers of a variable, and of the fields of a struct. A sparse matrix is no signal."""
+def _collect(name: str, value: Any, columns: dict[str, np.ndarray], lists: list[list[str]]) -> None:
+    """Numbers of a variable, and of the fields of a struct, and lists of texts. A sparse matrix is no signal."""
     from scipy.sparse import issparse
 
     if issparse(value):
@@ -68,9 +60,11 @@ def _collect(name: str, value: Any, columns: dict[str, np.ndarray]) -> None:
             label = next((text for part in _LABELS if (text := _text(row, part))), "")
             own = label or (name if value.size == 1 else f"{name}({number})")
             for part in value.dtype.names:
-                _collect(own if label and part.lower() in _VALUES else f"{own}.{part}", row[part], columns)
+                _collect(own if label and part.lower() in _VALUES else f"{own}.{part}", row[part], columns, lists)
     elif value.dtype == object and value.size == 1:
-        _collect(name, value.ravel()[0], columns)
+        _collect(name, value.ravel()[0], columns, lists)
+    elif value.dtype.kind in "OU" and all(texts := [_plain(one) for one in value.ravel()]):
+        lists.append(texts)
     elif np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value) and value.size:
         columns[name] = value
 
@@ -81,7 +75,11 @@ _LABELS, _VALUES = ("Name", "name", "label"), ("data", "values")
 
 def _text(row: Any, part: str) -> str:
     """Text of a field of a struct; "" if there is none."""
-    value = row[part] if part in row.dtype.names else ""
+    return _plain(row[part]) if part in row.dtype.names else ""
+
+
+def _plain(value: Any) -> str:
+    """A text in arrays of one element each; "" for anything else."""
     while isinstance(value, np.ndarray) and value.size == 1:
         value = value.ravel()[0]
-    return str(value) if isinstance(value, str) else ""
+    return str(value).strip() if isinstance(value, str) else ""

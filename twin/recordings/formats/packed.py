@@ -5,7 +5,6 @@ A sheet becomes a text of cells separated by tabs, so that headings, units and d
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import csv
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -17,7 +16,7 @@ import zipfile
 from twin.errors import InputError
 from twin.limits import refuse_bytes
 from twin.recordings.formats import arrays, delimited
-from twin.recordings.signals import ReadOptions, Recording, head_of
+from twin.recordings.signals import ReadOptions, Recording, head_of, told
 from twin.recordings.table_file import REMEDY
 
 _BLOCK = 1 << 22
@@ -53,7 +52,7 @@ def _inner(packed: IO[bytes] | gzip.GzipFile, file: Path, path: Path, options: R
             refuse_bytes(float(out.tell()), str(path), REMEDY)
     if head_of(file).startswith((b"PK", b"\x1f\x8b")):
         raise InputError(f"{path}: an archive in an archive; unpack it")
-    return _told(path, file, lambda: read_recording(file, options))
+    return told(path, file, lambda: read_recording(file, options))
 
 
 def _sheet(path: Path, folder: Path, options: ReadOptions) -> Recording:
@@ -68,7 +67,7 @@ def _sheet(path: Path, folder: Path, options: ReadOptions) -> Recording:
     file = folder / "sheet.csv"
     with file.open("w", encoding="utf-8", newline="") as out:
         csv.writer(out, delimiter="\t", lineterminator="\n").writerows([_cell(value) for value in row] for row in sheet.iter_rows())
-    recording = _told(path, file, lambda: delimited.read(file, options))
+    recording = told(path, file, lambda: delimited.read(file, options))
     others = [name for name in book.sheet_names if name != sheet.name]
     notes = (f"sheet '{sheet.name}'" + (f"; not read: {', '.join(others)}" if others else ""), *recording.notes[1:])
     return replace(recording, format="Excel", notes=notes)
@@ -81,11 +80,3 @@ def _cell(value: object) -> str:
     if isinstance(value, timedelta):
         return repr(value.total_seconds())
     return value.isoformat(" ") if isinstance(value, datetime) else " ".join(str(value).split())
-
-
-def _told(path: Path, file: Path, read_it: Callable[[], Recording]) -> Recording:
-    """What was read from the unpacked `file`, under the name of the file that the user gave, also in an error."""
-    try:
-        return replace(read_it(), path=path)
-    except InputError as error:
-        raise InputError(str(error).replace(str(file), str(path))) from None

@@ -16,8 +16,16 @@ SAMPLE_BYTES = 1 << 18
 EASTERN = ("gb18030", "cp932", "big5")
 """Encodings of Chinese and Japanese text; the one in which most terms of drives occur is right."""
 NUMBER, STAMP, WORD, BLANK = "number", "stamp", "word", ""
+THOUSANDS = {mark: f"{other}'\u2019\u00a0\u202f " for mark, other in ((".", ","), (",", "."))}
+"""Decimal mark -> what may separate thousands."""
+GROUPED = {
+    mark: rf"[+-]?\d{{1,3}}(?:(?:[{between}]\d{{3}})+[{mark}]\d+|(?:[{between}]\d{{3}}){{2,}}|(?:['\u2019]\d{{3}})+)"
+    for mark, between in THOUSANDS.items()
+}
+"""Numbers with separated thousands. 1.234 alone is none: it may have a decimal point."""
 _NUMBERS = {
-    mark: re.compile(rf"[+-]?(?:\d+(?:[{mark}]\d*)?|[{mark}]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE) for mark in (".", ",")
+    mark: re.compile(rf"[+-]?(?:\d+(?:[{mark}]\d*)?|[{mark}]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)|{grouped}", re.IGNORECASE)
+    for mark, grouped in GROUPED.items()
 }
 _STAMP = re.compile(
     r"(?:(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})|(?P<a>\d{1,2})(?P<mark>[-/.])(?P<b>\d{1,2})[-/.](?P<c>\d{4}|\d{2}))?"
@@ -39,6 +47,8 @@ class Sample:
     path: Path
     encoding: str
     lines: tuple[str, ...]
+    lists: str = ""
+    """Delimiter of cells that hold lists of numbers; "" if none do. The lines have a cell for each element."""
 
 
 def read_sample(path: Path, encoding: str | None = None) -> Sample:
@@ -52,7 +62,29 @@ def read_sample(path: Path, encoding: str | None = None) -> Sample:
         raise InputError(f"{path}: [csv] encoding '{encoding}' is unknown; use utf-8, latin-1, utf-16, gb18030 or cp932") from None
     # the line ends of Python's text files; str.splitlines knows more
     lines = text.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    return Sample(path, encoding, tuple(lines[:-1] if len(head) == SAMPLE_BYTES or not lines[-1] else lines))
+    lines = lines[:-1] if len(head) == SAMPLE_BYTES or not lines[-1] else lines
+    found = next((line for line in reversed(lines) if _LIST.search(line)), "")
+    if not found:
+        return Sample(path, encoding, tuple(lines))
+    delimiter = max(",;\t|", key=_LIST.sub("", found).count)
+    sizes = [len(cells_of(spread(f'"{cell}"', delimiter), delimiter)) for cell in cells_of(found, delimiter)]
+
+    def wide(line: str) -> str:
+        """A row with its lists spread, a line of names with each name as often as its list has elements."""
+        cells = cells_of(line, delimiter)
+        if _LIST.search(line) or len(cells) != len(sizes):
+            return spread(line, delimiter)
+        return delimiter.join(cell if n == 1 else delimiter.join(f"{cell}[{k}]" for k in range(n)) for cell, n in zip(cells, sizes))
+
+    return Sample(path, encoding, tuple(wide(line) for line in lines), delimiter)
+
+
+_LIST = re.compile(r'"?[\[(]\s*([-+.\d][-+.\deE]*(?:[,\s]+[-+.\d][-+.\deE]*)+)\s*[\])]"?')
+
+
+def spread(text: str, delimiter: str) -> str:
+    """A text with the elements of the lists in its cells as cells of their own: '"[0.1, 0.2]"' as '0.1,0.2'. "": as it is."""
+    return _LIST.sub(lambda cell: delimiter.join(re.split(r"[,\s]+", cell[1])), text) if delimiter else text
 
 
 def _encoding(head: bytes, path: Path) -> str:
@@ -89,6 +121,11 @@ def kind_of(cell: str, decimal: str) -> str:
     if _NUMBERS[decimal].fullmatch(cell):
         return NUMBER
     return STAMP if is_stamp(cell) else WORD
+
+
+def number_text(cell: str, decimal: str) -> str:
+    """A number with a decimal point and without separators of thousands."""
+    return re.sub(f"[{THOUSANDS[decimal]}]", "", cell).replace(decimal, ".")
 
 
 def is_number(cell: str) -> bool:

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from twin.errors import InputError, nearest
 from twin.recordings.formats.text_cells import cells_of, is_number, is_stamp
-from twin.recordings.signals import known_unit, split_heading
+from twin.recordings.signals import known_unit, scaled_unit, split_heading
 
 KEYS = ("delimiter", "decimal", "encoding", "columns")
 _NAME_KEYS = (
@@ -45,13 +45,20 @@ _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
 _COMMENT = re.compile(r"^\s*(?:#+|%+|//|;;|\*)\s*")
 
 
+class Named(NamedTuple):
+    """Name of a column ("" if none), unit in the twin's spelling, number before the unit (0.1 of '0.1 r/min'), unit as written."""
+
+    name: str = ""
+    unit: str = ""
+    factor: float = 1.0
+    written: str = ""
+
+
 @dataclass(frozen=True)
 class Heading:
-    """Names ("" if none), units in the twin's spelling, units as written, and the interval [s] that the lines state. `keyed`: columns that lines' keys stand above."""
+    """The columns, and the interval [s] that the lines state. `keyed`: columns that lines' keys stand above."""
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    written: tuple[str, ...]
+    columns: tuple[Named, ...]
     interval_s: float | None
     intervals: Mapping[int, float]
     """Intervals of time columns of their own."""
@@ -74,28 +81,33 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
     names_at, units_at, keyed = _lines_of(table, full)
     names = _padded(table[names_at] if names_at is not None else [], width)
     below = _padded(table[units_at] if units_at is not None else [], width)
-    if names_at is not None:
-        above = (
-            _padded(next((table[i] for i in reversed(full) if i < names_at and _wordy(table[i])), []), width) if not keyed else [""] * width
-        )
+    for above in [
+        _padded(table[i], width) for i in reversed(full) if names_at is not None and not keyed and i < names_at and _wordy(table[i])
+    ]:
+        if _units(above) and not any(below):
+            below = above
+            continue
         # a unit in the line of the names belongs to the name above it: 'Time' over 'ms'
         for i in range(width):
             if above[i] and (names[i] == "" or (known_unit(names[i]) and len(names[i]) > 1 and not known_unit(above[i]))):
                 names[i], below[i] = above[i], below[i] or names[i]
         names = _joined(above, names)
+        if len(set(names)) == width:
+            break
     names = _legend(lines, width) or names
     if columns := given.get("columns"):
         names = _given_names(columns, filled, names, path)
     split = [_split(name) for name in names]
+    over = [(match[1].strip(), match[2]) if (match := _OVER.fullmatch(name)) and known_unit(match[2]) else None for name in names]
+    if sum(map(bool, over)) >= max(2.0, 0.5 * sum(map(bool, names))):  # 'Zeit/s', as DIN writes quantities, no part of a path
+        split = [one or own for one, own in zip(over, split)]
     plain = [name for name, _ in split]  # without its unit, where that leaves it unique
     written = [_plain(b) or unit for b, (_, unit) in zip(below, split)]
     keys_above = [i for i in range(width) if keyed and names[i].lower() in _NAME_KEYS]
     timed = [table[i] for i in full if keyed and _INTERVAL.search(table[i][0])]
     intervals = {i: _interval([f"{row[i]} {row[i + 1]}"]) for row in timed for i in keys_above if i + 1 < len(row)}
     return Heading(
-        tuple(own if plain.count(own) == 1 else name for own, name in zip(plain, names)),
-        tuple(known_unit(text) for text in written),
-        tuple(written),
+        tuple(Named(own if plain.count(own) == 1 else name, *scaled_unit(text), text) for own, name, text in zip(plain, names, written)),
         _interval(lines),
         {i: interval for i, interval in intervals.items() if interval},
         frozenset(keys_above),
@@ -181,17 +193,23 @@ def _split(name: str) -> tuple[str, str]:
     plain, unit = split_heading(name)
     if unit:
         return plain, unit
-    if (match := re.fullmatch(r"(.*\w)\s*(?:\s+in\s+|\s+/\s+|,\s*|\s*/\s*\()([^\s()]+)\)?", name)) and (unit := known_unit(match[2])):
-        return match[1], unit
+    if match := _OTHER.fullmatch(name):
+        other = (match[2] or match[3]).strip()
+        return (name if other == "%" else match[1].strip()), other
     # a letter alone behind a name is an axis, not an ampere
-    match = re.fullmatch(r"(.*\w)\s+(\S*/\S+|mm|deg|rpm|Nm|ms|[uµμ]m|°)", name)
-    if match and (unit := known_unit(match[2])):
-        return match[1], unit
-    match = re.fullmatch(r"(.*\S)\s*[\[(]([^\])]*)[\])]", name)
-    other = match[2].strip() if match else ""
-    if match and re.fullmatch(r"(?:counts?|cnts?|inc|incr|pulses?|pls|steps|ticks)(?: ?\d+ ?bit)?(?:/ ?s(?:ec)?)?", other, re.IGNORECASE):
-        return match[1].strip(), other
-    return name, other if other == "%" else ""
+    for behind in (r"(.*\w)\s*(?:\s+in\s+|\s+/\s+|,\s*|\s*/\s*\()([^\s()\]]+)\)?", r"(.*\w)\s+(\S*/\S+|mm|deg|rpm|Nm|ms|[uµμ]m|°)"):
+        if (match := re.fullmatch(behind, name)) and (unit := known_unit(match[2])):
+            return match[1], unit
+    return name, ""
+
+
+_OVER = re.compile(r"([^\[(]*[^/\s\[(])\s*/\s*([^/\s\[\]()]+)")
+_COUNTS = r"(?:counts?|cnts?|inc|incr|pulses?|pls|steps|ticks)(?: ?\d+ ?bit)?(?:/ ?s(?:ec)?)?"
+_OTHER = re.compile(
+    rf"(.*\S)\s*(?:\[\s*(?![XYZBCUW]\d?\s*\])([^\[\],]*[^\[\],\d\s])\s*\]|\(\s*(%|{_COUNTS}|\d+(?:[.,]\d+)?\s*[^\s\d()][^()]*)\))",
+    re.IGNORECASE,
+)
+"""A name with a unit of nobody: in square brackets anything but an index or an axis, in round ones counts or a number with a unit."""
 
 
 def _without_quantity(cell: str) -> str:
@@ -207,7 +225,7 @@ def _plain(cell: str) -> str:
 
 def _interval(lines: Sequence[str]) -> float | None:
     """The interval [s] from a line such as 'Sampling period is 100000 nSec', 'Sampling time interval(ms),0.667' or 'Abtastrate: 1 kHz'."""
-    for line in lines:
+    for line in (line.replace('"', "") for line in lines):
         key = _INTERVAL.search(line)
         amount = _AMOUNT.search(line, key.end()) if key else None
         if key and amount:

@@ -10,22 +10,25 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import itertools
 from typing import Any
 
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, Sample, cells_of, kind_of
+from twin.recordings.formats.text_cells import BLANK, NUMBER, WORD, Sample, cells_of, kind_of, number_text
 from twin.recordings.signals import known_unit
+from twin.recordings.time_column import numbers_rows
 
 MOST_LINES = 600
 """Lines that tell the layout."""
-_PAIRS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."), ("|", ","), (" ", "."), (" ", ","))
+_PAIRS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."), ("|", ","), (" ", "."), (" ", ","), (",", ","))
 """Delimiter and decimal mark are found together: only the right pair makes numbers of most cells. The order decides ties."""
 _LONG_NAMES = (
     "name", "signal", "channel", "tag", "tagname", "variable", "pv", "parameter", "item", "point", "kanal", "messgroesse", "metric",
-    "symbol",
+    "symbol", "varname", "_field", "field", "nodeid", "browsename", "dataitemid", "sensor",
 )  # fmt: skip
+_LONG_VALUES = ("value", "_value", "varvalue", "wert", "valeur", "val")
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,8 @@ class Rows:
         """Numbers of a column, NaN where blank; None for words and dates."""
         if self.kinds[column] != NUMBER:
             return None
-        texts = (row[column].replace(self.decimal, ".") for row in self.cells)
-        return np.array([float(t) if kind_of(t, ".") == NUMBER else np.nan for t in texts])
+        texts = (row[column] for row in self.cells)
+        return np.array([float(number_text(t, self.decimal)) if kind_of(t, self.decimal) == NUMBER else np.nan for t in texts])
 
     def texts(self, column: int) -> list[str]:
         """Cells of a column."""
@@ -127,41 +130,41 @@ def names_in_pairs(rows: Rows, headed: bool) -> dict[int, str] | None:
 
 @dataclass(frozen=True)
 class Long:
-    """Columns of a table with one value a row. `times`: one, or a date and a clock time. `unit`: None if there is no column of units."""
+    """Columns of a table with one value a row. `names`: one, or several that only together tell the signals apart. `times`: one, or a date and a clock
+    time. `unit`: None if there is no column of units."""
 
-    name: int
+    names: tuple[int, ...]
     value: int
     times: tuple[int, ...]
     unit: int | None
 
 
-def long_table(rows: Rows, names: Sequence[str]) -> Long | None:
-    """The columns of a long table, or None.
+def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long | None:
+    """The columns of a long table, or None. `stamps`: the columns of its dates.
 
-    Names alternate with others at the same times; the phases of a program, which a table may also have as words, follow one another.
+    Names alternate with others at the same times; the phases of a program, which a table may also have as words, follow one another. Further
+    numbers number the rows, or never change (a quality, the table of a query).
     """
     words = [i for i in rows.columns(WORD) if 1 < len(set(rows.texts(i))) <= max(len(rows.cells) // 3, 2)]
-    stamps, numbers = rows.columns(STAMP), rows.columns(NUMBER)
-    if len(words) < 1 or len(numbers) != (1 if stamps else 2):
+    heads = {i: head for i in rows.columns(NUMBER) if (head := rows.values(i)) is not None and len(np.unique(head)) > 1}
+    if not words or not heads or len(heads) > 3:
         return None
-    named = [i for i in words if names[i].lower() in _LONG_NAMES]
+    named = sorted((i for i in words if names[i].lower() in _LONG_NAMES), key=lambda i: _LONG_NAMES.index(names[i].lower()))
     name = named[0] if named else max(words, key=lambda i: len(set(rows.texts(i))))
-    unit = next((i for i in rows.columns(WORD) if i != name and all(map(known_unit, rows.texts(i)))), None)
-    if stamps:
-        times, value = tuple(stamps), numbers[0]
-        order = np.arange(len(rows.cells), dtype=float)
-        at = [" ".join(row[i] for i in stamps) for row in rows.cells]
-        shared = len(set(at)) < len(at)
-    else:
-        heads = {i: rows.values(i) for i in numbers}
-        one = rows.texts(name)[0]
-        own = np.array([text == one for text in rows.texts(name)])
-        rising = [i for i, head in heads.items() if head is not None and own.sum() > 1 and np.all(np.diff(head[own]) > 0.0)]
-        if not rising:
-            return None
-        times, value = (rising[0],), next(i for i in numbers if i != rising[0])
-        order = heads[rising[0]]  # type: ignore[assignment]
-        shared = bool(np.any(np.diff(order) <= 0.0))
-    changes = sum(a != b for a, b in zip(rows.texts(name), rows.texts(name)[1:]))
-    interleaved = changes > 2 * len(set(rows.texts(name)))
-    return Long(name, value, times, unit) if named or shared or interleaved else None
+    own = np.array(rows.texts(name)) == rows.texts(name)[0]
+    rising = [i for i, head in heads.items() if own.sum() > 1 and np.all(np.diff(head[own]) > 0.0)]
+    values = [i for i in heads if names[i].lower() in _LONG_VALUES] or [i for i in heads if i not in rising] or rising[1:]
+    times = [i for i in rising if i not in values and not (stamps and numbers_rows(heads[i]))]
+    if len(values) != 1 or not (stamps or times):
+        return None
+    at = [" ".join(row[i] for i in stamps or times[:1]) for row in rows.cells]
+    if stamps and times and len(set(rows.texts(times[0]))) > len(set(at)):  # dates in whole seconds beside a finer time
+        stamps, at = (), rows.texts(times[0])
+    texts, told = rows.texts(name), [name]
+    for more in [i for i in words if i != name and len(set(zip(at, texts))) < len(texts)]:
+        if len(set(zip(at, texts, rows.texts(more)))) == len(texts):
+            told, texts = [more, name], [f"{a} {b}" for a, b in zip(rows.texts(more), texts)]
+    unit = next((i for i in rows.columns(WORD) if i not in told and all(map(known_unit, rows.texts(i)))), None)
+    shared = len(set(at)) < len(at)
+    interleaved = sum(a != b for a, b in itertools.pairwise(texts)) > 2 * len(set(texts))
+    return Long(tuple(told), values[0], tuple(stamps) or (times[0],), unit) if named or shared or interleaved else None

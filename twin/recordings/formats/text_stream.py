@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import io
 from pathlib import Path
 import re
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import DAY_NS, WORD, Sample, cells_of, has_date, kind_of, stamp_ns
-from twin.recordings.formats.text_heading import Heading
+from twin.recordings.formats.text_cells import DAY_NS, GROUPED, THOUSANDS, WORD, Sample, cells_of, has_date, is_number, kind_of, spread, stamp_ns
+from twin.recordings.formats.text_heading import Heading, Named
 from twin.recordings.formats.text_layout import Long, Rows
 from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Column, Stored, TimeSource
 from twin.recordings.table_file import uneven_row
@@ -24,13 +24,13 @@ BLOCK_CHARACTERS = 1 << 22
 
 @dataclass(frozen=True)
 class Layout:
-    """How to read a text file: names and units of its columns, and the column whose time each of them has."""
+    """How to read a text file: its columns, and the column whose time each of them has. `names`: each occurs once."""
 
     sample: Sample
     rows: Rows
     heading: Heading
     names: tuple[str, ...]
-    units: tuple[str, ...]
+    heads: tuple[Named, ...]
     kept: tuple[int, ...]
     """Columns that are signals."""
     times: Mapping[int, TimeSource]
@@ -39,6 +39,8 @@ class Layout:
     """Columns that together are a date and clock time."""
     long: Long | None
     notes: tuple[str, ...]
+    left_out: list[str] = field(default_factory=list)
+    """Lines with numbers between the pieces and behind the last row, once the file is read."""
 
     @property
     def ragged(self) -> bool:
@@ -66,7 +68,8 @@ class Clocks:
 
     def columns(self) -> set[int]:
         """Columns of times."""
-        return {at for one in self.found.values() if one.at is not None for at in (self.stamps if one.at in self.stamps else (one.at,))}
+        found = [one for one in self.found.values() if one.at is not None]
+        return {at for one in found for at in (self.stamps if one.at in self.stamps else (one.at, *(one.rest or ())[:1]))}  # type: ignore[misc]
 
     def times(self, batch: Any, found: TimeSource) -> np.ndarray:
         """Times of a batch as recorded, NaN where the cell is blank. Each batch is asked for once per time column."""
@@ -77,13 +80,14 @@ class Clocks:
         if found.at in self.stamps:
             return self._stamped(batch)
         values = batch.column(f"c{found.at}").to_numpy(zero_copy_only=False)
-        if found.text.endswith("since 1970"):
+        if found.count_s:
             there = values[np.isfinite(values)]
             first = self._epoch.setdefault(found.at, float(there[0]) if len(there) else 0.0)
             if self.origin_ns is None:
-                self.origin_ns, self.dated = round(first * found.factor * 1e9), True
+                self.origin_ns, self.dated = round((first * found.factor - found.since_s) * 1e9), True
             values = values - first
-        return np.asarray(values * found.factor, float)
+        rest = batch.column(f"c{found.rest[0]}").to_numpy(zero_copy_only=False) * found.rest[1] if found.rest else 0.0
+        return np.asarray(values * found.factor + rest, float)
 
     def running(self, key: object, time: np.ndarray) -> np.ndarray:
         """The times of one clock with its restarts behind each other."""
@@ -197,7 +201,8 @@ def _add_long(
     """One block of a long table: the rows of each name."""
     recorded = clocks.times(batch, clocks.found[long.value])
     values = _checked(batch.column(f"c{long.value}"), recorded, layout, long.value, line, strict)
-    texts = np.array([text or "" for text in batch.column(f"c{long.name}").to_pylist()], dtype=object)
+    parts = [batch.column(f"c{i}").to_pylist() for i in long.names]
+    texts = np.array([" ".join(filter(None, own)) for own in zip(*parts)], dtype=object)
     for name in dict.fromkeys(texts):
         own = (texts == name) & np.isfinite(recorded) & np.isfinite(values)
         if name and own.any():
@@ -208,7 +213,7 @@ def _add_long(
 
 def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int, strict: bool) -> np.ndarray:
     """Values, NaN where a cell is empty, which is no sample. NaN or infinity in a cell is an error if the column is wanted."""
-    values = np.asarray(column.to_numpy(zero_copy_only=False))
+    values = np.asarray(column.to_numpy(zero_copy_only=False)) * layout.heads[at].factor
     fault = ~(np.abs(values) < IMPOSSIBLE_VALUE) & np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool)
     if strict and fault.any():
         row = int(np.argmax(fault))
@@ -227,7 +232,7 @@ def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks) -> Iterator[
 
     kinds = {f"c{i}": pa.string() if i in clocks.stamps else pa.float64() for i in {*chosen, *clocks.columns()}}
     if layout.long:
-        kinds[f"c{layout.long.name}"] = pa.string()
+        kinds |= {f"c{i}": pa.string() for i in layout.long.names}
 
     yield from pc.open_csv(
         _Text(layout),
@@ -263,7 +268,7 @@ def _why(layout: Layout, error: Exception) -> InputError:
 
 
 class _Text(io.RawIOBase):
-    """The rows as UTF-8 for the CSV reader: runs of spaces as one, missing last cells added, repeated headings left out."""
+    """The rows as UTF-8 for the CSV reader: runs of spaces as one, missing last cells added, thousands together, lines between pieces and behind the last left out."""
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
@@ -271,6 +276,9 @@ class _Text(io.RawIOBase):
         for _ in range(layout.rows.first):
             self.file.readline()
         self.rest, self.part, self.begin = b"", "", True
+        between, grouped = THOUSANDS[layout.rows.decimal], GROUPED[layout.rows.decimal]
+        quoted = layout.rows.delimiter in between  # it is the delimiter elsewhere
+        self.between, self.grouped = between, re.compile(f'(?<="){grouped}(?=")' if quoted else rf"(?<![\w.,':/]){grouped}(?![\w.,':/])")
 
     def readable(self) -> bool:
         return True
@@ -286,30 +294,39 @@ class _Text(io.RawIOBase):
                 block, self.begin = block.removeprefix("\ufeff"), False
             if not block and not self.part:
                 return 0
-            whole, _, self.part = (self.part + block).rpartition("\n") if block else (self.part, "", "")
-            if len(block) < BLOCK_CHARACTERS:
-                whole, self.part = self._without_end(whole, self.part)
-            self.rest = self._clean(whole + "\n").encode() if whole else b""
+            last = len(block) < BLOCK_CHARACTERS
+            whole, _, self.part = (self.part + block, "", "") if last else (self.part + block).rpartition("\n")
+            self.rest = self._clean(whole.rstrip("\n"), last).encode() if whole.strip("\n") else b""
         count = min(len(buffer), len(self.rest))
         buffer[:count], self.rest = self.rest[:count], self.rest[count:]
         return count
 
-    def _without_end(self, text: str, part: str) -> tuple[str, str]:
-        """The last block without closing words, such as 'EOF'."""
-        lines = f"{text}\n{part}".rstrip().split("\n")
-        if len(lines) > 1 and len(cells := cells_of(lines[-1], self.layout.rows.delimiter)) == 1 and kind_of(cells[0], ".") == WORD:
-            return "\n".join(lines[:-1]), ""
-        return text, part
-
-    def _clean(self, text: str) -> str:
+    def _clean(self, text: str, last: bool) -> str:
         delimiter, heading, ragged = self.layout.rows.delimiter, self.layout.heading.lines, self.layout.ragged
+        if any(mark in text for mark in self.between):
+            text = self.grouped.sub(lambda number: re.sub(f"[{self.between}]", "", number[0]), text)
+        text = spread(text, self.layout.sample.lists)
         repeated = any(line in text for line in heading)
-        if not (delimiter == " " or ragged or repeated):
-            return text
-        lines = [line for line in text.split("\n") if line.strip() not in heading] if repeated else text.split("\n")
+        if not (delimiter == " " or ragged or repeated or last or "\n#" in text):
+            return text + "\n"
+        lines = text.split("\n")
+        between = [i for i, line in enumerate(lines) if line[:1] == "#" or (repeated and line.strip() in heading)]
+        for start, step in [(len(lines) - 1, -1)] * last + [(i, step) for i in between for step in (1, -1)]:
+            while 0 <= start < len(lines) and not self._is_row(lines[start]):
+                if any(map(is_number, cells_of(lines[start], delimiter))):
+                    self.layout.left_out.append(lines[start].strip())
+                lines[start], start = "", start + step
         if delimiter == " ":
             lines = [" ".join(line.split()) for line in lines]
         elif ragged:
             most = len(self.layout.names) - 1
             lines = [line + delimiter * max(most - line.count(delimiter), 0) if line.strip() else line for line in lines]
-        return "\n".join(lines)
+        return "\n".join(lines) + "\n"
+
+    def _is_row(self, line: str) -> bool:
+        """False for a line without content, a word alone, and a line that begins with a word where the rows have a number."""
+        cells = cells_of(line, self.layout.rows.delimiter)
+        at = next((i for i, cell in enumerate(cells) if cell), None)
+        if at is None or at >= len(self.layout.rows.kinds):
+            return at is not None
+        return kind_of(cells[at], self.layout.rows.decimal) != WORD or (len(cells) > 1 and self.layout.rows.kinds[at] == WORD)

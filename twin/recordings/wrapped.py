@@ -1,0 +1,89 @@
+"""Positions of rotary axes that begin anew after a turn: from 359.9 to 0.1 deg is a step of 0.2 deg. The turns are counted on.
+
+x = u - M floor(u / M):   M = 360 deg, 2 pi rad, 1 rev, or a usual number of counts. A step farther than M / 2 passes the end of the turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+import math
+from pathlib import Path
+
+import numpy as np
+
+from twin.recordings.names import meaning_of
+from twin.recordings.relations import whole
+from twin.recordings.signals import BLOCK, Recording, Signal, Stored
+from twin.recordings.units_found import COUNTS_OF_A_TURN
+
+_TURNS = {"deg": [360.0], "rad": [2.0 * math.pi], "rev": [1.0], "": [360.0, 2.0 * math.pi]}
+FILLED, FARTHEST_STEP = 0.9, 0.1
+"""Shares of a turn: one that wraps passes most of it, and no step is longer."""
+
+
+def unwrapped(recording: Recording, scratch: Path) -> Recording:
+    """The recording with positions that begin anew after a turn counted on; they begin within the same turn, and a note names them."""
+    found = {name: turn for name, one in recording.signals.items() if (turn := turn_of(one))}
+    signals = dict(recording.signals)
+    for name, turn in found.items():
+        # a set point at rest does not pass the end of the turn that the position wavers about
+        alike = next(
+            s for s in recording.signals.values() if s.unit == signals[name].unit and len(s.values) and _within(*_ends(s.head), turn)
+        )
+        parts = _counted_on(signals[name], turn, float(alike.head[0]))
+        if isinstance(signals[name].values, Stored):
+            file = scratch / f"{recording.path.name}.turns{len(signals)}.{list(found).index(name)}"
+            with file.open("wb") as out:
+                for part in parts:
+                    part.tofile(out)
+            signals[name] = replace(signals[name], values=Stored(file))
+        else:
+            signals[name] = replace(signals[name], values=np.concatenate(list(parts)))
+    turns = " or ".join(f"{turn:.6g}" for turn in dict.fromkeys(found.values()))
+    notes = (*recording.notes, f"{', '.join(found)}: begin anew after {turns}: turns counted on") if found else recording.notes
+    return replace(recording, signals=signals, notes=notes)
+
+
+def turn_of(signal: Signal) -> float | None:
+    """The turn after which the values of a signal begin anew; None if they do not, or if they only switch between its ends."""
+    turns = _TURNS.get(signal.unit, [])
+    meaning = meaning_of(signal.name) if turns and not signal.unit and whole(signal.head) else None
+    counted = meaning is not None and meaning.signal in ("setpoint", "position", "motor_position")  # other counters overflow, too
+    passed = dict.fromkeys([*turns, *(COUNTS_OF_A_TURN if counted else ())], False)
+    low = high = last = float(signal.head[0]) if len(signal.values) else math.nan
+    for start in range(0, len(signal.values) if passed else 0, BLOCK):
+        values = np.asarray(signal.values[start : start + BLOCK], float)
+        steps, last = np.diff(values, prepend=last), float(values[-1])
+        low, high = min(low, float(values.min())), max(high, float(values.max()))
+        for turn in [turn for turn in passed if not _within(low, high, turn)]:
+            del passed[turn]
+        for turn in list(passed):
+            onward = steps - turn * np.rint(steps / turn)
+            if np.abs(onward).max() < FARTHEST_STEP * turn:
+                passed[turn] |= bool(onward[np.abs(steps) > 0.5 * turn].any())
+            else:
+                del passed[turn]
+        if not passed:
+            return None
+    return next((turn for turn, begun in passed.items() if begun and high - low > FILLED * turn), None)
+
+
+def _within(low: float, high: float, turn: float) -> bool:
+    """True if values lie between 0 and a turn, or within half a turn of 0."""
+    off = 1e-3 * turn
+    return (low >= -off and high <= turn + off) or (low >= -0.5 * turn - off and high <= 0.5 * turn + off)
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _counted_on(signal: Signal, turn: float, near: float) -> Iterator[np.ndarray]:
+    """Values without the steps at the ends of the turn, block by block, from the turn on whose first value is nearest to `near`."""
+    last = near
+    for start in range(0, len(signal.values), BLOCK):
+        own = np.asarray(signal.values[start : start + BLOCK], float)
+        own = own - turn * np.cumsum(np.rint(np.diff(own, prepend=last) / turn))
+        last = float(own[-1])
+        yield own
