@@ -44,6 +44,7 @@ ALLOWED = {
     "machine/sinumerik.py": {"read_text": 1},  # an archive that the command names
     "program/source.py": {"open": 1},  # programs that the command names, and subprograms in their folder
     "program/read.py": {"open": 1},  # programs that the command names
+    "recordings/formats/delimited.py": {"open": 1},  # a recording that the command names
     "recordings/formats/json_text.py": {"read_text": 1},  # by documents.py: a recording that the command names
     "recordings/formats/text_cells.py": {"open": 1},  # the head of a recording that the command names
     "recordings/formats/text_stream.py": {"open": 2},  # a recording that the command names, and its own scratch files
@@ -54,7 +55,7 @@ ALLOWED = {
     "recordings/formats/mdf.py": {"MDF": 1},  # a recording that the command names
     "recordings/formats/sinumerik.py": {"iterparse": 1},  # a recording that the command names, without entities
     "recordings/formats/tdms.py": {"open": 1},  # a recording that the command names
-    "recordings/signals.py": {"fromfile": 1, "open": 2},  # a recording that the command names, and its own scratch files
+    "recordings/signals.py": {"fromfile": 1, "open": 3},  # a recording that the command names, and its own scratch files
     # the one reader of Parquet, in batches with a limit; a trace that the command names, or a campaign by named_file
     "recordings/table_file.py": {"open": 2, "ParquetFile": 3, "read_csv": 2},
     "report/page.py": {"read_text": 1},  # by documents.py: the page of a diagnosis, for a link to its remedy
@@ -120,6 +121,9 @@ WRITES = {
     "identify/first_values.py": {"TemporaryDirectory": 1},  # scratch files
     "identify/from_recording.py": {"TemporaryDirectory": 1},  # scratch files
     "recordings/formats/packed.py": {"mkdir": 1},  # its own scratch files
+    "recordings/formats/delimited.py": {"mkdir": 1, "write_text": 1},  # its own scratch files
+    "recordings/formats/parquet.py": {"write_csv": 1},  # its own scratch files
+    "recordings/signals.py": {"tofile": 1},  # its own scratch files
     "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 1},  # its own scratch files
     "recordings/imported.py": {"TemporaryDirectory": 1, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/proposed.py": {"TemporaryDirectory": 1},  # scratch files

@@ -28,6 +28,11 @@ def de(value: float, places: int = 4) -> str:
     return f"{value:.{places}f}".replace(".", ",")
 
 
+def tausend(value: float, places: int) -> str:
+    """1.234,5"""
+    return f"{value:,.{places}f}".translate(str.maketrans(",.", ".,"))
+
+
 LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
     # program -> text, names with units, interval [s] (None: unknown)
     "MR Configurator": (
@@ -154,12 +159,81 @@ LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
         {"Lageistwert": "mm"},
         2e-3,
     ),
+    "tests one after the other": (
+        "".join(f"*** test {n} ***\nv = {n} m/min\n\ntime [s];pos [mm];speed\n" + rows(lambda k: f"{de(T[k])};{de(A[k])};{de(B[k])}") + "\n" for n in (1, 2, 3)),
+        {"pos": "mm", "speed": ""},
+        2e-3,
+    ),
+    "closing lines": (
+        "time [s];pos [mm]\n" + rows(lambda k: f"{de(T[k])};{de(A[k])}") + "\nMin;-10,0\nMax;10,0\n# by a scope\n", {"pos": "mm"}, 2e-3
+    ),
+    "separated thousands": (
+        "Zeit [us];Lageistwert [um];n [0,1 1/min]\n" + rows(lambda k: f"{tausend(2000 * k, 1)};{tausend(A[k] * 1e3, 3)};{de(10 * B[k], 2)}"),
+        {"Lageistwert": "um", "n": "rev/min"},
+        2e-3,
+    ),
+    "separated thousands in quotation marks": (
+        "Time (us),pos (um)\n" + rows(lambda k: f'"{2000.0 * k:,.1f}","{A[k] * 1e3:,.1f}"'), {"pos": "um"}, 2e-3
+    ),
+    "decimal commas in quotation marks": (
+        '"Zeit","pos"\n"s","mm"\n' + rows(lambda k: f'"{de(T[k])}","{de(A[k])}"'), {"pos": "mm"}, 2e-3
+    ),
+    "lists in cells": ("timestamp,q,extra\n" + rows(lambda k: f'{T[k]:.4f},"[{A[k]}, {B[k]}]",{k % 3}'), {"q[0]": "", "q[1]": "", "extra": ""}, 2e-3),
+    "names over names": (
+        "axis,X,X,Y,Y\nsignal,cmd,act,cmd,act\ntime [s],,,,\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{B[k]},{A[k] + 1},{B[k] + 1}"),
+        {"X cmd": "", "X act": "", "Y cmd": "", "Y act": ""},
+        2e-3,
+    ),
+    "units between the names": (
+        "Time,Position,Position\ns,mm,mm\n,Command,Actual\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{B[k]}"), {"Command": "mm", "Actual": "mm"}, 2e-3
+    ),
+    "quantities over units": ("Zeit/s;Weg X/mm;Strom X/A\n" + rows(lambda k: f"{de(T[k])};{de(A[k])};{de(B[k])}"), {"Weg X": "mm", "Strom X": "A"}, 2e-3),
+    "signals in lines": (
+        "\n".join(",".join(map(str, row)) for row in (("Time [s]", *np.arange(200) * 2e-3), ("pos [mm]", *np.resize(A, 200)), ("speed", *np.resize(B, 200)))) + "\n",
+        {"pos": "mm", "speed": ""},
+        2e-3,
+    ),
+    "query of a database": (
+        "#datatype,string,long,dateTime,dateTime,double,string,string\n,result,table,_start,_time,_value,_field,axis\n"
+        + rows(lambda k: "\n".join(f",,{n},2024-05-03T08:00:00Z,2024-05-03T08:00:00.{2 * k:03d}Z,{value},pos,{axis}" for n, (axis, value) in enumerate((("X", A[k]), ("Y", B[k]))))),
+        {"X pos": "", "Y pos": ""},
+        2e-3,
+    ),
+    "samples of MTConnect": (
+        "sequence,timestamp,dataItemId,name,value\n"
+        + rows(lambda k: "\n".join(f"{2 * k + n},2024-05-03T08:00:00.{2 * k:03d}Z,x{n},{name},{value}" for n, (name, value) in enumerate((("Xact", A[k]), ("Xload", B[k]))))),
+        {"Xact": "", "Xload": ""},
+        2e-3,
+    ),
+    "archive of a panel": (
+        '"VarName";"TimeString";"VarValue";"Validity";"Time_ms"\n'
+        + rows(lambda k: "\n".join(f'"{name}";"03.05.2024 08:00:00";{de(value)};1;{de(45415e6 + (1e6 / 3) + k * 2e-3 / 0.0864, 7)}' for name, value in (("pos", A[k]), ("speed", B[k]))))
+        + '"$RT_OFF$";"03.05.2024 08:00:01";0;2;45415333345,0\n',
+        {"pos": "", "speed": ""},
+        2e-3,
+    ),
+    "seconds and their parts": (
+        "stamp.sec,stamp.nanosec,pos\n" + rows(lambda k: f"{1741076467 + (k >= 30)},{(940 + 2 * k) % 1000 * 10**6},{A[k]}"), {"pos": ""}, 2e-3
+    ),
+    "ticks of Windows": ("FileTime;pos\n" + rows(lambda k: f"{133591392000000000 + 20000 * k};{A[k]}"), {"pos": ""}, 2e-3),
+    "days of a workbook": ("Date/Time;pos\n" + rows(lambda k: f"{45415.5 + 2e-3 * k / 86400:.11f};{A[k]}"), {"pos": ""}, 2e-3),
     "pieces with their headings": (
         "".join("time [s],pos [mm],speed\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{B[k]}") for _ in range(3)),
         {"pos": "mm", "speed": ""},
         2e-3,
     ),
 }  # fmt: skip
+
+
+COUNTED = (
+    "nanoseconds since 1970",
+    "messages of ROS",
+    "archive of a panel",
+    "seconds and their parts",
+    "ticks of Windows",
+    "days of a workbook",
+)
+"""Times that count from a date: doubles of so many digits hold the time to a microsecond."""
 
 
 def read(tmp_path: Path, text: str, ending: str = ".log", encoding: str = "utf-8") -> Recording:
@@ -179,20 +253,20 @@ def test_layouts(tmp_path: Path, case: str) -> None:
     assert recording.source.known == (interval is not None)
     signal = next(s for name, s in recording.signals.items() if name not in ("stamp_id", "time", "field.header.seq"))
     values = np.asarray(signal.values[0 : len(signal.values)])
-    first = B if case == "MR Configurator" else A
-    assert np.allclose(values[:ROWS], first[: len(values)], atol=1e-9)
+    first = B if case == "MR Configurator" else 1e3 * A if case.startswith("separated") else A
+    assert np.allclose(values[:ROWS], first[: len(values)], atol=1e-9, rtol=1e-9)
     assert signal.time is not None
     time = np.asarray(signal.time[0 : len(signal.time)])
-    assert np.allclose(
-        np.diff(time)[: ROWS - 1], interval or 1.0, rtol=1e-6, atol=3e-7 if case in ("nanoseconds since 1970", "messages of ROS") else 1e-9
-    )
-    assert recording.restarts == (2 if case.startswith("pieces") else 0)
+    assert np.allclose(np.diff(time)[: ROWS - 1], interval or 1.0, rtol=1e-6, atol=3e-6 if case in COUNTED else 1e-9)
+    assert recording.restarts == (2 if case.startswith(("pieces", "tests")) else 0)
+    if case == "separated thousands":
+        assert np.allclose(np.asarray(recording.signals["n"].values[:]), B, atol=1e-3)  # 0.1 1/min
     # what the file does not state is said
     assumed = (
         "a column that only counts seconds", "LabVIEW measurement", "LabVIEW measurement with its channels", "scope with lines of meaning",
-        "rows as JSON", "a JSON object a line", "columns as JSON",
+        "rows as JSON", "a JSON object a line", "columns as JSON", "lists in cells",
     )  # fmt: skip
-    noted = ("halscope", "rate above the numbers", "microseconds since 1970", "nanoseconds since 1970", "messages of ROS")
+    noted = (*COUNTED, "halscope", "rate above the numbers", "microseconds since 1970", "nanoseconds since 1970", "messages of ROS")
     assert recording.source.assumed == (case in assumed)
     assert bool(recording.source.text) == (interval is None or case in (*assumed, *noted))
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 import gzip
+import json
 from pathlib import Path
 import tomllib
 import zipfile
@@ -11,6 +12,7 @@ import pyarrow as pa
 import pyarrow.feather
 import pyarrow.parquet as pq
 import pytest
+from scipy.io import savemat
 
 from tests.builders.recorded_files import MAP, Array, move, write_csv, write_mdf, write_tdms, write_xml
 from twin.cli import main
@@ -18,6 +20,7 @@ from twin.documents import toml_key, toml_text
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.formats.delimited import find_layout
 from twin.recordings.formats.parquet import read as read_parquet
+from twin.recordings.propose import propose
 from twin.recordings.signals import Clock, ReadOptions
 from twin.recordings.time_column import share_time
 from twin.recordings.trace import Trace, read_trace
@@ -145,8 +148,6 @@ def test_mdf_with_two_rates(tmp_path: Path) -> None:
 
 
 def test_matlab_vectors_and_struct_fields(tmp_path: Path) -> None:
-    from scipy.io import savemat
-
     columns = move(TIME)
     savemat(
         tmp_path / "run.mat",
@@ -164,8 +165,6 @@ def test_matlab_vectors_and_struct_fields(tmp_path: Path) -> None:
 
 def test_matlab_arrays_of_signals(tmp_path: Path) -> None:
     """As Simulink's scopes and dSPACE save them."""
-    from scipy.io import savemat
-
     fields: list[tuple[str, object]] = [("values", object), ("label", object)]
     signals = np.zeros((1, 2), fields)
     signals[0, 0], signals[0, 1] = (TIME[:, None] ** 2, "x_ref [mm]"), (TIME, "i_q")
@@ -357,3 +356,106 @@ def test_parquet_columns_that_differ_in_their_unit_are_two(tmp_path: Path) -> No
 @pytest.mark.parametrize("name", ["\U00020bb7", "a\x7fb", 'quote " and \\', "line\nbreak"])
 def test_any_name_is_a_toml_string_and_key(name: str) -> None:
     assert tomllib.loads(f"{toml_key(name)} = {toml_text(name)}") == {name: name}
+
+
+ROWS = TIME[:300]
+DATES = np.datetime64("2024-05-03T08:00:00") + np.rint(ROWS * 1e9).astype("timedelta64[ns]")
+
+
+def _rows_of_words(columns: Mapping[str, Array]) -> pa.Table:
+    """One value a row, under its name."""
+    names = [name for _ in DATES for name in columns]
+    return pa.table(
+        {"timestamp": np.repeat(DATES, len(columns)), "signal": names, "value": np.column_stack(list(columns.values())).ravel()}
+    )
+
+
+def _attributes(path: Path, columns: Mapping[str, Array]) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file.attrs["sample_rate_hz"] = 1.0 / ROWS[1]
+        for name, values in columns.items():
+            file.create_dataset(f"X/{name}", data=values).attrs["unit"] = "mm"
+
+
+def _json(content: object) -> Callable[[Path], object]:
+    return lambda path: path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def _tables(columns: Mapping[str, Array]) -> dict[str, tuple[str, Callable[[Path], object]]]:
+    """Writers of a table whose time or interval the file states, in shapes of other tools."""
+    dated = pa.table({"time": DATES, **columns})
+    lists = {name: values.tolist() for name, values in columns.items()}
+    matrix = np.column_stack([ROWS, *columns.values()])
+    heads = np.array(["t [s]", *columns], dtype=object)
+    return {
+        "Parquet with dates": ("run.parquet", lambda p: pq.write_table(dated, p)),
+        "Feather with dates": ("run.feather", lambda p: pyarrow.feather.write_feather(dated, p)),
+        "Parquet with names in its rows": ("run.parquet", lambda p: pq.write_table(_rows_of_words(columns), p)),
+        "names and rows": ("run.json", _json({"columns": list(heads), "data": matrix.tolist()})),
+        "channels": ("run.json", _json({"sample_interval_ms": 1.0, "channels": [{"name": n, "data": v} for n, v in lists.items()]})),
+        "columns and a rate": ("run.json", _json({"meta": {"fs": 1000.0, "by": "us"}, "run": lists})),
+        "objects with dates": (
+            "run.json",
+            _json([{"ts": str(t), "a": {"b": dict(zip(columns, row.tolist()))}} for t, row in zip(DATES, matrix[:, 1:])]),
+        ),
+        "matrix with names beside it": ("run.mat", lambda p: savemat(p, {"data": matrix, "names": heads})),
+        "vectors and their interval": ("run.mat", lambda p: savemat(p, {"Ts": ROWS[1], **columns})),
+        "HDF5 with attributes": ("run.h5", lambda p: _attributes(p, columns)),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("case", _tables({}))
+def test_tables_in_shapes_of_other_tools(tmp_path: Path, case: str) -> None:
+    columns = move(ROWS)
+    name, write = _tables(columns)[case]
+    write(tmp_path / name)
+    recording = read_recording(tmp_path / name, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert recording.path == tmp_path / name
+    assert recording.source.known
+    assert not recording.source.assumed
+    for key, values in columns.items():
+        [signal] = [one for own, one in recording.signals.items() if own.split(".")[-1] == key]
+        np.testing.assert_allclose(signal.values[:], values, rtol=1e-15)
+        assert signal.unit == ("mm" if case.startswith("HDF5") else "")
+        assert signal.time is not None
+        np.testing.assert_allclose(signal.time[:], ROWS, atol=1e-6)
+
+
+def test_columns_of_a_matrix_are_no_axes(tmp_path: Path) -> None:
+    columns = move(TIME)
+    np.save(tmp_path / "run.npy", np.column_stack([TIME, *columns.values()]))
+    found = propose([read_recording(tmp_path / "run.npy", ReadOptions(Clock(), None, tmp_path))])
+    assert {(c.name, c.axis, c.signal) for c in found.used} == {
+        (f"[{i}]", "X", signal) for i, signal in enumerate(("setpoint", "position", "velocity", "current"), start=1)
+    }
+    assert found.time is not None
+    assert found.time.column == "[0]"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_turns_are_counted_on(tmp_path: Path, seed: int) -> None:
+    """x mod M of any motion gives x back, but for whole turns that set point and position share; nothing else is changed."""
+    rng = np.random.default_rng(seed)
+    unit, turn = [("deg", 360.0), ("rad", 2.0 * np.pi), ("rev", 1.0), ("", 360.0), ("", 4096.0), ("mm", 0.0)][seed]
+    motion = move(TIME)
+    scale = 0.04 * (turn or 360.0)
+    begin = float(rng.uniform(-3.0, 3.0)) * (turn or 360.0)
+    truth = {key: begin + scale * motion[key] for key in ("soll", "ist")}
+    if turn == 4096.0:
+        truth = {key: np.rint(values) for key, values in truth.items()}
+    low = float(rng.choice([0.0, -0.5])) * turn
+    table = {key: (values - low) % turn + low if turn else values for key, values in truth.items()}
+    other = {"switch": np.where(np.sin(TIME) > 0.0, 0.0, turn), "strom": motion["strom"]}
+    names = {"soll": "C soll", "ist": "C ist", "switch": "C switch", "strom": "C Strom"}
+    heads = {key: f"{name} [{unit}]" if unit and key in truth else name for key, name in names.items()}
+    file = write_csv(tmp_path / "run.csv", {"t [s]": TIME, **{heads[key]: values for key, values in {**table, **other}.items()}})
+    recording = read_recording(file, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    found = {key: np.asarray(recording.signals[names[key]].values[:]) for key in names}
+    turns = {round((found[key][0] - truth[key][0]) / (turn or 1.0)) for key in truth}
+    assert len(turns) == 1
+    for key, values in truth.items():
+        np.testing.assert_allclose(found[key], values + turns.copy().pop() * turn, atol=1e-9 * max(turn, 360.0))
+    for key, values in other.items():
+        np.testing.assert_array_equal(found[key], values)
+    assert any("turns counted on" in note for note in recording.notes) == bool(turn)

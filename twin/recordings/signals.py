@@ -5,7 +5,7 @@ A new format is one module with `read(path, options) -> Recording` and one line 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -35,6 +35,14 @@ class Stored:
     """A column of float64 in a file, for data that do not fit into memory."""
 
     path: Path
+
+    @classmethod
+    def of(cls, path: Path, parts: Iterable[np.ndarray]) -> Stored:
+        """The parts of a column, written one behind the other."""
+        with open(path, "wb") as file:
+            for part in parts:
+                part.tofile(file)
+        return cls(path)
 
     def __len__(self) -> int:
         return self.path.stat().st_size // 8
@@ -168,7 +176,7 @@ _ALIASES = {
 _IN_BRACKETS = re.compile(r"^(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))\s*$")
 
 
-_SCALED = re.compile(r"(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*[*x·]?\s*([^\d\s].*)")
+_SCALED = re.compile(r"(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)(?:\s*[*x·]\s*|\s+|(?=[^\d\s/]))(\S.*)")
 
 
 def known_unit(text: str) -> str:

@@ -25,24 +25,17 @@ FILLED, FARTHEST_STEP = 0.9, 0.1
 def unwrapped(recording: Recording, scratch: Path) -> Recording:
     """The recording with positions that begin anew after a turn counted on; they begin within the same turn, and a note names them."""
     found = {name: turn for name, one in recording.signals.items() if (turn := turn_of(one))}
-    signals = dict(recording.signals)
+    signals, made = recording.signals, dict[str, Signal]()
     for name, turn in found.items():
         # a set point at rest does not pass the end of the turn that the position wavers about
-        alike = next(
-            s for s in recording.signals.values() if s.unit == signals[name].unit and len(s.values) and _within(*_ends(s.head), turn)
-        )
+        alike = next(s for s in signals.values() if s.unit == signals[name].unit and len(s.values) and _within(*_ends(s.head), turn))
         parts = _counted_on(signals[name], turn, float(alike.head[0]))
-        if isinstance(signals[name].values, Stored):
-            file = scratch / f"{recording.path.name}.turns{len(signals)}.{list(found).index(name)}"
-            with file.open("wb") as out:
-                for part in parts:
-                    part.tofile(out)
-            signals[name] = replace(signals[name], values=Stored(file))
-        else:
-            signals[name] = replace(signals[name], values=np.concatenate(list(parts)))
+        on_disk = isinstance(signals[name].values, Stored)
+        values = Stored.of(scratch / f"{recording.path.name}.turns{len(made)}", parts) if on_disk else np.concatenate(list(parts))
+        made[name] = replace(signals[name], values=values)
     turns = " or ".join(f"{turn:.6g}" for turn in dict.fromkeys(found.values()))
     notes = (*recording.notes, f"{', '.join(found)}: begin anew after {turns}: turns counted on") if found else recording.notes
-    return replace(recording, signals=signals, notes=notes)
+    return replace(recording, signals={**signals, **made}, notes=notes)
 
 
 def turn_of(signal: Signal) -> float | None:

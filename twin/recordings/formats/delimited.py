@@ -6,7 +6,7 @@ or lost samples). The text NaN is an error.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_bytes
-from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, cells_of, has_clock, has_date, is_number, read_sample
+from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, Sample, cells_of, has_clock, has_date, is_number, read_sample
 from twin.recordings.formats.text_heading import UNUSED, Heading, Named, read_heading
 from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs
 from twin.recordings.formats.text_stream import Clocks, Layout, stream
@@ -28,8 +28,10 @@ _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the wanted columns (all without a map). In a long table each name is a signal with times of its own."""
-    if (upright := _upright(path, options)) is not None:
-        return told(path, upright, lambda: read(upright, options))
+    if lines := _turned_over(read_sample(path, options.dialect.get("encoding"))):
+        return read_made(
+            path, options, lambda file: file.write_text("\n".join("\t".join(row) for row in zip(*lines)) + "\n", encoding="utf-8")
+        )
     layout = find_layout(path, options)
     names, wanted, rows, long = layout.names, options.wanted, layout.rows, layout.long
     if not long and wanted is not None and (words := [names[i] for i in rows.columns(WORD) if names[i] in wanted]):
@@ -71,24 +73,26 @@ def read(path: Path, options: ReadOptions) -> Recording:
     return Recording(path, "CSV", {**unread, **signals}, started, tuple(notes), restarts=clocks.restarts, source=source)
 
 
-def _upright(path: Path, options: ReadOptions) -> Path | None:
-    """A text with a signal in each line, its name first, as one with a signal in each column; None if the signals stand in columns."""
-    encoding = str(options.dialect.get("encoding") or read_sample(path).encoding)
-    with path.open(encoding=encoding) as text:
+def read_made(path: Path, options: ReadOptions, write: Callable[[Path], object]) -> Recording:
+    """The recording in `path` as the text that `write` makes of it."""
+    file = options.scratch / "made" / f"{path.name}.txt"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write(file)
+    return told(path, file, lambda: read(file, options))
+
+
+def _turned_over(sample: Sample) -> list[list[str]]:
+    """The cells of a text with a signal in each line, its name first; [] if the signals stand in columns."""
+    with sample.path.open(encoding=sample.encoding) as text:
         first = text.readline()
         delimiter = max(_SEPARATORS, key=first.count)
         cells = cells_of(first.strip(), delimiter)
         if len(cells) < LONG_LINE or is_number(cells[0]) or not all(map(is_number, cells[1:])):
-            return None
-        refuse_bytes(BYTES_PER_CELL * len(cells) * path.stat().st_size / len(first), str(path), "export it with a signal in each column")
+            return []
+        size = BYTES_PER_CELL * len(cells) * sample.path.stat().st_size / len(first)
+        refuse_bytes(size, str(sample.path), "export it with a signal in each column")
         lines = [cells, *(cells_of(line.strip(), delimiter) for line in text if line.strip())]
-    width = len(cells)
-    if any(len(line) != width for line in lines) or len(lines) > width:
-        return None
-    file = options.scratch / "upright" / f"{path.name}.tsv"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text("\n".join("\t".join(row) for row in zip(*lines)) + "\n", encoding="utf-8")
-    return file
+    return lines if len(lines) < len(cells) and all(len(line) == len(cells) for line in lines) else []
 
 
 LONG_LINE, BYTES_PER_CELL = 100, 100.0

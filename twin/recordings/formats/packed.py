@@ -33,7 +33,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
         files = [one for one in archive.infolist() if not one.is_dir() and not one.filename.startswith("__MACOSX/")]
         if any(one.filename == "xl/workbook.xml" for one in files):
             refuse_bytes(float(sum(one.file_size for one in files)), str(path), REMEDY)
-            return _sheet(path, folder, options)
+            return _sheet(path, options)
         if files and all(one.filename.endswith(".npy") for one in files):
             return arrays.read(path, options)
         if len(files) != 1:
@@ -55,7 +55,7 @@ def _inner(packed: IO[bytes] | gzip.GzipFile, file: Path, path: Path, options: R
     return told(path, file, lambda: read_recording(file, options))
 
 
-def _sheet(path: Path, folder: Path, options: ReadOptions) -> Recording:
+def _sheet(path: Path, options: ReadOptions) -> Recording:
     """The largest sheet of a workbook, as text."""
     try:
         from python_calamine import CalamineWorkbook
@@ -64,10 +64,12 @@ def _sheet(path: Path, folder: Path, options: ReadOptions) -> Recording:
     book = CalamineWorkbook.from_path(str(path))
     sheets = [book.get_sheet_by_name(name) for name in book.sheet_names]
     sheet = max(sheets, key=lambda one: one.total_height * one.total_width)
-    file = folder / "sheet.csv"
-    with file.open("w", encoding="utf-8", newline="") as out:
-        csv.writer(out, delimiter="\t", lineterminator="\n").writerows([_cell(value) for value in row] for row in sheet.iter_rows())
-    recording = told(path, file, lambda: delimited.read(file, options))
+
+    def write(file: Path) -> None:
+        with file.open("w", encoding="utf-8", newline="") as out:
+            csv.writer(out, delimiter="\t", lineterminator="\n").writerows([_cell(value) for value in row] for row in sheet.iter_rows())
+
+    recording = delimited.read_made(path, options, write)
     others = [name for name in book.sheet_names if name != sheet.name]
     notes = (f"sheet '{sheet.name}'" + (f"; not read: {', '.join(others)}" if others else ""), *recording.notes[1:])
     return replace(recording, format="Excel", notes=notes)

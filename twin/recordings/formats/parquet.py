@@ -18,7 +18,7 @@ from twin.limits import refuse_bytes
 from twin.recordings.formats import delimited
 from twin.recordings.formats.arrays import arrays_recording, try_first
 from twin.recordings.formats.text_cells import is_stamp
-from twin.recordings.signals import ReadOptions, Recording, head_of, told
+from twin.recordings.signals import ReadOptions, Recording, head_of
 from twin.recordings.table_file import REMEDY, read_parquet
 
 LONGEST_LIST = 64
@@ -66,10 +66,7 @@ def table_recording(table: Any, kind: str, path: Path, options: ReadOptions, sin
         elif not pa.types.is_nested(column.type) and not pa.types.is_boolean(column.type) and column.null_count < len(column):
             words[name] = column.cast(pa.string())
     if any(is_stamp(one.drop_null()[0].as_py()) for one in words.values()) or (words and len(numbers) <= FEW):
-        file = options.scratch / "table" / f"{path.name}.csv"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        pa.csv.write_csv(pa.table(numbers | words), file)
-        found = told(path, file, lambda: delimited.read(file, options))
+        found = delimited.read_made(path, options, lambda file: pa.csv.write_csv(pa.table(numbers | words), file))
         return replace(
             found, format=kind, notes=(f"{kind}: {len(numbers)} columns of numbers, {len(words)} of dates or words", *found.notes[1:])
         )

@@ -206,7 +206,7 @@ def _split(name: str) -> tuple[str, str]:
 _OVER = re.compile(r"([^\[(]*[^/\s\[(])\s*/\s*([^/\s\[\]()]+)")
 _COUNTS = r"(?:counts?|cnts?|inc|incr|pulses?|pls|steps|ticks)(?: ?\d+ ?bit)?(?:/ ?s(?:ec)?)?"
 _OTHER = re.compile(
-    rf"(.*\S)\s*(?:\[\s*(?![XYZBCUW]\d?\s*\])([^\[\],]*[^\[\],\d\s])\s*\]|\(\s*(%|{_COUNTS}|\d+(?:[.,]\d+)?\s*[^\s\d()][^()]*)\))",
+    rf"(.*\S)\s*(?:\[\s*(?![XYZBCUW]\d?\s*\])((?:[^\[\],]|\d,(?=\d))*[^\[\],\d\s])\s*\]|\(\s*(%|{_COUNTS}|\d+(?:[.,]\d+)?\s*[^\s\d()][^()]*)\))",
     re.IGNORECASE,
 )
 """A name with a unit of nobody: in square brackets anything but an index or an axis, in round ones counts or a number with a unit."""

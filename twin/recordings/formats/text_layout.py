@@ -164,6 +164,7 @@ def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long 
     for more in [i for i in words if i != name and len(set(zip(at, texts))) < len(texts)]:
         if len(set(zip(at, texts, rows.texts(more)))) == len(texts):
             told, texts = [more, name], [f"{a} {b}" for a, b in zip(rows.texts(more), texts)]
+    told += [i for i in rows.columns(WORD) if i not in (*told, *words) and names[i].lower() in _LONG_NAMES]  # the same in all rows
     unit = next((i for i in rows.columns(WORD) if i not in told and all(map(known_unit, rows.texts(i)))), None)
     shared = len(set(at)) < len(at)
     interleaved = sum(a != b for a, b in itertools.pairwise(texts)) > 2 * len(set(texts))
