@@ -3,7 +3,7 @@
 
     python devtools/measure_interpolator.py [--programs 200] [--blocks 100000] [--simulate]
 
-Needs the development extra (toppra is the second opinion on time optimality).
+Needs toppra, the second opinion on time optimality: the extra `versus`.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from pathlib import Path
+import sys
 
 import numpy as np
 import pytest
@@ -23,8 +24,35 @@ LONG_ROOMS = ("recovery", "diagnose", "exam", "identify", "surface", "reference"
 """Folders with the longest files, which start first so that both processes end at about the same time."""
 
 
+NOT_ON_WINDOWS = {
+    "test_fuzz.py": "a process of the fuzzer is killed by a signal and has limits",
+    "test_names_outside_the_folder_or_of_no_file_are_refused": "links need rights there",
+    "test_names_inside_the_folder_are_found": "links need rights there",
+    "test_nothing_outside_is_served": "links and pipes",
+    "test_a_link_that_leads_nowhere_and_a_hidden_file_are_left_out": "links need rights there",
+    "test_an_example_is_found_outside_the_checkout": "links need rights there",
+    "test_examples_run": "links need rights there",
+    "test_ctrl_c_ends_the_desk_and_sigterm_stops_it": "signals",
+    "test_the_desk_in_a_real_browser": "the browser is driven through pipes with fixed numbers",
+    "test_a_killed_worker_loses_nothing": "signals",
+    "test_a_model_that_crashes_the_engine_is_refused": "signals",
+}
+"""Tests, or files of tests, that need what Windows lacks, and why. `tests/test_faults.py` says so itself."""
+ONLY_ON_LINUX = {
+    "test_a_large_page_is_not_held_in_memory": "reads the memory of a process in /proc",
+    "test_names_of_any_bytes_and_a_terminal_of_ascii": "names that are no text",
+    "test_a_worker_ends_with_its_parent": "looks for a process in /proc",
+    "test_a_worker_whose_parent_is_gone_before_it_looks_ends_too": "looks for a process in /proc",
+}
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long folders first; the order within a folder stays."""
+    """Long folders first; the order within a folder stays. What this system lacks is skipped."""
+    lacking = {**(NOT_ON_WINDOWS if os.name == "nt" else {}), **({} if sys.platform.startswith("linux") else ONLY_ON_LINUX)}
+    for item in items:
+        name = getattr(item, "originalname", item.name)
+        if (reason := lacking.get(name) or lacking.get(item.path.name)) is not None:
+            item.add_marker(pytest.mark.skip(reason=reason))
     items.sort(key=lambda item: next((i for i, room in enumerate(LONG_ROOMS) if room in item.path.parts), len(LONG_ROOMS)))
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 import textwrap
@@ -18,11 +20,13 @@ NAMES = {
     "fork", "forkpty", "killpg", "getpgid", "setsid", "getuid", "geteuid", "getgid", "sched_getaffinity", "mkfifo", "mknod", "pread", "pwrite",
     "symlink", "symlink_to", "readlink", "link", "hardlink_to", "chown", "chroot", "set_blocking", "sysconf", "uname", "getrlimit", "setrlimit",
     "O_NOFOLLOW", "O_DIRECTORY", "O_CLOEXEC", "O_NONBLOCK", "O_NOCTTY", "SIGKILL", "SIGALRM", "SIGPROF", "SIGHUP", "SIGUSR1", "setitimer", "alarm",
-    "AF_UNIX",
+    "AF_UNIX", "waitpid", "statvfs",
 }  # fmt: skip
 """Attributes of os, signal, socket and pathlib that not every system has."""
-OPTIONS = {"start_new_session", "preexec_fn", "process_group", "creationflags", "dir_fd", "src_dir_fd"}
+OPTIONS = {"start_new_session", "preexec_fn", "process_group", "creationflags", "dir_fd", "src_dir_fd", "pass_fds"}
 """Arguments that not every system takes."""
+OF_OS = {"kill", "wait", "nice", "system", "popen", "rename"}
+"""Functions of os that another system lacks or does otherwise; `replace` stands for `rename`."""
 
 
 def needs(file: Path) -> set[str]:
@@ -33,7 +37,7 @@ def needs(file: Path) -> set[str]:
             found |= {alias.name for alias in node.names} & MODULES
         elif isinstance(node, ast.ImportFrom):
             found |= {str(node.module)} & MODULES
-        elif isinstance(node, ast.Attribute) and node.attr in NAMES:
+        elif isinstance(node, ast.Attribute) and (node.attr in NAMES or (ast.unparse(node.value) == "os" and node.attr in OF_OS)):
             found.add(node.attr)
         elif isinstance(node, ast.keyword) and node.arg in OPTIONS:
             found.add(str(node.arg))
@@ -48,43 +52,102 @@ def test_only_one_module_needs_what_a_system_may_lack() -> None:
     assert {"O_NOFOLLOW", "sched_getaffinity", "dir_fd"} <= found["system.py"]
 
 
-ELSEWHERE = """
-    import os, sys
-    import filelock, numpy, psutil, subprocess, tempfile  # they know the system that they were installed on
-    filelock.lock_descriptor
-    for name in ("fcntl", "resource", "pwd", "grp", "termios"):
-        sys.modules[name] = None
-    for name in ("O_NOFOLLOW", "O_DIRECTORY", "O_CLOEXEC", "O_NONBLOCK", "O_NOCTTY", "sched_getaffinity", "set_blocking", "pread", "killpg", "getuid"):
-        vars(os).pop(name, None)
-    os.supports_dir_fd = set()
-    from twin import system
-    from twin.files import beside, hold_folders, output_file, output_folder, release_folders, write_whole
-    from pathlib import Path
-    assert not system.BY_DESCRIPTOR and system.cores() > 0 and system.memory_bytes() > 1e8
-    place = Path(sys.argv[1])
-    hold_folders()
-    out = output_folder(place / "out")
-    write_whole(out / "below" / "a.json", "first")
-    write_whole(out / "below" / "a.json", "second")
-    write_whole(output_file(place / "b.json"), "third")
-    release_folders()
-    done = system.tried("import sys; print(sys.argv[1])", "x", most_bytes=4e9, seconds=20)
-    assert done.stdout.split() == [b"x"], done
-    from twin.cli import main
-    (place / "p.mpf").write_text("G1 X1 F1000\\nM30\\n")
-    assert main(["check", str(place / "p.mpf"), "--json", str(place / "check.json")]) == 0
-    assert main(["run", str(place / "p.mpf"), "--out", str(place / "run"), "--no-recording"]) == 0
+def left_to_the_system(file: Path) -> list[str]:
+    """Calls whose text depends on the system: code page, line ends, shell."""
+    found = []
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Call):
+            continue
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        given = {str(keyword.arg): keyword.value for keyword in node.keywords}
+        mode = next((a.value for a in node.args[:2] if isinstance(a, ast.Constant) and re.fullmatch("[rwxab+t]{1,3}", str(a.value))), "r")
+        opens = name in ("read_text", "write_text") or (
+            (ast.unparse(node.func) == "open" or name in ("fdopen", "open")) and "b" not in str(mode)
+        )
+        if (opens and "path" not in given and "encoding" not in given and ast.unparse(node.func) not in OWN_OPEN) or (
+            ("text" in given or "universal_newlines" in given) and name in ("run", "Popen", "check_output")
+        ):
+            found.append(f"{node.lineno}: {name} without encoding")
+        if (name == "write_text" or (opens and "w" in str(mode) and "devnull" not in ast.unparse(node))) and "newline" not in given:
+            found.append(f"{node.lineno}: {name} without newline")
+        if isinstance(given.get("shell"), ast.Constant):
+            found.append(f"{node.lineno}: a shell")
+    return found
+
+
+OWN_OPEN = {
+    "os.open", "self.open", "folder.open", "webbrowser.open", "client.open", "gzip.open", "archive.open", "TdmsFile.open", "Image.open", "read_text",
+}  # fmt: skip
+"""Other functions called `open`, and the reader of the package, which knows its encoding."""
+
+
+def test_no_text_depends_on_the_system() -> None:
+    found = {file.relative_to(PACKAGE).as_posix(): left_to_the_system(file) for file in PACKAGE.rglob("*.py")}
+    assert {name: what for name, what in found.items() if what} == {}
+
+
+def test_careless_text_is_noticed(tmp_path: Path) -> None:
+    file = tmp_path / "a.py"
+    file.write_text(
+        "open(p)\nopen(p, 'w', encoding='utf-8')\np.read_text()\np.write_text(t, encoding='utf-8')\np.open()\n"
+        "subprocess.run(c, text=True)\nsubprocess.run(c, shell=True)\nos.fdopen(n, 'w')\n"
+        "open(p, 'rb')\np.open('wb')\nopen(p, 'w', encoding='utf-8', newline='')\nos.open(p, 0)\n",
+        encoding="utf-8",
+    )
+    assert sorted({int(line.split(":")[0]) for line in left_to_the_system(file)}) == [1, 2, 3, 4, 5, 6, 7, 8]
+
+
+AS_ON_WINDOWS = Path(__file__).parent / "builders" / "as_on_windows"
+COMMANDS = """
+    demo --out demo
+    run ROOT/examples/x_200mm.csv --effect backlash:X:clearance=15e-6 --beside --out worn
+    run ROOT/examples/five_axis.mpf --out five_axis --no-recording
+    compare demo/x_200mm_off.parquet worn --out compare
+    gap ROOT/examples/campaign --json gap.json --html gap.html
+    import ROOT/examples/traces --out imported
+    regress ROOT/examples/regression --jobs 2 --only viscous_friction --out regress
+    machine check
 """
 
 
-def test_the_package_works_on_a_system_that_lacks_it_all(tmp_path: Path) -> None:
-    """Files by path, no limits of a process: as on a system that none of us has at hand."""
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(ELSEWHERE), str(tmp_path)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert (tmp_path / "out" / "below" / "a.json").read_text() == "second"
-    files = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
-    assert {"b.json", "check.json", "run/summary.json", "run/trace.parquet"} <= files
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="this system has no list of open files")
+def test_the_commands_work_as_on_windows(tmp_path: Path) -> None:
+    """Again into the same folders, so that files are replaced; printed to an old code page."""
+    place = {**os.environ, "PYTHONPATH": os.pathsep.join([str(AS_ON_WINDOWS), str(PACKAGE.parent)]), "PYTHONIOENCODING": "cp1252"}
+    for line in 2 * COMMANDS.replace("ROOT", str(PACKAGE.parent)).split("\n"):
+        if words := line.split():
+            done = subprocess.run([sys.executable, "-m", "twin", *words], cwd=tmp_path, env=place, capture_output=True, check=False)
+            assert done.returncode == 0, (line, done.stderr[-2000:])
+    files = [p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*")]
     assert not [name for name in files if ".twin" in name or "/." in name]
+
+
+OPEN_WHEN_REPLACED = """
+    import sys
+    from pathlib import Path
+    from twin.files import beside
+    place = Path(sys.argv[1])
+    place.write_text("old")
+    kept = place.open()
+    with beside(place) as partial:
+        partial.write_text("new")
+"""
+
+
+def test_a_file_in_use_is_noticed(tmp_path: Path) -> None:
+    """What plays Windows here refuses what Windows refuses."""
+    place = {**os.environ, "PYTHONPATH": os.pathsep.join([str(AS_ON_WINDOWS), str(PACKAGE.parent)])}
+    for code, words in (
+        (OPEN_WHEN_REPLACED, "as on Windows: the file is in use"),
+        ("open('a:b', 'w')", "not allowed"),
+        ("open('a', 'w'); open('A', 'w')", "this is the file a"),
+        ("import os; open('a', 'w').close(); open('b', 'w').close(); os.rename('a', 'b')", "rename replaces nothing"),
+    ):
+        command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / "c.txt")]
+        done = subprocess.run(command, cwd=tmp_path, env=place, capture_output=True, text=True, check=False)
+        assert done.returncode, words
+        assert words in done.stderr
 
 
 def test_the_memory_of_a_container_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

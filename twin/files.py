@@ -122,7 +122,9 @@ def write_whole(path: Path, text: str) -> None:
         InputError: the file cannot be written.
     """
     with beside(path) as partial:
-        partial.write_text(text, encoding="utf-8", errors="replace")  # file names may contain bytes that are not text
+        partial.write_text(
+            text, encoding="utf-8", errors="replace", newline=""
+        )  # names may contain bytes that are not text; line ends stay
 
 
 def stamped(content: Mapping[str, Any], schema: str) -> dict[str, Any]:

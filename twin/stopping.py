@@ -18,9 +18,10 @@ import time
 from types import FrameType
 from typing import NoReturn
 
+from twin.system import wait_for_end
+
 GRACE_S = 1.5
 """Time for a stopped command to clean up [s]; with it, Ctrl-C ends a command within 3 s."""
-_LOOK_S = 0.5
 WORDS = {signal.SIGINT: "stopped by the user", signal.SIGTERM: "stopped by another process (SIGTERM)"}
 PARENT = "TWIN_PARENT"
 """Environment variable with the process number of the parent, for a worker that is a program of its own."""
@@ -123,13 +124,12 @@ def end_with_parent() -> None:
     logging.getLogger().addHandler(logging.NullHandler())  # as in the command itself
     with contextlib.suppress(ValueError):  # not called in a main thread
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # the parent may be gone already: a worker takes a second to load, and its own getppid() would then be that of init
+    # the parent may be gone already, since a worker takes a second to load: the system's answer would then be another process
     known = multiprocessing.parent_process()
     parent = known.pid if known is not None else int(os.environ.get(PARENT, os.getppid()))
 
-    def look() -> None:
-        while os.getppid() == parent:
-            time.sleep(_LOOK_S)
+    def end() -> None:
+        wait_for_end(parent)
         os._exit(143)
 
-    threading.Thread(target=look, daemon=True, name="twin-parent").start()
+    threading.Thread(target=end, daemon=True, name="twin-parent").start()

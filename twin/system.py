@@ -8,9 +8,11 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
+import shlex
 import stat
 import subprocess
 import sys
+import time
 from typing import Any
 
 BY_DESCRIPTOR = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW") and hasattr(os, "O_DIRECTORY")
@@ -201,6 +203,21 @@ def end_tree(process: subprocess.Popen[Any], patience_s: float = 5.0) -> None:
                 one.kill()
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(patience_s)
+
+
+def wait_for_end(number: int, look_s: float = 0.5) -> None:
+    """Return when the process with this number has ended, at once if there is none; `look_s` is the time between two looks [s]."""
+    import psutil
+
+    with contextlib.suppress(psutil.Error):
+        process = psutil.Process(number)
+        while process.is_running() and process.status() != psutil.STATUS_ZOMBIE:
+            time.sleep(look_s)
+
+
+def shell_word(path: Path) -> str:
+    """A path as one word of a command that the user types in; Windows knows no single quotes."""
+    return subprocess.list2cmdline([str(path)]) if os.name == "nt" else shlex.quote(str(path))
 
 
 def has_display() -> bool:

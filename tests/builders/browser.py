@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator
 import contextlib
-import fcntl
 import json
 import os
 from pathlib import Path
@@ -86,6 +85,8 @@ class Page:
 @contextlib.contextmanager
 def page(profile: Path) -> Iterator[Page]:
     """A page of a browser that ends with the test; `profile` is a folder of its own."""
+    import fcntl  # not on Windows
+
     ends = [fcntl.fcntl(end, fcntl.F_DUPFD, 20) for end in (*os.pipe(), *os.pipe())]
     read_there, write_here, read_here, write_there = ends
 

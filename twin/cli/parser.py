@@ -151,7 +151,7 @@ def _carried_out(args: argparse.Namespace) -> int:
             stack.enter_context(raised(args.limits))
         if args.quiet:
             stack.enter_context(hushed())
-            stack.enter_context(contextlib.redirect_stdout(stack.enter_context(open(os.devnull, "w"))))
+            stack.enter_context(contextlib.redirect_stdout(stack.enter_context(open(os.devnull, "w", encoding="utf-8"))))
         code = int(_module(args.command).carry_out(args) or 0)
     if args.verbose:
         parts = [f"{name} {importlib.metadata.version(name)}" for name in ("mujoco", "numpy", "numba")]

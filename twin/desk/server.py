@@ -55,7 +55,12 @@ Started = Callable[[Sequence[str]], "subprocess.Popen[str]"]
 def twin_command(words: Sequence[str]) -> subprocess.Popen[str]:
     """Start a twin command as a separate process; its output and its errors can be read together."""
     return subprocess.Popen(
-        [sys.executable, "-m", "twin", *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        [sys.executable, "-m", "twin", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="locale",
+        errors="replace",
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-import shlex
 from typing import Any
 
 from twin.diagnose.diagnosis import Diagnosis
@@ -15,13 +14,14 @@ from twin.diagnose.wording import calibration_text, parameters_text, place_text,
 from twin.files import output_folder, write_json
 from twin.machine.machine import write_machine
 from twin.recordings.trace import write_trace
+from twin.system import shell_word
 
 
 def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
     """Write all files to a folder; returns the document of `diagnosis.json`."""
     document = diagnosis.document()
     for name in ("next_measurement.csv", "machine.toml"):  # commands are printed as they can be given, from the present folder
-        document["next_measurement"] = document["next_measurement"].replace(name, shlex.quote(str(out / name)))
+        document["next_measurement"] = document["next_measurement"].replace(name, shell_word(out / name))
     output_folder(out)
     write_json(document, out / "diagnosis.json", "diagnosis")
     write_machine(diagnosis.corrected, out / "machine.toml")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-import shlex
 from typing import Any
 
 from twin.diagnose.budget import overlap_text
@@ -26,6 +25,7 @@ from twin.effects import EFFECTS
 from twin.report import Section, Table, write_page
 from twin.report.page import made_line
 from twin.simulation.summary import listed
+from twin.system import shell_word
 from twin.units import ARCSEC, plain
 
 Document = dict[str, Any]
@@ -215,10 +215,10 @@ def _laws(diagnosis: Diagnosis, document: Document) -> Section:
 
 def _next(document: Document, folder: Path) -> Section:
     words = [f"Next measurement: {document['next_measurement']}"]
-    corrected = shlex.quote(str(folder / "machine.toml"))
+    corrected = shell_word(folder / "machine.toml")
     if document["effects"] or document.get("laws"):
         words.append(f"The corrected machine is in {corrected}; simulate with it: twin run PROGRAM --machine {corrected}")
-        there = shlex.quote(str(folder))
+        there = shell_word(folder)
         words.append(
             f"What to set in the control, what it brings and what it costs: twin remedy {there} --out {there}/remedy; this page then links to it"
         )

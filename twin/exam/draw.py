@@ -305,6 +305,6 @@ def write_campaign(
         at = round(at + len(trace.time) * sample_period_of(machine) + PAUSE_S, 3)
         files.append(file)
     partial = folder / "campaign.toml.partial"  # written last and whole: its presence marks a complete campaign
-    partial.write_text("\n".join(lines))
+    partial.write_text("\n".join(lines), encoding="utf-8", newline="\n")
     partial.replace(folder / "campaign.toml")
     return files

@@ -5,7 +5,6 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 import math
 from pathlib import Path
-import shlex
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from twin.history.judge import ALARM, FALSE_ALARM_WEEKS, Cause, Change, Judgemen
 from twin.history.series import is_load
 from twin.machine.machine import Machine
 from twin.simulation.summary import listed
+from twin.system import shell_word
 
 
 def history_document(history: Judgement, machine: Machine, notes: list[str], folder: Path) -> dict[str, Any]:
@@ -111,8 +111,8 @@ def change_entry(history: Judgement, machine: Machine, change: Change, folder: P
         "ambiguous_with": [cause_entry(c) for c in change.rivals],
         "forecast": ahead,
         "sentence": text,
-        "diagnose": f"twin diagnose {shlex.quote(str(folder / history.rows[-1].name))} --since "
-        f"{shlex.quote(str(folder / history.rows[max(change.onset - 1, 0)].name))} --out out/since",
+        "diagnose": f"twin diagnose {shell_word(folder / history.rows[-1].name)} --since "
+        f"{shell_word(folder / history.rows[max(change.onset - 1, 0)].name)} --out out/since",
     }
 
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 import contextlib
 import math
 from pathlib import Path
-import shlex
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from twin.remedy.remedy import Remedy, refusals, sentence
 from twin.report import Figure, Section, Table, address, figure_svg, link_from, write_page
 from twin.report.curves import SETPOINT, Curve, Panel, curves_figure
 from twin.simulation.summary import feedforward_line
+from twin.system import shell_word
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -121,7 +121,7 @@ def write_remedy_report(
         Section("At the machine", items=[f"{one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}" for one in document["at_the_machine"]]),
         Section("What no setting cures", items=refusals(found.chosen.refused) or ["Nothing: no change was refused."]),
         *([Section("What gets worse", items=worse)] if worse else []),
-        Section("Replay", paragraphs=[f"{REPLAY} holds the motion before and after; if a click does not open it: twin replay {shlex.quote(str(folder))}"]),
+        Section("Replay", paragraphs=[f"{REPLAY} holds the motion before and after; if a click does not open it: twin replay {shell_word(folder)}"]),
     ]  # fmt: skip
     write_page(page, f"Remedy: {found.machine.name}", f"On {brings}.", sections)
     if diagnosed is not None and diagnosed.is_file():
