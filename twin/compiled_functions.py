@@ -25,7 +25,7 @@ from numba.core.ccallback import CFunc
 njit: Any = numba.njit  # its type does not know _nrt
 
 _PACKAGE = Path(__file__).parent
-_IMPORT = re.compile(rb"^from twin((?:\.\w+)*) import (?:\(([^)]*)\)|(.*))\r?$", re.M)
+_IMPORT = re.compile(rb"^from twin((?:\.\w+)*) import (?:\(([^)]*)\)|(.*))$", re.M)
 _KERNEL = re.compile(rb"^from twin\.(compiled_functions|simulation\.loop_terms) import", re.M)
 _included: set[Path] = set()
 _SAID, _SAID_COMPILING = "TWIN_SAID_NO_CACHE", "TWIN_SAID_COMPILING"

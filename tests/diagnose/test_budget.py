@@ -8,6 +8,7 @@ import pytest
 
 from tests.builders.diagnosis_state import PERIOD_S, columns_of, found_of, group_of, no_tuning
 from tests.builders.script import script
+from twin.diagnose import report
 from twin.diagnose.budget import Budget, budget_over, document_of, noise_of, overlap_text, parts_of
 from twin.diagnose.corrected import corrected_machine
 from twin.diagnose.fit import Fit
@@ -178,3 +179,16 @@ def test_what_was_not_recorded_does_not_change_the_multiple_of_noise():
     expected = np.sqrt(((signals["position"] / 1e-7) ** 2 + (signals["motor_position"] / 1e-9) ** 2) / 2.0)
     assert both == pytest.approx(expected)
     assert both > 20.0 * alone
+
+
+def test_a_budget_of_axes_that_do_not_move_the_tool_has_no_columns_for_it():
+    row = {"kind": "effect", "effect": "torque_ripple", "axis": "A", "tool_point": 0.0, "alone": 0.0, "largest": 0.0, "run": "a", "at_s": 0.0, "at_mm": [],
+           "position": 12.0, "position_unit": "arcsec", "current": 0.1, "times_noise": 3.0, "probability": 0.9, "low": 0.0, "high": 0.0}  # fmt: skip
+    budget = {"rows": [row], "before": 0.0, "after": 0.0, "floor": 0.0, "change": 0.0, "apart": 0.0, "in_turn": 0.0}
+    still = report._budget("Gap budget at the tool point", budget, at_tool=False)
+    assert (still.title, len(still.figures)) == ("Gap budget", 0)
+    assert not any("tool" in heading or "part" in heading for heading in still.tables[0].heading)
+    assert "12.0 arcsec" in still.tables[0].rows[0]
+    moves = report._budget("Gap budget at the tool point", {**budget, "rows": [{**row, "tool_point": 2.0}]}, at_tool=False, picture=False)
+    assert "tool point [um]" in moves.tables[0].heading
+    assert len(moves.tables[0].rows[0]) == len(moves.tables[0].heading) == len(still.tables[0].heading) + 4

@@ -49,3 +49,11 @@ def test_peaks_at_one_place_have_their_labels_below_each_other() -> None:
     boxes = [label.get_window_extent() for label in labels]
     assert [label.get_text() for label in labels] == ["158 um", "155 um", "150 um"]
     assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[i + 1 :])
+
+
+def test_the_label_of_a_plateau_stands_at_its_middle_and_says_its_peak() -> None:
+    time = np.linspace(0.0, 1.0, 1001)
+    plateau = -np.clip(10.0 - 50.0 * np.abs(time - 0.4), 0.0, 5.0) - 0.01 * time
+    (label,) = curves_figure(time, [Panel("error, um", [Curve("", plateau, "X")], peaks="um")], "").axes[0].texts
+    assert abs(label.xy[0] - 0.4) < 0.005
+    assert label.get_text() == f"{np.abs(plateau).max():.2f} um"

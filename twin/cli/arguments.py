@@ -134,7 +134,6 @@ def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> 
     from twin.recordings import read_trace
 
     source = shipped_example(source)
-
     if not is_program(source):
         return None, read_trace(source, axes=machine.kinds, need=("setpoint",))
     from twin.program import interpolate

@@ -49,9 +49,7 @@ def carry_out(args: argparse.Namespace) -> None:
     for reason, times, first in reasons(found)[:SHOWN]:
         print(f"  {times} x {reason[:120]}" + (f"\n      first in {first[:140]}" if len(found) > 1 else ""))
     if words := opening_words(found):
-        print(
-            "\nwords that would open programs (alone opens / stops): "
-            + ", ".join(f"{w} ({opens} / {stops})" for w, opens, stops in words[:SHOWN])
-        )
+        shown = ", ".join(f"{w} ({opens} / {stops})" for w, opens, stops in words[:SHOWN])
+        print(f"\nunknown words (programs that could be read with this word alone / that it stops): {shown}")
     if args.json:
         write_json(document(found, machine), Path(args.json), "programs")

@@ -6,10 +6,8 @@ import argparse
 
 from twin.errors import InputError
 
-SHELLS = ("bash", "zsh", "tcsh")
-
-
-ARGUMENTS = (("shell", {"choices": SHELLS, "help": "shell, e.g. twin completion bash > ~/.local/share/bash-completion/completions/twin"}),)
+HELP = "shell, e.g. twin completion bash > ~/.local/share/bash-completion/completions/twin"
+ARGUMENTS = (("shell", {"choices": ("bash", "zsh", "tcsh"), "help": HELP}),)
 
 
 def carry_out(args: argparse.Namespace) -> None:

@@ -1,7 +1,7 @@
 """`twin diagnose`: find where a measured campaign differs from the twin, which effects cause it, and how far they close the gap.
 
-Raw recordings instead of a campaign: they are imported, a machine is made from them where none is given, and a card tells first what the
-recording shows by itself. The card comes in any case; the diagnosis follows where the recording allows one.
+Raw recordings instead of a campaign: they are imported, a machine is made from them where none is given, and a card states what the
+recording shows by itself. The card is always written; a diagnosis follows if the recording allows it.
 """
 
 from __future__ import annotations

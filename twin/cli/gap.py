@@ -13,13 +13,7 @@ SHOWN = 12
 """Most outliers printed; the HTML page has all."""
 
 
-ARGUMENTS = (
-    CAMPAIGN,
-    MACHINE,
-    JSON,
-    arg("--html", "FILE", "write a report"),
-    OPEN,
-)
+ARGUMENTS = (CAMPAIGN, MACHINE, JSON, arg("--html", "FILE", "write a report"), OPEN)
 
 
 def carry_out(args: argparse.Namespace) -> None:
@@ -40,9 +34,8 @@ def carry_out(args: argparse.Namespace) -> None:
     print(found.summary_table())
     outliers = found.outliers
     if outliers:
-        print(
-            f"\n{len(outliers)} signals above {AS_EXPECTED:g} times noise" + (f", the largest {SHOWN}:" if len(outliers) > SHOWN else ":")
-        )
+        most = f", the largest {SHOWN}" if len(outliers) > SHOWN else ""
+        print(f"\n{len(outliers)} signals above {AS_EXPECTED:g} times noise{most}:")
         print(table(GAP_HEADING, gap_cells(outliers[:SHOWN]), left=3))
     if args.json:
         write_json(found.document(), Path(args.json), "gap")

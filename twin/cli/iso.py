@@ -21,11 +21,8 @@ if TYPE_CHECKING:
     from twin.recordings.ballbar import Ballbar
     from twin.recordings.trace import Trace
 
-STANDARDS = ("230-2", "230-4")
-
-
 ARGUMENTS = (
-    ("standard", {"choices": STANDARDS, "metavar": "230-2|230-4", "help": "230-2: positioning of an axis; 230-4: circles"}),
+    ("standard", {"choices": ("230-2", "230-4"), "metavar": "230-2|230-4", "help": "230-2: positioning of an axis; 230-4: circles"}),
     arg("input", "INPUT", "table of readings (.csv), trace, run folder or campaign", type=shipped_example),
     arg("--json", "FILE", "write the results as JSON, with the plot beside it"),
     arg("--plot", "FILE", "plot file (default: beside --json, else out/iso_STANDARD.png)"),

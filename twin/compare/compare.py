@@ -16,15 +16,12 @@ from twin.simulation.errors_of_run import axis_errors, delayed_set_point
 from twin.simulation.gap import COMPARED, gap_unit
 from twin.simulation.result import Run
 from twin.simulation.summary import table
-from twin.units import AXIS_UNITS, plain
+from twin.units import AXIS_UNITS, LEAST_SHOWN, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from twin.machine.axis import Axis
-
-LEAST = 1e-3
-"""Smaller differences are file rounding and count as none [um, arcsec, mm/s, deg/s, A]."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ class Comparison:
     @property
     def verdict(self) -> str:
         """One sentence: the axes that differ, and the largest difference."""
-        found = [d for d in self.differences if d.max > LEAST]
+        found = [d for d in self.differences if d.max > LEAST_SHOWN]
         if not found:
             return f"{self.names[0]} and {self.names[1]} move alike."
         worst = max(found, key=lambda d: (d.signal == "position", d.max))
@@ -80,7 +77,7 @@ class Comparison:
     @property
     def differing(self) -> tuple[str, ...]:
         """Names of the axes that differ."""
-        return tuple(dict.fromkeys(d.axis for d in self.differences if d.max > LEAST))
+        return tuple(dict.fromkeys(d.axis for d in self.differences if d.max > LEAST_SHOWN))
 
     def table(self) -> str:
         """Errors of both runs and differences by signal, for the axes that differ."""
@@ -94,7 +91,7 @@ class Comparison:
         rows = []
         for e in (e for e in self.errors if e.axis in self.differing):
             kinds = (("largest", e.first, e.second), ("after reversals", e.first_reversal, e.second_reversal))
-            rows += [[e.axis, kind, *("-" if v is None else f"{v:.2f} {e.unit}" for v in pair)] for kind, *pair in kinds]
+            rows += [[e.axis, kind, *("-" if v is None else f"{plain(v)} {e.unit}" for v in pair)] for kind, *pair in kinds]
         return rows
 
     def difference_rows(self) -> list[list[str]]:
@@ -117,11 +114,11 @@ class Comparison:
         }
 
     def plot(self) -> Figure:
-        """A matplotlib figure: error without the delay of both runs, for the axes that differ."""
+        """A matplotlib figure: error without the delay of both runs, for the axes that differ; for the first axis if none does."""
         from twin.report.curves import Curve, Panel, curves_figure
 
         panels = []
-        for axis in (a for a in self.machine.axes if a.name in self.differing):
+        for axis in (a for a in self.machine.axes if a.name in (self.differing or self.first.axes[:1])):
             unit, factor = AXIS_UNITS[axis.kind].error
             asked = delayed_set_point(self.first, axis)
             curves = [
@@ -130,9 +127,6 @@ class Comparison:
                 if trace.has(axis.name, "position")
             ]
             panels.append(Panel(f"{axis.name} error without\nthe delay, {unit}", curves, peaks=unit))
-        if not panels:
-            axis = self.machine.axes[0]
-            panels.append(Panel(f"{axis.name} difference", [Curve("", np.zeros(len(self.first.time)), axis.name)]))
         return curves_figure(self.first.time, panels, f"{self.names[0]} and {self.names[1]}, aligned by {self.by}")
 
     def __repr__(self) -> str:

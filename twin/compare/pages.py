@@ -21,18 +21,8 @@ GAP_HEADING = ("run", "axis", "signal", "RMS", "largest", "noise alone", "times 
 
 def gap_cells(rows: Sequence[Outlier]) -> list[list[str]]:
     """Cells of GAP_HEADING for each signal."""
-    return [
-        [
-            r.run,
-            r.axis,
-            r.signal.replace("_", " "),
-            f"{plain(r.gap.rms)} {r.gap.unit}",
-            plain(r.gap.max),
-            plain(r.gap.noise),
-            f"{r.times_noise:.1f}",
-        ]
-        for r in rows
-    ]
+    sizes = ([f"{plain(r.gap.rms)} {r.gap.unit}", plain(r.gap.max), plain(r.gap.noise), f"{r.times_noise:.1f}"] for r in rows)
+    return [[r.run, r.axis, r.signal.replace("_", " "), *cells] for r, cells in zip(rows, sizes)]
 
 
 def write_gap_page(gap: CampaignGap, path: Path) -> None:
@@ -42,22 +32,15 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
     marked = frozenset(i for i, row in enumerate(rows) if row.times_noise > AS_EXPECTED)
     picture = Figure(figure_svg(gap.plot()), "Gap as a multiple of noise alone. Grey: as it should be; blank: not recorded, or at rest.")
     outliers = [Table(GAP_HEADING, cells[: len(marked)], left=3, marked=marked)] if marked else []
+    none = [] if marked else [f"None: no signal is above {AS_EXPECTED:g} times noise alone."]
     every = Table(GAP_HEADING, cells, left=3, marked=marked, folded=f"{len(cells)} signals, largest first")
     sections = [
         Section("Where the twin and the machine differ", figures=[picture]),
-        Section("Outliers", tables=outliers)
-        if outliers
-        else Section("Outliers", [f"None: no signal is above {AS_EXPECTED:g} times noise alone."]),
+        Section("Outliers", none, tables=outliers),
         *([Section("Notes", list(gap.notes))] if gap.notes else []),
         Section("Every signal", tables=[every]),
     ]
-    write_page(
-        path,
-        f"Gap of {gap.campaign}",
-        f"{gap.verdict}.",
-        sections,
-        made_line(gap.machine, gap.campaign),
-    )
+    write_page(path, f"Gap of {gap.campaign}", f"{gap.verdict}.", sections, made_line(gap.machine, gap.campaign))
 
 
 def write_comparison_page(comparison: Comparison, path: Path, inputs: str, numbers: Sequence[Number] = ()) -> None:

@@ -7,7 +7,7 @@ that lead out of the folder are refused. No page of another site may show it in 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import os
@@ -16,7 +16,7 @@ import re
 import secrets
 import shutil
 import stat
-import subprocess
+from subprocess import DEVNULL, PIPE, STDOUT, Popen
 import sys
 import threading
 from typing import Any
@@ -49,30 +49,25 @@ _ADDRESS = re.compile(r"http://127\.0\.0\.1:\S+")
 POLICY = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'"
 """Reports cannot run scripts, load anything from other hosts or be shown in a frame."""
 
-Started = Callable[[Sequence[str]], "subprocess.Popen[str]"]
+Started = Callable[[Sequence[str]], "Popen[str]"]
 
 
-def twin_command(words: Sequence[str]) -> subprocess.Popen[str]:
+def twin_command(words: Sequence[str]) -> Popen[str]:
     """Start a twin command as a separate process; its output and its errors can be read together."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "twin", *words],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        encoding="locale",
-        errors="replace",
-    )
+    command = [sys.executable, "-m", "twin", *words]
+    return Popen(command, stdin=DEVNULL, stdout=PIPE, stderr=STDOUT, encoding="locale", errors="replace")
 
 
 class Desk(ThreadingHTTPServer):
     """The server of one folder; `start` starts a twin command."""
 
     daemon_threads = True
+    allow_reuse_address = os.name == "posix"  # elsewhere a second desk would take the port of the first
     request_queue_size = 128  # of connections that wait; one too many is repeated by the browser after seconds
 
     def __init__(self, folder: Path, port: int, start: Started = twin_command) -> None:
         self.folder, self.start, self.token = folder.resolve(), start, secrets.token_urlsafe(16)
-        self.viewers: dict[str, tuple[subprocess.Popen[str], str]] = {}
+        self.viewers: dict[str, tuple[Popen[str], str]] = {}
         self.busy = threading.Lock()
         try:
             super().__init__((HOST, port), _Answer)
@@ -191,17 +186,11 @@ class _Answer(BaseHTTPRequestHandler):
         environment = Environment(
             loader=PackageLoader("twin.desk", "."), autoescape=select_autoescape(["html"], default=True), undefined=StrictUndefined
         )
-        content: Mapping[str, object] = {
-            "folder": self.server.folder.name or str(self.server.folder),
-            "entries": entries_in(self.server.folder),
-            "most": MOST,
-            "version": twin.__version__,
-            "token": self.server.token,
-            "message": message,
-            "viewer": viewer,
-            "shown": shown,
-        }
-        self._send(status, "text/html; charset=utf-8", environment.get_template("desk.html").render(content).encode("utf-8", "replace"))
+        page = environment.get_template("desk.html").render(
+            folder=self.server.folder.name or str(self.server.folder), entries=entries_in(self.server.folder), most=MOST,
+            version=twin.__version__, token=self.server.token, message=message, viewer=viewer, shown=shown,
+        )  # fmt: skip
+        self._send(status, "text/html; charset=utf-8", page.encode("utf-8", "replace"))
 
     def _file(self, name: str) -> None:
         file = place_in(self.server.folder, name)

@@ -79,7 +79,7 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
 
 
 def samples_of(channel: Channel, view: RunView) -> np.ndarray:
-    """Sample numbers of a channel that does not cover the whole trace: position cycles, or samples at which the set point moves."""
+    """Sample numbers of a channel that does not cover the whole trace: position cycles, or samples with a moving set point."""
     if channel.name == "controller":
         return np.arange(0, len(view.trace.time), view.samples_per_cycle)
     return np.flatnonzero(view.rows_of(channel.axis, channel.name))

@@ -44,7 +44,7 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
 
 
 def _check_noise(trace: Trace, axis: Axis, where: str) -> None:
-    """Refuse set points whose white noise alone asks for more acceleration than the axis has: no control handed them to its axis card."""
+    """Refuse set points whose white noise alone needs more acceleration than the axis has: no control commands such set points."""
     variance, white = quiet_noise(trace.get(axis.name, "setpoint"))
     acceleration = np.sqrt(SECOND_DIFFERENCE * variance) / trace.period**2
     if white and acceleration > axis.max_acceleration:

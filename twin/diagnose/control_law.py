@@ -112,7 +112,7 @@ def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
 
 
 def between_cycles(view: RunView, axis: Axis) -> np.ndarray:
-    """Largest difference between a delayed set point and the one that the control reads (sample,) [m or rad].
+    """Largest difference between a delayed set point and the set point that the control reads (sample,) [m or rad].
 
     A delay of n + p cycles falls between two set points of the control. A straight line and a curve differ there by p (1 - p) / 2 Tp^2 |a|.
     The difference is zero if the delay is a whole number of cycles or the machine file gives the interpolation.
@@ -132,7 +132,7 @@ def _part_of_cycle(view: RunView, axis: Axis) -> float:
 
 
 def _around(values: np.ndarray, view: RunView) -> np.ndarray:
-    """Largest value within the time by which the twin may be early or late (sample,)."""
+    """Largest value within `lag_s` before and after each sample (sample,): the twin may be early or late by so much."""
     largest: np.ndarray = maximum_filter1d(values, 2 * round(T.lag_s / view.trace.period) + 1)
     return largest[: len(view.trace.time)]
 

@@ -52,7 +52,7 @@ def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine
 
 
 def corrected_by(state: GroupState, left_out: Sequence[Setting] = ()) -> Variant:
-    """Maps the nominal machine of a run to the one that the search corrected, without the effects `left_out`."""
+    """Maps the nominal machine of a run to the corrected machine of the search, without the effects `left_out`."""
     of_tuning = tuned(state.tuning.nuisances, limited_deviations(state, state.group.machine.parameter_tolerance))
     settings = [s for s in state.fit.settings if s not in left_out]
     return lambda machine: with_added(of_tuning(machine), settings)

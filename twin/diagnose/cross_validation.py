@@ -147,7 +147,7 @@ class Linear:
         return left
 
     def of(self, fold: Sequence[int]) -> list[int]:
-        """Parts of a fold in which something was measured."""
+        """Parts of a fold that contain measurements."""
         return [part for part in fold if part < len(self.rows)]
 
     def shift(self, fold: Sequence[int], share: float) -> np.ndarray:

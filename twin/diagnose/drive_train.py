@@ -1,7 +1,7 @@
 """Normal elasticity and damping of a drive train, identified by simulation at several sizes.
 
-The response is not linear in the elasticity. If the first mode is close to the rate of the set points, each set point excites it, and 5 % of
-its frequency or half the damping decides how strongly. Scaling a response from another size would be wrong there.
+The response is not linear in the elasticity. If the first mode is close to the rate of the set points, each set point excites it, and how
+strongly depends much on its frequency (5 %) and damping (half). A response scaled from another size would be wrong there.
 """
 
 from __future__ import annotations

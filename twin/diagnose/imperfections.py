@@ -120,7 +120,7 @@ def _at_shares(tuning: Tuning, group: Group, nuisance: Nuisance, residual: np.nd
         Variation(functools.partial(nuisance.apply, factor=1.0 + share * group.machine.parameter_tolerance), axes=(nuisance.owner,))
         for share in shares
     ]
-    keys = [(nuisance, share) if share in SHARES else None for share in shares]  # each round of the search asks for SHARES again
+    keys = [(nuisance, share) if share in SHARES else None for share in shares]  # each round of the search needs SHARES again
     answers = group.responses(variations, shaken=nuisance.quantity == "slip", keys=keys)
     return [trial_of(tuning, a * (UNIFORM / share), residual) for share, a in zip(shares, answers) if isinstance(a, np.ndarray)]
 

@@ -30,8 +30,8 @@ class Proposal:
 
 
 def propose(machine: Machine, states: Sequence[GroupState], verdict: str, named: Collection[Key], laws_on: Sequence[str] = ()) -> Proposal:
-    """The move that separates the closest candidates for one of the effects that are `named`; without any, one that shows the unlisted laws on these
-    axes again; nothing for the verdict 'none'.
+    """The move that separates the closest candidates for a named effect. Without a named effect: a move that shows the unlisted laws on these axes
+    again. Nothing for the verdict 'none'.
     """
     if verdict == "none" and not laws_on:
         return Proposal("none needed: the machine agrees with its file", None)

@@ -188,7 +188,7 @@ class Group:
         return replace(self, channels=channels)
 
     def searched(self) -> Group:
-        """The group without what only a search asks for again: remembered responses, and the realisations of the noise."""
+        """The group without what only a search uses again: remembered responses, and the realisations of the noise."""
         self.answers.clear()
         return replace(self, channels=[replace(c, scatter=None) for c in self.channels])
 

@@ -26,7 +26,7 @@ from twin.report import Section, Table, write_page
 from twin.report.page import made_line
 from twin.simulation.summary import listed
 from twin.system import shell_word
-from twin.units import ARCSEC, plain
+from twin.units import ARCSEC, LEAST_SHOWN, plain
 
 Document = dict[str, Any]
 
@@ -38,6 +38,9 @@ SMALL = 0.1
 """Rows of the budget with a smaller contribution, in multiples of the noise, are only counted, unless they are findings."""
 LEFT = 2.0
 """Rows with a larger gap after the correction, in multiples of the noise, are highlighted."""
+
+AT_TOOL = (1, 2, 3, 6)
+"""Columns of a budget that say something about the tool point."""
 
 _HOW_TO_READ = [
     "The gap is measured minus simulated, in multiples of the measuring noise: 1 is a perfect twin. Shares refer to the squared gap above noise.",
@@ -189,8 +192,14 @@ def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -
         + (f" Contributions overlap and do not add up: {overlap_text(budget)}." if at_tool else "")
         + " Motion that no encoder measures, such as thermal growth, is included."
     )
-    figures = [image(budget_figure(budget), caption)] if picture else []
-    return Section(title, figures=figures, tables=[Table(heading, cells, marked=marked, words=frozenset({4}))])
+    at_rest = max((r["tool_point"] for r in rows), default=0.0) < LEAST_SHOWN
+    kept = [i for i in range(len(heading)) if not at_rest or i not in AT_TOOL]
+    table = Table([heading[i] for i in kept], [[row[i] for i in kept] for row in cells], marked=marked, words=frozenset({kept.index(4)}))
+    if at_rest:
+        return Section(
+            "Gap budget", ["Nothing of it moves the tool point: each row is the change of the true position of its axis."], tables=[table]
+        )
+    return Section(title, figures=[image(budget_figure(budget), caption)] if picture else [], tables=[table])
 
 
 def _stretch(diagnosis: Diagnosis, s: Stretch, words: str) -> Section:

@@ -26,7 +26,7 @@ class Thresholds:
 
     # the campaign
     off_set_point: float = _of(0.2, "share of the motion", "smallest position gap of a record of another machine")
-    off_lag: float = _of(3.0, "1", "position gap over the lag of the loop that is possible on any machine")
+    off_lag: float = _of(3.0, "1", "largest position gap over the lag of the loop on any machine")
     enough_samples: int = _of(50, "samples", "smallest number of moving samples of a channel or block")
 
     # noise of a channel
@@ -37,7 +37,7 @@ class Thresholds:
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
     law_floor: float = _of(0.01, "share of the speed noise", "smallest noise of the control law")
-    clipped: float = _of(0.999, "share of the limit", "smallest saturated command; it is not compared with the law")
+    clipped: float = _of(0.999, "share of the limit", "a larger command counts as saturated and is not compared with the law")
     law_share: float = _of(
         1e-4, "share of the speed", "model error of a control law fitted by hand; that of a real control deviates by 3e-5 of the top speed"
     )
@@ -54,7 +54,7 @@ class Thresholds:
     # model error of the twin
     shapes: float = _of(60.0, "1", "independent samples of a model error in one channel, however many samples it has", PILOT)
     doubt: float = _of(0.01, "share", "relative model error of an effect's law")
-    lag_s: float = _of(0.01, "s", "time by which the response to an effect may be early or late")
+    lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
     event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
     by_chance: float = _of(1.5, "1", "mean square that noise reaches over so short a time")
     outlier: float = _of(5.0, "1", "largest deviation over noise that counts with its square; a larger one counts linearly")
@@ -66,7 +66,7 @@ class Thresholds:
     normal_mode_hz: float = _of(180.0, "Hz", "lowest first mode of a drive train with a normal elasticity")
     normal_slip_linear_m: float = _of(0.8e-6, "m", "largest normal travel before break-away, linear axis")
     normal_slip_rotary_arcsec: float = _of(0.8, "arcsec", "largest normal travel before break-away, rotary axis")
-    normal_damping: float = _of(2.0, "1", "factor by which the damping of a drive train may differ from the assumed one")
+    normal_damping: float = _of(2.0, "1", "largest factor between true and assumed damping of a drive train")
     least_imperfection: float = _of(0.01, "share of normal", "a smaller imperfection is treated as zero")
     least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
     train_shown: float = _of(0.6, "share", "share of the response to a drive train that the runs used to identify it must hold")
@@ -77,7 +77,7 @@ class Thresholds:
     refit_steps: int = _of(4, "steps", "the same in a quick look, and for a fit that starts at an earlier optimum")
     slope: float = _of(1.0, "scale units", "finite-difference step: wide, because a break-away moves by whole samples")
     narrow_slope: float = _of(0.1, "scale units", "the same once wide steps no longer reduce the loss")
-    slopes_hold: float = _of(0.5, "share", "smallest ratio of actual to predicted gain with which slopes are reused")
+    slopes_hold: float = _of(0.5, "share", "slopes are reused if the actual gain is at least this share of the predicted gain")
     converged: float = _of(0.02, "nat", "largest gain of a fit that has converged")
     spring_step: float = _of(0.25, "share", "largest move of a spring from the size that was simulated; its response is not linear")
     within_mode: float = _of(0.06, "share", "finite-difference step of a drive train's elasticity")
@@ -85,7 +85,7 @@ class Thresholds:
 
     # screening
     screened_largest: float = _of(4.0, "1", "largest size in screening, in multiples of the start")
-    most_fits: int = _of(2, "times", "rounds in which an effect is fitted: it may be refused at first and accepted next to others")
+    most_fits: int = _of(2, "times", "largest number of fits of an effect: it may be refused at first and accepted next to others")
     screened_least: float = _of(0.02, "1", "smallest size in screening, in multiples of the start")
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
@@ -107,7 +107,7 @@ class Thresholds:
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that model errors of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same for a block that the signals do not isolate", IMITATION)
     price: float = _of(2.0, "nat", "cost of each further free parameter")
-    small_residual: float = _of(1.3, "1", "largest loss over the loss of noise with which imperfections are refitted")
+    small_residual: float = _of(1.3, "1", "imperfections are refitted if the loss is at most this multiple of the loss of noise")
     least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
     information_in_fold: float = _of(0.99, "share", "share of the information about a parameter that one fold may hold")
     near_noise: float = _of(0.02, "share", "relative excess over noise, or over another fit, that counts as none")
@@ -121,7 +121,7 @@ class Thresholds:
     usual_shape: float = _of(4.5, "1", "largest factor outside the usual range of a plausible speed, wavelength or frequency")
 
     # verdict
-    worse_by_chance: float = _of(0.3, "1", "increase of gap over noise by which a correction may be worse than the machine file by chance")
+    worse_by_chance: float = _of(0.3, "1", "largest increase of gap over noise that a correction causes by chance")
     signal_worse: float = _of(2.0, "1", "largest gap over noise of a signal with a law, or ratio to its gap without the law")
     undecided: float = _of(6.0, "1", "largest held-out gap over noise with the verdict 'none'; the interpolation of a control leaves 3")
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
@@ -138,7 +138,7 @@ class Thresholds:
     # where
     noticed_square: float = _of(1.6, "1", "largest mean square of a block, or a channel tested by itself, without a residual")
     place_share: float = _of(0.02, "share", "least share of a listed block in its axis' gap, and of an axis in the gap of the worst axis")
-    echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with one")
+    echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with an effect")
     most_of_runs: float = _of(0.8, "share", "share of a block's excess that the named runs hold")
     regime_share: float = _of(0.6, "share", "smallest share of the excess of a regime that is named")
     scales_share: float = _of(0.1, "share", "share of a residual that a regressor must explain to be named")

@@ -21,7 +21,7 @@ Key = tuple[str, str, str | None]
 """Effect, axis, and the axis that drives the effect (or None)."""
 
 SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_scale", "measurement": "motor_minus_scale"}
-"""Block -> channel in which every effect of the block is visible. The channel isolates the block from the loop."""
+"""Block -> channel that shows every effect of the block, isolated from the loop."""
 
 CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
 """Block -> channel that isolates the block from the loop. All other blocks are only visible in closed loop."""

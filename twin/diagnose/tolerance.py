@@ -150,7 +150,7 @@ def with_added(machine: Machine, settings: Sequence[Setting]) -> Machine:
 
 
 def tuned(nuisances: Sequence[Nuisance], deviations: np.ndarray) -> Callable[[Machine], Machine]:
-    """A function that maps a machine to the one whose nuisances deviate by these fractions (nuisance,)."""
+    """A function that changes the nuisances of a machine by these fractions (nuisance,)."""
 
     def machine_of(machine: Machine) -> Machine:
         for nuisance, deviation in zip(nuisances, deviations):

@@ -152,7 +152,7 @@ def linearised(
     """The tuning with the simulated response to its nuisances on the machine with these effects; `only` restricts it to these quantities.
 
     The simulations are remembered under a key of the machine, if one is given.
-    The response depends on the effects: backlash, for example, decides when the load changes sides.
+    The response depends on the effects: with backlash, for example, the load changes sides later.
     """
     own, steps, variations, keys = moved_by(settings, group), {}, [], []
     for i, nuisance in enumerate(tuning.nuisances):
@@ -182,7 +182,7 @@ def moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
 def zeros_of(group: Group) -> Columns:
     """Responses, weighted, to a constant between motor encoder and scale in each run: encoders have no common zero.
 
-    An effect whose law restarts at zero in each run and one that keeps its phase differ by this constant alone.
+    A law that restarts at zero in each run differs by this constant alone from a law that keeps its phase.
     """
     columns = []
     for axis in group.axes:

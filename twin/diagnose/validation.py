@@ -115,7 +115,7 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
         if least_share < T.remaining or (best.laws and not best.axes_with_law & best.remaining(setup.machine)):
             break
     for state in validated.states:
-        state.rigid.answers.clear()  # only the search for laws asks for them again
+        state.rigid.answers.clear()  # only the search for laws uses them again
     return_memory()
     return best
 

@@ -124,7 +124,7 @@ def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
 
 
 def rests(view: RunView, name: str, after_s: float, shortest_s: float = 0.0) -> np.ndarray:
-    """Mask (sample,) of the samples at which an axis is at rest or broke away less than `after_s` ago; rests shorter than `shortest_s` do not count.
+    """Mask (sample,): the axis rests, or broke away less than `after_s` ago; rests shorter than `shortest_s` do not count.
 
     On the circle of a ballbar no axis counts as resting: the circle continues while one axis reverses, and the bar measures it.
     """

@@ -123,7 +123,7 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
 
 
 def _merge_echoes(listed: list[dict[str, Any]]) -> None:
-    """Move most of the share of blocks without an effect to the largest block of the axis with one: their residual is mostly a consequence of it."""
+    """Move most of the share of blocks without an effect to the largest block of the same axis with an effect, which mostly causes their residual."""
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         if leading := [p for p in mine if "effect" in p]:

@@ -61,7 +61,7 @@ class Resonance:
 
 @dataclass(frozen=True)
 class LargestCurrent:
-    """Fractions of the largest measured current: levels at which the current may be clipped."""
+    """Possible levels of a clipped current, as fractions of the largest measured current."""
 
     shares: tuple[float, ...] = (0.85, 0.96, 0.99, 1.02, 1.05, 1.08)
 

@@ -1,4 +1,4 @@
-"""Estimation: problem -> linearised -> solved. Nothing here knows of machines; the other rooms say what is free and what is left.
+"""Estimation: problem -> linearised -> solved. Nothing here depends on machines: other rooms define the free parameters and the residuals.
 
 problem      free numbers with bounds and steps, residuals by part and signal
 linearised   residual and columns at a point, damped step, covariance by clusters

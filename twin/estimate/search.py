@@ -22,7 +22,7 @@ CONVERGED = 1e-4
 """A part is at its end when a step improves its mean log RMS by less than this."""
 
 FIRST_DAMPING, SOFTER, HARDER, TRIALS = 1e-3, 0.2, 8.0, 4
-"""Damping at the start, its factor after a step that improved a part and after one that did not, and trials of one step."""
+"""Initial damping of a part, its factors after a successful and after a failed step, and trials of a step."""
 
 LONGEST_STEP = 1.0
 """Largest change of a number in one step, in the units of the search."""

@@ -1,4 +1,4 @@
-"""Marks one answer: named effects against the true ones, and the remaining gap on runs that only the examination knows."""
+"""Marks one answer: named effects against the true ones, and the remaining gap on runs that the diagnosis did not get."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 A `TestRun` holds set points [sample, axis] in SI (m, rad) and the feedforward of the control. Three kinds:
   "test"     ten runs of a test campaign like the recorded ones, with sizes and feeds varied by seed
   "program"  three runs of a customer's part programs
-  "exam"     runs that only the examination knows, for the held-out gap: a contour, a circle, random point to point
+  "exam"     runs that the diagnosis does not get, for the held-out gap: a contour, a circle, random point to point
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def write_exam_report(document: Document, path: Path) -> None:
     s = document["score"]
     usual = next((t for t in s["targets"] if t["what"].startswith("first named right") and "value" in t), None)
     lead = (
-        f"{counted(document)}: machines with sealed faults, drawn on a second plant and diagnosed by a process that saw only their traces. "
+        f"{counted(document)}: machines with sealed faults, drawn on a second plant and diagnosed by a process that got only their traces. "
         + (f"The effect and its axis were named first in {usual['right']} of {usual['of']} cases of usual size." if usual else "")
     )
     write_page(path, "Examination of the diagnosis", lead, sections_of(document), made_line(seed=document["seed"]))
@@ -152,7 +152,7 @@ def _gaps(marks: Sequence[Document]) -> Figure:
     ax.set_ylabel("gap over noise")
     ax.legend(ncols=3, loc="upper left")
     text = (
-        "Gap on runs that only the examination knows. Before: machine file. True effects: twin with the true parameters and effects, "
+        "Gap on runs that the diagnosis did not get. Before: machine file. True effects: twin with the true parameters and effects, "
         "without the plant's small imperfections. After: corrected machine. Floor: two recordings of the same machine."
     )
     return Figure(figure_svg(figure), text)

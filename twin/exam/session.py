@@ -83,7 +83,7 @@ def truths_text(cases: dict[str, Case]) -> str:
 
 
 def same_examination(out: Path, asked: dict[str, Any]) -> None:
-    """Record the options, machine and code of an examination; refuse to continue one that was begun with others."""
+    """Record the options, machine and code of an examination; an examination that was begun with others is not continued."""
     file = out / ASKED
     text = json.dumps(asked, indent=1) + "\n"
     if file.exists():

@@ -171,8 +171,8 @@ def _evidence(
 
 
 def _change(history: Judgement, group: int, standing: Sequence[Change], onset: int, now: int) -> Change | None:
-    """The change of a group from the rows before `onset` to those up to `now`, by the cause that explains it best; None unless it is certainly more
-    than `LEAST`, and the size that explains the group is that which the cause's own series shows.
+    """The change of a group from the rows before `onset` to those up to `now`, by the cause that explains it best. None unless it is certainly more
+    than `LEAST`, and the series of the cause itself shows the same size.
     """
     one = history.series[group]
     inside = one.at <= now

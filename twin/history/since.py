@@ -5,9 +5,9 @@ the baseline, of the same program, moves by
 
     b(now) - mean b(baseline) = G theta + noise
 
-whatever the twin lacks. A run without one is compared with the offset that all runs of the baseline have in common, and what differs there from run to
-run is noise. Causes enter one by one, the one that explains most first; each time the present is simulated anew with the changes found (Gauss-Newton with
-fixed slopes), so that a large change leaves no remainder that looks like a small one.
+whatever the twin lacks. A run of no such program is compared with the offset that all runs of the baseline have in common; differences between these
+runs are noise. Causes enter one by one, the one that explains most first; each time the present is simulated anew with the changes found (Gauss-Newton with
+fixed slopes), so that no remainder of a large change looks like a small change.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ def watch(
 
         @functools.cache
         def last() -> tuple[Sequence[MeasuredRun], Sequence[Noise]]:
-            """Runs and noise of the last recording that was judged and is still there; read when a change asks for them."""
+            """Runs and noise of the last recording that was judged and is still there; read for the first change that needs them."""
             one = next((one for one in reversed(dated) if one.digest in rows), None)
             return (one.runs(machine), rows[one.digest].noise) if one else ((), ())
 

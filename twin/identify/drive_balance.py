@@ -232,7 +232,7 @@ def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tup
     """Fit NAMES of a single axis; the inertia's variance includes the fast loop's. None without usable rows.
 
     If the machine file has no gravity, weights are given along the path, and the balance gets no gravity columns. Inertia and viscous friction
-    that the motion does not excite keep the values of the machine file. A force beyond the largest recorded one is not identified.
+    that the motion does not excite keep the values of the machine file. No force above the largest recorded force is identified.
     """
     heavy = current.machine.gravity != 0.0
     parts = [linear_rows(axis, run, i, heavy) for run in runs if (i := current.of(run)) is not None]

@@ -139,7 +139,7 @@ class _Piece:
     def left(self, x: np.ndarray) -> np.ndarray:
         """Measured speed minus the law's (row,), for x = (Td, lag)."""
         half = len(self.window) // 2
-        # only what the window of the piece sees
+        # only what the window of the piece covers
         low, high = max(self.rows.start - half, 0), min(self.rows.stop + half, len(self.middle))
         at = self.middle[low:high] - x[1]
         u = np.interp(at - x[0], self.start, self.command)

@@ -88,8 +88,8 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     """The law with the smallest residual of the recorded speed set point, or the reason why none was found.
 
     A speed that the control computes for other uses, such as that of its profile, leaves more than LARGEST_LEFT of itself.
-    `interpolation`: the machine file's, 'cubic' or 'linear'. The other one is used only if its residual is clearly smaller (`only`: it is
-    not tried).
+    `interpolation`: 'cubic' or 'linear', that of the machine file. The other is used only if its residual is clearly smaller; with `only` it is
+    not tried.
     """
     if not any(r.speed_setpoint is not None for r in runs):
         return NOT_RECORDED

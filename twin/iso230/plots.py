@@ -11,7 +11,7 @@ import numpy as np
 from twin.iso230.circles import QUADRANTS, CircleTest
 from twin.iso230.positioning import COVERAGE, Positioning
 from twin.report.figure import BLUE, GREEN, INK, RED, SOFT, new_figure, save_png
-from twin.units import AXIS_UNITS, round_up
+from twin.units import AXIS_UNITS, plain, round_up
 
 COLOURS = {"forward": BLUE, "backward": RED, "ccw": BLUE, "cw": RED}
 
@@ -34,9 +34,9 @@ def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str
             lower.append((mean - COVERAGE * spread).min())
         middle = 0.5 * (found.mean_forward + found.mean_backward)
         ax.plot(target, middle * small, color=SOFT, lw=1.0, ls="--", label="mean of both directions")
-        for level in (max(upper), min(lower)):
-            ax.axhline(level * small, color=INK, lw=0.8, ls=(0, (1, 2)))
-        numbers = ",  ".join(f"{k} {found.numbers[k] * small:.3g}" for k in ("A", "R", "E", "M", "B"))
+        for level, label in ((max(upper), "largest and smallest: A between them"), (min(lower), None)):
+            ax.axhline(level * small, color=INK, lw=0.8, ls=(0, (1, 2)), label=label)
+        numbers = ",  ".join(f"{k} {plain(found.numbers[k] * small)}" for k in ("A", "R", "E", "M", "B"))
         ax.set_title(f"ISO 230-2, axis {name}:  {numbers} {fine}" if name else f"ISO 230-2:  {numbers} {fine}")
         ax.set_xlabel(f"target [{unit}]")
         ax.set_ylabel(f"deviation [{fine}]")

@@ -197,7 +197,7 @@ class AptReader:
         self.rapid = self.rapid_feed = False
 
     def _feed_of(self, parts: list[str], word: str) -> float:
-        """A feed in units of the file per minute, as the collector wants it."""
+        """A feed in units of the file per minute, the unit of the collector."""
         units = [v for v in parts if v in words.FEED_UNITS]
         value = words.numbers_of(",".join(v for v in parts if v not in units), word, (1,))[0]
         unit = units[0] if units else "PERMIN"

@@ -126,7 +126,7 @@ def unread_words(path: Path, machine: Machine, reason: str) -> tuple[str, ...]:
 
 
 def opening_words(checked: Sequence[Checked]) -> list[tuple[str, int, int]]:
-    """Words that no reader knows: how many programs each alone would open, and how many it stops; the best first."""
+    """Unknown words: how many programs could be read with this word alone, and how many it stops; the most useful word first."""
     opens = Counter(one.unread[0] for one in checked if len(one.unread) == 1)
     stops = Counter(word for one in checked for word in one.unread)
     return sorted(((word, opens[word], n) for word, n in stops.items()), key=lambda w: (-w[1], -w[2], w[0]))

@@ -1,4 +1,4 @@
-"""The words of ISO programs with what carries them out, and the order in which those of a block are carried out."""
+"""The words of ISO programs, the functions that carry them out, and the order of the words of a block."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ def without_copies(campaign: Campaign) -> tuple[Campaign, dict[str, str]]:
     """The campaign without runs that repeat another one sample for sample, and these: run -> the run that it copies.
 
     A machine does not repeat its noise. A copy is no second measurement: a fit that is tested on a copy of its own data passes every test. A run
-    that equals only the beginning of another one is a copy, too.
+    that equals only the beginning of another run is a copy, too.
     """
     originals: dict[tuple[bytes, ...], list[MeasuredRun]] = {}
     copies: dict[str, str] = {}

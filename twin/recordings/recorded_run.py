@@ -207,7 +207,7 @@ def _made(channels: Sequence[Channel]) -> dict[tuple[str, str], str]:
 
 
 def _corrected(skews: Sequence[Skew], skew: str, period: float) -> dict[tuple[str, str], float]:
-    """Skew [s] of the channels that the map asks to correct. A speed that is late as a difference of positions is what the control uses."""
+    """Skew [s] of the channels that are corrected by the map. A speed that is late because it is a difference of positions is left: the control uses it."""
     encoders = (*POSITIONS, "velocity")
     skews = [item for item in skews if skew == "correct" or not item.differenced(period)]
     return {

@@ -149,7 +149,7 @@ def ahead(m: np.ndarray, x: np.ndarray) -> float:
 
 
 def settled(s: np.ndarray, x: np.ndarray) -> float:
-    """Spread of s - x where s rests; the encoder that closes the position loop has the smaller one. NaN if s never rests."""
+    """Spread of s - x where s rests; the encoder that closes the position loop has the smaller spread. NaN if s never rests."""
     step = np.abs(np.diff(s, prepend=s[0]))
     quiet = max(20, len(s) // 200)
     resting = np.convolve((step > 0.0).astype(float), np.ones(quiet), "full")[: len(s)] == 0.0

@@ -109,7 +109,7 @@ def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
 
 
 def _record(machine: Machine, golden: Trace, new: Trace, place: Place | None, text: str, path: Path) -> None:
-    """Write a recording in which the golden run moves the machine and the new one is overlaid."""
+    """Write a recording: the golden run moves the machine, the new run is overlaid."""
     from twin.replay.events import TELLING, Event
     from twin.replay.recording import write_recording
 

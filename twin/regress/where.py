@@ -36,7 +36,7 @@ from twin.simulation.position_command import delay_weights
 
 Law = tuple[np.ndarray, np.ndarray, np.ndarray]
 """The output of a law from the machine file (sample,) or the rows of a regressed law (sample, column); the recorded output (sample,);
-the samples at which the law holds (sample,)."""
+the samples where the law holds (sample,)."""
 
 SHARE = 0.35
 """Least share of the change of its output that a named block must have caused. The smallest share of a changed block is 0.37 (gain of the

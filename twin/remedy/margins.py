@@ -43,5 +43,5 @@ class Asked:
 
 
 def asked_of(phase_deg: float | None, gain_db: float) -> Asked:
-    """The margins that a user asks for; without a phase those of `twin machine check`."""
+    """The margins that the user gives; without a phase those of `twin machine check`."""
     return Asked(dict(LEAST_PHASE_DEG) if phase_deg is None else dict.fromkeys(LEAST_PHASE_DEG, phase_deg), 10.0 ** (gain_db / 20.0))

@@ -17,7 +17,7 @@ CIRCLES = ((0.05, 3.0), (0.05, 1.0), (0.025, 6.0))
 TURNS = 2.25
 RAMP_S = 0.3
 SHARE = 0.4
-"""Largest share of the travel that a radius takes, and of the largest speed and acceleration that a circle asks."""
+"""Largest share of the travel for the radius of a circle, and of the largest speed and acceleration for its motion."""
 
 
 def given_motion(name: str, trace: Trace, machine: Machine) -> Motionful:

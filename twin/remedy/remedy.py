@@ -10,8 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from twin.control.block import BLOCKS
+from twin.control.number import unit_of_key
 from twin.documents import read_json
 from twin.effects import settings_of
+from twin.effects.readable import readable
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
@@ -191,11 +194,11 @@ def sentence(found: Remedy, change: Change) -> str:
     if change.function == SET_BACK and change.setting is not None:
         return f"{change.axis}: set back what the diagnosis calls {change.setting.effect.name.replace('_', ' ')} to its commissioned value"
     if change.function == GAIN:
-        gain = change.values["position_gain_per_s"]
-        return (
-            f"{change.axis}: raise the position gain from {found.machine.axis(change.axis).loops.position_gain_per_s:.4g} to {gain:.4g} 1/s"
-        )
-    numbers = ", ".join(f"{key} = {value:.4g}" for key, value in change.table(found.machine).items())
+        gain = found.machine.axis(change.axis).loops.position_gain_per_s
+        return f"{change.axis}: raise the position gain from {gain:.4g} to {change.values['position_gain_per_s']:.4g} 1/s"
+    kind, table = found.machine.axis(change.axis).kind, change.table(found.machine)
+    keys = {n.key(kind): n.name.replace("_", " ") for n in BLOCKS[change.function].numbers}
+    numbers = ", ".join(f"{keys[key]} {readable(value, unit_of_key(key))}" for key, value in table.items())
     return f"{change.axis}: {change.function.replace('_', ' ')} ({numbers})"
 
 

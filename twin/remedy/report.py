@@ -95,11 +95,8 @@ def write_remedy_report(
     ]
     peaks = [[a, f"{p['before']:.2f}", f"{p['after']:.2f}", p["unit"]] for a, p in document["quadrant_peaks"].items()]
     worse = [f"{e['axis']} {e['function'].replace('_', ' ')}: {w}" for e in document["changes"] for w in e["worse"]]
-    costs = (
-        "Cost: no cycle time; the changes are entered in the control, the old values stand beside them."
-        if rows
-        else "Cost: none; nothing is changed."
-    )
+    entered = "no cycle time; the changes are entered in the control, the old values stand beside them"
+    costs = f"Cost: {entered if rows else 'none; nothing is changed'}."
     links = [("Replay before and after", REPLAY)]
     if diagnosed is not None and diagnosed.is_file():
         links.append(("Diagnosis", address(diagnosed, page)))

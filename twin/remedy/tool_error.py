@@ -1,7 +1,7 @@
-"""The error that a part sees: distance of the true tool path from the path of the set points, level 2.
+"""The error on the part: distance of the true tool path from the path of the set points, level 2.
 
 A common delay of all axes does not mark a part; the contour error leaves it out. Positions are those of the loads, also where no encoder
-sees them. A machine without a tool and a part frame is judged by the path of its linear axes, one with a single axis by its error without the
+measures them. A machine without a tool and a part frame is judged by the path of its linear axes, one with a single axis by its error without the
 control's delay.
 """
 

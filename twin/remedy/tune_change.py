@@ -56,7 +56,7 @@ def tuned(change: Change, machine: Machine, on: Sequence[Motionful], shaped: boo
 
 
 def faster(machine: Machine, on: Motionful, asked: Asked) -> list[Change]:
-    """The position gain at which the tables of a machine leave LEFT of their waves on a motion, or as near as the asked margins allow; [] without a wave.
+    """The position gain that leaves the share LEFT of the waves of all tables on a motion, or the nearest within the margins; [] without a wave.
 
     A wave of frequency w = k |dq/dt| is left to w / sqrt(w^2 + Kv^2). The gain rises on all axes alike, as axes that interpolate need it.
     """

@@ -10,7 +10,7 @@ from twin.remedy.control_data import datum_lines
 from twin.remedy.margins import Asked
 from twin.remedy.tune import Tuned, changed_numbers, mode_needed
 from twin.report import Section, Table, write_page
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, LEAST_SHOWN
 
 HEADING = (
     "axis", "values", "Kp", "Tn", "Kv [1/s]", "delays", "speed loop", "position loop", "bandwidth",
@@ -42,9 +42,9 @@ def rows_of(found: Sequence[Tuned]) -> list[list[str]]:
                     f"{1e3 * loops.position_delay_s:.2f}, {1e3 * loops.feedforward_delay_s:.2f} ms",
                     *(f"{m.phase:.0f} deg, {20 * math.log10(m.gain):.1f} dB" if m.stable else "unstable" for m in (speed, position)),
                     f"{position.bandwidth:.0f} Hz" if math.isfinite(position.bandwidth) else "-",
-                    f"{to * errors.without_delay_rms:.2f} {unit}",
+                    f"{to * errors.without_delay_rms:.2f} {unit}" if to * errors.without_delay_rms > LEAST_SHOWN else "-",
                     "-" if peak is None else f"{to * peak:.2f} {unit}",
-                    f"{tuned.tool.shares[name]:.0%}" if name in tuned.tool.shares else "-",
+                    f"{100.0 * tuned.tool.shares[name]:.0f} %" if name in tuned.tool.shares else "-",
                 ]
             )
     return rows

@@ -25,6 +25,9 @@ THIN = 1.2
 LABEL_WIDTH, LABEL_HEIGHT = 0.1, 0.12
 """Share of a panel that a peak label takes; labels of closer peaks are moved apart."""
 
+PLATEAU = 0.995
+"""Share of a peak that counts as the peak; the label stands at its middle."""
+
 COLUMNS, MEAN = 700, 4
 """A line is not resolved within one of so many columns of a panel. The mean of a band is that of so many columns, or its ripple would beat with them."""
 
@@ -70,14 +73,14 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns
             colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour, order))
             _draw(axes, time, curve, colour, WIDE if asked else THIN)
             if panel.peaks and len(curve.values):
-                worst = int(np.argmax(np.abs(curve.values)))
+                worst = _middle_of_peak(np.abs(curve.values))
                 at, value = float(time[worst]), float(curve.values[worst])
                 right = at > 0.85 * float(time[-1])
                 place = (at / (float(time[-1]) or 1.0), value / reach)
                 beside = sum(abs(place[0] - x) < LABEL_WIDTH and abs(place[1] - y) < LABEL_HEIGHT for x, y in labelled)
                 labelled.append(place)
                 axes.annotate(
-                    f"{plain(abs(value))} {panel.peaks}",
+                    f"{plain(float(np.abs(curve.values).max()))} {panel.peaks}",
                     (at, value),
                     (-8 if right else 8, beside * (11 if value < 0 else -11)),  # moved away from labels already there
                     textcoords="offset points",
@@ -101,8 +104,16 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns
     return figure
 
 
+def _middle_of_peak(sizes: np.ndarray) -> int:
+    """Sample in the middle of the largest peak or plateau of sizes (sample,)."""
+    worst = int(np.argmax(sizes))
+    below = np.flatnonzero(sizes < PLATEAU * sizes[worst])
+    before, after = below[below < worst], below[below > worst]
+    return ((int(before[-1]) + 1 if len(before) else 0) + (int(after[0]) if len(after) else len(sizes)) - 1) // 2
+
+
 def _draw(axes: Axes, time: np.ndarray, curve: Curve, colour: str, width: float) -> None:
-    """A curve; one that swings many times within the width of a line as its moving mean in the band that it fills."""
+    """A curve. If it swings many times within the width of a line: its moving mean, in the band that it fills."""
     values, each = curve.values, -(-len(curve.values) // COLUMNS)
     if each >= LEAST_IN_COLUMN:
         whole = len(values) // each * each

@@ -64,7 +64,7 @@ def aligned(runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[st
 def zeros_left(runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping[str, Trace]) -> dict[tuple[str, int], float]:
     """Constants (axis, run) [m or rad] that predictions leave between the two encoders of each axis.
 
-    The trend over the start times of the runs in which a linear axis moves is growth of its screw, not a zero. In the other runs the whole
+    Where a linear axis moves, a trend over the start times of its runs is growth of its screw, not a zero. In the other runs the whole
     constant counts: it depends on where the axis stuck.
     """
     zeros: dict[tuple[str, int], float] = {}

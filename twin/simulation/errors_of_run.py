@@ -47,7 +47,7 @@ def delayed_set_point(trace: Trace, axis: Axis) -> np.ndarray:
 
 
 def reversal_times(trace: Trace, axis: str) -> np.ndarray:
-    """Times (reversal,) [s] at which the set point starts to move in the opposite direction, with or without a standstill before."""
+    """Times (reversal,) [s] where the set point starts in the opposite direction, with or without a standstill before."""
     steps = np.diff(trace.get(axis, "setpoint"))
     moving = np.flatnonzero(np.abs(steps) > SETPOINT_STEP)
     turns = moving[1:][np.sign(steps[moving[1:]]) != np.sign(steps[moving[:-1]])]

@@ -9,7 +9,7 @@ from twin.simulation.setpoints import Setpoints
 from twin.units import deg_from_rad
 
 LIMIT_TOLERANCE = 0.01
-"""Fraction by which set points may exceed a limit without a warning, because recorded set points are rounded."""
+"""Set points may exceed a limit by this fraction without a warning, because recorded set points are rounded."""
 
 ROUNDING = 1e-8
 """Largest resolution of rounded set points [m or rad]."""

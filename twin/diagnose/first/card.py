@@ -93,7 +93,9 @@ def _friction(one: AxisFacts) -> str:
         with_weight = "" if min(one.strokes) else ", weight included"
         return f"{size.interval(f.at_speed.value, f.at_speed.half)} at {number(f.speed * speed[1])} {speed[0]}{with_weight}"
     per, factor = AXIS_UNITS[one.kind].speed
-    return f"{size.interval(f.coulomb.value, f.coulomb.half)} + {number(f.viscous.value / factor)} {size.unit} per {per}"
+    many, name = (1.0, "") if abs(f.viscous.value) >= 1e-3 * factor else (1000.0, "1000 ")  # a small one for 1000 mm/s or deg/s
+    slope = f"{number(many * f.viscous.value / factor)} {size.unit} per {name}{per}"
+    return f"{size.interval(f.coulomb.value, f.coulomb.half)} + {slope}"
 
 
 def card_text(card: Card) -> str:

@@ -22,7 +22,7 @@ PARTS = 6
 """Parts of a stroke whose means give its scatter."""
 LEAST_STROKES = 3
 START_S = 0.15
-"""Time after the start of a stroke in which its peak is sought [s]."""
+"""The peak of a stroke is sought within this time after its start [s]."""
 MANY_TIMES = 2.0
 """A peak that exceeds what motion explains by this factor of the friction is worth a sentence."""
 

@@ -82,7 +82,8 @@ def _effort(one: AxisFacts, rows: Strokes, panel: Axes, colour: str, thin: slice
     panel.plot(v[thin] * speed.factor, (law + one.left[f.effort])[thin], ".", ms=1.5, color=SOFT)
     order = np.argsort(v)
     panel.plot(v[order][thin] * speed.factor, law[order][thin], color=colour, lw=1.6)
-    panel.set_title(f"{f.effort} without inertia [{size.unit}] over speed [{speed.unit}]")
+    panel.set_title(f"{f.effort} without inertia [{size.unit}]")
+    panel.set_xlabel(f"speed [{speed.unit}]")
 
 
 def _empty(panel: Axes, words: str) -> None:

@@ -30,11 +30,11 @@ class Shown(NamedTuple):
 
 
 def number(value: float) -> str:
-    """Three digits without an exponent for sizes that people meet: 0.00123, 12.3, 1230."""
+    """Three digits without an exponent: 0.00123, 12.3, 1230."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     size = math.floor(math.log10(abs(value)))
-    return f"{value:.3g}" if size < -4 or size > 6 else f"{round(value, 2 - size):.{max(0, 2 - size)}f}"
+    return f"{round(value, 2 - size):.{max(0, 2 - size)}f}"
 
 
 def shown(quantity: str, kind: str = "linear") -> Shown:

@@ -9,7 +9,7 @@ from twin.diagnose.first.people import shown
 from twin.identify.recorded_axis import EFFORTS
 
 GAIN_S = 0.01
-"""Longest period at which gains and delays of the loops are seen [s]: a position loop of 100 1/s settles in some samples."""
+"""Longest sample period that shows gains and delays of the loops [s]: a position loop of 100 1/s settles within a few such samples."""
 VIBRATION_SAMPLES = 4
 """Samples of a vibration that is seen with its amplitude."""
 

@@ -4,7 +4,7 @@
 
 S is the mean square over that of noise on runs left out, n the number of independent samples of a channel, at most `shapes`: a model error is
 correlated over many samples. It is the negative log density with a model error of unknown size. A channel whose noise is overestimated
-(S < 1) counts little. A law or an effect stays if it lowers the cost; of two sets of them the cheaper one is kept.
+(S < 1) counts little. A law or an effect stays if it lowers the cost; the cheaper of two sets is kept.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FEW_STEPS = 2
 """Steps of a fit that starts near its optimum."""
 
 SHORTEST_REST_S = 5e-3
-"""Shortest rest in which an axis sticks. A shorter one is a reversal without a stop: its motion is not random, and laws of friction show there."""
+"""An axis sticks during a rest of at least this length. A shorter rest is a reversal without a stop: its motion is not random, and shows laws of friction."""
 
 Settings = tuple[Setting, ...]
 
@@ -80,7 +80,7 @@ class ClosedLoop:
     """One axis of a group about the machine file, without the encoder zeros of each run, with the parts of the cross-validation.
 
     `group` weighs its rows as evidence of laws. If it shakes, all simulations have the same noise in the loop: an axis that slips before
-    break-away needs it, and so does a set of effects without the slip that is compared with one that has it.
+    break-away needs it, and so does a set of effects without slip that is compared with a set that has slip.
     """
 
     group: Group
@@ -139,7 +139,7 @@ class ClosedLoop:
         return not setting.effect.normal or (setting.effect.name == SPRING_EFFECT and any(is_between_encoders(s) for s in settings))
 
     def with_cost(self, fit: Fit) -> Fitted:
-        """The fit with its cost. A term with an implausible size, or with one that may be zero, costs `IMPOSSIBLE`."""
+        """The fit with its cost. A term costs `IMPOSSIBLE` if its size is implausible or may be zero."""
         group = self.group
         left = linear_in(group, fit, self.parts.rows).held_out([[i] for i in range(len(self.parts.rows))], 1.0)
         left -= self.zeros @ (self.zeros.T @ left)

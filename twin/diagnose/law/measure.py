@@ -131,8 +131,8 @@ def basis_of(x: np.ndarray, variable: str, period: float = 0.0) -> Basis | None:
 class MeasuredCurve:
     """A measured law: candidate, points with band (standard deviation), and prediction of runs left out.
 
-    `predicts` is the fraction by which the curve reduces the cross-validated loss; `runs_better` the fraction of the runs, weighted by their
-    loss, that it improves.
+    `predicts` is the share of the cross-validated loss that the curve removes; `runs_better` is the share of the runs, weighted by their loss,
+    that it improves.
     """
 
     candidate: Candidate

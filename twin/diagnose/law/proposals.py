@@ -17,7 +17,7 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 
 NOISY = 1.15
-"""Largest power over noise of the residual of a block in which no law is sought."""
+"""No law is sought in a block whose residual has at most this power over noise."""
 
 LEAST_RUNS = 0.6
 """Smallest fraction of the runs, weighted by their loss, that a law must improve."""

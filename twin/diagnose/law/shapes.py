@@ -56,7 +56,7 @@ FIRST_STEP = 0.15
 """Relative first step of the refinement of a parameter."""
 
 FINEST_STEP = 0.007
-"""Step at which the refinement ends, as a fraction of the first step."""
+"""The refinement ends at this fraction of its first step."""
 
 HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
 """Harmonics of the motor turn that are tried."""

@@ -30,7 +30,7 @@ SMALL_DEFLECTION, LARGE_DEFLECTION = 0.3, 0.6
 """Fractions of the largest deflection that bound small and large deflection."""
 
 STAGE_FORCES = (0.03, 0.9, 24)
-"""Smallest and largest force at which a stiff stage may begin, as fractions of the largest force, and the number of forces that are tried."""
+"""A stiff stage begins between these fractions of the largest force; the third number is how many beginnings are tried."""
 
 
 def with_rigid_drive_train(settings: Settings, axis: str) -> Settings:

@@ -10,7 +10,7 @@ RARELY = 0.02
 """Fraction of the samples at each end of the force range that is not paired with opposite forces."""
 
 PAIRS = 8
-"""Number of force levels at which the deflection under positive and negative force is compared."""
+"""The deflections under positive and negative force are compared at so many force levels."""
 
 LEAST_OF_A_PAIR = 5
 """Smallest number of samples on each side of a valid pair."""

@@ -14,7 +14,7 @@ from twin.recordings.names import TERM
 SAMPLE_BYTES = 1 << 18
 """Bytes at the start of a file that tell encoding and layout."""
 EASTERN = ("gb18030", "cp932", "big5")
-"""Encodings of Chinese and Japanese text; the one in which most terms of drives occur is right."""
+"""Encodings of Chinese and Japanese text; the right encoding shows the most terms of drives."""
 NUMBER, STAMP, WORD, BLANK = "number", "stamp", "word", ""
 THOUSANDS = {mark: f"{other}'\u2019\u00a0\u202f " for mark, other in ((".", ","), (",", "."))}
 """Decimal mark -> what may separate thousands."""

@@ -2,7 +2,7 @@
 
     E(q) = slope (q - origin) + sine sin(k q) + cosine cos(k q) + what is left          the block `position_correction` holds the first three
 
-The content tells the format: SINUMERIK archives, EEC and CEC; LinuxCNC ini and compensation files; HEIDENHAIN parameter lists and old tables;
+The format follows from the content: SINUMERIK archives, EEC and CEC; LinuxCNC ini and compensation files; HEIDENHAIN parameter lists and old tables;
 ISG lists. A LinuxCNC compensation file and an old HEIDENHAIN table name no axis.
 """
 
