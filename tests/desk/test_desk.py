@@ -60,6 +60,9 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "out" / "broken").mkdir()
     (tmp_path / "out" / "broken" / "study.json").write_text('{"a": ')
     (tmp_path / "out" / "gap.html").write_text("<title>Gap of a &amp; b</title>")
+    write_json({"standard": "ISO 230-2", "verdict": "axis X: A 18.74 um"}, tmp_path / "out" / "positions.json", "iso230")
+    (tmp_path / "out" / "positions.png").write_bytes(b"\x89PNG picture")
+    write_json({"verdict": "as it should be"}, tmp_path / "out" / "gap.json", "gap")  # its page stands beside it
     (tmp_path / "secret.html").write_text("secret")
     return tmp_path / "out"
 
@@ -94,10 +97,12 @@ def test_results_in_a_folder_are_recognised(folder: Path) -> None:
     found = {entry.path: entry for entry in entries_in(folder)}
     assert {path: entry.kind for path, entry in found.items()} == {
         "first": "run", "worn & old": "run", "diagnosis": "diagnosis", "broken": "study", "gap.html": "report", "exam": "examination",
+        "positions.json": "ISO 230-2",
     }  # fmt: skip
     assert found["first"].summary == "<b>x.csv on Mikron, no effects: error of X 2.00 um"
     assert found["diagnosis"].summary == "Diagnosis. Backlash on X & more."  # title and lead of its report
     assert found["gap.html"].summary == "Gap of a & b."
+    assert (found["positions.json"].summary, found["positions.json"].picture) == ("axis X: A 18.74 um", "positions.png")
     assert found["broken"].summary.startswith("cannot be read:")
     assert (found["first"].picture, found["diagnosis"].report) == ("first/run.png", "diagnosis/report.html")
     assert found["first"].compared

@@ -74,12 +74,13 @@ def _positioning(args: argparse.Namespace, source: Path, machine: Machine, plot:
     results = {axis: positioning(one) for axis, one in readings.items()}
     draw_positioning(results, kinds, plot)
     print("ISO 230-2, k = 2")
-    axes = {}
+    axes, said = {}, []
     for axis, result in results.items():
         (unit, factor), (large, scale) = AXIS_UNITS[kinds[axis]].error, AXIS_UNITS[kinds[axis]].position
         found = {name: f"{value * factor:.2f}" for name, value in result.numbers.items()}
         rows = [[name, found[name], *(found.get(f"{name}_{way}", "-") for way in ("forward", "backward"))] for name in "AREMB"]
         rows.append(["mean B", found["B_mean"], "-", "-"])
+        said.append(f"{f'axis {axis}: ' if axis else ''}{', '.join(f'{name} {found[name]}' for name in 'ARB')} {unit}")
         print(f"{f'axis {axis}: ' if axis else ''}{len(readings[axis].target)} positions")
         print(table([f"{f'axis {axis}, ' if axis else ''}{unit}", "both directions", "forward", "backward"], rows, left=1))
         columns = {
@@ -90,7 +91,13 @@ def _positioning(args: argparse.Namespace, source: Path, machine: Machine, plot:
         numbers = {name: value * scale for name, value in result.numbers.items()}
         axes[axis] = {"unit": large, **numbers, "cycles": readings[axis].forward.shape[1], "positions": positions}
     print("A accuracy, R repeatability, E systematic deviation, M mean systematic deviation, B reversal value")
-    return {"standard": "ISO 230-2", "k": 2, **(next(iter(axes.values())) if len(axes) == 1 else {}), "axes": axes}
+    return {
+        "standard": "ISO 230-2",
+        "verdict": "; ".join(said),
+        "k": 2,
+        **(next(iter(axes.values())) if len(axes) == 1 else {}),
+        "axes": axes,
+    }
 
 
 class _Test(NamedTuple):
@@ -144,8 +151,15 @@ def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Pat
         ]  # fmt: skip
         print(table(["effect", "axis", "probability", "RMS", *(f"adds to {k}" for k in _ADDED)], cells, left=2))
     if args.campaign:
-        _write_campaign(tests[0].circles["measured"], Path(args.campaign), machine, source, args.feedforward)
-    return {"standard": "ISO 230-4", "unit": "um", **(circles[0] if len(circles) == 1 else {}), "circles": circles}
+        _write_campaign(tests[0].circles["measured"], Path(args.campaign), machine, args.feedforward)
+    said = [f"{e['run']} {e['plane']}: {', '.join(f'{k} {e[k]:.2f}' for k in _SHOWN[:3] if k in e)} um" for e in circles]
+    return {
+        "standard": "ISO 230-4",
+        "verdict": "; ".join(said),
+        "unit": "um",
+        **(circles[0] if len(circles) == 1 else {}),
+        "circles": circles,
+    }
 
 
 _SHOWN = ("G_cw", "G_ccw", "G_b", "F_max", "F_min", "H", "D")
@@ -235,27 +249,13 @@ def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | 
     yield source.stem, read_trace(trace_file(source), axes=machine.kinds, need=("setpoint",)), None, None
 
 
-def _write_campaign(test: CircleTest, folder: Path, machine: Machine, source: Path, feedforward: str | None) -> None:
+def _write_campaign(test: CircleTest, folder: Path, machine: Machine, feedforward: str | None) -> None:
     """Write a ballbar circle as a campaign; print the deviations removed because a radius cannot separate them."""
-    from twin.files import write_whole
-    from twin.iso230.ballbar_campaign import ballbar_campaign
-    from twin.recordings.trace import write_trace
+    from twin.iso230.ballbar_campaign import ballbar_run
+    from twin.simulation.campaign_file import write_campaign
 
-    found = ballbar_campaign(test, machine.with_feedforward(feedforward))
-    slopes = ", ".join(f"{name} {value * 1e6:+.1f} um/m" for name, value in found.slopes.items())
-    name = f"circle_{test.name.lower()}.parquet"
-    write_trace(found.trace, folder / name)
-    given = f'feedforward = "{feedforward}"\n' if feedforward else ""
-    text = f"""# {source.name}: ballbar measurement. Removed here and from the twin, because a radius cannot separate them from the machine:
-# {slopes}, relative to the nominal twin
-machine = "{machine.model_path.stem}"
-
-[[run]]
-file = "{name}"
-{given}[run.ballbar]
-axes = ["{test.axes[0]}", "{test.axes[1]}"]
-noise_m = {found.noise:.3g}
-"""
-    write_whole(folder / "campaign.toml", text)
+    run, removed = ballbar_run(test, machine, feedforward)
+    write_campaign({run.name: run}, folder)
+    slopes = ", ".join(f"{name} {value * 1e6:+.1f} um/m" for name, value in removed.items())
     print(f"removed, relative to the nominal twin: {slopes} (one radius cannot separate a scale error from the position gain of its axis)")
     print(f"written: {folder}, a campaign for twin diagnose")

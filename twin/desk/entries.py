@@ -76,9 +76,9 @@ def entries_in(folder: Path) -> list[Entry]:
             entry = _entry(folder, place, names)
         found += [entry] if entry is not None else []
         for name in sorted(names):
-            if name.endswith(".html") and (entry is None or name != REPORT):
-                with contextlib.suppress(OSError):
-                    found.append(_page(folder, place / name))
+            if entry is None or name != REPORT:
+                with contextlib.suppress(OSError, InputError):
+                    found += _alone(folder, place / name)
         if len(found) >= MOST:
             break
     return sorted(found[:MOST], key=lambda entry: entry.written, reverse=True)
@@ -134,11 +134,16 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
     )
 
 
-def _page(folder: Path, file: Path) -> Entry:
-    """A single report, such as that of `twin gap --html`."""
-    name = file.relative_to(folder).as_posix()
-    written = datetime.fromtimestamp(file.stat().st_mtime)
-    return Entry(name, "report", _said(file), written, name, None, False)
+def _alone(folder: Path, file: Path) -> list[Entry]:
+    """A single report, such as that of `twin gap --html`, or an evaluation by ISO 230 with the plot beside it; nothing for another file."""
+    name, written, picture = file.relative_to(folder).as_posix(), datetime.fromtimestamp(file.stat().st_mtime), file.with_suffix(".png")
+    if file.suffix == ".html":
+        return [Entry(name, "report", _said(file), written, name, None, False)]
+    document = read_json(file, largest=LARGEST_BYTES) if file.suffix == ".json" and file.name not in _BY_DOCUMENT else {}
+    if not str(document.get("schema")).startswith("iso230/"):
+        return []
+    shown = picture.relative_to(folder).as_posix() if place_in(folder, str(picture)) else None
+    return [Entry(name, str(document.get("standard")), _summary(document), written, None, shown, False)]
 
 
 def _summary(document: Mapping[str, Any]) -> str:

@@ -7,8 +7,6 @@ simulation (`twin.recordings.ballbar`); their sizes are those of measurement min
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 import math
 
 import numpy as np
@@ -18,6 +16,7 @@ from twin.geometry.scurve import jerk_limited_move, phases_of_move, sample_times
 from twin.iso230.circles import CircleTest
 from twin.machine.machine import Machine
 from twin.recordings.ballbar import FINEST, GEOMETRY, OVERLAP, ballbar_of
+from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import SECOND_DIFFERENCE, robust_deviation
 from twin.recordings.trace import Trace
 from twin.simulation.recorded_times import simulated_period
@@ -30,17 +29,8 @@ RESOLUTION = 1e-7
 """Resolution of a ballbar [m]."""
 
 
-@dataclass(frozen=True)
-class BallbarCampaign:
-    """`trace` with set points and ballbar positions, `noise` of a reading [m], and `slopes` [m/m] of the removed deviations by name."""
-
-    trace: Trace
-    noise: float
-    slopes: Mapping[str, float]
-
-
-def ballbar_campaign(test: CircleTest, machine: Machine) -> BallbarCampaign:
-    """The campaign of a circle test. `machine` is the twin with the feedforward of the test.
+def ballbar_run(test: CircleTest, machine: Machine, feedforward: str | None) -> tuple[MeasuredRun, dict[str, float]]:
+    """The run of a circle test, with set points and ballbar positions, and the slopes [m/m] of the removed deviations by name.
 
     Raises InputError if the feed of the program is unknown.
     """
@@ -54,11 +44,12 @@ def ballbar_campaign(test: CircleTest, machine: Machine) -> BallbarCampaign:
     for path in test.paths.values():
         turns_so = bar.measured & (np.gradient(bar.angle) * (path.angle[-1] - path.angle[0]) > 0.0)
         measured[turns_so] = path.at(bar.angle[turns_so]) - test.radius
-    twin = machine.with_axes([axis for axis in machine.axis_names if axis in bar.axes])
+    twin = machine.with_feedforward(feedforward).with_axes([axis for axis in machine.axis_names if axis in bar.axes])
     simulated = simulate(twin, setpoints_of(commanded, twin), sample_period=simulated_period(twin, commanded.period, bar))
     sizes = bar.sizes(measured - bar.deviation(simulated.trace))
     slopes = dict(zip((name.format(*test.axes) for name in GEOMETRY[2:]), sizes[2:] / test.radius))
-    return BallbarCampaign(Trace(commanded.time, {**commanded.signals, **bar.positions(measured)}, commanded.kinds), noise, slopes)
+    trace = Trace(commanded.time, {**commanded.signals, **bar.positions(measured)}, commanded.kinds)
+    return MeasuredRun(f"circle_{test.name.lower()}", trace, feedforward, 0.0, ballbar=bar), slopes
 
 
 def _commanded(test: CircleTest) -> Trace:
