@@ -104,7 +104,8 @@ COMMANDS = """
     run ROOT/examples/five_axis.mpf --out five_axis --no-recording
     compare demo/x_200mm_off.parquet worn --out compare
     gap ROOT/examples/campaign --json gap.json --html gap.html
-    import ROOT/examples/traces --out imported
+    iso 230-2 ROOT/examples/iso230/positions.csv --json positions.json
+    import ROOT/examples/traces/x_feedforward_off.csv --out imported
     regress ROOT/examples/regression --jobs 2 --only viscous_friction --out regress
     machine check
 """
