@@ -140,7 +140,7 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
     within = path and last[:1].isalpha()  # a variable of a program, a field of a message
     tries = (
         [] if within and before else [name, re.sub(r"\s*[\[(][^\])]*[^\])\d][\])]\s*$", "", name)]
-    )  # a unit that nobody knows is no part of it
+    )  # brackets without a known unit belong to the name
     last = _CODE.sub("", last)
     if within:
         tries += [*[last] * (last.lower() in _EXACT), " ".join([*before, re.sub(r"^(?:lr|[fnrx])(?=[A-Z])", "", last)])]
