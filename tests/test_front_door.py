@@ -60,6 +60,6 @@ def test_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for block in blocks:
         exec(compile(block, page, "exec"), names)
     out = capsys.readouterr().out
-    assert re.search(r"9\.6\d um +18\.1\d um", out), "the example proves what 15 um of backlash cost"
+    assert re.search(r"9\.69 um +18\.1 um", out), "the example proves what 15 um of backlash cost"
     if page == "docs/python.md":
         assert "X, Y, Z, A and C as they should be" in out
